@@ -1,0 +1,23 @@
+"""Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
+
+from .anthropometry import STANDARD_HEIGHT, Body, standard_body
+from .errors import InputError, KinefilterError
+from .motion import Clip, Origin, State, Take
+from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
+
+__all__ = [
+    "KINECT_V1",
+    "KINECT_V2",
+    "SKELETONS",
+    "STANDARD_HEIGHT",
+    "Body",
+    "Clip",
+    "InputError",
+    "KinefilterError",
+    "Origin",
+    "Skeleton",
+    "State",
+    "Take",
+    "skeleton_named",
+    "standard_body",
+]

@@ -1,0 +1,170 @@
+"""A body of given height and mass: segment lengths, masses and radii.
+
+Sources:
+    Lengths: Drillis & Contini 1966, body segment parameters, as drawn in Winter 2009,
+        Biomechanics and Motor Control of Human Movement, figure 4.1 (fractions of
+        stature). Where Kinect's joints are no anatomical landmarks (spine, head, hand,
+        foot), the fraction is the median of Kinect skeletons of standing people.
+    Masses: de Leva 1996, J. Biomech. 29(9), table 4, men (fractions of body mass).
+    Radii: a capsule of the segment's mass at tissue density.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+from .skeleton import KINECT_V1, KINECT_V2, Skeleton
+
+__all__ = ["STANDARD_HEIGHT", "Body", "standard_body"]
+
+STANDARD_HEIGHT = 1.75
+"""Stature [m] of the standard body that postures are compared on."""
+
+_DENSITY = 1050.0  # kg/m^3, whole-body tissue average (Winter 2009, section 4.1.1)
+_BODY_MASS_INDEX = 22.0  # kg/m^2, middle of the WHO's normal range, if no mass is given
+_FOOT_RADIUS = 0.018  # of stature: half the malleolus height of 0.039 (Winter)
+
+# Segment -> (length as a fraction of stature, mass as a fraction of body mass, rest
+# direction). T-pose facing +z: left is +x. Trunk masses split de Leva's upper, middle
+# and lower part over the segments and the root, which share them.
+_Row = tuple[float, float, tuple[float, float, float]]
+_LIMBS: dict[str, _Row] = {
+    "Shoulder": (0.110, 0.0300, (1.0, 0.0, 0.0)),
+    "Elbow": (0.186, 0.0271, (1.0, 0.0, 0.0)),
+    "Wrist": (0.146, 0.0162, (1.0, 0.0, 0.0)),
+    "Hand": (0.046, 0.0061, (1.0, 0.0, 0.0)),
+    "Hip": (0.050, 0.0300, (1.0, 0.0, 0.0)),
+    "Knee": (0.245, 0.1416, (0.0, -1.0, 0.0)),
+    "Ankle": (0.246, 0.0433, (0.0, -1.0, 0.0)),
+    "Foot": (0.070, 0.0137, (0.0, -0.30, 0.954)),
+}
+_V1_TRUNK: dict[str, _Row] = {
+    "Spine": (0.170, 0.1633, (0.0, 1.0, 0.0)),
+    "ShoulderCenter": (0.130, 0.0996, (0.0, 1.0, 0.0)),
+    "Head": (0.115, 0.0694, (0.0, 1.0, 0.0)),
+}
+_V2_TRUNK: dict[str, _Row] = {
+    "SpineMid": (0.170, 0.1633, (0.0, 1.0, 0.0)),
+    "SpineShoulder": (0.130, 0.0996, (0.0, 1.0, 0.0)),
+    "Neck": (0.042, 0.0194, (0.0, 1.0, 0.0)),
+    "Head": (0.075, 0.0500, (0.0, 1.0, 0.0)),
+}
+_V2_HANDS: dict[str, _Row] = {
+    "Hand": (0.046, 0.0041, (1.0, 0.0, 0.0)),
+    "HandTip": (0.040, 0.0010, (1.0, 0.0, 0.0)),
+    "Thumb": (0.030, 0.0010, (0.6, 0.0, 0.8)),
+}
+
+
+def _table(skeleton: Skeleton) -> dict[str, _Row]:
+    """Return the rows of a skeleton by joint name."""
+    trunks = {
+        KINECT_V1.name: (_V1_TRUNK, _LIMBS),
+        KINECT_V2.name: (_V2_TRUNK, {**_LIMBS, **_V2_HANDS}),
+    }
+    trunk, limbs = trunks[skeleton.name]
+    table = dict(trunk)
+    for limb, (length, mass, (x, y, z)) in limbs.items():
+        table[f"{limb}Left"] = (length, mass, (x, y, z))
+        table[f"{limb}Right"] = (length, mass, (-x, y, z))
+    return table
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A body on a skeleton: what its segments measure and weigh."""
+
+    skeleton: Skeleton
+    """The joints, in the order of the arrays."""
+    height: float
+    """Stature [m]."""
+    mass: float
+    """Body mass [kg]."""
+    lengths: NDArray[np.float64]
+    """Length [m] of the segment that ends at each joint, shape (J,), root 0."""
+
+    def __post_init__(self) -> None:
+        if not 0.3 < self.height < 3.0:
+            raise InputError(
+                f"body height {self.height:g} m is outside 0.3 to 3 m; "
+                "give the height in metres"
+            )
+        if not 2.0 < self.mass < 500.0:
+            raise InputError(
+                f"body mass {self.mass:g} kg is outside 2 to 500 kg; "
+                "give the mass in kilograms"
+            )
+
+    @cached_property
+    def rest_offsets(self) -> NDArray[np.float64]:
+        """Vector [m] from each joint's parent to it in the T-pose, shape (J, 3)."""
+        table = _table(self.skeleton)
+        directions = np.array(
+            [table[j][2] if j in table else (0, 0, 0) for j in self.skeleton.joints],
+            dtype=float,
+        )
+        norms = np.linalg.norm(directions, axis=1, keepdims=True)
+        directions /= np.where(norms > 0, norms, 1.0)
+        return directions * self.lengths[:, None]
+
+    @cached_property
+    def rest_positions(self) -> NDArray[np.float64]:
+        """T-pose [m], facing +z, root above the origin, soles on y = 0, (J, 3)."""
+        positions = np.zeros((len(self.skeleton), 3))
+        for j, p in zip(
+            self.skeleton.segments, self.skeleton.segment_parents, strict=True
+        ):
+            positions[j] = positions[p] + self.rest_offsets[j]
+        positions[:, 1] -= (positions[:, 1] - self.radii).min()
+        return positions
+
+    @cached_property
+    def masses(self) -> NDArray[np.float64]:
+        """Mass [kg] of the segment that ends at each joint, root: the pelvis, (J,)."""
+        table = _table(self.skeleton)
+        shares = np.array([table.get(j, (0, 0, 0))[1] for j in self.skeleton.joints])
+        shares[self.skeleton.root] = 1.0 - shares.sum()
+        return shares * self.mass
+
+    @cached_property
+    def radii(self) -> NDArray[np.float64]:
+        """Capsule radius [m] of each segment, root: of the pelvis sphere, (J,)."""
+        joints = self.skeleton.joints
+        lengths = np.where(self.lengths > 0, self.lengths, np.inf)
+        radii = np.sqrt(self.masses / (_DENSITY * np.pi * lengths))
+        root = self.skeleton.root
+        radii[root] = (self.masses[root] * 0.75 / (_DENSITY * np.pi)) ** (1 / 3)
+        # Short segments are no fat discs: no radius above a third of the foot's or
+        # hand's own scale, and soles that lie on the floor.
+        radii = np.minimum(radii, 0.065 * self.height)
+        for j, joint in enumerate(joints):
+            if joint.startswith("Foot"):
+                radii[j] = _FOOT_RADIUS * self.height
+            elif joint.startswith(("Hand", "Thumb")):
+                radii[j] = min(radii[j], 0.018 * self.height)
+        return radii
+
+
+def standard_body(
+    skeleton: Skeleton, *, height: float = STANDARD_HEIGHT, mass: float | None = None
+) -> Body:
+    """Return the body of average proportions.
+
+    Args:
+        skeleton: The joints.
+        height: Stature [m].
+        mass: Body mass [kg]; by default that of a body mass index of 22 kg/m^2.
+
+    Raises:
+        InputError: Height or mass is not a human's.
+    """
+    table = _table(skeleton)
+    fractions = np.array([table.get(j, (0, 0, 0))[0] for j in skeleton.joints])
+    if mass is None:
+        mass = _BODY_MASS_INDEX * height**2
+    return Body(skeleton, height, mass, fractions * height)

@@ -1,0 +1,160 @@
+"""What a sensor gave (Take) and what an animator gets (Clip)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .anthropometry import Body
+from .errors import InputError
+from .skeleton import Skeleton
+
+__all__ = ["Clip", "Origin", "State", "Take"]
+
+
+class State(IntEnum):
+    """The sensor's own word on a joint."""
+
+    NOT_TRACKED = 0
+    INFERRED = 1
+    TRACKED = 2
+
+
+class Origin(IntEnum):
+    """Where a joint's position in a clip came from."""
+
+    MEASURED = 0
+    """The sensor's measurement, smoothed at most."""
+    CORRECTED = 1
+    """A measurement that the correction method overruled, in part or whole."""
+    FILLED = 2
+    """Nothing was measured: the posture is invented."""
+
+
+def _freeze(motion: Any) -> None:
+    """Make every array field of a frozen dataclass a read-only view of itself."""
+    for field in fields(motion):
+        value = getattr(motion, field.name)
+        if isinstance(value, np.ndarray):
+            view = value.view()
+            view.flags.writeable = False
+            object.__setattr__(motion, field.name, view)
+
+
+def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:
+    for name, shape in expected.items():
+        found = np.shape(getattr(motion, name))
+        if found != shape:
+            raise InputError(
+                f"{motion.source}: {name} has shape {found}, expected {shape} "
+                f"for {motion.skeleton.name}"
+            )
+
+
+def _frames_per_second(time: NDArray[np.float64]) -> float:
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    return float(1.0 / np.median(steps)) if len(steps) else 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A recording as the sensor gave it; arrays are read-only."""
+
+    time: NDArray[np.float64]
+    """Time stamps [s], shape (T,), never decreasing; repeats and gaps are normal."""
+    positions: NDArray[np.float64]
+    """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN: missing."""
+    state: NDArray[np.uint8]
+    """Tracking state per joint (State), shape (T, J)."""
+    skeleton: Skeleton
+    """The joints, in the order of the arrays."""
+    source: str = "take"
+    """Where the take came from, for messages."""
+
+    def __post_init__(self) -> None:
+        t, j = len(self.time), len(self.skeleton)
+        _check_shapes(self, {"time": (t,), "positions": (t, j, 3), "state": (t, j)})
+        backwards = np.flatnonzero(np.diff(self.time) < 0)
+        if len(backwards):
+            k = int(backwards[0]) + 1
+            raise InputError(
+                f"{self.source}: time goes backwards at frame {k + 1} "
+                f"({self.time[k - 1]:.4f} s, then {self.time[k]:.4f} s); "
+                "sort the frames by time or cut the take there"
+            )
+        _freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate [1/s]: one over the median time step."""
+        return _frames_per_second(self.time)
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A cleaned motion and, per joint and frame, where it came from.
+
+    World frame: right-handed, y up, floor at y = 0, metres, seconds. Joint positions
+    follow from the rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
+    """
+
+    time: NDArray[np.float64]
+    """Time stamps [s], those of the take, shape (T,)."""
+    positions: NDArray[np.float64]
+    """Joint positions [m], world frame, shape (T, J, 3)."""
+    rotations: NDArray[np.float64]
+    """World rotation of the segment that ends at each joint, unit quaternions wxyz,
+    shape (T, J, 4), identity in the rest posture; the root's row is the pelvis."""
+    skeleton: Skeleton
+    """The joints, in the order of the arrays."""
+    body: Body
+    """The body that moves: segment lengths and rest posture."""
+    state: NDArray[np.uint8]
+    """The sensor's tracking state (State), shape (T, J)."""
+    reliability: NDArray[np.float64]
+    """Reliability rate in [0, 1], shape (T, J)."""
+    deciding_term: NDArray[np.uint8]
+    """Which reliability term decided (pipeline.reliability.Term), shape (T, J)."""
+    origin: NDArray[np.uint8]
+    """Where each joint came from (Origin), shape (T, J)."""
+    moved_by_correction: NDArray[np.float64]
+    """Distance from the measurement to the corrected joint [m], NaN where nothing was
+    measured, shape (T, J)."""
+    moved_by_physics: NDArray[np.float64]
+    """Distance from the corrected to the final joint [m], shape (T, J)."""
+    source: str = "clip"
+    """Where the motion came from, for messages."""
+
+    def __post_init__(self) -> None:
+        t, j = len(self.time), len(self.skeleton)
+        per_joint = dict.fromkeys(
+            (
+                "state",
+                "reliability",
+                "deciding_term",
+                "origin",
+                "moved_by_correction",
+                "moved_by_physics",
+            ),
+            (t, j),
+        )
+        _check_shapes(
+            self, {"positions": (t, j, 3), "rotations": (t, j, 4), **per_joint}
+        )
+        _freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate [1/s]: one over the median time step."""
+        return _frames_per_second(self.time)

@@ -1,0 +1,141 @@
+"""Skeletons of the sensors: joint names, hierarchy, mirror pairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+
+__all__ = ["KINECT_V1", "KINECT_V2", "SKELETONS", "Skeleton", "skeleton_named"]
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """A tree of named joints.
+
+    A segment is named after the joint it ends at, so arrays over segments have the
+    same length as arrays over joints; the root's row is a frame without a bone.
+    """
+
+    name: str
+    """Short name used in files, e.g. ``kinect_v1``."""
+    joints: tuple[str, ...]
+    """Joint names in the sensor's own order."""
+    parents: tuple[int, ...]
+    """Index of each joint's parent, -1 for the root."""
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def index(self, joint: str) -> int:
+        """Return the index of ``joint``; raises InputError where there is none."""
+        try:
+            return self._index[joint]
+        except KeyError:
+            raise InputError(
+                f"skeleton {self.name} has no joint {joint!r}; it has "
+                + ", ".join(self.joints)
+            ) from None
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {joint: i for i, joint in enumerate(self.joints)}
+
+    @cached_property
+    def root(self) -> int:
+        """Index of the root joint."""
+        return self.parents.index(-1)
+
+    @cached_property
+    def order(self) -> tuple[int, ...]:
+        """Joint indices with every parent before its children, root first."""
+        ordered = [self.root]
+        for joint in ordered:
+            ordered.extend(self.children[joint])
+        return tuple(ordered)
+
+    @cached_property
+    def children(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of each joint's children."""
+        return tuple(
+            tuple(c for c, p in enumerate(self.parents) if p == j)
+            for j in range(len(self))
+        )
+
+    @cached_property
+    def segments(self) -> NDArray[np.intp]:
+        """Indices of the joints that end a segment: all but the root."""
+        return np.array([j for j in self.order if j != self.root])
+
+    @cached_property
+    def segment_parents(self) -> NDArray[np.intp]:
+        """Index of the joint each of ``segments`` starts at."""
+        return np.array([self.parents[j] for j in self.segments])
+
+    @cached_property
+    def mirror(self) -> NDArray[np.intp]:
+        """Permutation that swaps the left and the right joint of every pair."""
+        swap = {"Left": "Right", "Right": "Left"}
+
+        def partner(joint: str) -> str:
+            for side, other in swap.items():
+                if joint.endswith(side):
+                    return joint[: -len(side)] + other
+            return joint
+
+        return np.array([self.index(partner(joint)) for joint in self.joints])
+
+
+def _skeleton(name: str, hierarchy: str) -> Skeleton:
+    """Build a Skeleton from ``joint:parent`` words in the sensor's order."""
+    pairs = [word.partition(":")[::2] for word in hierarchy.split()]
+    joints = tuple(joint for joint, _ in pairs)
+    return Skeleton(
+        name, joints, tuple(joints.index(p) if p else -1 for _, p in pairs)
+    )
+
+
+KINECT_V1 = _skeleton(
+    "kinect_v1",
+    """
+    HipCenter Spine:HipCenter ShoulderCenter:Spine Head:ShoulderCenter
+    ShoulderLeft:ShoulderCenter ElbowLeft:ShoulderLeft WristLeft:ElbowLeft
+    HandLeft:WristLeft
+    ShoulderRight:ShoulderCenter ElbowRight:ShoulderRight WristRight:ElbowRight
+    HandRight:WristRight
+    HipLeft:HipCenter KneeLeft:HipLeft AnkleLeft:KneeLeft FootLeft:AnkleLeft
+    HipRight:HipCenter KneeRight:HipRight AnkleRight:KneeRight FootRight:AnkleRight
+    """,
+)
+"""Kinect for Windows SDK 1.x: 20 joints, 19 segments, in the SDK's order."""
+
+KINECT_V2 = _skeleton(
+    "kinect_v2",
+    """
+    SpineBase SpineMid:SpineBase Neck:SpineShoulder Head:Neck
+    ShoulderLeft:SpineShoulder ElbowLeft:ShoulderLeft WristLeft:ElbowLeft
+    HandLeft:WristLeft
+    ShoulderRight:SpineShoulder ElbowRight:ShoulderRight WristRight:ElbowRight
+    HandRight:WristRight
+    HipLeft:SpineBase KneeLeft:HipLeft AnkleLeft:KneeLeft FootLeft:AnkleLeft
+    HipRight:SpineBase KneeRight:HipRight AnkleRight:KneeRight FootRight:AnkleRight
+    SpineShoulder:SpineMid
+    HandTipLeft:HandLeft ThumbLeft:WristLeft HandTipRight:HandRight
+    ThumbRight:WristRight
+    """,
+)
+"""Kinect for Windows SDK 2.0: 25 joints, 24 segments, in the SDK's order."""
+
+SKELETONS = {skeleton.name: skeleton for skeleton in (KINECT_V1, KINECT_V2)}
+"""Every skeleton kinefilter knows, by name."""
+
+
+def skeleton_named(name: str) -> Skeleton:
+    """Return the skeleton called ``name``; raises InputError for an unknown one."""
+    if name not in SKELETONS:
+        raise InputError(f"unknown skeleton {name!r}; known: {', '.join(SKELETONS)}")
+    return SKELETONS[name]

@@ -1,0 +1,130 @@
+"""Unit quaternions, scalar first (wxyz); leading axes broadcast.
+
+The names compose like the algebra: ``rotate(multiply(a, b), v)`` is
+``rotate(a, rotate(b, v))``. scipy's Rotation serves where whole arrays convert between
+representations; these few functions serve the frame loop, where its overhead counts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "IDENTITY",
+    "about_y",
+    "between",
+    "continuous",
+    "inverse",
+    "matrix_from_wxyz",
+    "multiply",
+    "normalize",
+    "rotate",
+    "rotation_vector",
+    "wxyz_from_matrix",
+]
+
+Array = NDArray[np.float64]
+
+IDENTITY: Array = np.array([1.0, 0.0, 0.0, 0.0])
+IDENTITY.flags.writeable = False
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Return the Hamilton product ``a * b`` (first b, then a), shape (..., 4)."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b), -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def inverse(q: Array) -> Array:
+    """Return the inverse of unit quaternions, shape (..., 4)."""
+    return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def normalize(q: Array) -> Array:
+    """Scale quaternions to unit length; a zero quaternion becomes the identity."""
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(norm > 0.0, q / np.where(norm > 0.0, norm, 1.0), IDENTITY)
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Rotate vectors (..., 3) by unit quaternions (..., 4)."""
+    q, v = np.asarray(q), np.asarray(v)
+    w, u = q[..., :1], q[..., 1:]
+    t = 2.0 * _cross(u, v)
+    return v + w * t + _cross(u, t)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    # np.cross spends ten times this on axis bookkeeping for a single frame.
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def between(a: Array, b: Array) -> Array:
+    """Return the smallest rotation that turns direction a onto b, shape (..., 4).
+
+    Vectors (..., 3) need not be unit; a zero vector gives the identity. Opposite
+    vectors turn about an arbitrary axis across them.
+    """
+    a, b = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float))
+    length = np.sqrt(np.sum(a * a, axis=-1) * np.sum(b * b, axis=-1))
+    w = length + np.sum(a * b, axis=-1)
+    q = np.concatenate([w[..., None], _cross(a, b)], axis=-1)
+    opposite = (w <= 1e-9 * length) & (length > 0.0)
+    if np.any(opposite):
+        # The axis of the smallest component is never along a.
+        helper = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
+        across = np.concatenate([np.zeros((*a.shape[:-1], 1)), _cross(a, helper)], -1)
+        q = np.where(opposite[..., None], across, q)
+    return normalize(q)
+
+
+def about_y(angle: float | Array) -> Array:
+    """Return the rotation by ``angle`` [rad] about the vertical axis, (..., 4)."""
+    half = np.asarray(angle, dtype=float) / 2.0
+    zero = np.zeros_like(half)
+    return np.stack([np.cos(half), zero, np.sin(half), zero], axis=-1)
+
+
+def rotation_vector(q: Array) -> Array:
+    """Return axis times angle [rad], angle in [0, pi], shape (..., 3)."""
+    q = np.asarray(q)
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    return q[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
+
+
+def matrix_from_wxyz(q: Array) -> Array:
+    """Return rotation matrices, columns the rotated axes, shape (..., 3, 3)."""
+    axes = np.eye(3)
+    return np.stack([rotate(q, axes[k]) for k in range(3)], axis=-1)
+
+
+def wxyz_from_matrix(matrix: Array) -> Array:
+    """Return unit quaternions of rotation matrices (..., 3, 3), shape (..., 4)."""
+    from scipy.spatial.transform import Rotation
+
+    flat = np.asarray(matrix).reshape(-1, 3, 3)
+    quats = Rotation.from_matrix(flat).as_quat(scalar_first=True)
+    return np.asarray(quats.reshape(*np.shape(matrix)[:-2], 4))
+
+
+def continuous(q: Array) -> Array:
+    """Flip signs along axis 0 so that neighbours lie on one hemisphere, (T, ..., 4)."""
+    if len(q) == 0:
+        return q.copy()
+    dots = np.sum(q[1:] * q[:-1], axis=-1)
+    flips = np.cumprod(np.where(dots < 0.0, -1.0, 1.0), axis=0)
+    return np.concatenate([q[:1], q[1:] * flips[..., None]])
