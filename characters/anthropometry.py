@@ -87,6 +87,9 @@ class Body:
     """Body mass [kg]."""
     lengths: NDArray[np.float64]
     """Length [m] of the segment that ends at each joint, shape (J,), root 0."""
+    directions: NDArray[np.float64]
+    """Unit vector from each joint's parent to it in the T-pose, facing +z, shape
+    (J, 3), root 0. Sensors differ in where trunk, hips and shoulders are."""
 
     def __post_init__(self) -> None:
         if not 0.3 < self.height < 3.0:
@@ -103,14 +106,7 @@ class Body:
     @cached_property
     def rest_offsets(self) -> NDArray[np.float64]:
         """Vector [m] from each joint's parent to it in the T-pose, shape (J, 3)."""
-        table = _table(self.skeleton)
-        directions = np.array(
-            [table[j][2] if j in table else (0, 0, 0) for j in self.skeleton.joints],
-            dtype=float,
-        )
-        norms = np.linalg.norm(directions, axis=1, keepdims=True)
-        directions /= np.where(norms > 0, norms, 1.0)
-        return directions * self.lengths[:, None]
+        return self.directions * self.lengths[:, None]
 
     @cached_property
     def rest_positions(self) -> NDArray[np.float64]:
@@ -167,4 +163,9 @@ def standard_body(
     fractions = np.array([table.get(j, (0, 0, 0))[0] for j in skeleton.joints])
     if mass is None:
         mass = _BODY_MASS_INDEX * height**2
-    return Body(skeleton, height, mass, fractions * height)
+    directions = np.array(
+        [table[j][2] if j in table else (0, 0, 0) for j in skeleton.joints], dtype=float
+    )
+    norms = np.linalg.norm(directions, axis=1, keepdims=True)
+    directions /= np.where(norms > 0, norms, 1.0)
+    return Body(skeleton, height, mass, fractions * height, directions)

@@ -1,0 +1,22 @@
+"""Files in and out: the only place with foreign axes, units and layouts."""
+
+from .archive import read_clip
+from .bvh import Bvh
+from .bvh_reader import read_bvh
+from .clips import check_writable, write_clip
+from .files import atomic_path
+from .tables import write_take_csv
+from .takes import read_take
+from .usd import read_usd_positions
+
+__all__ = [
+    "Bvh",
+    "atomic_path",
+    "check_writable",
+    "read_bvh",
+    "read_clip",
+    "read_take",
+    "read_usd_positions",
+    "write_clip",
+    "write_take_csv",
+]

@@ -1,0 +1,223 @@
+"""The capsule humanoid: a body as a MuJoCo model that a target posture can pull.
+
+One capsule per segment, each hanging from its parent by a ball joint, the root free.
+Bounded PD forces pull the end of every segment to a target point and a bounded torque
+turns it about its own axis (Shum 2013, section VII); both are MuJoCo actuators, so the
+engine evaluates them in every substep.
+
+MuJoCo's world is z up with the character facing +x; ``to_mujoco`` and
+``from_mujoco`` are the only places that know.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from .anthropometry import Body
+
+__all__ = ["Tracking", "build_humanoid", "from_mujoco", "to_mujoco"]
+
+GRAVITY = 9.81
+"""Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
+
+_TO_MUJOCO = [2, 0, 1]  # forward, left, up from left (x), up (y), forward (z)
+_FROM_MUJOCO = [1, 2, 0]
+
+
+def to_mujoco(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn vectors (..., 3) or quaternions wxyz (..., 4) into MuJoCo's z-up world."""
+    return _permute(values, _TO_MUJOCO)
+
+
+def from_mujoco(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn vectors (..., 3) or quaternions wxyz (..., 4) into kinefilter's world."""
+    return _permute(values, _FROM_MUJOCO)
+
+
+def _permute(values: NDArray[np.float64], order: list[int]) -> NDArray[np.float64]:
+    if values.shape[-1] == 4:
+        return np.asarray(values[..., [0, *(k + 1 for k in order)]])
+    return np.asarray(values[..., order])
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How hard the target pulls the character."""
+
+    natural_frequency: float = 60.0
+    """Natural frequency of the pull [rad/s]. The gains follow, critically damped, from
+    it and the mass of each part: kp = m w^2, kv = 2 m w. 60 follows a clean target
+    within 4.2 mm and filters what is faster than 10 Hz."""
+    twist_frequency: float = 40.0
+    """Natural frequency of the torque about the segment axis [rad/s]."""
+    largest_acceleration: float = 200.0
+    """Bound of the force on a part: its mass times this [m/s^2]. About twice the
+    peak acceleration of a boxer's fist."""
+    largest_angular_acceleration: float = 4000.0
+    """Bound of the torque on a part: its inertia about its axis times this
+    [rad/s^2]."""
+
+
+def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpec:
+    """Return the capsule humanoid of a body standing in T-pose on a floor.
+
+    Names: bodies, ball joints and sites are called after the joint a segment ends at;
+    the site marks that joint. Actuators come in the skeleton's joint order, three
+    forces (MuJoCo x, y, z) a joint, then three torques for the root and one for every
+    segment. ``target:NAME`` are the mocap bodies whose orientation the torques follow.
+
+    Args:
+        body: Lengths, masses and radii.
+        tracking: Gains and bounds of the pull.
+    """
+    tracking = tracking or Tracking()
+    skeleton = body.skeleton
+    spec = mujoco.MjSpec()
+    spec.modelname = "kinefilter"
+    spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    spec.option.timestep = 1.0 / 120.0
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    world = spec.worldbody
+    world.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 1.0],
+        contype=1,
+        conaffinity=1,
+        friction=[1.0, 0.005, 0.0001],
+    )
+    world.add_site(name="world")
+    _add_bodies(spec, body)
+    _add_forces(spec, body, tracking)
+    _add_torques(spec, body, tracking)
+    for joint in skeleton.joints:
+        target = world.add_body(name=f"target:{joint}", mocap=True)
+        target.add_site(name=f"target:{joint}")
+    return spec
+
+
+def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
+    skeleton, root = body.skeleton, body.skeleton.root
+    offsets = to_mujoco(body.rest_offsets)
+    rest_root = to_mujoco(body.rest_positions[root])
+    # Parts pass through each other and rest on the floor.
+    collides = {"contype": 0, "conaffinity": 1, "condim": 3}
+    parts = {
+        root: spec.worldbody.add_body(name=skeleton.joints[root], pos=rest_root)
+    }
+    parts[root].add_freejoint(name=skeleton.joints[root])
+    parts[root].add_geom(
+        name=skeleton.joints[root],
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[body.radii[root], 0.0, 0.0],
+        mass=body.masses[root],
+        **collides,
+    )
+    parts[root].add_site(name=skeleton.joints[root])
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        name = skeleton.joints[j]
+        start = np.zeros(3) if p == root else offsets[p]
+        parts[j] = parts[p].add_body(name=name, pos=start)
+        parts[j].add_joint(name=name, type=mujoco.mjtJoint.mjJNT_BALL)
+        parts[j].add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0.0, 0.0, 0.0, *offsets[j]],
+            size=[body.radii[j], 0.0, 0.0],
+            mass=body.masses[j],
+            **collides,
+        )
+        parts[j].add_site(name=name, pos=offsets[j])
+
+
+def _add_forces(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
+    """Add one Cartesian PD actuator per axis and joint (Shum 2013, eq. 16).
+
+    force = kp (p_target - p) + kv (v_target - v), given ctrl = kp p_target +
+    kv v_target, clipped so that the vector stays under the bound.
+    """
+    omega = tracking.natural_frequency
+    masses = joint_masses(body)
+    for joint, mass in zip(body.skeleton.joints, masses, strict=True):
+        bound = mass * tracking.largest_acceleration / np.sqrt(3.0)
+        for axis in range(3):
+            _add_pd(
+                spec,
+                name=f"pull:{joint}:{'xyz'[axis]}",
+                site=joint,
+                reference="world",
+                gear=np.eye(6)[axis],
+                stiffness=mass * omega**2,
+                damping=2.0 * mass * omega,
+                bound=bound,
+            )
+
+
+def _add_torques(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
+    """Add the torque about each segment's axis, all axes for the root (eq. 17)."""
+    skeleton, omega = body.skeleton, tracking.twist_frequency
+    inertias = 0.5 * body.masses * body.radii**2
+    # The pelvis carries the hips, which lie on a lever of their own length.
+    hips = np.array(skeleton.children[skeleton.root])
+    inertias[skeleton.root] += float(body.masses[hips] @ body.lengths[hips] ** 2) / 3.0
+    axes = to_mujoco(body.rest_offsets)
+    for j, joint in enumerate(skeleton.joints):
+        directions = (
+            np.eye(3) if j == skeleton.root else [axes[j] / np.linalg.norm(axes[j])]
+        )
+        for k, direction in enumerate(directions):
+            _add_pd(
+                spec,
+                name=f"turn:{joint}:{k}",
+                site=joint,
+                reference=f"target:{joint}",
+                gear=np.concatenate([np.zeros(3), direction]),
+                stiffness=inertias[j] * omega**2,
+                damping=2.0 * inertias[j] * omega,
+                bound=inertias[j] * tracking.largest_angular_acceleration,
+            )
+
+
+def _add_pd(
+    spec: mujoco.MjSpec,
+    *,
+    name: str,
+    site: str,
+    reference: str,
+    gear: NDArray[np.float64],
+    stiffness: float,
+    damping: float,
+    bound: float,
+) -> None:
+    spec.add_actuator(
+        name=name,
+        trntype=mujoco.mjtTrn.mjTRN_SITE,
+        target=site,
+        refsite=reference,
+        gear=gear,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        gainprm=[1.0] + [0.0] * 9,
+        biasprm=[0.0, -stiffness, -damping] + [0.0] * 7,
+        forcelimited=True,
+        forcerange=[-bound, bound],
+    )
+
+
+def joint_masses(body: Body) -> NDArray[np.float64]:
+    """Return the mass [kg] that moves with each joint, shape (J,).
+
+    Half of every segment that meets there: the two-point model of a rod. The masses
+    sum to the body's.
+    """
+    skeleton = body.skeleton
+    masses = np.zeros(len(skeleton))
+    masses[skeleton.root] = body.masses[skeleton.root]
+    np.add.at(masses, skeleton.segments, 0.5 * body.masses[skeleton.segments])
+    np.add.at(masses, skeleton.segment_parents, 0.5 * body.masses[skeleton.segments])
+    return masses

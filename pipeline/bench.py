@@ -1,0 +1,121 @@
+"""How long every stage takes, frame by frame, one frame at a time."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import mujoco
+import numpy as np
+from rich.table import Table
+
+from kinefilter.characters import Take
+from kinefilter.retarget.body_size import Standardizer, measured_body
+from kinefilter.retarget.bone_lengths import BoneLengths
+from kinefilter.retarget.orientation import rotations_from_positions
+
+from .correct.interface import Corrector, Observation
+from .correct.local_pca import LocalPCA
+from .floor import floor_height, put_on_floor
+from .formats import read_take
+from .library import embedded_database
+from .physics import PhysicsFilter
+from .reliability import ReliabilityScorer, measure_reference
+
+__all__ = ["as_table", "bench"]
+
+_STAGES = ("reliability", "correct", "orientation", "physics")
+_WARM_UP = 10  # frames that are run and not counted
+
+
+def sample_take() -> Take:
+    """Return the recording that comes with kinefilter."""
+    folder = resources.files("kinefilter.scenes").joinpath("takes")
+    (sample,) = (f for f in folder.iterdir() if f.name.endswith(".csv"))
+    with resources.as_file(sample) as path:
+        return read_take(path)
+
+
+def bench(path: Path | None = None) -> dict[str, Any]:
+    """Return milliseconds a frame of every stage, and of the two searches.
+
+    Args:
+        path: Take to time on; by default the sample that comes with kinefilter.
+    """
+    take = sample_take() if path is None else read_take(path)
+    database = embedded_database(take.skeleton)
+    figures = _time_stages(take, LocalPCA(database))
+    sampled = _time_stages(take, LocalPCA(database, search="stochastic"))
+    figures["search"] = {
+        "solver_ms": figures["ms_per_frame"]["correct"],
+        "stochastic_ms": sampled["ms_per_frame"]["correct"],
+    }
+    return figures
+
+
+def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
+    reference = measure_reference(take)
+    body = measured_body(take.skeleton, reference.lengths, reference.directions)
+    scorer = ReliabilityScorer(take.skeleton, reference)
+    standardizer, lengths = Standardizer(body), BoneLengths(body)
+    character = PhysicsFilter(body)
+    present = (~np.isnan(take.positions[..., 0])).astype(float)
+    floor = np.array([0.0, floor_height(take.positions, present, body), 0.0])
+    times = np.zeros((len(take), len(_STAGES)))
+    corrector.start()
+    for k in range(len(take)):
+        marks = [perf_counter()]
+        rate, _, geometry = scorer.step(take.positions[k], take.state[k])
+        marks.append(perf_counter())
+        standard, view = standardizer.step(take.positions[k], rate)
+        found = corrector.step(Observation(standard, rate, geometry))
+        target = standardizer.undo(found.positions, view)
+        marks.append(perf_counter())
+        target = put_on_floor(lengths.project((target - floor)[None], found.trust[None]), body)[0]
+        prior = found.rotations
+        if prior is not None:
+            prior = view.restore_rotations(prior)
+        rotations = rotations_from_positions(target, body, prior)
+        marks.append(perf_counter())
+        if k == 0:
+            character.start(target, rotations)
+        else:
+            step = max(float(take.time[k] - take.time[k - 1]), 1e-3)
+            character.step(target, rotations, step)
+        marks.append(perf_counter())
+        times[k] = np.diff(marks)
+    # The median: a machine that does other things too makes single frames late.
+    stages = np.median(times[_WARM_UP:], axis=0) * 1e3
+    return {
+        "frames": len(take),
+        "ms_per_frame": {
+            **dict(zip(_STAGES, stages.tolist(), strict=True)),
+            "total": float(np.median(times[_WARM_UP:].sum(axis=1)) * 1e3),
+        },
+        "mj_step_ms_per_frame": _bare_physics(character, len(take)),
+    }
+
+
+def _bare_physics(character: PhysicsFilter, frames: int) -> float:
+    """Return milliseconds a frame of nothing but the engine's substeps."""
+    substeps = 4
+    times = np.zeros(frames)
+    for k in range(frames):
+        start = perf_counter()
+        for _ in range(substeps):
+            mujoco.mj_step(character.model, character.data)
+        times[k] = perf_counter() - start
+    return float(np.median(times) * 1e3)
+
+
+def as_table(figures: dict[str, Any]) -> Table:
+    """Return the figures for a terminal."""
+    table = Table("stage", "ms a frame", title=f"{figures['frames']} frames")
+    for stage, value in figures["ms_per_frame"].items():
+        table.add_row(stage, f"{value:.3f}")
+    table.add_row("mj_step alone", f"{figures['mj_step_ms_per_frame']:.3f}")
+    for search, value in figures["search"].items():
+        table.add_row(f"correct, {search.removesuffix('_ms')} search", f"{value:.3f}")
+    return table

@@ -1,0 +1,184 @@
+"""The command line: parses and prints; everything else is in the package."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
+
+from kinefilter.characters import SKELETONS, InputError
+
+from .config import CleanConfig
+
+__all__ = ["main"]
+
+_out = Console(soft_wrap=True, highlight=False)
+_err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+Skeletons = Literal["kinect_v1", "kinect_v2"]
+Formats = Literal["kinefilter", "kinect-v2", "kinect-v1"]
+
+
+@dataclass(frozen=True)
+class Clean:
+    """Clean a Kinect take and write it as an animation clip."""
+
+    take: Positional[Path]
+    """Recording: kinefilter CSV, Kinect v2 CSV or Kinect v1 text; .gz too."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Clip to write; the extension decides: .usda .usdc .usd .bvh .csv .npz."""
+    config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
+    format: Formats | None = None
+    """Layout of the take; default: detected from its content."""
+    json: Path | None = None
+    """Write the printed figures to this file too."""
+
+    def run(self) -> int:
+        """Clean, write, print."""
+        from .formats import check_writable, read_take, write_clip
+        from .run import clean
+        from .summary import as_json, as_tables
+
+        check_writable(self.out)
+        take = read_take(self.take, format=self.format)
+        with _progress() as progress:
+            result = clean(take, self.config, progress=progress)
+        write_clip(result.clip, self.out)
+        if self.json is not None:
+            _write_json(as_json(result), self.json)
+        _out.print(as_tables(result))
+        _out.print(f"wrote {self.out}")
+        return 0
+
+
+@dataclass(frozen=True)
+class DatabaseBuild:
+    """Build a motion database from BVH mocap."""
+
+    files: Positional[tuple[Path, ...]]
+    """BVH files (.gz too) with the joint names of the cgspeed CMU conversion."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Database to write (.npz)."""
+    skeleton: Skeletons = "kinect_v1"
+    """Skeleton of the takes that it is for."""
+    count: int = 2574
+    """About how many postures to keep."""
+
+    def run(self) -> int:
+        """Build and write."""
+        from .formats.files import check_folder
+        from .library import database_from_bvh
+
+        if self.out.suffix != ".npz":
+            raise InputError(f"{self.out}: a database is an .npz file; name it so")
+        if self.count < 2:
+            raise InputError(f"--count {self.count}: a database needs two postures")
+        check_folder(self.out)
+        with _progress() as progress:
+            database = database_from_bvh(
+                self.files,
+                SKELETONS[self.skeleton],
+                count=self.count,
+                progress=progress,
+            )
+        database.save(self.out)
+        _out.print(
+            f"wrote {self.out}: {len(database)} postures of {len(self.files)} files, "
+            f"{database.skeleton.name}, {database.spacing * 100:.1f} cm apart"
+        )
+        return 0
+
+
+@dataclass(frozen=True)
+class Database:
+    """Build motion databases."""
+
+    command: Annotated[DatabaseBuild, subcommand("build")]
+
+    def run(self) -> int:
+        """Run the subcommand."""
+        return self.command.run()
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Time every stage, frame by frame as a live user would run it."""
+
+    take: Path | None = None
+    """Take to time on; default: the sample that comes with kinefilter."""
+    json: Path | None = None
+    """Write the figures to this file too."""
+
+    def run(self) -> int:
+        """Time and print."""
+        from .bench import as_table, bench
+
+        figures = bench(self.take)
+        if self.json is not None:
+            _write_json(figures, self.json)
+        _out.print(as_table(figures))
+        return 0
+
+
+Command = (
+    Annotated[Clean, subcommand("clean")]
+    | Annotated[Database, subcommand("database")]
+    | Annotated[Bench, subcommand("bench")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    0: done. 2: the input or the command was wrong; nothing was written.
+    """
+    command = tyro.cli(
+        Command,  # type: ignore[arg-type]  # a union of annotated commands, as tyro asks
+        prog="kinefilter",
+        description="Turn noisy Kinect takes into clips that animators ship.",
+        args=arguments,
+    )
+    try:
+        return command.run()
+    except InputError as error:
+        _err.print(f"kinefilter: {error}", markup=False)
+        return 2
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int], Iterable[int]]]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=_err, transient=True) as bars:
+        yield lambda stage, count: bars.track(range(count), count, description=stage)
+
+
+def _write_json(figures: object, path: Path) -> None:
+    from .formats import atomic_path
+
+    with atomic_path(path) as temporary:
+        text = json.dumps(figures, indent=2, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,31 @@
+"""What a user can choose; each field's docstring is also its flag's help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+__all__ = ["CleanConfig"]
+
+
+@dataclass(frozen=True)
+class CleanConfig:
+    """How a take is cleaned."""
+
+    method: Literal["local-pca", "none"] = "local-pca"
+    """How unreliable joints are corrected; none fills gaps only."""
+    search: Literal["solver", "stochastic"] = "solver"
+    """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
+    database: Path | None = None
+    """Motion database (.npz) of 'kinefilter database build'; default: the embedded."""
+    cutoff: float = 6.0
+    """Frequency [Hz] over which movement is smoothed away, without lag; 0: nothing."""
+    physics: bool = True
+    """Pull a simulated character through the motion, so that dynamics hold."""
+    height: float | None = None
+    """The person's stature [m]; default: from the take."""
+    mass: float | None = None
+    """The person's mass [kg]; default: from the stature."""
+    seed: int = 0
+    """Seed of the stochastic search: same seed, same bytes."""

@@ -1,0 +1,50 @@
+"""What every correction method takes and gives, frame by frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Correction", "Corrector", "Observation"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One frame on the standard body, root at the origin, facing +z."""
+
+    positions: Array
+    """Joint positions [m], NaN where missing, shape (J, 3)."""
+    rate: Array
+    """Reliability rate in [0, 1], shape (J,)."""
+    geometry: Array
+    """The rate without the tracking state, shape (J,)."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """The corrected frame, in the same view and size."""
+
+    positions: Array
+    """Joint positions [m], finite, shape (J, 3)."""
+    rotations: Array | None
+    """Segment rotations of similar postures, wxyz, shape (J, 4), to take the twist
+    from; None where the method knows none."""
+    trust: Array
+    """Share of the measurement in each joint, 0 where invented, shape (J,)."""
+    coverage: float
+    """How well the method knows the posture, in [0, 1]."""
+
+
+class Corrector(Protocol):
+    """A correction method; the same object serves a file and a live stream."""
+
+    def start(self) -> None:
+        """Forget all frames."""
+
+    def step(self, observation: Observation) -> Correction:
+        """Correct the next frame."""

@@ -1,0 +1,146 @@
+"""Correction in the natural posture space of the nearest postures (Shum 2013)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import standard_body
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.retarget.rotations import normalize
+
+from .blend import Blend, measurement_trust
+from .interface import Correction, Observation
+from .posture_space import EnergyWeights, PostureEnergy, PostureSpace
+from .search import solve, stochastic_search
+
+__all__ = ["LocalPCA"]
+
+Array = NDArray[np.float64]
+
+_SENSOR_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, sizes standardized
+_MEMORY = 0.05  # weight of the last posture in the query, against a rate of 1
+_COVERAGE_MEMORY = 0.8  # share of the last frame's coverage: no switching in a frame
+
+
+class LocalPCA:
+    """Finds the natural posture that fits the reliable joints, and follows it.
+
+    Args:
+        database: Natural postures.
+        neighbors: K, postures that span the natural posture space.
+        dimensions: Most dimensions of that space.
+        weights: Weights of the energy terms.
+        search: ``solver`` or the paper's ``stochastic`` sampling.
+        seed: Seed of the stochastic search.
+    """
+
+    def __init__(
+        self,
+        database: PostureDatabase,
+        *,
+        neighbors: int = 30,
+        dimensions: int = 20,
+        weights: EnergyWeights | None = None,
+        search: Literal["solver", "stochastic"] = "solver",
+        seed: int = 0,
+    ) -> None:
+        self.database = database
+        self.neighbors = neighbors
+        self.dimensions = dimensions
+        self.search = search
+        self.seed = seed
+        skeleton = database.skeleton
+        self.energy = PostureEnergy(
+            skeleton, standard_body(skeleton).lengths, weights or EnergyWeights()
+        )
+        self._blend = Blend(skeleton)
+        self.start()
+
+    def start(self) -> None:
+        """Forget all frames."""
+        self._generator = np.random.default_rng(self.seed)
+        self._last: list[Array] = []
+        self._coverage: float | None = None
+
+    def step(self, observation: Observation) -> Correction:
+        """Correct the next frame."""
+        measured, missing = observation.positions, np.isnan(observation.positions[:, 0])
+        rate = np.where(missing, 0.0, observation.rate)
+        nearest = self._neighbors(measured, rate)
+        postures = self.database.flat[nearest]
+        space = PostureSpace(postures, self.dimensions)
+        self.energy.observe(measured, rate, postures, self._steady())
+        start = space.project(self._last[-1] if self._last else postures[0])
+        latent = (
+            solve(space, self.energy, start)
+            if self.search == "solver"
+            else stochastic_search(space, self.energy, start, self._generator)
+        )
+        posture = space.posture(latent)
+        self._last = [*self._last[-1:], posture]
+        coverage = self._cover(measured, rate, nearest)
+        trust = measurement_trust(rate, observation.geometry, missing, coverage)
+        prior = posture.reshape(-1, 3)
+        return Correction(
+            self._blend(prior, measured, trust),
+            self._orientation(prior, nearest, rate),
+            trust,
+            coverage,
+        )
+
+    def _neighbors(self, measured: Array, rate: Array) -> NDArray[np.intp]:
+        """Return the database postures nearest to the reliable joints (eq. 9).
+
+        The last posture stands in with a small weight, so that joints nobody trusts do
+        not wander through the database from frame to frame.
+        """
+        if not self._last:
+            return self.database.neighbors(measured, rate, self.neighbors)[0]
+        last = self._last[-1].reshape(-1, 3)
+        seen = np.where(rate[:, None] > 0.0, measured, 0.0)
+        weights = rate + _MEMORY
+        query = (rate[:, None] * seen + _MEMORY * last) / weights[:, None]
+        return self.database.neighbors(query, weights, self.neighbors)[0]
+
+    def _steady(self) -> Array | None:
+        """Return the posture that goes on as the last two did (eq. 14)."""
+        if len(self._last) < 2:
+            return self._last[-1] if self._last else None
+        before, last = self._last
+        return 2.0 * last - before
+
+    def _cover(
+        self, measured: Array, rate: Array, nearest: NDArray[np.intp]
+    ) -> float:
+        """Return how well the database knows the posture, in [0, 1].
+
+        Fully, as far as its own postures lie apart and the sensor errs (both in root
+        mean square over the reliable joints); not at all from twice that.
+        """
+        total = float(rate.sum())
+        away = 0.0
+        if total > 1e-9:
+            seen = np.where(rate[:, None] > 0.0, measured, 0.0)
+            apart = self.database.positions[nearest] - seen
+            squares = np.sum(apart * apart, axis=2) @ rate
+            away = float(np.sqrt(squares.min() / total))
+        near = np.hypot(self.database.spacing, _SENSOR_ERROR)
+        now = float(np.clip(2.0 - away / near, 0.0, 1.0))
+        before = now if self._coverage is None else self._coverage
+        self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)
+        return self._coverage
+
+    def _orientation(
+        self, posture: Array, nearest: NDArray[np.intp], rate: Array
+    ) -> Array:
+        """Return the neighbors' rotations, weighted by inverse difference (VII.B)."""
+        away = self.database.positions[nearest] - posture
+        difference = np.sum(away * away, axis=2) @ rate
+        weights = 1.0 / (difference + 1e-4)
+        rotations = self.database.rotations[nearest]
+        same = np.sum(rotations * rotations[:1], axis=2, keepdims=True)
+        signed = np.where(same < 0.0, -rotations, rotations)
+        return normalize(np.tensordot(weights, signed, axes=1))

@@ -1,0 +1,123 @@
+"""The natural posture space and the energy that is minimized in it.
+
+Shum 2013, sections V.B and VI: principal components of the neighboring postures, and
+control, style, kinematics and continuity energies of a posture in their span.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Skeleton
+
+__all__ = ["EnergyWeights", "PostureEnergy", "PostureSpace"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EnergyWeights:
+    """Weights of the energy terms (Shum 2013, section VI.E)."""
+
+    control: float = 1.0
+    """Pull to the measured joints, by their reliability."""
+    style: float = 0.5
+    """Pull to the nearest of the neighboring postures."""
+    kinematics: float = 1.5
+    """Pull to the standard body's segment lengths."""
+    continuity: float = 0.25
+    """Pull to steady movement since the last two frames."""
+
+
+class PostureSpace:
+    """Principal components of some postures: p = mean + basis q."""
+
+    def __init__(self, postures: Array, dimensions: int) -> None:
+        """Fit the space to postures (K, 3 J), keeping at most ``dimensions``."""
+        self.mean = postures.mean(axis=0)
+        centered = postures - self.mean
+        # The Gram matrix is K x K with K = 30: half the time of a decomposition of
+        # the K x 60 postures.
+        values, vectors = np.linalg.eigh(centered @ centered.T)
+        kept = slice(None, -min(dimensions, len(postures) - 1) - 1, -1)
+        values, vectors = values[kept], vectors[:, kept]
+        solid = values > 1e-12 * max(float(values[0]), 1e-12)
+        values, vectors = values[solid], vectors[:, solid]
+        self.basis = (centered.T @ vectors) / np.sqrt(values)
+        """Orthonormal columns, largest variance first, shape (3 J, d)."""
+        self.latent = vectors * np.sqrt(values)
+        """The postures in the space, shape (K, d)."""
+        self.deviations = np.sqrt(values / len(postures))
+        """Standard deviation of the postures along each axis [m], shape (d,)."""
+
+    def project(self, posture: Array) -> Array:
+        """Return the latent point of the nearest posture in the space, (d,)."""
+        return np.asarray((posture - self.mean) @ self.basis)
+
+    def posture(self, latent: Array) -> Array:
+        """Return postures (..., 3 J) of latent points (..., d)."""
+        return self.mean + latent @ self.basis.T
+
+
+class PostureEnergy:
+    """E = wc Ec + ws Es + wk Ek + wm Em of postures (Shum 2013, eq. 10-15) [m^2]."""
+
+    def __init__(
+        self, skeleton: Skeleton, standard_lengths: Array, weights: EnergyWeights
+    ) -> None:
+        self.weights = weights
+        self.ends, self.starts = skeleton.segments, skeleton.segment_parents
+        self.lengths = standard_lengths[self.ends]
+        self.joints = len(skeleton)
+
+    def observe(
+        self,
+        measured: Array,
+        rate: Array,
+        neighbors: Array,
+        steady: Array | None,
+    ) -> None:
+        """Set what the energy is about in this frame.
+
+        Args:
+            measured: Joint positions [m], finite where the rate is not 0, (J, 3).
+            rate: Reliability rate of each joint, shape (J,).
+            neighbors: Neighboring postures [m], shape (K, 3 J).
+            steady: Posture [m] that continues the last two, shape (3 J,), or None.
+        """
+        self.rate = np.repeat(rate, 3)
+        self.measured = np.where(self.rate > 0.0, measured.ravel(), 0.0)
+        self.neighbors = neighbors
+        self._neighbor_squares = np.sum(neighbors * neighbors, axis=1)
+        self.steady = steady
+
+    def __call__(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Return the energy (N,) of postures (N, 3 J) and each one's nearest neighbor."""
+        w = self.weights
+        away = postures - self.measured
+        control = (away * away) @ self.rate  # eq. 10
+        squares = np.sum(postures * postures, axis=1)
+        to_neighbors = (
+            squares[:, None]
+            - 2.0 * (postures @ self.neighbors.T)
+            + self._neighbor_squares
+        )
+        nearest = np.argmin(to_neighbors, axis=1)
+        style = to_neighbors[np.arange(len(postures)), nearest] / self.joints  # eq. 11
+        error = self.segment_errors(postures)[0]
+        kinematics = np.mean(error * error, axis=1)  # eq. 12
+        energy = w.control * control + w.style * style + w.kinematics * kinematics
+        if self.steady is not None:
+            change = postures - self.steady
+            energy += w.continuity * np.sum(change * change, axis=1) / self.joints
+        return energy, nearest
+
+    def segment_errors(self, postures: Array) -> tuple[Array, Array, Array]:
+        """Return length errors (N, S) and bones (N, S, 3) with their lengths (N, S)."""
+        points = postures.reshape(len(postures), -1, 3)
+        bones = points[:, self.ends] - points[:, self.starts]
+        lengths = np.sqrt(np.sum(bones * bones, axis=2))
+        return lengths - self.lengths, bones, lengths

@@ -1,0 +1,181 @@
+"""The motion database: natural postures to compare a measured one with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError, Skeleton, skeleton_named
+
+__all__ = ["FILTERED_POSTURES", "PostureDatabase", "filter_postures", "filter_to_count"]
+
+Array = NDArray[np.float64]
+
+FILTERED_POSTURES = 2574
+"""Postures that the threshold rule leaves (Shum 2013, table V)."""
+
+_BLOCK = 512  # rows compared at a time, a matter of speed alone
+
+
+@dataclass(frozen=True, eq=False)
+class PostureDatabase:
+    """Normalized postures on the standard body, spread evenly by the threshold rule."""
+
+    positions: Array
+    """Joint positions [m], root at the origin, facing +z, shape (N, J, 3)."""
+    rotations: Array
+    """Segment rotations in the same view, wxyz, shape (N, J, 4)."""
+    labels: NDArray[np.str_]
+    """The motion each posture comes from, shape (N,)."""
+    skeleton: Skeleton
+    """The joints, in the order of the arrays."""
+    source: str = "database"
+    """Where the database came from, for messages."""
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @cached_property
+    def flat(self) -> Array:
+        """Positions [m] as rows, shape (N, 3 J)."""
+        return np.ascontiguousarray(self.positions.reshape(len(self), -1))
+
+    @cached_property
+    def _squares(self) -> Array:
+        return np.ascontiguousarray(np.sum(self.positions**2, axis=2))
+
+    def distances(self, posture: Array, weights: Array) -> Array:
+        """Return D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] to every posture, (N,).
+
+        Shum 2013, eq. 9, as two matrix products.
+
+        Args:
+            posture: Normalized joint positions [m], finite where the weight is not 0,
+                shape (J, 3).
+            weights: Reliability of each joint, shape (J,).
+        """
+        weighted = np.where(weights[:, None] > 0.0, posture * weights[:, None], 0.0)
+        constant = float(np.nansum(weighted * posture))
+        products = self.flat @ weighted.ravel()
+        return np.asarray(self._squares @ weights - 2.0 * products + constant)
+
+    def neighbors(
+        self, posture: Array, weights: Array, count: int
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Return the indices of the nearest postures, nearest first, and their D."""
+        distances = self.distances(posture, weights)
+        count = min(count, len(self))
+        nearest = np.argpartition(distances, count - 1)[:count]
+        nearest = nearest[np.argsort(distances[nearest], kind="stable")]
+        return nearest, np.maximum(distances[nearest], 0.0)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Distance [m] between neighboring postures: the median over the database of
+        the root mean square distance of the joints to the nearest other posture."""
+        from sklearn.neighbors import NearestNeighbors
+
+        index = NearestNeighbors(n_neighbors=2).fit(self.flat)
+        nearest = index.kneighbors(self.flat)[0][:, 1]
+        return float(np.median(nearest) / np.sqrt(self.positions.shape[1]))
+
+    def save(self, path: Path) -> None:
+        """Write the database as npz: arrays only."""
+        from .formats.files import atomic_path
+
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(
+                file,
+                positions=self.positions.astype(np.float32),
+                rotations=self.rotations.astype(np.float32),
+                labels=self.labels,
+                skeleton=np.array(self.skeleton.name),
+            )
+
+    @classmethod
+    def load(cls, path: Path) -> PostureDatabase:
+        """Read a database that ``save`` wrote.
+
+        Raises:
+            InputError: The file is missing or is no posture database.
+        """
+        if not Path(path).is_file():
+            raise InputError(
+                f"{path}: no such database; make one with 'kinefilter database build'"
+            )
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {key: file[key] for key in file.files}
+            skeleton = skeleton_named(str(arrays["skeleton"]))
+            count = len(arrays["labels"])
+            shape = (count, len(skeleton))
+            if (
+                arrays["positions"].shape != (*shape, 3)
+                or arrays["rotations"].shape != (*shape, 4)
+                or count < 2
+                or not np.isfinite(arrays["positions"]).all()
+            ):
+                raise ValueError("array shapes")
+        except (ValueError, KeyError, OSError, EOFError) as error:
+            raise InputError(
+                f"{path}: not a kinefilter posture database ({error}); make one with "
+                "'kinefilter database build'"
+            ) from error
+        return cls(
+            arrays["positions"].astype(float),
+            arrays["rotations"].astype(float),
+            arrays["labels"],
+            skeleton,
+            str(path),
+        )
+
+
+def filter_postures(positions: Array, threshold: float) -> NDArray[np.intp]:
+    """Return the indices of postures that differ from all kept before them.
+
+    Shum 2013, section V.A: a posture stays if the sum of squared differences of its
+    joint positions to every posture kept so far is over the threshold.
+
+    Args:
+        positions: Normalized joint positions [m], shape (N, J, 3).
+        threshold: Smallest sum of squared differences [m^2].
+    """
+    flat = positions.reshape(len(positions), -1)
+    squares = np.sum(flat * flat, axis=1)
+    kept: list[int] = []
+    for start in range(0, len(flat), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        far = np.ones(len(flat[block]), dtype=bool)
+        if kept:
+            products = flat[block] @ flat[kept].T
+            distances = squares[block, None] - 2.0 * products + squares[kept]
+            far = distances.min(axis=1) > threshold
+        within = squares[block, None] - 2.0 * flat[block] @ flat[block].T
+        within += squares[block]
+        for k in np.flatnonzero(far):
+            if far[k]:
+                kept.append(start + int(k))
+                far[k + 1 :] &= within[k, k + 1 :] > threshold
+    return np.array(kept, dtype=np.intp)
+
+
+def filter_to_count(positions: Array, count: int) -> NDArray[np.intp]:
+    """Return the indices that the threshold rule keeps, about ``count`` of them.
+
+    Bisects the threshold until the rule keeps the count within 2 %.
+    """
+    if len(positions) <= count:
+        return np.arange(len(positions))
+    low, high = 0.0, float(np.sum(np.ptp(positions, axis=0) ** 2))
+    kept = np.arange(len(positions))
+    for _ in range(40):
+        middle = (low + high) / 2.0
+        kept = filter_postures(positions, middle)
+        if abs(len(kept) - count) <= 0.02 * count:
+            break
+        low, high = (middle, high) if len(kept) > count else (low, middle)
+    return kept

@@ -1,0 +1,90 @@
+"""A whole clip in one npz file, with what every joint's origin is."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.lib.npyio import NpzFile
+
+from kinefilter.characters import Body, Clip, InputError, skeleton_named
+
+from .files import atomic_path
+
+__all__ = ["read_clip", "write_npz"]
+
+_ARRAYS = tuple(
+    field.name
+    for field in fields(Clip)
+    if field.name not in ("skeleton", "body", "source")
+)
+
+
+_BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
+
+
+def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
+    """Write every array of a clip and every measure of its body under its own name.
+
+    Besides them there are ``skeleton``, ``joints`` and ``source``. Equal clips give
+    equal bytes.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    arrays: dict[str, Any] = {name: getattr(clip, name) for name in _ARRAYS}
+    measures: dict[str, Any] = {name: getattr(clip.body, name) for name in _BODY}
+    # An open file, as numpy adds .npz to a name that ends in .NPZ.
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(
+            file,
+            **arrays,
+            **measures,
+            skeleton=np.array(clip.skeleton.name),
+            joints=np.array(clip.skeleton.joints),
+            source=np.array(clip.source),
+        )
+
+
+def read_clip(path: str | os.PathLike[str]) -> Clip:
+    """Read a clip that write_clip wrote as npz.
+
+    Raises:
+        InputError: There is no such file, or it holds no clip.
+    """
+    name = os.fspath(path)
+    try:
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, NpzFile):
+            raise ValueError("a single array")
+        with archive:
+            return _clip(archive)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    except FileNotFoundError:
+        raise InputError(f"{name}: there is no such file; check the name") from None
+    except KeyError as error:
+        raise InputError(
+            f"{name}: holds no clip ({error.args[0]}); expected an npz that kinefilter "
+            "wrote"
+        ) from None
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error):
+        raise InputError(
+            f"{name}: cannot be read as npz; expected a clip that kinefilter wrote"
+        ) from None
+
+
+def _clip(archive: Any) -> Clip:
+    skeleton = skeleton_named(str(archive["skeleton"]))
+    # [()] makes a number of an array without axes and leaves the others.
+    measures = {name: archive[name][()] for name in _BODY}
+    return Clip(
+        **{name: archive[name] for name in _ARRAYS},
+        skeleton=skeleton,
+        body=Body(skeleton=skeleton, **measures),
+        source=str(archive["source"]),
+    )

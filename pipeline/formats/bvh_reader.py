@@ -1,0 +1,149 @@
+"""BVH files into motion."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError
+
+from .bvh import Bvh
+from .files import open_text
+from .rows import RowReader
+
+__all__ = ["read_bvh"]
+
+_CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
+
+_Lines = Iterator[tuple[int, str]]
+
+
+def read_bvh(path: str | os.PathLike[str]) -> Bvh:
+    """Read a BVH file, gzipped or not.
+
+    Raises:
+        InputError: The file is missing or malformed; the message names the line.
+    """
+    source = os.fspath(path)
+    with open_text(path) as file:
+        lines = enumerate(file, start=1)
+        tree = _Hierarchy(source)
+        tree.read(lines)
+        frames = _header_number(lines, "Frames:", source)
+        frame_time = _header_number(lines, "Frame Time:", source)
+        columns = tuple(
+            f"{name}.{channel}"
+            for name, channels in zip(tree.names, tree.channels, strict=True)
+            for channel in channels
+        )
+        reader = RowReader(source, columns, lambda line: ",".join(line.split()))
+        blocks = list(reader.blocks((line for _, line in lines), tree.row + 3))
+    motion = np.concatenate(
+        [np.empty((0, len(columns))), *(block.values for block in blocks)]
+    )
+    if len(motion) != frames:
+        last = int(blocks[-1].rows[-1]) if blocks else tree.row + 2
+        raise InputError(
+            f"{source}: line {last} ends the motion after {len(motion)} frames, "
+            f"expected {frames:g}; the file may be cut off, or correct 'Frames:'"
+        )
+    return Bvh(
+        tuple(tree.names),
+        tuple(tree.parents),
+        np.array(tree.offsets),
+        tuple(tree.channels),
+        frame_time,
+        motion,
+    )
+
+
+def _header_number(lines: _Lines, key: str, source: str) -> float:
+    """Return the number of a line ``key number`` of the motion's header."""
+    row, line = next(lines, (0, ""))
+    words, value = key.split(), line.split()
+    try:
+        number = float(value[-1])
+    except (IndexError, ValueError):
+        number = -1.0
+    if value[:-1] != words or not 0 < number < np.inf:
+        where = f"line {row} is {line.strip()[:40]!r}" if row else "the file ends"
+        raise InputError(f"{source}: {where}, expected '{key}' and a positive number")
+    return number
+
+
+@dataclass
+class _Hierarchy:
+    """The joints read so far."""
+
+    source: str
+    row: int = 0
+    names: list[str] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    offsets: list[NDArray[np.float64]] = field(default_factory=list)
+    channels: list[tuple[str, ...]] = field(default_factory=list)
+    open: list[int] = field(default_factory=list)  # from a root down to this joint
+
+    def read(self, lines: _Lines) -> None:
+        """Read up to the line MOTION."""
+        for self.row, line in lines:
+            words = line.replace("{", " ").split()
+            if words[:1] == ["MOTION"]:
+                if self.open or not self.names:
+                    self._fail("begins the motion inside the hierarchy, expected }")
+                return
+            if words:
+                self._take(words)
+        raise InputError(
+            f"{self.source}: line {self.row} ends the file, expected the line MOTION; "
+            "is it a BVH file?"
+        )
+
+    def _take(self, words: list[str]) -> None:
+        if words[0] in ("ROOT", "JOINT") and len(words) > 1:
+            self._add(" ".join(words[1:]))
+        elif words[:2] == ["End", "Site"] and self.open:
+            self._add(f"{self.names[self.open[-1]]}End")
+        elif words[0] == "OFFSET" and self.open:
+            self.offsets[self.open[-1]] = self._offset(words[1:])
+        elif words[0] == "CHANNELS" and self.open:
+            self.channels[self.open[-1]] = self._channel_names(words[1:])
+        elif words == ["}"] and self.open:
+            self.open.pop()
+        elif words != ["HIERARCHY"] or self.names:
+            self._fail(
+                f"is {' '.join(words)[:40]!r}, expected HIERARCHY, ROOT, JOINT, "
+                "End Site, OFFSET, CHANNELS, a brace or MOTION"
+            )
+
+    def _add(self, name: str) -> None:
+        self.parents.append(self.open[-1] if self.open else -1)
+        self.open.append(len(self.names))
+        self.names.append(name)
+        self.offsets.append(np.zeros(3))
+        self.channels.append(())
+
+    def _offset(self, words: list[str]) -> NDArray[np.float64]:
+        try:
+            offset = np.array(words, dtype=np.float64)
+        except ValueError:
+            offset = np.full(3, np.nan)
+        if offset.shape != (3,) or not np.isfinite(offset).all():
+            self._fail(f"has offset {' '.join(words)[:40]!r}, expected three numbers")
+        return offset
+
+    def _channel_names(self, words: list[str]) -> tuple[str, ...]:
+        names = tuple(words[1:])
+        if words[:1] != [str(len(names))] or not _CHANNELS.issuperset(names):
+            self._fail(
+                f"has channels {' '.join(words)[:60]!r}, expected their number and "
+                f"names out of {', '.join(sorted(_CHANNELS))}"
+            )
+        return names
+
+    def _fail(self, complaint: str) -> NoReturn:
+        raise InputError(f"{self.source}: line {self.row} {complaint}")

@@ -1,0 +1,210 @@
+"""Where motion databases come from: scripted performers, or BVH mocap."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import (
+    STANDARD_HEIGHT,
+    Body,
+    InputError,
+    Skeleton,
+    standard_body,
+)
+from kinefilter.retarget.body_size import Standardizer, measured_body
+from kinefilter.retarget.normalise import find_yaw
+from kinefilter.retarget.orientation import rotations_from_positions
+from kinefilter.retarget.rotations import IDENTITY, about_y, inverse, multiply, rotate
+from kinefilter.scenes import MOTIONS, perform
+
+from .database import FILTERED_POSTURES, PostureDatabase, filter_to_count
+from .formats import Bvh, read_bvh
+from .reliability import segment_lengths
+
+__all__ = ["database_from_bvh", "embedded_database", "scripted_database"]
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int], Iterable[int]]
+
+_SEEDS = range(5)
+_POSTURES_PER_SECOND = 30.0
+_T_POSE_TOLERANCE = np.radians(25.0)
+
+
+def embedded_database(skeleton: Skeleton) -> PostureDatabase:
+    """Return the database of scripted motions, built once and then kept in a cache.
+
+    A cache that cannot be written costs the seconds of building again, nothing else.
+    """
+    from platformdirs import user_cache_path
+
+    path = user_cache_path("kinefilter") / f"{skeleton.name}-{_fingerprint()}.npz"
+    try:
+        return PostureDatabase.load(path)
+    except InputError:
+        database = scripted_database(skeleton)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        database.save(path)
+    except (OSError, InputError):
+        pass
+    return database
+
+
+def _fingerprint() -> str:
+    """Return a hash of all the code that has a hand in the scripted database."""
+    digest = hashlib.sha256()
+    for package in ("characters", "retarget", "scenes", "pipeline"):
+        for file in sorted(
+            resources.files(f"kinefilter.{package}").iterdir(), key=lambda f: f.name
+        ):
+            if file.name.endswith(".py") and (
+                package != "pipeline" or file.name in ("database.py", "library.py")
+            ):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def scripted_database(skeleton: Skeleton) -> PostureDatabase:
+    """Perform every scripted motion on the standard body and keep what differs."""
+    body = standard_body(skeleton)
+    parts = []
+    for name in MOTIONS:
+        for seed in _SEEDS:
+            act = perform(name, body, seed=seed, fps=_POSTURES_PER_SECOND)
+            parts.append((name, *_standardized(act.positions, act.rotations, body)))
+    return _filtered(parts, skeleton, "embedded")
+
+
+def database_from_bvh(
+    files: Sequence[Path],
+    skeleton: Skeleton,
+    *,
+    count: int = FILTERED_POSTURES,
+    progress: Progress | None = None,
+) -> PostureDatabase:
+    """Build a database from BVH mocap.
+
+    Args:
+        files: BVH files with the joint names of ``retarget/rigs/cmu.toml``; their unit
+            of length does not matter.
+        skeleton: The skeleton of the takes to clean.
+        count: About how many postures the threshold rule keeps.
+        progress: Wraps the loop over the files, for a progress bar.
+
+    Raises:
+        InputError: A file is no BVH, or lacks a joint; no files.
+    """
+    if not files:
+        raise InputError("no BVH files given; name one or more")
+    progress = progress or (lambda _, total: range(total))
+    parts = []
+    for k in progress("read", len(files)):
+        bvh = read_bvh(files[k])
+        stem = files[k].name.split(".")[0]
+        parts.append((stem, *_postures_of(bvh, skeleton, files[k])))
+    return _filtered(parts, skeleton, f"{len(files)} BVH files", count)
+
+
+def _filtered(
+    parts: list[tuple[str, Array, Array]],
+    skeleton: Skeleton,
+    source: str,
+    count: int = FILTERED_POSTURES,
+) -> PostureDatabase:
+    labels = np.concatenate([np.full(len(p), name) for name, p, _ in parts])
+    # Rounded as the file rounds them: a database is the same before and after.
+    positions = np.concatenate([p for _, p, _ in parts]).astype(np.float32)
+    rotations = np.concatenate([q for _, _, q in parts]).astype(np.float32)
+    kept = filter_to_count(positions.astype(float), count)
+    return PostureDatabase(
+        positions[kept].astype(float),
+        rotations[kept].astype(float),
+        labels[kept],
+        skeleton,
+        source,
+    )
+
+
+def _standardized(
+    positions: Array, rotations: Array | None, body: Body
+) -> tuple[Array, Array]:
+    """Return postures and segment rotations on the standard body, without yaw.
+
+    Joints that the source has not hang on their parent as they do at rest.
+    """
+    skeleton, standard = body.skeleton, standard_body(body.skeleton)
+    weights = np.ones(len(skeleton))
+    standardizer = Standardizer(body)
+    postures = np.array([standardizer.step(frame, weights)[0] for frame in positions])
+    if rotations is not None:
+        yaw = find_yaw(positions, weights, skeleton)
+        rotations = multiply(inverse(about_y(yaw))[:, None], rotations)
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        if np.isnan(postures[:, j]).all():
+            turns = rotations_from_positions(postures, standard)[:, p]
+            postures[:, j] = postures[:, p] + rotate(turns, standard.rest_offsets[j])
+    return postures, rotations_from_positions(postures, standard, rotations)
+
+
+def _postures_of(bvh: Bvh, skeleton: Skeleton, file: Path) -> tuple[Array, Array]:
+    """Return the normalized postures of a BVH motion, 30 a second."""
+    rig = tomllib.loads(
+        resources.files("kinefilter.retarget")
+        .joinpath("rigs", "cmu.toml")
+        .read_text(encoding="utf-8")
+    )
+    joints = {**rig["limbs"], **rig[skeleton.name]}
+    needed = {name for row in joints.values() for name in (*row["at"], row["turned_by"])}
+    missing = sorted(needed - set(bvh.names))
+    if missing:
+        raise InputError(
+            f"{file}: no joint {missing[0]!r}; expected the joint names of the cgspeed "
+            "conversion of CMU mocap (Hips, LeftUpLeg, LeftLeg, ...)"
+        )
+    frames = slice(None, None, max(1, round(1 / _POSTURES_PER_SECOND / bvh.frame_time)))
+    positions = np.full((len(bvh), len(skeleton), 3), np.nan)
+    turns = np.tile(IDENTITY, (len(bvh), len(skeleton), 1))
+    for joint, row in joints.items():
+        j = skeleton.index(joint)
+        columns = [bvh.names.index(name) for name in row["at"]]
+        positions[:, j] = bvh.positions[:, columns].mean(axis=1)
+        turns[:, j] = bvh.rotations[:, bvh.names.index(row["turned_by"])]
+    lengths = np.nanmedian(segment_lengths(positions, skeleton), axis=0)
+    ends = skeleton.segments
+    average = standard_body(skeleton).lengths
+    unit = np.nanmedian(average[ends] / lengths[ends])  # meters per unit of the file
+    body = measured_body(skeleton, unit * lengths, height=STANDARD_HEIGHT)
+    prior = _since_t_pose(turns, positions[0], body)
+    return _standardized(
+        unit * positions[frames], None if prior is None else prior[frames], body
+    )
+
+
+def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
+    """Return rotations since the T-pose, which mocap files often hold as first frame.
+
+    None where the first frame is another: then nothing is known about the twist.
+    """
+    skeleton = body.skeleton
+    heading = about_y(find_yaw(first, np.ones(len(skeleton)), skeleton))
+    limbs = [
+        skeleton.index(part + side)
+        for part in ("Elbow", "Wrist", "Knee", "Ankle")
+        for side in ("Left", "Right")
+    ]
+    bones = first[limbs] - first[[skeleton.parents[j] for j in limbs]]
+    rest = rotate(heading, body.rest_offsets[limbs])
+    cosines = np.sum(bones * rest, axis=1) / (
+        np.linalg.norm(bones, axis=1) * np.linalg.norm(rest, axis=1)
+    )
+    if np.any(cosines < np.cos(_T_POSE_TOLERANCE)):
+        return None
+    return multiply(multiply(turns, inverse(turns[:1])), heading)

@@ -1,0 +1,165 @@
+"""Every figure of quality that kinefilter prints, with its definition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body
+
+from .reliability import segment_lengths
+
+__all__ = [
+    "Quality",
+    "amplitude",
+    "bone_length_cv",
+    "jitter",
+    "lowest_point",
+    "measure",
+    "skate",
+]
+
+Array = NDArray[np.float64]
+
+SKATE_HEIGHT = 0.05
+"""A foot joint lower than this over its standing height [m] should not slide."""
+SKATE_SPEED = 0.2
+"""A foot on the floor that is faster than this [m/s] visibly skates."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How good a motion is by itself; names and units as in ``clean --json``."""
+
+    bone_length_cv: float
+    """Standard deviation over mean of segment lengths, mean over segments."""
+    jitter: float
+    """Mean magnitude of the third time derivative of joint positions [m/s^3]."""
+    skate_mm_per_frame: float
+    """Mean horizontal movement of feet on the floor [mm per frame]."""
+    skate_share_over_0p2: float
+    """Share of the frames of feet on the floor that move over 0.2 m/s."""
+    penetration_mm: float
+    """How far the lowest point of the body ever is under the floor [mm]."""
+    float_mm: float
+    """How far the body's lowest point is over the floor, mean over frames [mm]."""
+    amplitude_kept: float
+    """Root mean square movement of the joints about their mean, over that of raw."""
+    lowest_point_mm: float
+    """Height of the lowest point of the body over the floor [mm]."""
+    moved_cm: float
+    """Mean distance of the joints from where they were measured [cm]."""
+
+
+def bone_length_cv(positions: Array, body: Body) -> float:
+    """Return the mean coefficient of variation of segment lengths over the frames.
+
+    Args:
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+        body: The skeleton.
+    """
+    lengths = segment_lengths(positions, body.skeleton)[:, body.skeleton.segments]
+    lengths = lengths[:, (~np.isnan(lengths)).sum(axis=0) > 1]
+    if lengths.shape[1] == 0:
+        return float("nan")
+    return float(np.mean(np.nanstd(lengths, axis=0) / np.nanmean(lengths, axis=0)))
+
+
+def jitter(time: Array, positions: Array) -> float:
+    """Return the mean magnitude of the third difference over dt^3 [m/s^3].
+
+    Only runs of four frames at the nominal rate (within half a step) count, with the
+    joint present in all of them.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+    """
+    if len(time) < 4:
+        return float("nan")
+    steps = np.diff(time)
+    nominal = float(np.median(steps[steps > 0]))
+    even = np.abs(steps - nominal) < 0.5 * nominal
+    runs = even[:-2] & even[1:-1] & even[2:]
+    third = np.linalg.norm(np.diff(positions, n=3, axis=0)[runs], axis=-1)
+    third = third[~np.isnan(third)]
+    return float(third.mean() / nominal**3) if len(third) else float("nan")
+
+
+def lowest_point(positions: Array, body: Body) -> Array:
+    """Return the height [m] of the body's lowest point in each frame, shape (T,).
+
+    Segments are capsules, so their lowest point is under one of their ends; a missing
+    joint is nowhere.
+    """
+    skeleton = body.skeleton
+    radii = body.radii[skeleton.segments]
+    heights = positions[..., 1]
+    ends = heights[:, skeleton.segments] - radii
+    starts = heights[:, skeleton.segment_parents] - radii
+    return np.asarray(np.nanmin(np.concatenate([ends, starts], axis=1), axis=1))
+
+
+def skate(time: Array, positions: Array, body: Body) -> tuple[float, float]:
+    """Return how feet slide while they should stand.
+
+    A foot stands between two frames if its joint is under 5 cm over its standing height
+    in both. Returns the mean horizontal movement [mm per nominal frame] and the share
+    of those frames with more than 0.2 m/s; NaN where no foot ever stands.
+    """
+    steps = np.diff(time)
+    steps = np.where(steps > 0, steps, np.nan)
+    nominal = float(np.nanmedian(steps))
+    speeds = []
+    for side in ("Left", "Right"):
+        foot = body.skeleton.index(f"Foot{side}")
+        height = positions[:, foot, 1] - body.radii[foot]
+        low = height < SKATE_HEIGHT
+        moved = np.linalg.norm(np.diff(positions[:, foot][:, [0, 2]], axis=0), axis=1)
+        speeds.append((moved / steps)[low[1:] & low[:-1]])
+    speed = np.concatenate(speeds)
+    speed = speed[~np.isnan(speed)]
+    if len(speed) == 0:
+        return float("nan"), float("nan")
+    return float(speed.mean() * nominal * 1e3), float(np.mean(speed > SKATE_SPEED))
+
+
+def amplitude(positions: Array, body: Body) -> Array:
+    """Return each joint's root mean square movement [m] about its mean place under the
+    root, NaN for the root and for joints never seen, shape (J,)."""
+    relative = positions - positions[:, [body.skeleton.root]]
+    moves = np.full(positions.shape[1], np.nan)
+    for j in body.skeleton.segments:
+        path = relative[:, j][~np.isnan(relative[:, j, 0])]
+        if len(path) > 1:
+            moves[j] = np.sqrt(np.mean(np.sum((path - path.mean(axis=0)) ** 2, axis=1)))
+    return moves
+
+
+def measure(time: Array, positions: Array, raw: Array, body: Body) -> Quality:
+    """Return the quality of a motion beside the measurement it came from.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], world frame, floor at 0, shape (T, J, 3).
+        raw: The measurement in the same frame, NaN where missing, shape (T, J, 3).
+        body: Whose capsules they are.
+    """
+    slide, share = skate(time, positions, body)
+    seen = ~np.isnan(raw[..., 0]).all(axis=1) if positions is raw else slice(None)
+    low = lowest_point(positions[seen], body)
+    moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
+    both = raw_moves > 1e-6
+    return Quality(
+        bone_length_cv=bone_length_cv(positions, body),
+        jitter=jitter(time, positions),
+        skate_mm_per_frame=slide,
+        skate_share_over_0p2=share,
+        penetration_mm=float(max(-low.min(), 0.0) * 1e3),
+        float_mm=float(np.mean(np.maximum(low, 0.0)) * 1e3),
+        amplitude_kept=float(np.mean(moves[both]) / np.mean(raw_moves[both])),
+        lowest_point_mm=float(low.min() * 1e3),
+        moved_cm=float(np.nanmean(np.linalg.norm(positions - raw, axis=-1)) * 1e2),
+    )

@@ -1,0 +1,267 @@
+"""How far each joint of each frame can be trusted (Shum 2013, section IV)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Skeleton, State, Take
+
+__all__ = [
+    "Reference",
+    "Reliability",
+    "ReliabilityScorer",
+    "Term",
+    "measure_reference",
+]
+
+Array = NDArray[np.float64]
+
+SMALLEST_DISPLACEMENT = 0.03
+"""d_min [m]: a joint that moved less has not turned (eq. 3)."""
+VIBRATION_FRAMES = 3
+"""f_b: angles averaged by the behavior term (eq. 4)."""
+ANGLE_FLOOR, ANGLE_ROOF = np.radians(90.0), np.radians(135.0)
+"""theta_floor, theta_roof [rad]: full and no trust in the behavior term (eq. 4)."""
+RATE_FRAMES = 6
+"""f_total: frames that the rate looks back on, 0.2 s at 30 Hz (eq. 8)."""
+
+
+class Term(IntEnum):
+    """The reliability term that was the smallest of the three, and so decided."""
+
+    BEHAVIOR = 0
+    KINEMATICS = 1
+    TRACKING_STATE = 2
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the person's segments measure, to tell wrong lengths by."""
+
+    lengths: Array
+    """Length [m] of the segment that ends at each joint, NaN where never seen or the
+    root, shape (J,)."""
+    directions: Array
+    """Direction of the trunk's, hips' and shoulders' segments in the frame of the
+    trunk (x left, y up along the spine), median over the take, NaN elsewhere: where
+    this sensor sees these joints, shape (J, 3)."""
+    from_reference_posture: bool
+    """True: measured in T-pose or standing, as Shum does; False: the take holds no
+    such frame, and these are medians over frames where both ends are tracked."""
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Reliability of every joint in every frame."""
+
+    rate: Array
+    """R in [0, 1], shape (T, J) (eq. 8)."""
+    term: NDArray[np.uint8]
+    """The term that decided in the frame itself (Term), shape (T, J)."""
+    geometry: Array
+    """The rate without the tracking state: what the positions alone say, (T, J)."""
+
+
+def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
+    """Return the length [m] of the segment that ends at each joint, root 0, (..., J)."""
+    lengths = np.zeros(positions.shape[:-1])
+    bones = (
+        positions[..., skeleton.segments, :] - positions[..., skeleton.segment_parents, :]
+    )
+    lengths[..., skeleton.segments] = np.sqrt(np.sum(bones * bones, axis=-1))
+    return lengths
+
+
+def measure_reference(take: Take) -> Reference:
+    """Measure the person's segments where the sensor sees them best.
+
+    Frames in T-pose or standing with every joint tracked serve (section IV.B); where a
+    take has fewer than 5 of them, the median over all frames in which both ends of the
+    segment are tracked, or over all in which they are present, takes their place.
+    """
+    skeleton = take.skeleton
+    lengths = segment_lengths(take.positions, skeleton)
+    lengths[:, skeleton.root] = np.nan
+    tracked = take.state == State.TRACKED
+    both = tracked.copy()
+    both[:, skeleton.segments] &= tracked[:, skeleton.segment_parents]
+    ever = tracked.any(axis=0)
+    posed = tracked[:, ever].all(axis=1) & _in_reference_posture(take)
+    found = int(posed.sum()) >= 5
+    if found:
+        lengths = np.where(posed[:, None], lengths, np.nan)
+    best = _median(np.where(both, lengths, np.nan))
+    best = np.where(np.isnan(best), _median(lengths), best)
+    return Reference(best, _trunk_directions(take), found)
+
+
+def _trunk_directions(take: Take) -> Array:
+    """Return the median direction of trunk segments in the trunk's frame, (J, 3)."""
+    skeleton = take.skeleton
+    directions = np.full((len(skeleton), 3), np.nan)
+    girdle = skeleton.parents[skeleton.index("ShoulderLeft")]
+    trunk = [
+        *(skeleton.index(p + s) for p in ("Hip", "Shoulder") for s in ("Left", "Right")),
+        *_chain(skeleton, girdle),
+    ]
+    seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
+    if not seen.any():
+        return directions
+    points = take.positions[seen]
+    up = points[:, girdle] - points[:, skeleton.root]
+    left = sum(
+        points[:, skeleton.index(f"{p}Left")] - points[:, skeleton.index(f"{p}Right")]
+        for p in ("Hip", "Shoulder")
+    )
+    front = np.cross(left, up)
+    frame = np.stack([np.cross(up, front), up, front], axis=1)
+    frame /= np.maximum(np.linalg.norm(frame, axis=2, keepdims=True), 1e-9)
+    for j in trunk:
+        bones = points[:, j] - points[:, skeleton.parents[j]]
+        median = np.median((frame @ bones[..., None])[..., 0], axis=0)
+        norm = np.linalg.norm(median)
+        if norm > 1e-9:
+            directions[j] = median / norm
+    return directions
+
+
+def _chain(skeleton: Skeleton, joint: int) -> list[int]:
+    """Return the joints from one up to, and without, the root."""
+    chain = []
+    while joint != skeleton.root:
+        chain.append(joint)
+        joint = skeleton.parents[joint]
+    return chain
+
+
+def _median(values: Array) -> Array:
+    """Return medians down axis 0 without NaN; NaN where a column has nothing else."""
+    medians = np.full(values.shape[1], np.nan)
+    some = ~np.isnan(values).all(axis=0)
+    medians[some] = np.nanmedian(values[:, some], axis=0)
+    return medians
+
+
+def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
+    """Tell the frames in T-pose or standing: legs and arms straight, trunk upright."""
+    upright = np.ones(len(take), dtype=bool)
+    sideways, down = [], []
+
+    def direction(end: str) -> Array:
+        j = take.skeleton.index(end)
+        bone = take.positions[:, j] - take.positions[:, take.skeleton.parents[j]]
+        return np.asarray(bone / np.linalg.norm(bone, axis=1, keepdims=True))
+
+    for side in ("Left", "Right"):
+        for end in ("Knee", "Ankle"):
+            upright &= direction(end + side)[:, 1] < -0.94  # within 20 degrees
+        arm = [direction(end + side)[:, 1] for end in ("Elbow", "Wrist")]
+        down.append((arm[0] < -0.9) & (arm[1] < -0.9))
+        sideways.append((np.abs(arm[0]) < 0.34) & (np.abs(arm[1]) < 0.34))
+    return upright & ((down[0] & down[1]) | (sideways[0] & sideways[1]))
+
+
+class ReliabilityScorer:
+    """Scores one frame after the other; a whole take goes the same way.
+
+    Args:
+        skeleton: The joints.
+        reference: The person's segment lengths.
+    """
+
+    def __init__(self, skeleton: Skeleton, reference: Reference) -> None:
+        self.skeleton = skeleton
+        self.reference = reference
+        n, ends = len(skeleton), skeleton.segments
+        # Each joint's kinematics term is the mean over the segments it touches; a
+        # segment that was never measured has no say.
+        known = np.isfinite(reference.lengths[ends])
+        touch = np.zeros((n, len(ends)))
+        touch[ends, np.arange(len(ends))] = known
+        touch[skeleton.segment_parents, np.arange(len(ends))] = known
+        counts = touch.sum(axis=1, keepdims=True)
+        self._touch = touch / np.where(counts > 0, counts, 1.0)
+        self._lengths = np.where(known, reference.lengths[ends], 1.0)
+        age = np.arange(RATE_FRAMES)
+        # The paper leaves the width open: the oldest frame is at two sigma.
+        weights = np.exp(-0.5 * (2.0 * age / (RATE_FRAMES - 1)) ** 2)
+        self._weights = weights / weights.sum()
+        self.start()
+
+    def start(self) -> None:
+        """Forget all frames."""
+        n = len(self.skeleton)
+        self._before: list[Array] = []
+        self._angles = np.zeros((VIBRATION_FRAMES, n))
+        self._scores: list[tuple[Array, Array]] = []
+
+    def step(
+        self, positions: Array, state: NDArray[np.uint8]
+    ) -> tuple[Array, NDArray[np.uint8], Array]:
+        """Score the next frame.
+
+        Args:
+            positions: Joint positions [m], NaN where missing, shape (J, 3).
+            state: Tracking states (State), shape (J,).
+
+        Returns:
+            The rate (J,), the deciding term (J,) and the rate of the geometry alone
+            (J,); see Reliability.
+        """
+        behavior = self._behavior(positions)
+        kinematics = self._kinematics(positions)
+        tracked = np.where(state == State.TRACKED, 1.0, 0.0)  # eq. 7
+        terms = np.stack([behavior, kinematics, tracked])
+        term = np.argmin(terms, axis=0).astype(np.uint8)
+        geometry = np.minimum(behavior, kinematics)
+        self._scores.insert(0, (np.minimum(geometry, tracked), geometry))
+        del self._scores[RATE_FRAMES:]
+        # Eq. 8, the weights normalized over the frames there are.
+        weights = self._weights[: len(self._scores)]
+        weights = weights / weights.sum()
+        rate = sum(w * score for w, (score, _) in zip(weights, self._scores, strict=True))
+        shape = sum(w * score for w, (_, score) in zip(weights, self._scores, strict=True))
+        return np.asarray(rate), term, np.asarray(shape)
+
+    def score(self, take: Take) -> Reliability:
+        """Score a whole take: the same as ``start`` and a ``step`` per frame."""
+        self.start()
+        count, n = take.state.shape
+        rate, geometry = np.empty((count, n)), np.empty((count, n))
+        term = np.empty((count, n), dtype=np.uint8)
+        for k in range(count):
+            rate[k], term[k], geometry[k] = self.step(take.positions[k], take.state[k])
+        return Reliability(rate, term, geometry)
+
+    def _behavior(self, positions: Array) -> Array:
+        """Return the vibration term: trust falls with sharp turns (eq. 1-4)."""
+        self._before.append(positions)
+        angle = np.zeros(len(positions))
+        if len(self._before) == 3:
+            oldest, middle, newest = self._before
+            d0, d1 = middle - oldest, newest - middle
+            l0 = np.sqrt(np.sum(d0 * d0, axis=1))
+            l1 = np.sqrt(np.sum(d1 * d1, axis=1))
+            # False where a position is missing: no displacement, no angle.
+            moved = (l0 > SMALLEST_DISPLACEMENT) & (l1 > SMALLEST_DISPLACEMENT)
+            cosine = np.sum(d0[moved] * d1[moved], axis=1) / (l0[moved] * l1[moved])
+            # Eq. 3 prints the cosine; its thresholds are angles.
+            angle[moved] = np.arccos(np.clip(cosine, -1.0, 1.0))
+            del self._before[0]
+        self._angles = np.concatenate([self._angles[1:], angle[None]])
+        mean = self._angles.mean(axis=0)
+        excess = np.maximum(np.minimum(mean, ANGLE_ROOF) - ANGLE_FLOOR, 0.0)
+        return np.asarray(1.0 - excess / (ANGLE_ROOF - ANGLE_FLOOR))
+
+    def _kinematics(self, positions: Array) -> Array:
+        """Return the segment-length term (eq. 5-6); a missing end counts as wrong."""
+        ends, starts = self.skeleton.segments, self.skeleton.segment_parents
+        bones = positions[ends] - positions[starts]
+        lengths = np.sqrt(np.sum(bones * bones, axis=1))
+        ratio = np.abs(lengths - self._lengths) / self._lengths
+        ratio = np.minimum(np.where(np.isnan(ratio), 1.0, ratio), 1.0)
+        return 1.0 - self._touch @ ratio

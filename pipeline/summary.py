@@ -1,0 +1,103 @@
+"""What ``clean`` tells the user: a table for people, JSON for programs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from kinefilter.characters import Origin
+
+from .reliability import Term
+from .run import CleanResult
+
+__all__ = ["as_json", "as_tables"]
+
+_ROWS = (
+    ("bone-length variation", "bone_length_cv", "{:.2g}"),
+    ("jitter, m/s³", "jitter", "{:.0f}"),
+    ("lowest point, mm", "lowest_point_mm", "{:+.1f}"),
+    ("moved from raw, cm", "moved_cm", "{:.2f}"),
+    ("amplitude kept", "amplitude_kept", "{:.3f}"),
+    ("feet slide, mm/frame", "skate_mm_per_frame", "{:.1f}"),
+)
+_WORST = 5
+
+
+def as_json(result: CleanResult) -> dict[str, Any]:
+    """Return the figures of a cleaned take, ready for ``json.dump``."""
+    clip = result.clip
+    figures: dict[str, Any] = {
+        "source": clip.source,
+        "skeleton": clip.skeleton.name,
+        "frames": len(clip),
+        "seconds": float(clip.time[-1] - clip.time[0]),
+        "fps": clip.fps,
+        "body": {"height_m": clip.body.height, "mass_kg": clip.body.mass},
+        "reliability": {
+            joint: float(rate)
+            for joint, rate in zip(
+                clip.skeleton.joints, clip.reliability.mean(axis=0), strict=True
+            )
+        },
+        "share_outside_database": result.share_outside,
+        "share_measured": float(np.mean(clip.origin == Origin.MEASURED)),
+        "share_corrected": float(np.mean(clip.origin == Origin.CORRECTED)),
+        "share_filled": float(np.mean(clip.origin == Origin.FILLED)),
+        "notes": list(result.notes),
+    }
+    for stage, quality in result.stages.items():
+        figures[stage] = {k: _finite(v) for k, v in asdict(quality).items()}
+    if result.trace is not None:
+        figures["physics"] |= {
+            "tracking_error_mm": float(result.trace.tracking_error.mean() * 1e3),
+            "external_force_body_weights": float(result.trace.external_force.mean()),
+            "frames_reset": int(result.trace.reset.sum()),
+        }
+    return figures
+
+
+def _finite(value: float) -> float | None:
+    """Return the value, or None (JSON has no NaN) where nothing could be measured."""
+    return value if np.isfinite(value) else None
+
+
+def as_tables(result: CleanResult) -> RenderableType:
+    """Return the same figures for a terminal."""
+    clip = result.clip
+    head = (
+        f"{clip.source}: {len(clip)} frames, {clip.time[-1] - clip.time[0]:.1f} s, "
+        f"{clip.skeleton.name}, {clip.body.height:.2f} m, {clip.body.mass:.0f} kg"
+    )
+    stages = Table("", *result.stages, title="per stage", title_justify="left")
+    for label, key, form in _ROWS:
+        values = [getattr(quality, key) for quality in result.stages.values()]
+        stages.add_row(label, *(form.format(v) for v in values))
+    rates = clip.reliability.mean(axis=0)
+    joints = Table(
+        "joint",
+        "reliability",
+        "decided by",
+        "invented",
+        title="least reliable joints",
+        title_justify="left",
+    )
+    for j in np.argsort(rates, kind="stable")[:_WORST]:
+        terms = np.bincount(clip.deciding_term[:, j], minlength=len(Term))
+        joints.add_row(
+            clip.skeleton.joints[j],
+            f"{rates[j]:.2f}",
+            Term(int(terms.argmax())).name.lower().replace("_", " "),
+            f"{np.mean(clip.origin[:, j] == Origin.FILLED):.0%}",
+        )
+    lines = [
+        f"measured {np.mean(clip.origin == Origin.MEASURED):.0%}, "
+        f"corrected {np.mean(clip.origin == Origin.CORRECTED):.0%}, "
+        f"invented {np.mean(clip.origin == Origin.FILLED):.0%} of all joints; "
+        f"{result.share_outside:.0%} of the frames outside the database",
+        *result.notes,
+    ]
+    return Group(head, stages, joints, *lines)

@@ -1,0 +1,178 @@
+"""One body's size to another's: what the person measures, and the standard body.
+
+Every bone is scaled by a constant, standard length over the person's length, and turned
+by a constant where the sensor has another notion of trunk, hips and shoulders, so the
+map is linear and exact both ways. Bones keep the frame's own deviation from their
+length: where the person's proportions are ordinary, a wrong elbow then leaves the
+wrist where it was measured, which a walk with fixed lengths would not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import STANDARD_HEIGHT, Body, Skeleton, standard_body
+
+from .normalise import View, find_yaw
+from .rotations import between, matrix_from_wxyz
+
+__all__ = ["Standardizer", "measured_body"]
+
+Array = NDArray[np.float64]
+
+# A segment that many times off the average is a tracker's error. Along the trunk the
+# joints have no landmarks, and sensors differ by more.
+_ODDEST_LIMB, _ODDEST_TRUNK = 1.6, 4.0
+
+
+def measured_body(
+    skeleton: Skeleton,
+    lengths: Array,
+    directions: Array | None = None,
+    *,
+    height: float | None = None,
+    mass: float | None = None,
+) -> Body:
+    """Return the body of a person whose segments were measured.
+
+    Left and right share the mean of what was measured. What was not measured, and limbs
+    that are off the average proportions by a factor of 1.6, take average proportions.
+
+    Args:
+        skeleton: The joints.
+        lengths: Segment lengths [m], NaN where unknown, shape (J,).
+        directions: Rest directions of segments, unit vectors, NaN where those of the
+            average body hold, shape (J, 3).
+        height: Stature [m]; by default from the measured lengths.
+        mass: Body mass [kg]; by default from the stature.
+
+    Raises:
+        InputError: Height or mass is not a human's.
+    """
+    average = standard_body(skeleton).lengths
+    known = np.where(lengths > 0, lengths, np.nan)
+    known = _mean_of_sides(known, known[skeleton.mirror])
+    if height is None:
+        ratios = known[skeleton.segments] / average[skeleton.segments]
+        seen = np.isfinite(ratios)
+        # The long segments say most about stature, and say it most precisely.
+        height = STANDARD_HEIGHT * (
+            _weighted_median(ratios[seen], average[skeleton.segments][seen])
+            if seen.any()
+            else 1.0
+        )
+    body = standard_body(skeleton, height=height, mass=mass)
+    factor = np.array(
+        [_ODDEST_LIMB if "Left" in j or "Right" in j else _ODDEST_TRUNK
+         for j in skeleton.joints]
+    )
+    sane = (known < factor * body.lengths) & (known * factor > body.lengths)
+    lengths = np.where(sane, known, body.lengths)
+    if directions is None:
+        return Body(skeleton, body.height, body.mass, lengths, body.directions)
+    mirrored = directions[skeleton.mirror] * np.array([-1.0, 1.0, 1.0])
+    both = _mean_of_sides(directions, mirrored)
+    norms = np.linalg.norm(both, axis=1, keepdims=True)
+    turned = np.where(norms > 0.5, both / np.maximum(norms, 0.5), body.directions)
+    return Body(skeleton, body.height, body.mass, lengths, turned)
+
+
+def _mean_of_sides(values: Array, mirrored: Array) -> Array:
+    """Return the mean of what is there of two arrays, NaN where nothing is."""
+    return np.where(
+        np.isnan(values),
+        mirrored,
+        np.where(np.isnan(mirrored), values, (values + mirrored) / 2.0),
+    )
+
+
+def _weighted_median(values: Array, weights: Array) -> float:
+    order = np.argsort(values)
+    below = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(below, below[-1] / 2.0)])
+
+
+class Standardizer:
+    """Brings postures to the standard body and view, frame by frame, and back.
+
+    Args:
+        body: The person.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        skeleton = body.skeleton
+        standard = standard_body(skeleton)
+        ends = skeleton.segments
+        self._to_standard = np.tile(np.eye(3), (len(skeleton), 1, 1))
+        self._to_person = self._to_standard.copy()
+        turns = matrix_from_wxyz(between(body.directions, standard.directions))
+        scale = (standard.lengths[ends] / body.lengths[ends])[:, None, None]
+        self._to_standard[ends] = scale * turns[ends]
+        self._to_person[ends] = turns[ends].transpose(0, 2, 1) / scale
+        self._chain = _chain_matrix(skeleton)
+        self.start()
+
+    def start(self) -> None:
+        """Forget where the character stood, which way it faced, and its bones."""
+        self._root = np.zeros(3)
+        self._yaw = 0.0
+        self._bones = self.body.rest_offsets.copy()
+
+    def step(self, positions: Array, weights: Array) -> tuple[Array, View]:
+        """Return a posture on the standard body, root at the origin, facing +z.
+
+        A missing root or heading is that of the frame before; a joint whose parent is
+        missing hangs on the parent's last known bone.
+
+        Args:
+            positions: Joint positions [m], world frame, NaN where missing, (J, 3).
+            weights: Trust in each joint, shape (J,).
+
+        Returns:
+            Positions [m], NaN where missing, shape (J, 3), and the view taken out.
+        """
+        skeleton = self.body.skeleton
+        missing = np.isnan(positions[:, 0])
+        yaw = float(find_yaw(positions, weights, skeleton))
+        self._yaw = self._yaw if np.isnan(yaw) else yaw
+        if not missing[skeleton.root]:
+            self._root = positions[skeleton.root]
+        view = View(self._root, np.array(self._yaw))
+        seen = view.remove(positions)
+        if missing.any():
+            seen[skeleton.root] = 0.0
+            for j in skeleton.order[1:]:
+                if missing[j]:
+                    seen[j] = seen[skeleton.parents[j]] + self._bones[j]
+        parents = np.array(skeleton.parents)
+        bones = seen - seen[parents]
+        bones[skeleton.root] = 0.0
+        self._bones = bones
+        standard = self._chain @ _apply(self._to_standard, bones)
+        standard[missing] = np.nan
+        return standard, view
+
+    def undo(self, positions: Array, view: View) -> Array:
+        """Return standard postures (..., J, 3) on the person's body in their view."""
+        skeleton = self.body.skeleton
+        bones = np.zeros_like(positions)
+        bones[..., skeleton.segments, :] = (
+            positions[..., skeleton.segments, :]
+            - positions[..., skeleton.segment_parents, :]
+        )
+        return view.restore(self._chain @ _apply(self._to_person, bones))
+
+
+def _apply(matrices: Array, bones: Array) -> Array:
+    return np.asarray((matrices @ bones[..., None])[..., 0])
+
+
+def _chain_matrix(skeleton: Skeleton) -> Array:
+    """Return the matrix that sums bones from the root to every joint, (J, J)."""
+    chain = np.zeros((len(skeleton), len(skeleton)))
+    for j in skeleton.order[1:]:
+        chain[j] = chain[skeleton.parents[j]]
+        chain[j, j] = 1.0
+    return chain

@@ -1,0 +1,153 @@
+"""Scripted performers: seeded human motions on any body, with known rotations.
+
+Every motion is a family: a seed draws its amplitude, tempo, sides, stance and style,
+and no repetition within a performance equals another. They are imagined motions, not
+recordings: ranges of motion are those of healthy adults, the timing is plausible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body, InputError
+from kinefilter.retarget.rotations import continuous, multiply, normalize
+
+from .actions import ACTIONS
+from .gaits import GAITS, TURNS, gait
+from .gestures import GESTURES, stance
+from .poses import Pose, Score
+from .puppet import Puppet
+
+__all__ = ["MOTIONS", "Performance", "perform", "perform_medley"]
+
+Array = NDArray[np.float64]
+
+_SCRIPTS = {**GESTURES, **ACTIONS, **TURNS}
+
+MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
+"""Names of the motions that ``perform`` knows."""
+
+_EXTRA_WIDTH = {
+    "dodge": 1.0,
+    "kick": 0.2,
+    "pick_up": 0.4,
+    "punch": 0.8,
+    "sit": 0.4,
+    "squat": 0.9,
+    "swing": 0.8,
+}
+"""Hip widths by which people stand wider for a motion."""
+
+_SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
+
+
+@dataclass(frozen=True, eq=False)
+class Performance:
+    """A motion without error: what a body did."""
+
+    name: str
+    """Name of the motion."""
+    time: Array
+    """Time [s], shape (T,), from 0 at a constant rate."""
+    positions: Array
+    """Joint positions [m], world frame, floor at y = 0, shape (T, J, 3)."""
+    rotations: Array
+    """World rotation of the segment that ends at each joint, unit quaternions wxyz,
+    identity in the T-pose, the root's row the pelvis, shape (T, J, 4)."""
+    body: Body
+    """Whose motion it is."""
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Performance:
+    """Return one performance of a motion, 5 to 14 s long.
+
+    The character starts near the origin of the world and faces +z.
+
+    Args:
+        name: One of MOTIONS.
+        body: Who performs, on any skeleton kinefilter knows.
+        seed: Draws style, tempo and sides; the same seed gives the same arrays.
+        fps: Frames per second.
+
+    Raises:
+        InputError: There is no motion of that name.
+    """
+    _check(name, MOTIONS)
+    rng = np.random.default_rng([seed, MOTIONS.index(name)])
+    puppet = Puppet(body)
+    length = rng.uniform(5.0, 9.0)
+    if name in GAITS:
+        time = np.arange(0.0, length, 1.0 / fps)
+        pose = gait(name, puppet, rng, time)
+    else:
+        base = stance(puppet, rng, wide=_EXTRA_WIDTH.get(name, 0.0))
+        time, pose = _SCRIPTS[name](puppet, rng, base, length).sample(fps)
+    return _performed(name, puppet, time, _alive(pose, time, rng))
+
+
+def perform_medley(
+    parts: Sequence[tuple[str, float]], body: Body, *, seed: int, fps: float = 30.0
+) -> Performance:
+    """Return several motions one after another on feet that stay where they are.
+
+    Args:
+        parts: Names of motions other than gaits, and the least duration of each [s].
+        body: Who performs, on any skeleton kinefilter knows.
+        seed: Draws style, tempo and sides; the same seed gives the same arrays.
+        fps: Frames per second.
+
+    Raises:
+        InputError: A name is not one of a motion on the spot, or there is no part.
+    """
+    if not parts:
+        raise InputError("a medley needs at least one motion")
+    rng, puppet = np.random.default_rng(seed), Puppet(body)
+    base = stance(puppet, rng, wide=0.4)
+    score = Score(base)
+    for name, seconds in parts:
+        _check(name, tuple(sorted(_SCRIPTS)))
+        score.append(_SCRIPTS[name](puppet, rng, base, seconds))
+        score.to(0.4, base)
+    time, pose = score.sample(fps)
+    name = " ".join(name for name, _ in parts)
+    return _performed(name, puppet, time, _alive(pose, time, rng))
+
+
+def _check(name: str, known: tuple[str, ...]) -> None:
+    if name not in known:
+        raise InputError(f"unknown motion {name!r}; known: {', '.join(known)}")
+
+
+def _performed(name: str, puppet: Puppet, time: Array, pose: Pose) -> Performance:
+    rotations, positions = puppet.solve(pose)
+    return Performance(name, time, positions, continuous(rotations), puppet.body)
+
+
+def _alive(pose: Pose, time: Array, rng: np.random.Generator) -> Pose:
+    """Add the small sway of a living body to everything but the feet."""
+
+    def sway(*shape: int) -> Array:
+        weights = rng.normal(0.0, 0.6, (3, *shape))
+        phases = rng.uniform(0.0, 2.0 * np.pi, (3, *shape))
+        turns = 2.0 * np.pi * np.multiply.outer(time, _SWAY_RATES)
+        turns = turns.reshape(len(time), 3, *(1 for _ in shape))
+        return np.asarray(np.sum(weights * np.sin(turns + phases), axis=1))
+
+    wobble = np.concatenate([np.ones((len(time), 2, 1)), 0.01 * sway(2, 3)], axis=-1)
+    return replace(
+        pose,
+        root=pose.root + sway(3) * np.array([0.006, 0.0, 0.006]),
+        pelvis=pose.pelvis + 0.008 * sway(3),
+        spine=pose.spine + 0.015 * sway(3),
+        head=pose.head + 0.03 * sway(3),
+        arm=multiply(normalize(wobble), pose.arm),
+        elbow=np.clip(pose.elbow + 0.03 * sway(2), 0.02, 2.6),
+        hand=pose.hand + 0.1 * sway(2, 2) + np.array([0.0, 0.1]),
+    )
