@@ -24,6 +24,14 @@ __all__ = ["Tracking", "build_humanoid", "from_mujoco", "to_mujoco"]
 GRAVITY = 9.81
 """Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
 
+# Time constant of two steps, the stiffest that MuJoCo allows, and next to no give.
+_HARD_FLOOR = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
+# Thin capsules have next to no inertia about their axis, and a jumping target spins
+# them up: the inertia of a hand about the wrist, and a tissue damping that takes a
+# tenth of a second to stop a part. Both tried: without, failed takes diverge.
+_ARMATURE = 0.003  # kg m^2
+_PASSIVE_DAMPING = 10.0  # 1/s
+
 _TO_MUJOCO = [2, 0, 1]  # forward, left, up from left (x), up (y), forward (z)
 _FROM_MUJOCO = [1, 2, 0]
 
@@ -79,7 +87,7 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
     spec = mujoco.MjSpec()
     spec.modelname = "kinefilter"
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
-    spec.option.timestep = 1.0 / 120.0
+    spec.option.timestep = 1.0 / 240.0
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     world = spec.worldbody
@@ -90,6 +98,8 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
         contype=1,
         conaffinity=1,
         friction=[1.0, 0.005, 0.0001],
+        solref=_HARD_FLOOR[0],
+        solimp=_HARD_FLOOR[1],
     )
     world.add_site(name="world")
     _add_bodies(spec, body)
@@ -106,10 +116,14 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
     offsets = to_mujoco(body.rest_offsets)
     rest_root = to_mujoco(body.rest_positions[root])
     # Parts pass through each other and rest on the floor.
-    collides = {"contype": 0, "conaffinity": 1, "condim": 3}
-    parts = {
-        root: spec.worldbody.add_body(name=skeleton.joints[root], pos=rest_root)
+    collides = {
+        "contype": 0,
+        "conaffinity": 1,
+        "condim": 3,
+        "solref": _HARD_FLOOR[0],
+        "solimp": _HARD_FLOOR[1],
     }
+    parts = {root: spec.worldbody.add_body(name=skeleton.joints[root], pos=rest_root)}
     parts[root].add_freejoint(name=skeleton.joints[root])
     parts[root].add_geom(
         name=skeleton.joints[root],
@@ -123,7 +137,13 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         name = skeleton.joints[j]
         start = np.zeros(3) if p == root else offsets[p]
         parts[j] = parts[p].add_body(name=name, pos=start)
-        parts[j].add_joint(name=name, type=mujoco.mjtJoint.mjJNT_BALL)
+        swing = body.masses[j] * body.lengths[j] ** 2 / 3.0 + _ARMATURE
+        parts[j].add_joint(
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_BALL,
+            armature=_ARMATURE,
+            damping=[_PASSIVE_DAMPING * swing, 0.0, 0.0],
+        )
         parts[j].add_geom(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,

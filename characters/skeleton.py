@@ -94,9 +94,7 @@ def _skeleton(name: str, hierarchy: str) -> Skeleton:
     """Build a Skeleton from ``joint:parent`` words in the sensor's order."""
     pairs = [word.partition(":")[::2] for word in hierarchy.split()]
     joints = tuple(joint for joint, _ in pairs)
-    return Skeleton(
-        name, joints, tuple(joints.index(p) if p else -1 for _, p in pairs)
-    )
+    return Skeleton(name, joints, tuple(joints.index(p) if p else -1 for _, p in pairs))
 
 
 KINECT_V1 = _skeleton(

@@ -73,7 +73,9 @@ def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
         found = corrector.step(Observation(standard, rate, geometry))
         target = standardizer.undo(found.positions, view)
         marks.append(perf_counter())
-        target = put_on_floor(lengths.project((target - floor)[None], found.trust[None]), body)[0]
+        target = put_on_floor(
+            lengths.project((target - floor)[None], found.trust[None]), body
+        )[0]
         prior = found.rotations
         if prior is not None:
             prior = view.restore_rotations(prior)

@@ -148,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: done. 2: the input or the command was wrong; nothing was written.
     """
     command = tyro.cli(
-        Command,  # type: ignore[arg-type]  # a union of annotated commands, as tyro asks
+        Command,
         prog="kinefilter",
         description="Turn noisy Kinect takes into clips that animators ship.",
         args=arguments,

@@ -75,8 +75,11 @@ class PostureDatabase:
 
     @cached_property
     def spacing(self) -> float:
-        """Distance [m] between neighboring postures: the median over the database of
-        the root mean square distance of the joints to the nearest other posture."""
+        """Distance [m] between neighboring postures.
+
+        The median over the database of the root mean square distance of the joints to
+        those of the nearest other posture.
+        """
         from sklearn.neighbors import NearestNeighbors
 
         index = NearestNeighbors(n_neighbors=2).fit(self.flat)

@@ -42,7 +42,10 @@ def floor_height(positions: Array, trust: Array, body: Body) -> float:
 
 
 def put_on_floor(positions: Array, body: Body) -> Array:
-    """Return positions (T, J, 3) with every joint at least its radius over y = 0."""
+    """Return positions (T, J, 3) with no capsule that ends at a joint under y = 0."""
+    skeleton = body.skeleton
+    clearance = body.radii.copy()
+    np.maximum.at(clearance, skeleton.segment_parents, body.radii[skeleton.segments])
     lifted = positions.copy()
-    np.maximum(lifted[..., 1], body.radii, out=lifted[..., 1])
+    np.maximum(lifted[..., 1], clearance, out=lifted[..., 1])
     return lifted

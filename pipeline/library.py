@@ -162,7 +162,9 @@ def _postures_of(bvh: Bvh, skeleton: Skeleton, file: Path) -> tuple[Array, Array
         .read_text(encoding="utf-8")
     )
     joints = {**rig["limbs"], **rig[skeleton.name]}
-    needed = {name for row in joints.values() for name in (*row["at"], row["turned_by"])}
+    needed = {
+        name for row in joints.values() for name in (*row["at"], row["turned_by"])
+    }
     missing = sorted(needed - set(bvh.names))
     if missing:
         raise InputError(

@@ -127,8 +127,10 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float]:
 
 
 def amplitude(positions: Array, body: Body) -> Array:
-    """Return each joint's root mean square movement [m] about its mean place under the
-    root, NaN for the root and for joints never seen, shape (J,)."""
+    """Return how far each joint moves about its mean place under the root, (J,).
+
+    Root mean square distance [m]; NaN for the root and for joints never seen.
+    """
     relative = positions - positions[:, [body.skeleton.root]]
     moves = np.full(positions.shape[1], np.nan)
     for j in body.skeleton.segments:

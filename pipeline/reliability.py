@@ -67,10 +67,11 @@ class Reliability:
 
 
 def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
-    """Return the length [m] of the segment that ends at each joint, root 0, (..., J)."""
+    """Return the length [m] of each joint's segment, root 0, shape (..., J)."""
     lengths = np.zeros(positions.shape[:-1])
     bones = (
-        positions[..., skeleton.segments, :] - positions[..., skeleton.segment_parents, :]
+        positions[..., skeleton.segments, :]
+        - positions[..., skeleton.segment_parents, :]
     )
     lengths[..., skeleton.segments] = np.sqrt(np.sum(bones * bones, axis=-1))
     return lengths
@@ -105,7 +106,11 @@ def _trunk_directions(take: Take) -> Array:
     directions = np.full((len(skeleton), 3), np.nan)
     girdle = skeleton.parents[skeleton.index("ShoulderLeft")]
     trunk = [
-        *(skeleton.index(p + s) for p in ("Hip", "Shoulder") for s in ("Left", "Right")),
+        *(
+            skeleton.index(p + s)
+            for p in ("Hip", "Shoulder")
+            for s in ("Left", "Right")
+        ),
         *_chain(skeleton, girdle),
     ]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
@@ -197,7 +202,7 @@ class ReliabilityScorer:
         n = len(self.skeleton)
         self._before: list[Array] = []
         self._angles = np.zeros((VIBRATION_FRAMES, n))
-        self._scores: list[tuple[Array, Array]] = []
+        self._scores: list[Array] = []
 
     def step(
         self, positions: Array, state: NDArray[np.uint8]
@@ -218,14 +223,13 @@ class ReliabilityScorer:
         terms = np.stack([behavior, kinematics, tracked])
         term = np.argmin(terms, axis=0).astype(np.uint8)
         geometry = np.minimum(behavior, kinematics)
-        self._scores.insert(0, (np.minimum(geometry, tracked), geometry))
-        del self._scores[RATE_FRAMES:]
+        scores = np.stack([np.minimum(geometry, tracked), geometry])
+        self._scores = [scores, *self._scores[: RATE_FRAMES - 1]]
         # Eq. 8, the weights normalized over the frames there are.
         weights = self._weights[: len(self._scores)]
         weights = weights / weights.sum()
-        rate = sum(w * score for w, (score, _) in zip(weights, self._scores, strict=True))
-        shape = sum(w * score for w, (_, score) in zip(weights, self._scores, strict=True))
-        return np.asarray(rate), term, np.asarray(shape)
+        rate, shape = np.tensordot(weights, self._scores, axes=1)
+        return rate, term, shape
 
     def score(self, take: Take) -> Reliability:
         """Score a whole take: the same as ``start`` and a ``step`` per frame."""

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, InputError, Origin, Skeleton, Take
-from kinefilter.retarget.bone_lengths import BoneLengths
 from kinefilter.retarget.body_size import Standardizer, measured_body
+from kinefilter.retarget.bone_lengths import BoneLengths
 from kinefilter.retarget.kinematics import positions_from_rotations
-from kinefilter.retarget.normalise import View
 from kinefilter.retarget.orientation import rotations_from_positions
 from kinefilter.retarget.rotations import continuous, normalize
 

@@ -36,7 +36,9 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
     grid = np.concatenate([[0], np.cumsum(_frames(steps))])
     length = int(grid[-1]) + 1
     # A sine of the cutoff frequency keeps 1 / (1 + lambda |2 sin(w/2)|^6) = 1/2.
-    stiffness = (2.0 * np.sin(np.pi * cutoff * float(np.median(steps)))) ** (-2 * _ORDER)
+    stiffness = (2.0 * np.sin(np.pi * cutoff * float(np.median(steps)))) ** (
+        -2 * _ORDER
+    )
     bands = stiffness * _penalty(length)
     smoothed = np.empty_like(values)
     for j in range(values.shape[1]):

@@ -54,18 +54,16 @@ def measured_body(
     known = np.where(lengths > 0, lengths, np.nan)
     known = _mean_of_sides(known, known[skeleton.mirror])
     if height is None:
-        ratios = known[skeleton.segments] / average[skeleton.segments]
-        seen = np.isfinite(ratios)
-        # The long segments say most about stature, and say it most precisely.
-        height = STANDARD_HEIGHT * (
-            _weighted_median(ratios[seen], average[skeleton.segments][seen])
-            if seen.any()
-            else 1.0
-        )
+        upright = _head_to_ankle(skeleton)
+        upright = upright[np.isfinite(known[upright])]
+        share = known[upright].sum() / average[upright].sum() if len(upright) else 1.0
+        height = STANDARD_HEIGHT * float(share)
     body = standard_body(skeleton, height=height, mass=mass)
     factor = np.array(
-        [_ODDEST_LIMB if "Left" in j or "Right" in j else _ODDEST_TRUNK
-         for j in skeleton.joints]
+        [
+            _ODDEST_LIMB if "Left" in j or "Right" in j else _ODDEST_TRUNK
+            for j in skeleton.joints
+        ]
     )
     sane = (known < factor * body.lengths) & (known * factor > body.lengths)
     lengths = np.where(sane, known, body.lengths)
@@ -87,10 +85,14 @@ def _mean_of_sides(values: Array, mirrored: Array) -> Array:
     )
 
 
-def _weighted_median(values: Array, weights: Array) -> float:
-    order = np.argsort(values)
-    below = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(below, below[-1] / 2.0)])
+def _head_to_ankle(skeleton: Skeleton) -> NDArray[np.intp]:
+    """Return the segments that stature is stacked from: head to hips, and a leg."""
+    stack = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
+    joint = skeleton.index("Head")
+    while joint != skeleton.root:
+        stack.append(joint)
+        joint = skeleton.parents[joint]
+    return np.array(stack)
 
 
 class Standardizer:

@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 12
 _EXACT = 1e-7  # m
-_FIRMNESS_OF_INVENTED = 0.02  # against a measured joint's 1: it moves fifty times as far
+_FIRMNESS_OF_INVENTED = (
+    0.02  # against a measured joint's 1: it moves fifty times as far
+)
 
 
 class BoneLengths:

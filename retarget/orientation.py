@@ -55,9 +55,7 @@ def _pelvis(positions: Array, body: Body) -> Array:
     """Return the pelvis' rotation: x through the hips, y towards the spine."""
     skeleton = body.skeleton
     left, right = skeleton.index("HipLeft"), skeleton.index("HipRight")
-    (spine,) = (
-        c for c in skeleton.children[skeleton.root] if c not in (left, right)
-    )
+    (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
     x = positions[..., left, :] - positions[..., right, :]
     up = positions[..., spine, :] - positions[..., skeleton.root, :]
     z = np.cross(x, up)

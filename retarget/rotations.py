@@ -53,7 +53,8 @@ def inverse(q: Array) -> Array:
 def normalize(q: Array) -> Array:
     """Scale quaternions to unit length; a zero quaternion becomes the identity."""
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(norm > 0.0, q / np.where(norm > 0.0, norm, 1.0), IDENTITY)
+    unit = np.asarray(q) / np.where(norm > 0.0, norm, 1.0)
+    return np.asarray(np.where(norm > 0.0, unit, IDENTITY))
 
 
 def rotate(q: Array, v: Array) -> Array:
@@ -61,7 +62,7 @@ def rotate(q: Array, v: Array) -> Array:
     q, v = np.asarray(q), np.asarray(v)
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * _cross(u, v)
-    return v + w * t + _cross(u, t)
+    return np.asarray(v + w * t + _cross(u, t))
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -112,9 +112,7 @@ class LocalPCA:
         before, last = self._last
         return 2.0 * last - before
 
-    def _cover(
-        self, measured: Array, rate: Array, nearest: NDArray[np.intp]
-    ) -> float:
+    def _cover(self, measured: Array, rate: Array, nearest: NDArray[np.intp]) -> float:
         """Return how well the database knows the posture, in [0, 1].
 
         Fully, as far as its own postures lie apart and the sensor errs (both in root

@@ -59,7 +59,7 @@ class PostureSpace:
 
     def posture(self, latent: Array) -> Array:
         """Return postures (..., 3 J) of latent points (..., d)."""
-        return self.mean + latent @ self.basis.T
+        return np.asarray(self.mean + latent @ self.basis.T)
 
 
 class PostureEnergy:
@@ -95,7 +95,7 @@ class PostureEnergy:
         self.steady = steady
 
     def __call__(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Return the energy (N,) of postures (N, 3 J) and each one's nearest neighbor."""
+        """Return energies (N,) of postures (N, 3 J), and their nearest neighbors."""
         w = self.weights
         away = postures - self.measured
         control = (away * away) @ self.rate  # eq. 10

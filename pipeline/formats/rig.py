@@ -22,13 +22,13 @@ class Rig:
 
     In a clip every segment has a rotation of its own, so the segments that leave one
     joint turn apart. Animation formats let a node turn all that hangs on it. So where
-    a joint branches, a node ``<Child>Base`` sits in the same place for each child and
+    a joint branches, a node ``<Child>Pivot`` sits in the same place for each child and
     turns with the child's segment; a joint with one child turns with that child's
     segment, a leaf with its own. Nodes are listed depth first.
     """
 
     names: tuple[str, ...]
-    """Name of each node: the sensor's for a joint, ``<Child>Base`` for a helper."""
+    """Name of each node: the sensor's for a joint, ``<Child>Pivot`` for a helper."""
     parents: tuple[int, ...]
     """Index of each node's parent, -1 for the root."""
     offsets: NDArray[np.float64]
@@ -118,7 +118,7 @@ def _nodes(skeleton: Skeleton, joint: int, parent: int, index: int) -> Iterator[
         above = index
         if branches:
             above = index + count
-            yield _Node(f"{skeleton.joints[child]}Base", index, None, child)
+            yield _Node(f"{skeleton.joints[child]}Pivot", index, None, child)
             count += 1
         for node in _nodes(skeleton, child, above, index + count):
             yield node

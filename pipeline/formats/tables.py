@@ -7,7 +7,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, Take
+from kinefilter.characters import Clip, Origin, State, Take
 
 from .files import atomic_path
 
@@ -20,7 +20,8 @@ def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
     """Write time [s], joint positions [m] and states, one row per frame.
 
     The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` with the joints in
-    the sensor's order. Positions have nine decimals, time as many as it needs to read
+    the sensor's order. In a clip, the state of a joint that was not measured as it is
+    is inferred. Positions have nine decimals, time as many as it needs to read
     back the same; a missing coordinate is an empty cell.
 
     Raises:
@@ -42,7 +43,10 @@ def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
 
 def _numbers(motion: Take | Clip, frames: slice) -> NDArray[np.float64]:
     """Return the rows of some frames, shape (T, 1 + 4 J)."""
-    time = motion.time[frames]
-    state = motion.state[frames, :, None].astype(np.float64)
-    joints = np.concatenate([motion.positions[frames], state], axis=-1)
+    time, state = motion.time[frames], motion.state[frames]
+    if isinstance(motion, Clip):
+        # What the sensor did not see has a place now, but only inferred.
+        measured = motion.origin[frames] == Origin.MEASURED
+        state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
+    joints = np.concatenate([motion.positions[frames], state[..., None]], axis=-1)
     return np.concatenate([time[:, None], joints.reshape(len(time), -1)], axis=1)
