@@ -31,6 +31,9 @@ _HARD_FLOOR = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
 # tenth of a second to stop a part. Both tried: without, failed takes diverge.
 _ARMATURE = 0.003  # kg m^2
 _PASSIVE_DAMPING = 10.0  # 1/s
+# Turning a segment about its axis turns what hangs on it, at an angle: the share of its
+# inertia across the axis that the torque's gains are made for.
+_TURNED_ALONG = 0.1
 
 _TO_MUJOCO = [2, 0, 1]  # forward, left, up from left (x), up (y), forward (z)
 _FROM_MUJOCO = [1, 2, 0]
@@ -115,6 +118,7 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
     skeleton, root = body.skeleton, body.skeleton.root
     offsets = to_mujoco(body.rest_offsets)
     rest_root = to_mujoco(body.rest_positions[root])
+    swing = _swing_inertias(body)
     # Parts pass through each other and rest on the floor.
     collides = {
         "contype": 0,
@@ -137,12 +141,11 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         name = skeleton.joints[j]
         start = np.zeros(3) if p == root else offsets[p]
         parts[j] = parts[p].add_body(name=name, pos=start)
-        swing = body.masses[j] * body.lengths[j] ** 2 / 3.0 + _ARMATURE
         parts[j].add_joint(
             name=name,
             type=mujoco.mjtJoint.mjJNT_BALL,
             armature=_ARMATURE,
-            damping=[_PASSIVE_DAMPING * swing, 0.0, 0.0],
+            damping=[_PASSIVE_DAMPING * swing[j], 0.0, 0.0],
         )
         parts[j].add_geom(
             name=name,
@@ -181,7 +184,7 @@ def _add_forces(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
 def _add_torques(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
     """Add the torque about each segment's axis, all axes for the root (eq. 17)."""
     skeleton, omega = body.skeleton, tracking.twist_frequency
-    inertias = 0.5 * body.masses * body.radii**2
+    inertias = _TURNED_ALONG * _swing_inertias(body)
     # The pelvis carries the hips, which lie on a lever of their own length.
     hips = np.array(skeleton.children[skeleton.root])
     inertias[skeleton.root] += float(body.masses[hips] @ body.lengths[hips] ** 2) / 3.0
@@ -201,6 +204,11 @@ def _add_torques(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
                 damping=2.0 * inertias[j] * omega,
                 bound=inertias[j] * tracking.largest_angular_acceleration,
             )
+
+
+def _swing_inertias(body: Body) -> NDArray[np.float64]:
+    """Return the inertia of each segment about its start [kg m^2], shape (J,)."""
+    return np.asarray(body.masses * body.lengths**2 / 3.0 + _ARMATURE)
 
 
 def _add_pd(

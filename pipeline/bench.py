@@ -21,7 +21,7 @@ from .correct.local_pca import LocalPCA
 from .floor import floor_height, put_on_floor
 from .formats import read_take
 from .library import embedded_database
-from .physics import PhysicsFilter
+from .physics import PhysicsFilter, substeps_in
 from .reliability import ReliabilityScorer, measure_reference
 
 __all__ = ["as_table", "bench"]
@@ -96,13 +96,14 @@ def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
             **dict(zip(_STAGES, stages.tolist(), strict=True)),
             "total": float(np.median(times[_WARM_UP:].sum(axis=1)) * 1e3),
         },
-        "mj_step_ms_per_frame": _bare_physics(character, len(take)),
+        "mj_step_ms_per_frame": _bare_physics(character, len(take), 1.0 / take.fps),
     }
 
 
-def _bare_physics(character: PhysicsFilter, frames: int) -> float:
+def _bare_physics(character: PhysicsFilter, frames: int, dt: float) -> float:
     """Return milliseconds a frame of nothing but the engine's substeps."""
-    substeps = 4
+    substeps = substeps_in(dt)
+    character.model.opt.timestep = dt / substeps
     times = np.zeros(frames)
     for k in range(frames):
         start = perf_counter()

@@ -50,11 +50,15 @@ class Clean:
 
     def run(self) -> int:
         """Clean, write, print."""
-        from .formats import check_writable, read_take, write_clip
+        from .formats import check_folder, check_writable, read_take, write_clip
         from .run import clean
         from .summary import as_json, as_tables
 
         check_writable(self.out)
+        _keep(self.out, self.take, self.config.database)
+        if self.json is not None:
+            check_folder(self.json)
+            _keep(self.json, self.take, self.config.database, self.out)
         take = read_take(self.take, format=self.format)
         with _progress() as progress:
             result = clean(take, self.config, progress=progress)
@@ -81,7 +85,7 @@ class DatabaseBuild:
 
     def run(self) -> int:
         """Build and write."""
-        from .formats.files import check_folder
+        from .formats import check_folder
         from .library import database_from_bvh
 
         if self.out.suffix != ".npz":
@@ -89,6 +93,7 @@ class DatabaseBuild:
         if self.count < 2:
             raise InputError(f"--count {self.count}: a database needs two postures")
         check_folder(self.out)
+        _keep(self.out, *self.files)
         with _progress() as progress:
             database = database_from_bvh(
                 self.files,
@@ -127,7 +132,11 @@ class Bench:
     def run(self) -> int:
         """Time and print."""
         from .bench import as_table, bench
+        from .formats import check_folder
 
+        if self.json is not None:
+            check_folder(self.json)
+            _keep(self.json, self.take)
         figures = bench(self.take)
         if self.json is not None:
             _write_json(figures, self.json)
@@ -158,6 +167,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         _err.print(f"kinefilter: {error}", markup=False)
         return 2
+
+
+def _keep(written: Path, *others: Path | None) -> None:
+    """Raise an InputError if a file to write is one that must not be lost."""
+    for other in others:
+        if other is not None and written.resolve() == other.resolve():
+            raise InputError(
+                f"{written}: would overwrite {other}; give another name to write to"
+            )
 
 
 @contextmanager

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body
 
-from .reliability import segment_lengths
-
 __all__ = [
     "Quality",
     "amplitude",
@@ -60,11 +58,14 @@ def bone_length_cv(positions: Array, body: Body) -> float:
         positions: Joint positions [m], NaN where missing, shape (T, J, 3).
         body: The skeleton.
     """
-    lengths = segment_lengths(positions, body.skeleton)[:, body.skeleton.segments]
-    lengths = lengths[:, (~np.isnan(lengths)).sum(axis=0) > 1]
-    if lengths.shape[1] == 0:
-        return float("nan")
-    return float(np.mean(np.nanstd(lengths, axis=0) / np.nanmean(lengths, axis=0)))
+    variations = []
+    for j in body.skeleton.segments:
+        bones = positions[:, j] - positions[:, body.skeleton.parents[j]]
+        lengths = np.linalg.norm(bones, axis=1)
+        lengths = lengths[~np.isnan(lengths)]
+        if len(lengths) > 1:
+            variations.append(lengths.std() / lengths.mean())
+    return float(np.mean(variations)) if variations else float("nan")
 
 
 def jitter(time: Array, positions: Array) -> float:
@@ -83,7 +84,12 @@ def jitter(time: Array, positions: Array) -> float:
     nominal = float(np.median(steps[steps > 0]))
     even = np.abs(steps - nominal) < 0.5 * nominal
     runs = even[:-2] & even[1:-1] & even[2:]
-    third = np.linalg.norm(np.diff(positions, n=3, axis=0)[runs], axis=-1)
+    third = np.concatenate(
+        [
+            np.linalg.norm(np.diff(positions[:, j], n=3, axis=0)[runs], axis=1)
+            for j in range(positions.shape[1])
+        ]
+    )
     third = third[~np.isnan(third)]
     return float(third.mean() / nominal**3) if len(third) else float("nan")
 

@@ -32,7 +32,7 @@ from kinefilter.retarget.rotations import (
     rotation_vector,
 )
 
-__all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace"]
+__all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace", "substeps_in"]
 
 Array = NDArray[np.float64]
 
@@ -75,6 +75,11 @@ class PhysicsResult:
         """``ok``, or how many frames had to be reset."""
         resets = int(self.trace.reset.sum())
         return "ok" if resets == 0 else f"{resets} diverging frames reset"
+
+
+def substeps_in(dt: float) -> int:
+    """Return into how many simulation steps a frame of ``dt`` [s] is divided."""
+    return max(1, int(np.ceil(dt / SUBSTEP - 1e-3)))
 
 
 class PhysicsFilter:
@@ -131,7 +136,7 @@ class PhysicsFilter:
             np.sum(before_q * after_q, axis=1, keepdims=True) < 0, -after_q, after_q
         )
         self._target = (after_p, after_q)
-        substeps = max(1, int(np.ceil(dt / SUBSTEP - 1e-3)))
+        substeps = substeps_in(dt)
         self.model.opt.timestep = dt / substeps
         n = after_p.size
         velocity = ((after_p - before_p) / dt).ravel()
@@ -142,7 +147,8 @@ class PhysicsFilter:
         )
         ctrl, data = self.data.ctrl, self.data
         ctrl[n:] = feed_forward[n:]
-        for k in range(1, substeps + 1):
+        for k in range(substeps):
+            # The engine compares the target with the state at the step's beginning.
             share = k / substeps
             point = before_p + share * (after_p - before_p)
             ctrl[:n] = self._stiffness[:n] * point.ravel() + feed_forward[:n]
@@ -220,7 +226,7 @@ class PhysicsFilter:
         """
         count = len(time)
         result = np.empty_like(rotations)
-        roots = np.empty((count, 3))
+        joints = np.empty_like(positions)
         trace = PhysicsTrace(
             np.zeros(count),
             np.zeros(count),
@@ -234,13 +240,12 @@ class PhysicsFilter:
             else:
                 dt = float(time[k] - time[k - 1])
                 trace.reset[k] = not self.step(positions[k], rotations[k], dt)
-            result[k], roots[k] = self.rotations, self.root
+            result[k] = self.rotations
+            joints[k] = positions_from_rotations(result[k], self.root, self.body)
             trace.tracking_error[k] = self.tracking_error
             trace.external_force[k] = self.external_force
             trace.contacts[k] = self.data.ncon
-        result = continuous(result)
-        joints = positions_from_rotations(result, roots, self.body)
-        return PhysicsResult(result, joints, trace)
+        return PhysicsResult(continuous(result), joints, trace)
 
     def _settle(self, dt: float) -> None:
         """Hold the first target until the start-up transient is gone."""

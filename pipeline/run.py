@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +34,7 @@ Progress = Callable[[str, int], Iterable[int]]
 """Called with a stage's name and its number of frames; returns their iterator."""
 
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
+_CHUNK = 4096  # frames
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother, against a measured one's 1
 
 
@@ -78,7 +79,8 @@ def clean(
     _check(take)
     corrector = make_corrector(take.skeleton, config)
     distinct = np.concatenate([[True], np.diff(take.time) > 0])
-    frames = np.cumsum(distinct) - 1  # which distinct frame each of the take's shows
+    # Which distinct frame each of the take's shows; a slice copies nothing.
+    frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
     source, take = take, _select(take, distinct)
 
     reference = measure_reference(take)
@@ -99,10 +101,8 @@ def clean(
     raw = take.positions - floor
     target = BoneLengths(body).project(target - floor, corrected.trust)
     target = put_on_floor(target, body)
-    rotations = continuous(
-        rotations_from_positions(target, body, corrected.twist(take.time))
-    )
-    positions = positions_from_rotations(rotations, target[:, take.skeleton.root], body)
+    rotations = _orient(target, body, corrected.twist(take.time))
+    positions = _pose(rotations, target[:, take.skeleton.root], body)
     stages = {
         "raw": measure(take.time, raw, raw, body),
         "corrected": measure(take.time, positions, raw, body),
@@ -192,19 +192,44 @@ class _Corrected:
     trust: Array
     coverage: Array
 
-    def twist(self, time: Array) -> Array | None:
+    def twist(self, time: Array) -> NDArray[np.float32] | None:
         """Return the prior rotations, smoothed, that twist is taken from."""
         if self.rotations is None:
             return None
-        signed = continuous(self.rotations.astype(float))
-        weights = np.ones(signed.shape[:2])
-        return normalize(smooth(time, signed, weights, cutoff=_TWIST_CUTOFF))
+        smoothed = np.empty_like(self.rotations)
+        weights = np.ones((len(time), 1))
+        for j in range(smoothed.shape[1]):
+            signed = continuous(self.rotations[:, j, None].astype(float))
+            smoothed[:, j] = smooth(time, signed, weights, cutoff=_TWIST_CUTOFF)[:, 0]
+        return smoothed
 
     def origin(self, raw: Array) -> NDArray[np.uint8]:
         """Return where each joint came from (Origin), shape (T, J)."""
         origin = np.where(self.trust >= 1.0, Origin.MEASURED, Origin.CORRECTED)
         filled = np.isnan(raw[..., 0])
         return np.where(filled, Origin.FILLED, origin).astype(np.uint8)
+
+
+def _orient(positions: Array, body: Body, prior: NDArray[np.float32] | None) -> Array:
+    """Return segment rotations of a motion, continuous over time, (T, J, 4)."""
+    rotations = np.empty((*positions.shape[:2], 4))
+    for part in _chunks(len(positions)):
+        twist = None if prior is None else normalize(prior[part].astype(float))
+        rotations[part] = rotations_from_positions(positions[part], body, twist)
+    return continuous(rotations)
+
+
+def _pose(rotations: Array, root: Array, body: Body) -> Array:
+    """Return the joint positions of a motion [m], shape (T, J, 3)."""
+    positions = np.empty((*rotations.shape[:2], 3))
+    for part in _chunks(len(rotations)):
+        positions[part] = positions_from_rotations(rotations[part], root[part], body)
+    return positions
+
+
+def _chunks(count: int) -> Iterator[slice]:
+    """Yield slices that cover ``count`` frames: an hour's take fits a gigabyte."""
+    return (slice(k, k + _CHUNK) for k in range(0, count, _CHUNK))
 
 
 def _correct(

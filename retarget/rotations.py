@@ -47,7 +47,7 @@ def multiply(a: Array, b: Array) -> Array:
 
 def inverse(q: Array) -> Array:
     """Return the inverse of unit quaternions, shape (..., 4)."""
-    return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def normalize(q: Array) -> Array:
@@ -124,8 +124,9 @@ def wxyz_from_matrix(matrix: Array) -> Array:
 
 def continuous(q: Array) -> Array:
     """Flip signs along axis 0 so that neighbours lie on one hemisphere, (T, ..., 4)."""
-    if len(q) == 0:
-        return q.copy()
-    dots = np.sum(q[1:] * q[:-1], axis=-1)
-    flips = np.cumprod(np.where(dots < 0.0, -1.0, 1.0), axis=0)
-    return np.concatenate([q[:1], q[1:] * flips[..., None]])
+    signed = q.copy()
+    if len(q) > 1:
+        dots = np.einsum("...k,...k->...", q[1:], q[:-1])
+        flips = np.cumprod(np.where(dots < 0.0, -1.0, 1.0), axis=0)
+        signed[1:] *= flips[..., None]
+    return signed

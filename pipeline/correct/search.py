@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from .posture_space import PostureEnergy, PostureSpace
 
@@ -45,11 +45,12 @@ def solve(space: PostureSpace, energy: PostureEnergy, start: Array) -> Array:
     for _ in range(_STEPS):
         errors, bones, lengths = energy.segment_errors(space.posture(latent[None]))
         directions = bones[0] / np.maximum(lengths[0], 1e-9)[:, None]
-        slope = np.einsum("sa,sad->sd", directions, bone_basis)
+        slope = (directions[:, None] @ bone_basis)[:, 0]
         stiff = w.kinematics / len(slope)
         curvature = hessian + stiff * slope.T @ slope
         pull = fixed + stiff * slope.T @ (slope @ latent - errors[0])
-        points = cho_solve(cho_factor(curvature), (pull + per_neighbor).T).T
+        # LAPACK itself: the wrappers' checks take as long as the 20 x 20 solution.
+        points = dposv(curvature, (pull + per_neighbor).T)[1].T
         energies = energy(space.posture(points))[0]
         k = int(np.argmin(energies))
         step, lowered = points[k] - latent, float(energies[k])

@@ -4,7 +4,7 @@ from .archive import read_clip
 from .bvh import Bvh
 from .bvh_reader import read_bvh
 from .clips import check_writable, write_clip
-from .files import atomic_path
+from .files import atomic_path, check_folder
 from .tables import write_take_csv
 from .takes import read_take
 from .usd import read_usd_positions
@@ -12,6 +12,7 @@ from .usd import read_usd_positions
 __all__ = [
     "Bvh",
     "atomic_path",
+    "check_folder",
     "check_writable",
     "read_bvh",
     "read_clip",

@@ -1,0 +1,129 @@
+"""The capsule humanoid as MuJoCo compiles it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters.humanoid import (
+    Tracking,
+    build_humanoid,
+    from_mujoco,
+    joint_masses,
+    to_mujoco,
+)
+from kinefilter.retarget.rotations import about_y, rotate
+
+both_skeletons = pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+
+
+def test_forward_left_and_up_are_the_axes_of_mujoco() -> None:
+    forward, left, up = np.eye(3)[[2, 0, 1]]
+    np.testing.assert_array_equal(to_mujoco(np.array([forward, left, up])), np.eye(3))
+
+
+def test_coming_back_from_mujoco_changes_nothing() -> None:
+    rng = np.random.default_rng(0)
+    for width in (3, 4):
+        values = rng.standard_normal((5, width))
+        np.testing.assert_array_equal(from_mujoco(to_mujoco(values)), values)
+
+
+def test_rotating_and_going_to_mujoco_commute() -> None:
+    rng = np.random.default_rng(1)
+    vectors = rng.standard_normal((7, 3))
+    turns = about_y(rng.uniform(-3, 3, 7))
+    np.testing.assert_allclose(
+        to_mujoco(rotate(turns, vectors)),
+        rotate(to_mujoco(turns), to_mujoco(vectors)),
+        atol=1e-12,
+    )
+
+
+@both_skeletons
+def test_the_compiled_model_has_the_bodys_masses_lengths_and_radii(
+    skeleton: Skeleton,
+) -> None:
+    body = standard_body(skeleton, height=1.62, mass=55.0)
+    model = build_humanoid(body).compile()
+    compared = 0
+    for j in skeleton.segments:
+        name = skeleton.joints[j]
+        geom = model.geom(name)
+        assert model.body(name).mass[0] == pytest.approx(body.masses[j])
+        assert geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE
+        assert 2 * geom.size[1] == pytest.approx(body.lengths[j])
+        assert geom.size[0] == pytest.approx(body.radii[j])
+        assert model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_BALL
+        compared += 1
+    assert compared == len(skeleton) - 1
+    moving = [model.body(name).id for name in skeleton.joints]
+    assert model.body_mass[moving].sum() == pytest.approx(55.0)
+    assert model.joint(skeleton.joints[skeleton.root]).type[0] == (
+        mujoco.mjtJoint.mjJNT_FREE
+    )
+
+
+@both_skeletons
+def test_it_stands_in_t_pose_with_its_soles_on_the_floor(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    model = build_humanoid(body).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    sites = [model.site(name).id for name in skeleton.joints]
+    np.testing.assert_allclose(
+        from_mujoco(data.site_xpos[sites]), body.rest_positions, atol=1e-9
+    )
+
+
+@both_skeletons
+def test_joint_masses_sum_to_the_body(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton, mass=81.0)
+    assert joint_masses(body).sum() == pytest.approx(81.0)
+
+
+def test_gains_and_bounds_follow_from_mass_and_frequency() -> None:
+    body = standard_body(KINECT_V1)
+    tracking = Tracking(natural_frequency=50.0, largest_acceleration=120.0)
+    model = build_humanoid(body, tracking).compile()
+    compared = 0
+    for joint, mass in zip(KINECT_V1.joints, joint_masses(body), strict=True):
+        for axis in "xyz":
+            actuator = model.actuator(f"pull:{joint}:{axis}")
+            assert -actuator.biasprm[1] == pytest.approx(mass * 50.0**2)
+            assert -actuator.biasprm[2] == pytest.approx(2 * mass * 50.0)
+            # Three axes at their limit stay within the bound of the vector.
+            assert actuator.forcerange[1] * np.sqrt(3) == pytest.approx(mass * 120.0)
+            compared += 1
+    assert compared == 60
+
+
+def test_without_forces_it_falls_freely() -> None:
+    body = standard_body(KINECT_V1)
+    model = build_humanoid(body).compile()
+    model.actuator_forcerange[:] = [-1e-12, 1e-12]
+    data = mujoco.MjData(model)
+    data.qpos[2] += 5.0
+    before = data.qpos[2]
+    steps = 120
+    for _ in range(steps):
+        mujoco.mj_step(model, data)
+    # Semi-implicit Euler falls g dt^2 n (n + 1) / 2.
+    dt = model.opt.timestep
+    fallen = 9.81 * dt**2 * steps * (steps + 1) / 2
+    assert before - data.qpos[2] == pytest.approx(fallen, rel=1e-9)
+
+
+def test_without_forces_it_ends_lying_on_the_floor() -> None:
+    body = standard_body(KINECT_V1)
+    model = build_humanoid(body).compile()
+    model.actuator_forcerange[:] = [-1e-12, 1e-12]
+    data = mujoco.MjData(model)
+    for _ in range(5 * 240):
+        mujoco.mj_step(model, data)
+    sites = [model.site(name).id for name in KINECT_V1.joints]
+    heights = data.site_xpos[sites, 2]
+    assert heights[KINECT_V1.index("Head")] < 0.35
+    assert heights.min() > 0.0

@@ -1,0 +1,322 @@
+"""Correction in the natural posture space."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sklearn.decomposition import PCA
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, Take, standard_body
+from kinefilter.pipeline.correct import Hold, LocalPCA, Observation
+from kinefilter.pipeline.correct.blend import Blend, measurement_trust
+from kinefilter.pipeline.correct.posture_space import (
+    EnergyWeights,
+    PostureEnergy,
+    PostureSpace,
+)
+from kinefilter.pipeline.correct.search import solve, stochastic_search
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.library import embedded_database
+from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
+from kinefilter.retarget import Standardizer, measured_body
+from kinefilter.scenes import perform, sample_take
+
+Array = NDArray[np.float64]
+JOINTS = len(KINECT_V1)
+
+
+@pytest.fixture(scope="module")
+def database() -> PostureDatabase:
+    return embedded_database(KINECT_V1)
+
+
+def _observations(take: Take) -> Iterator[Observation]:
+    reference = measure_reference(take)
+    body = measured_body(take.skeleton, reference.lengths, reference.directions)
+    scorer, standardizer = (
+        ReliabilityScorer(take.skeleton, reference),
+        Standardizer(body),
+    )
+    for positions, state in zip(take.positions, take.state, strict=True):
+        rate, _, geometry = scorer.step(positions, state)
+        yield Observation(standardizer.step(positions, rate)[0], rate, geometry)
+
+
+def _seen(positions: Array, rate: Array | None = None) -> Observation:
+    rate = np.ones(JOINTS) if rate is None else rate
+    return Observation(positions, rate, np.ones(JOINTS))
+
+
+def _performed(name: str, seed: int) -> Array:
+    """Return a motion, normalized; from seed 5 on one that no database has seen."""
+    body = standard_body(KINECT_V1)
+    act = perform(name, body, seed=seed)
+    standardizer = Standardizer(body)
+    weights = np.ones(JOINTS)
+    return np.array([standardizer.step(p, weights)[0] for p in act.positions])
+
+
+def test_the_posture_space_is_scikit_learns(database: PostureDatabase) -> None:
+    postures = database.flat[:30]
+    space, pca = PostureSpace(postures, 20), PCA(20).fit(postures)
+    np.testing.assert_allclose(space.mean, pca.mean_, atol=1e-12)
+    np.testing.assert_allclose(
+        np.abs(np.sum(space.basis * pca.components_.T, axis=0)), 1.0, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        space.deviations**2 * 30, pca.explained_variance_ * 29, rtol=1e-6
+    )
+
+
+def test_the_basis_is_orthonormal_and_projection_inverts(
+    database: PostureDatabase,
+) -> None:
+    space = PostureSpace(database.flat[100:130], 20)
+    np.testing.assert_allclose(
+        space.basis.T @ space.basis, np.eye(space.basis.shape[1]), atol=1e-8
+    )
+    latent = np.random.default_rng(0).standard_normal(space.basis.shape[1])
+    np.testing.assert_allclose(space.project(space.posture(latent)), latent, atol=1e-9)
+
+
+def test_identical_postures_span_a_space_of_no_dimension_but_their_own() -> None:
+    postures = np.tile(np.arange(60.0), (30, 1))
+    space = PostureSpace(postures, 20)
+    assert np.isfinite(space.basis).all()
+    np.testing.assert_allclose(space.posture(space.project(postures[0])), postures[0])
+
+
+def test_the_energy_is_the_papers_sums(database: PostureDatabase) -> None:
+    rng = np.random.default_rng(1)
+    lengths = standard_body(KINECT_V1).lengths
+    weights = EnergyWeights(1.1, 0.6, 1.4, 0.3)
+    energy = PostureEnergy(KINECT_V1, lengths, weights)
+    neighbors = database.flat[:7]
+    measured, rate = database.positions[9], rng.uniform(0, 1, JOINTS)
+    before, last = database.flat[10], database.flat[11]
+    energy.observe(measured, rate, neighbors, 2 * last - before)
+    posture = database.flat[12] + 0.05 * rng.standard_normal(60)
+    p = posture.reshape(-1, 3)
+    control = sum(rate[j] * np.sum((p[j] - measured[j]) ** 2) for j in range(JOINTS))
+    style = min(np.sum((posture - n) ** 2) / JOINTS for n in neighbors)
+    kinematics = np.mean(
+        [
+            (np.linalg.norm(p[j] - p[KINECT_V1.parents[j]]) - lengths[j]) ** 2
+            for j in KINECT_V1.segments
+        ]
+    )
+    continuity = np.sum((posture - 2 * last + before) ** 2) / JOINTS
+    expected = 1.1 * control + 0.6 * style + 1.4 * kinematics + 0.3 * continuity
+    found, nearest = energy(posture[None])
+    assert found[0] == pytest.approx(expected, rel=1e-9)
+    assert nearest[0] == np.argmin(np.sum((neighbors - posture) ** 2, axis=1))
+
+
+@pytest.mark.parametrize("take", [sample_take()], ids=["sample"])
+def test_the_solver_reaches_lower_energy_than_the_stochastic_search(
+    database: PostureDatabase, take: Take
+) -> None:
+    corrector = LocalPCA(database)
+    energy, rng = corrector.energy, np.random.default_rng(0)
+    lower, stationary = [], []
+    for k, seen in enumerate(_observations(take)):
+        corrector.step(seen)  # leaves the energy as the frame set it
+        if k % 5:
+            continue
+        space = PostureSpace(energy.neighbors, 20)
+        start = space.project(energy.neighbors[0])
+        solved = solve(space, energy, start)
+        sampled = stochastic_search(space, energy, start, rng)
+        energies = energy(space.posture(np.array([solved, sampled])))[0]
+        lower.append(energies[0] <= energies[1] + 1e-12)
+        nearby = solved + 1e-3 * rng.standard_normal((50, len(solved)))
+        stationary.append(energies[0] <= energy(space.posture(nearby))[0].min() + 1e-7)
+    assert len(lower) > 50
+    assert np.mean(lower) >= 0.95
+    assert np.mean(stationary) >= 0.95
+
+
+def test_same_seed_same_search(database: PostureDatabase) -> None:
+    motion = _performed("wave", 77)[:8]
+    runs = [LocalPCA(database, search="stochastic", seed=s) for s in (5, 5, 6)]
+    results = [
+        np.array([r.step(_seen(p, np.full(JOINTS, 0.5))).positions for p in motion])
+        for r in runs
+    ]
+    np.testing.assert_array_equal(results[0], results[1])
+    assert np.abs(results[0] - results[2]).max() > 0
+
+
+def test_starting_again_forgets(database: PostureDatabase) -> None:
+    motion = _performed("bend", 78)[:6]
+    corrector = LocalPCA(database)
+    rates = np.full(JOINTS, 0.5)
+    first = [corrector.step(_seen(p, rates)).positions for p in motion]
+    corrector.start()
+    again = [corrector.step(_seen(p, rates)).positions for p in motion]
+    np.testing.assert_array_equal(first, again)
+
+
+def test_reliable_joints_stay_where_they_are(database: PostureDatabase) -> None:
+    rng = np.random.default_rng(2)
+    corrector = LocalPCA(database)
+    rate = np.ones(JOINTS)
+    rate[KINECT_V1.index("WristLeft")] = 0.0
+    kept = rate > 0
+    for posture in _performed("wave", 79)[:20]:
+        seen = posture + 0.01 * rng.standard_normal(posture.shape)
+        result = corrector.step(_seen(seen, rate))
+        np.testing.assert_array_equal(result.positions[kept], seen[kept])
+
+
+@pytest.mark.parametrize("motion", ["punch", "walk", "bend", "squat", "clap"])
+def test_hidden_joints_come_back_nearer_than_where_the_sensor_lost_them(
+    database: PostureDatabase, motion: str
+) -> None:
+    """Where the rest of the body tells what an arm does: not in waving."""
+    rng = np.random.default_rng(3)
+    arm = [KINECT_V1.index(f"{j}Left") for j in ("Elbow", "Wrist", "Hand")]
+    corrector = LocalPCA(database)
+    before, after = [], []
+    for truth in _performed(motion, 80)[:90]:
+        seen = truth + 0.01 * rng.standard_normal(truth.shape)
+        astray = rng.standard_normal(3)
+        seen[arm] += 0.25 * astray / np.linalg.norm(astray)
+        rate = np.ones(JOINTS)
+        rate[arm] = 0.0
+        result = corrector.step(_seen(seen, rate))
+        before.append(np.linalg.norm(seen[arm] - truth[arm], axis=1).mean())
+        after.append(np.linalg.norm(result.positions[arm] - truth[arm], axis=1).mean())
+    assert np.mean(after) < 0.6 * np.mean(before)
+
+
+def test_outside_the_database_sound_measurements_are_kept(
+    database: PostureDatabase,
+) -> None:
+    upside_down = _performed("wave", 81)[0] * [1.0, -1.0, 1.0]
+    rate = np.full(JOINTS, 0.3)
+    result = LocalPCA(database).step(_seen(upside_down, rate))
+    assert result.coverage == 0.0
+    np.testing.assert_allclose(result.positions, upside_down, atol=2e-3)
+
+
+def test_what_the_database_holds_is_covered(database: PostureDatabase) -> None:
+    corrector = LocalPCA(database)
+    result = [corrector.step(_seen(p)) for p in _performed("clap", 0)]
+    assert np.mean([r.coverage for r in result]) > 0.9
+
+
+def test_missing_joints_are_filled_and_claim_no_measurement(
+    database: PostureDatabase,
+) -> None:
+    posture = _performed("point", 82)[20].copy()
+    hidden = [KINECT_V1.index(j) for j in ("WristRight", "HandRight")]
+    posture[hidden] = np.nan
+    result = LocalPCA(database).step(
+        _seen(posture, np.where(np.isnan(posture[:, 0]), 0.0, 1.0))
+    )
+    assert np.isfinite(result.positions).all()
+    assert np.all(result.trust[hidden] == 0.0)
+
+
+def test_a_frame_in_which_nothing_is_seen_still_gives_a_posture(
+    database: PostureDatabase,
+) -> None:
+    corrector = LocalPCA(database)
+    motion = _performed("walk", 83)
+    for posture in motion[:5]:
+        last = corrector.step(_seen(posture)).positions
+    blind = Observation(
+        np.full((JOINTS, 3), np.nan), np.zeros(JOINTS), np.zeros(JOINTS)
+    )
+    result = corrector.step(blind)
+    assert np.isfinite(result.positions).all()
+    assert np.linalg.norm(result.positions - last, axis=1).mean() < 0.15
+
+
+def test_orientations_are_unit_and_near_the_motions_own(
+    database: PostureDatabase,
+) -> None:
+    body = standard_body(KINECT_V1)
+    act = perform("wave", body, seed=84)
+    seen = next(
+        o
+        for o in _observations(
+            Take(act.time, act.positions, _all_tracked(act.positions), KINECT_V1)
+        )
+    )
+    found = LocalPCA(database).step(seen).rotations
+    assert found is not None
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-9)
+
+
+def _all_tracked(positions: Array) -> NDArray[np.uint8]:
+    return np.full(positions.shape[:2], 2, dtype=np.uint8)
+
+
+def test_hold_keeps_measurements_and_hangs_the_missing_on_their_last_bones() -> None:
+    rest = standard_body(KINECT_V1).rest_positions
+    rest = rest - rest[KINECT_V1.root]
+    hold = Hold(KINECT_V1)
+    np.testing.assert_allclose(hold.step(_seen(rest)).positions, rest)
+    hand, wrist = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
+    moved = rest.copy()
+    moved[wrist] += [0.0, 0.1, 0.05]
+    moved[hand] = np.nan
+    filled = hold.step(_seen(moved)).positions
+    np.testing.assert_allclose(
+        filled[hand] - filled[wrist], rest[hand] - rest[wrist], atol=1e-4
+    )
+
+
+def test_blending_with_full_trust_is_the_measurement_and_with_none_the_prior() -> None:
+    rng = np.random.default_rng(4)
+    prior, measured = rng.standard_normal((2, JOINTS, 3))
+    blend = Blend(KINECT_V1)
+    np.testing.assert_array_equal(blend(prior, measured, np.ones(JOINTS)), measured)
+    np.testing.assert_allclose(blend(prior, measured, np.zeros(JOINTS)), prior)
+
+
+def test_an_untrusted_joint_moves_by_the_mean_of_its_trusted_neighbors() -> None:
+    rng = np.random.default_rng(5)
+    prior = rng.standard_normal((JOINTS, 3))
+    trust = np.ones(JOINTS)
+    shoulder, elbow, wrist = (
+        KINECT_V1.index(f"{j}Left") for j in ("Shoulder", "Elbow", "Wrist")
+    )
+    trust[elbow] = 0.0
+    measured = prior.copy()
+    measured[shoulder] += [0.1, 0.0, 0.0]
+    measured[wrist] += [0.0, 0.3, 0.0]
+    blended = Blend(KINECT_V1)(prior, measured, trust)
+    np.testing.assert_allclose(
+        blended[elbow] - prior[elbow], [0.05, 0.15, 0], atol=1e-3
+    )
+
+
+def test_trust_is_full_for_the_reliable_none_for_the_missing_and_monotonic() -> None:
+    rate = np.linspace(0, 1, 101)
+    missing = np.zeros(101, dtype=bool)
+    covered = measurement_trust(rate, rate, missing, 1.0)
+    outside = measurement_trust(rate, np.ones(101), missing, 0.0)
+    assert np.all(np.diff(covered) >= 0)
+    assert covered[0] == 0.0
+    assert np.all(covered[rate >= 0.85] == 1.0)
+    assert np.all(outside == 1.0)
+    assert np.all(measurement_trust(rate, rate, ~missing, 0.5) == 0.0)
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+def test_it_works_on_either_skeleton(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    act = perform("reach_up", body, seed=5)
+    take = Take(
+        act.time[:10], act.positions[:10], _all_tracked(act.positions[:10]), skeleton
+    )
+    corrector = LocalPCA(embedded_database(skeleton))
+    for seen in _observations(take):
+        result = corrector.step(seen)
+        np.testing.assert_allclose(result.positions, seen.positions, atol=1e-6)
