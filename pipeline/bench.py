@@ -24,18 +24,17 @@ from .library import embedded_database
 from .physics import PhysicsFilter, substeps_in
 from .reliability import ReliabilityScorer, measure_reference
 
-__all__ = ["as_table", "bench"]
+__all__ = ["as_table", "bench", "sample_path"]
 
 _STAGES = ("reliability", "correct", "orientation", "physics")
 _WARM_UP = 10  # frames that are run and not counted
 
 
-def sample_take() -> Take:
+def sample_path() -> Path:
     """Return the recording that comes with kinefilter."""
-    folder = resources.files("kinefilter.scenes").joinpath("takes")
-    (sample,) = (f for f in folder.iterdir() if f.name.endswith(".csv"))
-    with resources.as_file(sample) as path:
-        return read_take(path)
+    folder = Path(str(resources.files("kinefilter.scenes"))) / "takes"
+    (sample,) = folder.glob("*.csv")
+    return sample
 
 
 def bench(path: Path | None = None) -> dict[str, Any]:
@@ -44,7 +43,7 @@ def bench(path: Path | None = None) -> dict[str, Any]:
     Args:
         path: Take to time on; by default the sample that comes with kinefilter.
     """
-    take = sample_take() if path is None else read_take(path)
+    take = read_take(path or sample_path())
     database = embedded_database(take.skeleton)
     figures = _time_stages(take, LocalPCA(database))
     sampled = _time_stages(take, LocalPCA(database, search="stochastic"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -102,18 +103,36 @@ class DatabaseBuild:
                 progress=progress,
             )
         database.save(self.out)
-        _out.print(
-            f"wrote {self.out}: {len(database)} postures of {len(self.files)} files, "
-            f"{database.skeleton.name}, {database.spacing * 100:.1f} cm apart"
-        )
+        _out.print(f"wrote {self.out}: {database.summary}")
+        return 0
+
+
+@dataclass(frozen=True)
+class DatabaseInfo:
+    """Say what a motion database holds."""
+
+    file: Positional[Path]
+    """Database (.npz)."""
+
+    def run(self) -> int:
+        """Read and print."""
+        from .database import PostureDatabase
+
+        database = PostureDatabase.load(self.file)
+        _out.print(f"{self.file}: {database.summary}")
+        for label, count in sorted(Counter(database.labels.tolist()).items()):
+            _out.print(f"{count:6d} {label}", markup=False)
         return 0
 
 
 @dataclass(frozen=True)
 class Database:
-    """Build motion databases."""
+    """Build motion databases, and look into them."""
 
-    command: Annotated[DatabaseBuild, subcommand("build")]
+    command: (
+        Annotated[DatabaseBuild, subcommand("build")]
+        | Annotated[DatabaseInfo, subcommand("info")]
+    )
 
     def run(self) -> int:
         """Run the subcommand."""
@@ -186,7 +205,9 @@ def _progress() -> Iterator[Callable[[str, int], Iterable[int]]]:
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=_err, transient=True) as bars:
+    with Progress(
+        *columns, console=_err, transient=True, disable=not _err.is_terminal
+    ) as bars:
         yield lambda stage, count: bars.track(range(count), count, description=stage)
 
 

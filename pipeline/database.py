@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -86,6 +87,14 @@ class PostureDatabase:
         nearest = index.kneighbors(self.flat)[0][:, 1]
         return float(np.median(nearest) / np.sqrt(self.positions.shape[1]))
 
+    @property
+    def summary(self) -> str:
+        """What the database holds, in a line."""
+        return (
+            f"{len(self)} postures of {len(set(self.labels.tolist()))} motions, "
+            f"{self.skeleton.name}, {self.spacing * 100:.1f} cm apart"
+        )
+
     def save(self, path: Path) -> None:
         """Write the database as npz: arrays only."""
         from .formats.files import atomic_path
@@ -114,20 +123,21 @@ class PostureDatabase:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}
             skeleton = skeleton_named(str(arrays["skeleton"]))
-            count = len(arrays["labels"])
-            shape = (count, len(skeleton))
-            if (
-                arrays["positions"].shape != (*shape, 3)
-                or arrays["rotations"].shape != (*shape, 4)
-                or count < 2
-                or not np.isfinite(arrays["positions"]).all()
-            ):
-                raise ValueError("array shapes")
-        except (ValueError, KeyError, OSError, EOFError) as error:
+            shape = (len(arrays["labels"]), len(skeleton))
+            sound = (
+                arrays["positions"].shape == (*shape, 3)
+                and arrays["rotations"].shape == (*shape, 4)
+                and shape[0] >= 2
+                and np.isfinite(arrays["positions"]).all()
+                and np.isfinite(arrays["rotations"]).all()
+            )
+        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile):
+            sound = False
+        if not sound:
             raise InputError(
-                f"{path}: not a kinefilter posture database ({error}); make one with "
-                "'kinefilter database build'"
-            ) from error
+                f"{path}: not a kinefilter motion database; make one with 'kinefilter "
+                "database build'"
+            )
         return cls(
             arrays["positions"].astype(float),
             arrays["rotations"].astype(float),

@@ -13,6 +13,7 @@ __all__ = [
     "Quality",
     "amplitude",
     "bone_length_cv",
+    "distances",
     "jitter",
     "lowest_point",
     "measure",
@@ -146,6 +147,15 @@ def amplitude(positions: Array, body: Body) -> Array:
     return moves
 
 
+def distances(positions: Array, raw: Array) -> Array:
+    """Return the distance [m] of every joint from its measurement, shape (T, J)."""
+    away = [
+        np.linalg.norm(positions[:, j] - raw[:, j], axis=1)
+        for j in range(positions.shape[1])
+    ]
+    return np.stack(away, axis=1)
+
+
 def measure(time: Array, positions: Array, raw: Array, body: Body) -> Quality:
     """Return the quality of a motion beside the measurement it came from.
 
@@ -169,5 +179,5 @@ def measure(time: Array, positions: Array, raw: Array, body: Body) -> Quality:
         float_mm=float(np.mean(np.maximum(low, 0.0)) * 1e3),
         amplitude_kept=float(np.mean(moves[both]) / np.mean(raw_moves[both])),
         lowest_point_mm=float(low.min() * 1e3),
-        moved_cm=float(np.nanmean(np.linalg.norm(positions - raw, axis=-1)) * 1e2),
+        moved_cm=float(np.nanmean(distances(positions, raw)) * 1e2),
     )

@@ -24,7 +24,6 @@ from kinefilter.characters.humanoid import (
 )
 from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.retarget.rotations import (
-    continuous,
     inverse,
     multiply,
     normalize,
@@ -58,6 +57,12 @@ class PhysicsTrace:
     reset: NDArray[np.bool_]
     """The step diverged; the character was put back onto its target."""
 
+    @property
+    def status(self) -> str:
+        """``ok``, or how many frames had to be reset."""
+        resets = int(self.reset.sum())
+        return "ok" if resets == 0 else f"{resets} diverging frames reset"
+
 
 @dataclass(frozen=True)
 class PhysicsResult:
@@ -69,12 +74,6 @@ class PhysicsResult:
     """Joint positions [m], world frame, shape (T, J, 3)."""
     trace: PhysicsTrace
     """What happened in each frame."""
-
-    @property
-    def status(self) -> str:
-        """``ok``, or how many frames had to be reset."""
-        resets = int(self.trace.reset.sum())
-        return "ok" if resets == 0 else f"{resets} diverging frames reset"
 
 
 def substeps_in(dt: float) -> int:
@@ -241,11 +240,14 @@ class PhysicsFilter:
                 dt = float(time[k] - time[k - 1])
                 trace.reset[k] = not self.step(positions[k], rotations[k], dt)
             result[k] = self.rotations
+            if k > 0:  # neighbors on one hemisphere
+                dots = np.sum(result[k] * result[k - 1], axis=1, keepdims=True)
+                result[k] *= np.where(dots < 0.0, -1.0, 1.0)
             joints[k] = positions_from_rotations(result[k], self.root, self.body)
             trace.tracking_error[k] = self.tracking_error
             trace.external_force[k] = self.external_force
             trace.contacts[k] = self.data.ncon
-        return PhysicsResult(continuous(result), joints, trace)
+        return PhysicsResult(result, joints, trace)
 
     def _settle(self, dt: float) -> None:
         """Hold the first target until the start-up transient is gone."""

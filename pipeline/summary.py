@@ -43,10 +43,11 @@ def as_json(result: CleanResult) -> dict[str, Any]:
                 clip.skeleton.joints, clip.reliability.mean(axis=0), strict=True
             )
         },
-        "share_outside_database": result.share_outside,
-        "share_measured": float(np.mean(clip.origin == Origin.MEASURED)),
-        "share_corrected": float(np.mean(clip.origin == Origin.CORRECTED)),
-        "share_filled": float(np.mean(clip.origin == Origin.FILLED)),
+        "share_outside_database": _finite(result.share_outside),
+        **{
+            f"share_{origin.name.lower()}": float(np.mean(clip.origin == origin))
+            for origin in Origin
+        },
         "notes": list(result.notes),
     }
     for stage, quality in result.stages.items():
@@ -81,7 +82,7 @@ def as_tables(result: CleanResult) -> RenderableType:
         "joint",
         "reliability",
         "decided by",
-        "invented",
+        "filled",
         title="least reliable joints",
         title_justify="left",
     )
@@ -93,11 +94,13 @@ def as_tables(result: CleanResult) -> RenderableType:
             Term(int(terms.argmax())).name.lower().replace("_", " "),
             f"{np.mean(clip.origin[:, j] == Origin.FILLED):.0%}",
         )
-    lines = [
-        f"measured {np.mean(clip.origin == Origin.MEASURED):.0%}, "
-        f"corrected {np.mean(clip.origin == Origin.CORRECTED):.0%}, "
-        f"invented {np.mean(clip.origin == Origin.FILLED):.0%} of all joints; "
-        f"{result.share_outside:.0%} of the frames outside the database",
-        *result.notes,
-    ]
+    shares = ", ".join(
+        f"{origin.name.lower()} {np.mean(clip.origin == origin):.0%}"
+        for origin in Origin
+    )
+    lines = [f"of all joints: {shares}", *result.notes]
+    if np.isfinite(result.share_outside):
+        lines.insert(
+            1, f"{result.share_outside:.0%} of the frames lie outside the database"
+        )
     return Group(head, stages, joints, *lines)

@@ -3,5 +3,14 @@
 from .hold import Hold
 from .interface import Correction, Corrector, Observation
 from .local_pca import LocalPCA
+from .take import CorrectedTake, correct_take
 
-__all__ = ["Correction", "Corrector", "Hold", "LocalPCA", "Observation"]
+__all__ = [
+    "CorrectedTake",
+    "Correction",
+    "Corrector",
+    "Hold",
+    "LocalPCA",
+    "Observation",
+    "correct_take",
+]

@@ -29,4 +29,4 @@ class Hold:
         """Fill the next frame."""
         trust = np.where(np.isnan(observation.positions[:, 0]), 0.0, 1.0)
         self._last = self._blend(self._last, observation.positions, trust)
-        return Correction(self._last, None, trust, 0.0)
+        return Correction(self._last, None, trust, float("nan"))

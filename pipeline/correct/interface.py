@@ -37,7 +37,7 @@ class Correction:
     trust: Array
     """Share of the measurement in each joint, 0 where invented, shape (J,)."""
     coverage: float
-    """How well the method knows the posture, in [0, 1]."""
+    """How well the method knows the posture, in [0, 1]; NaN: it claims nothing."""
 
 
 class Corrector(Protocol):

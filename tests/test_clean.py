@@ -1,0 +1,276 @@
+"""The whole pipeline, on the sample, on takes with holes, and on recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    InputError,
+    Origin,
+    Skeleton,
+    State,
+    Take,
+    standard_body,
+)
+from kinefilter.pipeline import CleanConfig, CleanResult, clean, read_take
+from kinefilter.pipeline.formats import read_bvh, read_usd_positions, write_clip
+from kinefilter.retarget import positions_from_rotations
+from kinefilter.scenes import observe, perform, sample_take
+
+Array = NDArray[np.float64]
+DATA = Path(__file__).parents[1].parent / "shared" / "data"
+RECORDED = sorted(
+    p for kind in ("*.csv", "*.csv.gz") for p in (DATA / "takes").glob(f"*/{kind}")
+)
+recorded = pytest.mark.skipif(
+    not RECORDED, reason="recorded takes (../shared/data) are not here"
+)
+
+
+@pytest.fixture(scope="module")
+def sample() -> CleanResult:
+    return clean(sample_take())
+
+
+def _perfect(name: str, skeleton: Skeleton = KINECT_V1, seed: int = 9) -> Take:
+    """Return a motion as a sensor without any error would give it."""
+    act = perform(name, standard_body(skeleton), seed=seed)
+    state = np.full(act.positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    return Take(act.time, act.positions, state, skeleton, name)
+
+
+def _holds(result: CleanResult, raw_jitter: float) -> None:
+    """Assert what every cleaned take must hold."""
+    clip, physics = result.clip, result.stages["physics"]
+    for array in (clip.positions, clip.rotations, clip.reliability):
+        assert np.isfinite(array).all()
+    assert physics.bone_length_cv < 1e-6
+    assert physics.jitter < raw_jitter
+    assert physics.lowest_point_mm > -20.0
+    np.testing.assert_allclose(
+        positions_from_rotations(
+            clip.rotations, clip.positions[:, clip.skeleton.root], clip.body
+        ),
+        clip.positions,
+        atol=1e-9,
+    )
+
+
+def test_the_sample_is_cleaned(sample: CleanResult) -> None:
+    _holds(sample, sample.stages["raw"].jitter)
+    assert sample.share_outside < 0.1
+    assert len(sample.clip) == len(sample_take())
+
+
+def test_the_clip_says_where_every_joint_came_from(sample: CleanResult) -> None:
+    take, clip = sample_take(), sample.clip
+    missing = np.isnan(take.positions[..., 0])
+    assert missing.any()
+    np.testing.assert_array_equal(clip.origin == Origin.FILLED, missing)
+    np.testing.assert_array_equal(np.isnan(clip.moved_by_correction), missing)
+    assert (clip.origin == Origin.CORRECTED).any()
+    assert np.mean(clip.origin == Origin.MEASURED) > 0.5
+
+
+def test_same_take_same_bytes(sample: CleanResult, tmp_path: Path) -> None:
+    again = clean(sample_take())
+    for suffix in (".usda", ".usdc", ".bvh", ".csv", ".npz"):
+        one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
+        write_clip(sample.clip, one)
+        write_clip(replace(again.clip, source=sample.clip.source), two)
+        assert one.read_bytes() == two.read_bytes(), suffix
+
+
+@pytest.mark.parametrize("search", ["solver", "stochastic"])
+def test_either_search_cleans_the_sample(search: str) -> None:
+    result = clean(sample_take(), CleanConfig(search=search))  # type: ignore[arg-type]
+    _holds(result, result.stages["raw"].jitter)
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+@pytest.mark.parametrize("motion", ["walk", "squat", "punch"])
+def test_a_perfect_take_is_left_as_it_is(skeleton: Skeleton, motion: str) -> None:
+    take = _perfect(motion, skeleton)
+    result = clean(take)
+    away = np.linalg.norm(result.clip.positions - take.positions, axis=2)
+    assert away.mean() < 0.015
+    assert result.stages["physics"].amplitude_kept > 0.97
+    assert (result.clip.origin == Origin.MEASURED).mean() > 0.99
+
+
+@pytest.mark.parametrize("motion", ["walk", "bend", "squat"])
+def test_a_simulated_take_ends_nearer_to_the_truth(motion: str) -> None:
+    act = perform(motion, standard_body(KINECT_V1), seed=21)
+    take = observe(act, seed=4)
+    relative = act.positions - act.positions[:, [0]]
+    truth = np.array(
+        [np.interp(take.time, act.time, c) for c in relative.reshape(len(act), -1).T]
+    )
+    truth = truth.T.reshape(len(take), -1, 3)
+    result = clean(take)
+
+    def error(positions: Array) -> float:
+        seen = positions - positions[:, [0]]
+        yaw = np.array([-1.0, 1.0, -1.0])  # the person faces the sensor
+        return float(np.nanmean(np.linalg.norm(seen * yaw - truth, axis=2)))
+
+    assert error(result.clip.positions) < error(take.positions)
+
+
+def test_the_skeleton_is_not_bent_the_wrong_way(sample: CleanResult) -> None:
+    """Shins fold behind the thighs: seen from the pelvis, knees are in front."""
+    clip = sample.clip
+    for side in ("Left", "Right"):
+        hip, knee, ankle = (
+            clip.positions[:, clip.skeleton.index(f"{j}{side}")]
+            for j in ("Hip", "Knee", "Ankle")
+        )
+        straight = ankle - hip
+        along = np.sum((knee - hip) * straight, axis=1) / np.sum(straight**2, axis=1)
+        out = knee - hip - along[:, None] * straight
+        pelvis = clip.rotations[:, clip.skeleton.root]
+        w, x, y, z = pelvis.T
+        front = np.stack(
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1
+        )
+        assert np.sum(out * front, axis=1).min() > -0.04
+
+
+def test_repeated_stamps_dropped_frames_and_holes_are_normal() -> None:
+    take = _perfect("wave")
+    rng = np.random.default_rng(0)
+    keep = np.sort(rng.choice(len(take), len(take) - 20, replace=False))
+    rows = np.sort(np.concatenate([keep, keep[50:55]]))
+    positions, state = take.positions[rows].copy(), take.state[rows].copy()
+    holes = rng.random(state.shape) < 0.05
+    lost = KINECT_V1.index("FootRight")
+    holes[:, lost] = True
+    positions[holes], state[holes] = np.nan, State.NOT_TRACKED
+    holey = Take(take.time[rows], positions, state, KINECT_V1)
+    result = clean(holey)
+    assert len(result.clip) == len(rows)
+    assert np.isfinite(result.clip.positions).all()
+    repeated = np.flatnonzero(np.diff(holey.time) == 0)
+    assert len(repeated) == 5
+    np.testing.assert_array_equal(
+        result.clip.positions[repeated], result.clip.positions[repeated + 1]
+    )
+    assert np.all(result.clip.origin[:, lost] == Origin.FILLED)
+
+
+def test_a_second_without_the_person_is_bridged() -> None:
+    take = _perfect("squat")
+    positions, state = take.positions.copy(), take.state.copy()
+    positions[60:90], state[60:90] = np.nan, State.NOT_TRACKED
+    result = clean(Take(take.time, positions, state, KINECT_V1))
+    assert np.isfinite(result.clip.positions).all()
+    steps = np.linalg.norm(np.diff(result.clip.positions, axis=0), axis=2)
+    assert steps.max() < 0.25
+
+
+def test_two_frames_are_enough() -> None:
+    take = _perfect("wave")
+    two = Take(take.time[:2], take.positions[:2], take.state[:2], KINECT_V1)
+    assert np.isfinite(clean(two).clip.positions).all()
+
+
+def test_without_physics_and_correction_only_lengths_and_noise_change() -> None:
+    take = _perfect("clap")
+    result = clean(take, CleanConfig(method="none", physics=False))
+    assert "physics" not in result.stages
+    assert result.trace is None
+    away = np.linalg.norm(result.clip.positions - take.positions, axis=2)
+    assert away.mean() < 0.005
+
+
+def test_the_person_keeps_size_and_weight_that_are_given() -> None:
+    result = clean(_perfect("stand_idle"), CleanConfig(height=1.9, mass=95.0))
+    assert result.clip.body.height == 1.9
+    assert result.clip.body.masses.sum() == pytest.approx(95.0)
+
+
+def test_stature_is_found_from_the_take() -> None:
+    act = perform("wave", standard_body(KINECT_V2, height=1.60), seed=2)
+    state = np.full(act.positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    result = clean(Take(act.time, act.positions, state, KINECT_V2))
+    assert result.clip.body.height == pytest.approx(1.60, abs=0.02)
+
+
+def test_a_take_of_nothing_is_refused() -> None:
+    take = _perfect("wave")
+    nothing = np.full_like(take.positions, np.nan)
+    with pytest.raises(InputError, match="every joint is missing"):
+        clean(Take(take.time, nothing, np.zeros_like(take.state), KINECT_V1))
+    frozen = np.full_like(take.time, 3.0)
+    with pytest.raises(InputError, match="one distinct time stamp"):
+        clean(Take(frozen, take.positions, take.state, KINECT_V1))
+
+
+@recorded
+@pytest.mark.parametrize("path", RECORDED, ids=lambda p: p.name.split(".")[0])
+def test_every_recorded_take_is_cleaned(path: Path, tmp_path: Path) -> None:
+    take = read_take(path)
+    result = clean(take)
+    _holds(result, result.stages["raw"].jitter)
+    joints = list(take.skeleton.joints)
+    write_clip(result.clip, tmp_path / "clip.usdc")
+    _, names, positions = read_usd_positions(tmp_path / "clip.usdc")
+    columns = [names.index(joint) for joint in joints]
+    distinct = np.concatenate([np.diff(result.clip.time) > 0, [True]])
+    np.testing.assert_allclose(
+        positions[:, columns], result.clip.positions[distinct], atol=1e-3
+    )
+    write_clip(result.clip, tmp_path / "clip.bvh")
+    bvh = read_bvh(tmp_path / "clip.bvh")
+    columns = [bvh.names.index(joint) for joint in joints]
+    np.testing.assert_allclose(
+        bvh.positions[:, columns], result.clip.positions, atol=1e-3
+    )
+    write_clip(result.clip, tmp_path / "clip.csv")
+    again = read_take(tmp_path / "clip.csv")
+    np.testing.assert_allclose(again.positions, result.clip.positions, atol=1e-6)
+
+
+@pytest.mark.skipif(
+    not (DATA / "ui-prmd").is_dir(), reason="paired recordings are not here"
+)
+@pytest.mark.parametrize("person", ["s03", "s06", "s07", "s08"])
+def test_correction_does_no_harm_to_real_people(person: str) -> None:
+    """Offset-free error against marker mocap, on people nothing was chosen on."""
+    limbs = [
+        KINECT_V1.index(part + side)
+        for part in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+        for side in ("Left", "Right")
+    ]
+    hips = [KINECT_V1.index("HipLeft"), KINECT_V1.index("HipRight")]
+
+    def varying(positions: Array, truth: Array) -> Array:
+        """Return distances [m] without each joint's constant offset, (T, 12)."""
+        away = positions - positions[:, hips].mean(axis=1, keepdims=True)
+        away = (away - truth + truth[:, hips].mean(axis=1, keepdims=True))[:, limbs]
+        mean = np.nanmean(away, axis=0)
+        return np.asarray(np.linalg.norm(away - mean, axis=2))
+
+    errors: dict[str, list[Array]] = {"raw": [], "none": [], "local-pca": []}
+    with np.load(DATA / "ui-prmd" / f"{person}.npz") as pairs:
+        for start, stop in list(zip(pairs["start"], pairs["stop"], strict=True))[::25]:
+            kinect = pairs["kinect"][start:stop].astype(float)
+            mocap = pairs["mocap"][start:stop].astype(float)
+            state = np.where(np.isnan(kinect[..., 0]), 0, 2).astype(np.uint8)
+            if np.isnan(mocap[:, limbs]).all(axis=(0, 2)).any():
+                continue
+            take = Take(np.arange(len(kinect)) / 30.0, kinect, state, KINECT_V1)
+            errors["raw"].append(varying(kinect, mocap))
+            for method in ("none", "local-pca"):
+                clip = clean(take, CleanConfig(method=method)).clip  # type: ignore[arg-type]
+                errors[method].append(varying(clip.positions, mocap))
+    mean = {name: np.nanmean(np.concatenate(e)) for name, e in errors.items()}
+    assert mean["local-pca"] < mean["raw"]
+    assert mean["local-pca"] < 1.01 * mean["none"]

@@ -1,0 +1,265 @@
+"""The command line: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinefilter.characters import KINECT_V1, KINECT_V2
+from kinefilter.pipeline.bench import sample_path
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.formats import read_clip, read_take
+from kinefilter.pipeline.library import embedded_database
+
+ROOT = Path(__file__).parents[1]
+SAMPLE = sample_path()
+
+
+def _refused(
+    arguments: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> str:
+    """Assert exit code 2, one line of error, nothing new in the folder; return it."""
+    before = sorted(folder.iterdir())
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith("kinefilter: ")
+    assert sorted(folder.iterdir()) == before
+    return printed.err
+
+
+def _edited(tmp_path: Path, name: str, text: str) -> Path:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _sample_rows() -> list[str]:
+    return SAMPLE.read_text(encoding="utf-8").splitlines()
+
+
+def test_clean_writes_the_clip_and_prints_the_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, figures = tmp_path / "clip.npz", tmp_path / "figures.json"
+    assert main(["clean", str(SAMPLE), "-o", str(out), "--json", str(figures)]) == 0
+    printed = capsys.readouterr().out
+    for words in ("raw", "corrected", "physics", "jitter", "least reliable", "frames"):
+        assert words in printed
+    take, clip = read_take(SAMPLE), read_clip(out)
+    assert len(clip) == len(take)
+    found = json.loads(figures.read_text(encoding="utf-8"))
+    assert found["frames"] == len(take)
+    for stage in ("raw", "corrected", "physics"):
+        assert set(found[stage]) >= {
+            "bone_length_cv",
+            "jitter",
+            "skate_mm_per_frame",
+            "skate_share_over_0p2",
+            "penetration_mm",
+            "float_mm",
+            "amplitude_kept",
+        }
+    assert found["physics"]["jitter"] < found["raw"]["jitter"]
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "message"),
+    [
+        ("empty.csv", lambda _: "", r"empty\.csv.*empty"),
+        ("text.csv", lambda rows: _replace_cell(rows, 3, 5, "abc"), r"'abc'"),
+        ("short.csv", lambda rows: _drop_cell(rows, 4), r"row 5|line 5"),
+        ("back.csv", lambda rows: _swap(rows, 10, 20), r"time goes backwards"),
+        ("one.csv", lambda rows: "\n".join(rows[:2]), r"one\.csv"),
+        ("zero.csv", lambda rows: _zeros(rows), r"zero\.csv"),
+        ("words.csv", lambda _: "hello\nworld\n", r"words\.csv"),
+    ],
+)
+def test_bad_takes_are_refused_in_one_line(
+    name: str,
+    edit: object,
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert callable(edit)
+    path = _edited(tmp_path, name, edit(_sample_rows()))
+    error = _refused(
+        ["clean", str(path), "-o", str(tmp_path / "clip.usda")], tmp_path, capsys
+    )
+    assert re.search(message, error), error
+    assert name in error
+
+
+def _replace_cell(rows: list[str], row: int, column: int, text: str) -> str:
+    cells = rows[row].split(",")
+    cells[column] = text
+    return "\n".join([*rows[:row], ",".join(cells), *rows[row + 1 :]])
+
+
+def _drop_cell(rows: list[str], row: int) -> str:
+    return "\n".join([*rows[:row], rows[row].rpartition(",")[0], *rows[row + 1 :]])
+
+
+def _swap(rows: list[str], one: int, two: int) -> str:
+    rows = rows.copy()
+    rows[one], rows[two] = rows[two], rows[one]
+    return "\n".join(rows)
+
+
+def _zeros(rows: list[str]) -> str:
+    zeros = ",".join(["0"] * 80)
+    return "\n".join([rows[0], *(f"{k / 30:.4f},{zeros}" for k in range(30))])
+
+
+def test_a_missing_take_and_an_unknown_extension_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    absent = str(tmp_path / "absent.csv")
+    error = _refused(
+        ["clean", absent, "-o", str(tmp_path / "c.usda")], tmp_path, capsys
+    )
+    assert "absent.csv" in error
+    error = _refused(
+        ["clean", str(SAMPLE), "-o", str(tmp_path / "clip.fbx")], tmp_path, capsys
+    )
+    assert ".fbx" in error
+    assert ".usda" in error
+
+
+def test_a_take_is_never_overwritten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    take = tmp_path / "take.csv"
+    take.write_bytes(SAMPLE.read_bytes())
+    error = _refused(["clean", str(take), "-o", str(take)], tmp_path, capsys)
+    assert "overwrite" in error
+    assert take.read_bytes() == SAMPLE.read_bytes()
+
+
+def test_a_database_of_another_skeleton_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "v2.npz"
+    embedded_database(KINECT_V2).save(path)
+    arguments = ["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh")]
+    error = _refused([*arguments, "--database", str(path)], tmp_path, capsys)
+    assert "kinect_v2" in error
+    assert "kinect_v1" in error
+
+
+def test_a_broken_database_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = _edited(tmp_path, "db.npz", "no archive")
+    arguments = ["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh")]
+    error = _refused([*arguments, "--database", str(path)], tmp_path, capsys)
+    assert "db.npz" in error
+
+
+def test_an_impossible_height_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh")]
+    error = _refused([*arguments, "--height", "175"], tmp_path, capsys)
+    assert "metres" in error or "meters" in error
+
+
+def test_an_unknown_flag_ends_with_code_2(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh"), "--colour", "red"])
+    assert caught.value.code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_database_given_by_name_is_used(tmp_path: Path) -> None:
+    """One that holds two postures far from the take: everything lies outside."""
+    whole = embedded_database(KINECT_V1)
+    path, figures = tmp_path / "tiny.npz", tmp_path / "figures.json"
+    kept = np.flatnonzero(whole.labels == "squat")[:2]
+    tiny = PostureDatabase(
+        whole.positions[kept], whole.rotations[kept], whole.labels[kept], KINECT_V1
+    )
+    tiny.save(path)
+    arguments = ["clean", str(SAMPLE), "-o", str(tmp_path / "c.csv"), "--no-physics"]
+    main([*arguments, "--database", str(path), "--json", str(figures)])
+    found = json.loads(figures.read_text(encoding="utf-8"))
+    assert found["share_outside_database"] > 0.5
+    assert "physics" not in found
+
+
+def test_bench_measures_every_stage(tmp_path: Path) -> None:
+    figures = tmp_path / "bench.json"
+    assert main(["bench", "--json", str(figures)]) == 0
+    found = json.loads(figures.read_text(encoding="utf-8"))
+    stages = found["ms_per_frame"]
+    assert set(stages) == {
+        "reliability",
+        "correct",
+        "orientation",
+        "physics",
+        "total",
+    }
+    assert all(value > 0 for value in stages.values())
+    assert found["mj_step_ms_per_frame"] > 0
+
+
+def test_every_command_is_in_the_readme() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for command in ("clean", "database build", "bench"):
+        assert f"kinefilter {command}" in readme
+
+
+def _readme_commands() -> list[str]:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```sh\n(.*?)```", readme, re.DOTALL)
+    lines = [line.strip() for block in blocks for line in block.splitlines()]
+    commands = [part.strip() for line in lines for part in line.split("&&")]
+    return [c for c in commands if c.startswith("kinefilter ")]
+
+
+def test_every_readme_command_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    commands = _readme_commands()
+    assert len(commands) >= 5
+    for command in commands:
+        if "shared" in command and not (ROOT.parent / "shared").is_dir():
+            embedded_database(KINECT_V1).save(tmp_path / "cmu.npz")
+        else:
+            assert main(_arguments(command)) == 0, command
+
+
+def _arguments(command: str) -> list[str]:
+    """Return a README command's words, its paths resolved as if in the checkout."""
+    words = shlex.split(command)[1:]
+    paths = {"scenes/": ROOT / "scenes", "../shared/": ROOT.parent / "shared"}
+    resolved: list[str] = []
+    for word in words:
+        for prefix, folder in paths.items():
+            if word.startswith(prefix):
+                word = str(folder / word.removeprefix(prefix))
+        if "*" in word:
+            matches = sorted(Path(word).parent.glob(Path(word).name))
+            resolved += [str(p) for p in matches[:4]]
+        else:
+            resolved.append(word)
+    return resolved
+
+
+def test_the_readmes_python_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    code = code.replace("scenes/", f"{ROOT.as_posix()}/scenes/")
+    exec(compile(code, "README.md", "exec"), {})
+    assert any(tmp_path.iterdir())
