@@ -20,7 +20,13 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
-from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
+from tyro.conf import (
+    OmitArgPrefixes,
+    OmitSubcommandPrefixes,
+    Positional,
+    arg,
+    subcommand,
+)
 
 from kinefilter.characters import SKELETONS, InputError
 
@@ -129,10 +135,10 @@ class DatabaseInfo:
 class Database:
     """Build motion databases, and look into them."""
 
-    command: (
+    command: OmitSubcommandPrefixes[
         Annotated[DatabaseBuild, subcommand("build")]
         | Annotated[DatabaseInfo, subcommand("info")]
-    )
+    ]
 
     def run(self) -> int:
         """Run the subcommand."""

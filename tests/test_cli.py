@@ -208,6 +208,7 @@ def test_bench_measures_every_stage(tmp_path: Path) -> None:
     }
     assert all(value > 0 for value in stages.values())
     assert found["mj_step_ms_per_frame"] > 0
+    assert found["search"]["share_of_frames_lower_energy"] >= 0.95
 
 
 def test_every_command_is_in_the_readme() -> None:

@@ -25,9 +25,9 @@ from kinefilter.pipeline.physics import PhysicsFilter
 
 Array = NDArray[np.float64]
 
-FRAMES = 6
+FRAMES = 5
 APART = 1.15  # m, between the raw figure and the character
-SIZE = (440, 460)  # height, width
+SIZE = (400, 420)  # height, width
 
 
 def draw(take: Take, clip: Clip, shown: list[int]) -> NDArray[np.uint8]:
@@ -61,7 +61,8 @@ def draw(take: Take, clip: Clip, shown: list[int]) -> NDArray[np.uint8]:
         else:
             geom.rgba = SKIN
     model = spec.compile()
-    model.vis.headlight.ambient[:] = 0.5
+    model.vis.headlight.ambient[:] = 0.75
+    model.vis.headlight.diffuse[:] = 0.45
     data = mujoco.MjData(model)
     posed = PhysicsFilter(clip.body)
     floor = _floor(take, clip)
