@@ -5,21 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from rich import progress as rich_progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from tyro.conf import (
     OmitArgPrefixes,
     OmitSubcommandPrefixes,
@@ -31,6 +25,7 @@ from tyro.conf import (
 from kinefilter.characters import SKELETONS, InputError
 
 from .config import CleanConfig
+from .progress import Progress
 
 __all__ = ["main"]
 
@@ -204,14 +199,14 @@ def _keep(written: Path, *others: Path | None) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[str, int], Iterable[int]]]:
+def _progress() -> Iterator[Progress]:
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
+        rich_progress.TextColumn("{task.description}"),
+        rich_progress.BarColumn(),
+        rich_progress.MofNCompleteColumn(),
+        rich_progress.TimeRemainingColumn(),
     )
-    with Progress(
+    with rich_progress.Progress(
         *columns, console=_err, transient=True, disable=not _err.is_terminal
     ) as bars:
         yield lambda stage, count: bars.track(range(count), count, description=stage)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -26,19 +26,21 @@ from kinefilter.scenes import MOTIONS, perform
 
 from .database import FILTERED_POSTURES, PostureDatabase, filter_to_count
 from .formats import Bvh, read_bvh
+from .progress import Progress, silent
 from .reliability import segment_lengths
 
 __all__ = ["database_from_bvh", "embedded_database", "scripted_database"]
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int], Iterable[int]]
 
 _SEEDS = range(5)
 _POSTURES_PER_SECOND = 30.0
 _T_POSE_TOLERANCE = np.radians(25.0)
 
 
-def embedded_database(skeleton: Skeleton) -> PostureDatabase:
+def embedded_database(
+    skeleton: Skeleton, progress: Progress = silent
+) -> PostureDatabase:
     """Return the database of scripted motions, built once and then kept in a cache.
 
     A cache that cannot be written costs the seconds of building again, nothing else.
@@ -49,7 +51,7 @@ def embedded_database(skeleton: Skeleton) -> PostureDatabase:
     try:
         return PostureDatabase.load(path)
     except InputError:
-        database = scripted_database(skeleton)
+        database = scripted_database(skeleton, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         database.save(path)
@@ -72,14 +74,17 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-def scripted_database(skeleton: Skeleton) -> PostureDatabase:
+def scripted_database(
+    skeleton: Skeleton, progress: Progress = silent
+) -> PostureDatabase:
     """Perform every scripted motion on the standard body and keep what differs."""
     body = standard_body(skeleton)
     parts = []
-    for name in MOTIONS:
+    for k in progress("motion database", len(MOTIONS)):
         for seed in _SEEDS:
-            act = perform(name, body, seed=seed, fps=_POSTURES_PER_SECOND)
-            parts.append((name, *_standardized(act.positions, act.rotations, body)))
+            act = perform(MOTIONS[k], body, seed=seed, fps=_POSTURES_PER_SECOND)
+            postures = _standardized(act.positions, act.rotations, body)
+            parts.append((MOTIONS[k], *postures))
     return _filtered(parts, skeleton, "embedded")
 
 
@@ -88,7 +93,7 @@ def database_from_bvh(
     skeleton: Skeleton,
     *,
     count: int = FILTERED_POSTURES,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> PostureDatabase:
     """Build a database from BVH mocap.
 
@@ -104,7 +109,6 @@ def database_from_bvh(
     """
     if not files:
         raise InputError("no BVH files given; name one or more")
-    progress = progress or (lambda _, total: range(total))
     parts = []
     for k in progress("read", len(files)):
         bvh = read_bvh(files[k])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +16,13 @@ from .database import PostureDatabase
 from .library import embedded_database
 from .metrics import Quality, distances, measure
 from .physics import PhysicsFilter, PhysicsTrace
+from .progress import Progress, silent
 from .reliability import Reference, ReliabilityScorer, measure_reference
 from .target import make_target
 
 __all__ = ["CleanResult", "clean", "make_corrector"]
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int], Iterable[int]]
-"""Called with a stage's name and its number of frames; returns their iterator."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ class CleanResult:
 
 
 def clean(
-    take: Take, config: CleanConfig | None = None, *, progress: Progress | None = None
+    take: Take, config: CleanConfig | None = None, *, progress: Progress = silent
 ) -> CleanResult:
     """Clean a take.
 
@@ -64,9 +62,8 @@ def clean(
         InputError: The take holds nothing to clean, or the database does not fit it.
     """
     config = config or CleanConfig()
-    progress = progress or (lambda _, count: range(count))
     _check(take)
-    corrector = make_corrector(take.skeleton, config)
+    corrector = make_corrector(take.skeleton, config, progress)
     distinct = np.concatenate([[True], np.diff(take.time) > 0])
     # Which distinct frame each of the take's shows; a slice copies nothing.
     frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
@@ -133,7 +130,9 @@ def _notes(reference: Reference, trace: PhysicsTrace | None) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
+def make_corrector(
+    skeleton: Skeleton, config: CleanConfig, progress: Progress = silent
+) -> Corrector:
     """Return the correction method that a config names, for a skeleton.
 
     Raises:
@@ -142,7 +141,7 @@ def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
     if config.method == "none":
         return Hold(skeleton)
     if config.database is None:
-        database = embedded_database(skeleton)
+        database = embedded_database(skeleton, progress)
     else:
         database = PostureDatabase.load(config.database)
     if database.skeleton.name != skeleton.name:

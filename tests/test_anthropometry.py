@@ -1,0 +1,144 @@
+"""Bodies of given height and mass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    STANDARD_HEIGHT,
+    InputError,
+    Skeleton,
+    standard_body,
+)
+
+every_skeleton = pytest.mark.parametrize(
+    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
+)
+skeletons = st.sampled_from([KINECT_V1, KINECT_V2])
+heights = st.floats(0.6, 2.4)
+LEFT_RIGHT = np.array([-1.0, 1.0, 1.0])
+
+
+@given(skeleton=skeletons, height=heights, mass=st.floats(10.0, 200.0))
+def test_masses_sum_to_the_body_mass_and_are_all_positive(
+    skeleton: Skeleton, height: float, mass: float
+) -> None:
+    body = standard_body(skeleton, height=height, mass=mass)
+    assert body.masses.sum() == pytest.approx(mass)
+    assert (body.masses > 0.0).all()
+
+
+@given(skeleton=skeletons, height=heights)
+def test_lengths_and_rest_posture_scale_with_height(
+    skeleton: Skeleton, height: float
+) -> None:
+    mass = 70.0
+    scale = height / STANDARD_HEIGHT
+    body = standard_body(skeleton, height=height, mass=mass * scale**3)
+    standard = standard_body(skeleton, mass=mass)
+    np.testing.assert_allclose(body.lengths, standard.lengths * scale)
+    np.testing.assert_allclose(body.radii, standard.radii * scale)
+    np.testing.assert_allclose(
+        body.rest_positions, standard.rest_positions * scale, atol=1e-12
+    )
+
+
+@every_skeleton
+def test_left_and_right_are_equal(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    for values in (body.lengths, body.masses, body.radii):
+        np.testing.assert_array_equal(values, values[skeleton.mirror])
+
+
+@every_skeleton
+def test_the_rest_posture_is_symmetric(skeleton: Skeleton) -> None:
+    rest = standard_body(skeleton).rest_positions
+    np.testing.assert_allclose(rest[skeleton.mirror] * LEFT_RIGHT, rest, atol=1e-15)
+
+
+@every_skeleton
+@pytest.mark.parametrize("height", [0.8, 1.75, 2.2])
+def test_the_rest_posture_stands_on_the_floor_facing_forward(
+    skeleton: Skeleton, height: float
+) -> None:
+    body = standard_body(skeleton, height=height)
+    rest, i = body.rest_positions, skeleton.index
+    capsules = body.radii[skeleton.segments]
+    ends = rest[skeleton.segments, 1] - capsules
+    starts = rest[skeleton.segment_parents, 1] - capsules
+    assert min(ends.min(), starts.min()) == pytest.approx(0.0, abs=1e-12)
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        foot = i(f"Foot{side}")
+        assert rest[foot, 1] - body.radii[foot] == pytest.approx(0.0, abs=1e-12)
+        assert rest[foot, 2] - rest[i(f"Ankle{side}"), 2] > 0.05 * height
+        assert sign * rest[i(f"Hand{side}"), 0] > 0.4 * height
+    np.testing.assert_array_equal(rest[skeleton.root, [0, 2]], 0.0)
+    assert np.argmax(rest[:, 1]) == i("Head")
+    assert 0.9 * height < rest[i("Head"), 1] < height
+
+
+@every_skeleton
+def test_the_rest_posture_has_the_lengths_and_directions(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    ends = skeleton.segments
+    bones = body.rest_positions[ends] - body.rest_positions[skeleton.segment_parents]
+    np.testing.assert_allclose(np.linalg.norm(bones, axis=1), body.lengths[ends])
+    np.testing.assert_allclose(np.linalg.norm(body.directions[ends], axis=1), 1.0)
+    np.testing.assert_allclose(bones, body.rest_offsets[ends], atol=1e-12)
+    for values in (body.lengths, body.directions, body.rest_offsets):
+        assert not values[skeleton.root].any()
+
+
+def test_both_skeletons_share_limbs_trunk_and_stature() -> None:
+    v1, v2 = standard_body(KINECT_V1), standard_body(KINECT_V2)
+    shared = set(KINECT_V1.joints) & set(KINECT_V2.joints)
+    assert len(shared) == 17
+    for joint in shared - {"Head"}:
+        a, b = KINECT_V1.index(joint), KINECT_V2.index(joint)
+        np.testing.assert_allclose(v1.rest_positions[a], v2.rest_positions[b])
+    head = [
+        b.rest_positions[b.skeleton.index("Head"), 1] / STANDARD_HEIGHT
+        for b in (v1, v2)
+    ]
+    assert head[0] == pytest.approx(head[1], abs=0.003)
+    assert v1.masses[KINECT_V1.root] == pytest.approx(v2.masses[KINECT_V2.root])
+
+
+@every_skeleton
+def test_mass_follows_from_height_at_an_ordinary_body_mass_index(
+    skeleton: Skeleton,
+) -> None:
+    for height in (1.5, 2.0):
+        assert standard_body(skeleton, height=height).mass == pytest.approx(
+            22.0 * height**2
+        )
+
+
+@every_skeleton
+def test_legs_are_capsules_of_their_mass_at_the_density_of_tissue(
+    skeleton: Skeleton,
+) -> None:
+    body = standard_body(skeleton)
+    for joint in ("ElbowLeft", "WristRight", "KneeLeft", "AnkleRight"):
+        j = skeleton.index(joint)
+        density = body.masses[j] / (np.pi * body.radii[j] ** 2 * body.lengths[j])
+        assert density == pytest.approx(1050.0)
+
+
+@pytest.mark.parametrize("height", [0.3, 0.0, -1.7, 3.0, 175.0, np.inf, np.nan])
+def test_absurd_heights_are_refused_asking_for_metres(height: float) -> None:
+    with pytest.raises(InputError, match=f"height {height:g} m.*metres"):
+        standard_body(KINECT_V1, height=height, mass=70.0)
+    with pytest.raises(InputError):
+        standard_body(KINECT_V2, height=height)
+
+
+@pytest.mark.parametrize("mass", [2.0, 0.0, -70.0, 500.0, 70000.0, np.inf, np.nan])
+def test_absurd_masses_are_refused_asking_for_kilograms(mass: float) -> None:
+    with pytest.raises(InputError, match="mass.*kilograms"):
+        standard_body(KINECT_V1, mass=mass)
