@@ -121,6 +121,7 @@ class Standardizer:
         self._root = np.zeros(3)
         self._yaw = 0.0
         self._bones = self.body.rest_offsets.copy()
+        self._seen = self.body.rest_positions - self.body.rest_positions[0]
 
     def step(self, positions: Array, weights: Array) -> tuple[Array, View]:
         """Return a posture on the standard body, root at the origin, facing +z.
@@ -148,23 +149,37 @@ class Standardizer:
             for j in skeleton.order[1:]:
                 if missing[j]:
                     seen[j] = seen[skeleton.parents[j]] + self._bones[j]
-        parents = np.array(skeleton.parents)
-        bones = seen - seen[parents]
-        bones[skeleton.root] = 0.0
-        self._bones = bones
-        standard = self._chain @ _apply(self._to_standard, bones)
+        self._seen, self._bones = seen, self._bones_of(seen)
+        standard = self._chain @ _apply(self._to_standard, self._bones)
         standard[missing] = np.nan
         return standard, view
 
+    def alongside(self, positions: Array, view: View) -> Array:
+        """Return another measurement of the last frame, such as mocap's, likewise.
+
+        Joints that it lacks are taken from the frame on the way, and stay missing.
+
+        Args:
+            positions: Joint positions [m], world frame, NaN where missing, (J, 3).
+            view: The view that ``step`` took out.
+        """
+        missing = np.isnan(positions[:, 0])
+        seen = np.where(missing[:, None], self._seen, view.remove(positions))
+        standard = self._chain @ _apply(self._to_standard, self._bones_of(seen))
+        standard[missing] = np.nan
+        return standard
+
     def undo(self, positions: Array, view: View) -> Array:
         """Return standard postures (..., J, 3) on the person's body in their view."""
+        bones = _apply(self._to_person, self._bones_of(positions))
+        return view.restore(self._chain @ bones)
+
+    def _bones_of(self, positions: Array) -> Array:
+        """Return the vector to each joint from its parent, the root's from 0."""
         skeleton = self.body.skeleton
-        bones = np.zeros_like(positions)
-        bones[..., skeleton.segments, :] = (
-            positions[..., skeleton.segments, :]
-            - positions[..., skeleton.segment_parents, :]
-        )
-        return view.restore(self._chain @ _apply(self._to_person, bones))
+        bones = positions.copy()
+        bones[..., skeleton.segments, :] -= positions[..., skeleton.segment_parents, :]
+        return bones
 
 
 def _apply(matrices: Array, bones: Array) -> Array:
@@ -174,6 +189,7 @@ def _apply(matrices: Array, bones: Array) -> Array:
 def _chain_matrix(skeleton: Skeleton) -> Array:
     """Return the matrix that sums bones from the root to every joint, (J, J)."""
     chain = np.zeros((len(skeleton), len(skeleton)))
+    chain[skeleton.root, skeleton.root] = 1.0
     for j in skeleton.order[1:]:
         chain[j] = chain[skeleton.parents[j]]
         chain[j, j] = 1.0

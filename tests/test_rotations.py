@@ -64,9 +64,7 @@ def test_product_inverse_rotation_and_matrix_are_those_of_scipy() -> None:
     )
     assert_same_rotation(inverse(a), scipy_of(a).inv().as_quat(scalar_first=True))
     np.testing.assert_allclose(rotate(a, v), scipy_of(a).apply(v), atol=1e-14)
-    np.testing.assert_allclose(
-        matrix_from_wxyz(a), scipy_of(a).as_matrix(), atol=1e-14
-    )
+    np.testing.assert_allclose(matrix_from_wxyz(a), scipy_of(a).as_matrix(), atol=1e-14)
 
 
 def test_names_compose_like_the_algebra() -> None:
@@ -104,7 +102,10 @@ def test_leading_axes_broadcast(
     left: tuple[int, ...], right: tuple[int, ...], shape: tuple[int, ...]
 ) -> None:
     rng = np.random.default_rng(0)
-    a, b = normalize(rng.normal(size=(*left, 4))), normalize(rng.normal(size=(*right, 4)))
+    a, b = (
+        normalize(rng.normal(size=(*left, 4))),
+        normalize(rng.normal(size=(*right, 4))),
+    )
     u, v = rng.normal(size=(*left, 3)), rng.normal(size=(*right, 3))
     full_a, full_b = (np.broadcast_to(x, (*shape, 4)) for x in (a, b))
     full_u, full_v = (np.broadcast_to(x, (*shape, 3)) for x in (u, v))
@@ -138,7 +139,9 @@ def test_between_turns_one_direction_onto_the_other_by_the_smallest_angle(
 def test_between_parallel_vectors_is_the_identity() -> None:
     v = np.random.default_rng(0).normal(size=(100, 3))
     assert_same_rotation(between(v, 3.0 * v), np.tile(IDENTITY, (100, 1)), atol=1e-7)
-    np.testing.assert_array_equal(between(np.eye(3), np.eye(3)), np.tile(IDENTITY, (3, 1)))
+    np.testing.assert_array_equal(
+        between(np.eye(3), np.eye(3)), np.tile(IDENTITY, (3, 1))
+    )
 
 
 def test_between_opposite_vectors_is_a_half_turn_across_them() -> None:

@@ -24,13 +24,55 @@ from kinefilter.characters import (
 
 Array = NDArray[np.float64]
 
-SDK_V1 = """HipCenter Spine ShoulderCenter Head ShoulderLeft ElbowLeft WristLeft HandLeft
-ShoulderRight ElbowRight WristRight HandRight HipLeft KneeLeft AnkleLeft FootLeft
-HipRight KneeRight AnkleRight FootRight""".split()
-SDK_V2 = """SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft
-ShoulderRight ElbowRight WristRight HandRight HipLeft KneeLeft AnkleLeft FootLeft
-HipRight KneeRight AnkleRight FootRight SpineShoulder HandTipLeft ThumbLeft
-HandTipRight ThumbRight""".split()
+SDK_V1 = [
+    "HipCenter",
+    "Spine",
+    "ShoulderCenter",
+    "Head",
+    "ShoulderLeft",
+    "ElbowLeft",
+    "WristLeft",
+    "HandLeft",
+    "ShoulderRight",
+    "ElbowRight",
+    "WristRight",
+    "HandRight",
+    "HipLeft",
+    "KneeLeft",
+    "AnkleLeft",
+    "FootLeft",
+    "HipRight",
+    "KneeRight",
+    "AnkleRight",
+    "FootRight",
+]
+SDK_V2 = [
+    "SpineBase",
+    "SpineMid",
+    "Neck",
+    "Head",
+    "ShoulderLeft",
+    "ElbowLeft",
+    "WristLeft",
+    "HandLeft",
+    "ShoulderRight",
+    "ElbowRight",
+    "WristRight",
+    "HandRight",
+    "HipLeft",
+    "KneeLeft",
+    "AnkleLeft",
+    "FootLeft",
+    "HipRight",
+    "KneeRight",
+    "AnkleRight",
+    "FootRight",
+    "SpineShoulder",
+    "HandTipLeft",
+    "ThumbLeft",
+    "HandTipRight",
+    "ThumbRight",
+]
 
 every_skeleton = pytest.mark.parametrize(
     "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name

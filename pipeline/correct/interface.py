@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Correction", "Corrector", "Observation"]
+__all__ = [
+    "Correction",
+    "Corrector",
+    "Observation",
+    "ObservedTake",
+    "WholeTakeCorrector",
+]
 
 Array = NDArray[np.float64]
 
@@ -23,6 +29,8 @@ class Observation:
     """Reliability rate in [0, 1], shape (J,)."""
     geometry: Array
     """The rate without the tracking state, shape (J,)."""
+    time: float = 0.0
+    """Time stamp [s]."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,26 @@ class Correction:
     """Share of the measurement in each joint, 0 where invented, shape (J,)."""
     coverage: float
     """How well the method knows the posture, in [0, 1]; NaN: it claims nothing."""
+
+
+@dataclass(frozen=True)
+class ObservedTake:
+    """A whole take as ``Observation`` shows its frames."""
+
+    time: Array
+    """Time stamps [s], strictly increasing, shape (T,)."""
+    positions: Array
+    """Joint positions [m], NaN where missing, shape (T, J, 3)."""
+    rate: Array
+    """Reliability rate, shape (T, J)."""
+
+
+@runtime_checkable
+class WholeTakeCorrector(Protocol):
+    """A correction method that has to see the future: files only, no live stream."""
+
+    def correct(self, take: ObservedTake) -> Array:
+        """Return corrected joint positions [m], NaN where it has none, (T, J, 3)."""
 
 
 class Corrector(Protocol):

@@ -65,7 +65,8 @@ def correct_take(
     for k in frames:
         rate = reliability.rate[k]
         standard, view = standardizer.step(take.positions[k], rate)
-        result = corrector.step(Observation(standard, rate, reliability.geometry[k]))
+        geometry, time = reliability.geometry[k], float(take.time[k])
+        result = corrector.step(Observation(standard, rate, geometry, time))
         positions[k] = standardizer.undo(result.positions, view)
         trust[k], coverage[k] = result.trust, result.coverage
         if result.rotations is not None:

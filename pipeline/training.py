@@ -1,0 +1,173 @@
+"""Pairs of Kinect and mocap, brought to the standard body to learn from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import (
+    KINECT_V1,
+    SKELETONS,
+    InputError,
+    Skeleton,
+    State,
+    Take,
+)
+from kinefilter.retarget import Standardizer, measured_body
+
+from .progress import Progress, silent
+from .reliability import ReliabilityScorer, measure_reference
+
+__all__ = ["PairedTake", "TrainingSet", "read_pairs", "training_set"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PairedTake:
+    """A take and what marker mocap saw at the same time."""
+
+    take: Take
+    """The recording."""
+    truth: Array
+    """Joint positions of the mocap [m], the take's frame, NaN where none, (T, J, 3)."""
+    subject: str
+    """Who moves."""
+    clip: str
+    """Name of the clip, such as m01_s02_e05 or m01_s02_e05_inc."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet:
+    """Frames on the standard body, root at the origin, facing +z, and their truth."""
+
+    positions: Array
+    """Measured joint positions [m], NaN where missing, shape (N, J, 3)."""
+    rate: Array
+    """Reliability rate, shape (N, J)."""
+    truth: Array
+    """Mocap's joint positions [m] in the same view and scale, NaN where none; moved so
+    that the hips' middle is where the measurement has it, shape (N, J, 3)."""
+    first: NDArray[np.bool_]
+    """The frame begins a take, shape (N,)."""
+    skeleton: Skeleton
+    """The joints, in the order of the arrays."""
+    source: str
+    """What the pairs are, for the model file."""
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
+    """Read the clips of a pairs file (npz).
+
+    Arrays: ``joints`` (names), ``fps``, ``subject``, ``kinect`` and ``mocap`` (N, J, 3)
+    in meters, ``clip`` names with their rows ``start`` to ``stop``; optionally
+    ``state`` (N, J). NaN is a joint that the recording does not have.
+
+    Raises:
+        InputError: The file is missing, is no pairs file, or its two sides differ.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; check the name")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except (ValueError, OSError, EOFError) as error:
+        raise InputError(f"{path}: not a pairs file (npz of arrays)") from error
+    needed = ("joints", "fps", "subject", "kinect", "mocap", "clip", "start", "stop")
+    for key in needed:
+        if key not in arrays:
+            raise InputError(
+                f"{path}: no array {key!r}; a pairs file holds {', '.join(needed)}"
+            )
+    kinect, mocap = arrays["kinect"].astype(float), arrays["mocap"].astype(float)
+    if kinect.shape != mocap.shape:
+        raise InputError(
+            f"{path}: kinect has shape {kinect.shape} but mocap {mocap.shape}; both "
+            "sides need the same frames and joints"
+        )
+    skeleton = _skeleton_of(path, arrays["joints"].tolist(), kinect)
+    missing = np.isnan(kinect).any(axis=2)
+    state = arrays.get("state", np.full(missing.shape, State.TRACKED))
+    state = np.where(missing, State.NOT_TRACKED, state).astype(np.uint8)
+    fps, subject = float(arrays["fps"]), str(arrays["subject"])
+    pairs = []
+    spans = zip(arrays["clip"], arrays["start"], arrays["stop"], strict=True)
+    for clip, start, stop in spans:
+        if not 0 <= start < stop <= len(kinect):
+            raise InputError(
+                f"{path}: clip {clip} is rows {start} to {stop} of {len(kinect)}"
+            )
+        rows = slice(int(start), int(stop))
+        time = np.arange(stop - start) / fps
+        name = f"{path}:{clip}"
+        take = Take(time, kinect[rows], state[rows], skeleton, name)
+        pairs.append(PairedTake(take, mocap[rows], subject, str(clip)))
+    return pairs
+
+
+def _skeleton_of(path: Path, joints: list[str], kinect: Array) -> Skeleton:
+    for skeleton in SKELETONS.values():
+        if tuple(joints) == skeleton.joints and kinect.shape[1:] == (len(joints), 3):
+            return skeleton
+    raise InputError(
+        f"{path}: joints {', '.join(map(str, joints[:3]))}, ... are no known skeleton; "
+        f"expected the SDK's names in its order, such as {', '.join(KINECT_V1.joints)}"
+    )
+
+
+def training_set(
+    pairs: Sequence[PairedTake], *, progress: Progress = silent
+) -> TrainingSet:
+    """Bring pairs to the standard body, as a corrector will see them.
+
+    Raises:
+        InputError: No pairs, or pairs of different skeletons.
+    """
+    if not pairs:
+        raise InputError("no clips to learn from; give pairs files with clips in them")
+    skeleton = pairs[0].take.skeleton
+    parts: list[tuple[Array, Array, Array]] = []
+    for k in progress("standardize", len(pairs)):
+        if pairs[k].take.skeleton != skeleton:
+            raise InputError(
+                f"{pairs[k].take.source}: {pairs[k].take.skeleton.name}, but the first "
+                f"pairs are {skeleton.name}; train one model a skeleton"
+            )
+        parts.append(_standardized(pairs[k]))
+    lengths = [len(part[0]) for part in parts]
+    first = np.zeros(sum(lengths), dtype=bool)
+    first[np.concatenate([[0], np.cumsum(lengths)[:-1]])] = True
+    subjects = sorted({pair.subject for pair in pairs})
+    return TrainingSet(
+        *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)),
+        first,
+        skeleton,
+        f"{len(pairs)} clips of {', '.join(subjects)}",
+    )
+
+
+def _standardized(pair: PairedTake) -> tuple[Array, Array, Array]:
+    """Return measured postures, rates and truths of a clip, standardized alike."""
+    take, skeleton = pair.take, pair.take.skeleton
+    reference = measure_reference(take)
+    body = measured_body(skeleton, reference.lengths, reference.directions)
+    rate = ReliabilityScorer(take.skeleton, reference).score(take).rate
+    standardizer = Standardizer(body)
+    hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
+    # E is relative to the hips' middle, so that is what the two sides share.
+    shift = take.positions[:, hips].mean(axis=1) - pair.truth[:, hips].mean(axis=1)
+    truth = pair.truth + shift[:, None]
+    positions, truths = np.empty_like(truth), np.empty_like(truth)
+    for k in range(len(take)):
+        positions[k], view = standardizer.step(take.positions[k], rate[k])
+        truths[k] = standardizer.alongside(truth[k], view)
+    return positions, rate, truths
