@@ -147,12 +147,11 @@ def training_set(
     first = np.zeros(sum(lengths), dtype=bool)
     first[np.concatenate([[0], np.cumsum(lengths)[:-1]])] = True
     subjects = sorted({pair.subject for pair in pairs})
-    return TrainingSet(
-        *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)),
-        first,
-        skeleton,
-        f"{len(pairs)} clips of {', '.join(subjects)}",
+    positions, rate, truth = (
+        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
     )
+    source = f"{len(pairs)} clips of {', '.join(subjects)}"
+    return TrainingSet(positions, rate, truth, first, skeleton, source)
 
 
 def _standardized(pair: PairedTake) -> tuple[Array, Array, Array]:
