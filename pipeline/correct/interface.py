@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters import Skeleton
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.training import TrainingSet
+
 __all__ = [
     "Correction",
     "Corrector",
+    "LearnedCorrector",
     "Observation",
     "ObservedTake",
     "WholeTakeCorrector",
@@ -76,3 +81,20 @@ class Corrector(Protocol):
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
+
+
+class LearnedCorrector(Corrector, Protocol):
+    """A correction method that learns from pairs of Kinect and mocap.
+
+    The constructor stores settings, ``fit`` computes, fitted state ends in ``_``.
+    """
+
+    def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
+        """Learn from pairs."""
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the fitted state as named arrays, for a model file."""
+
+    @classmethod
+    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
+        """Return the fitted corrector that ``arrays`` described."""
