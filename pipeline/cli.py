@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich import progress as rich_progress
@@ -27,12 +27,16 @@ from kinefilter.characters import SKELETONS, InputError
 from .config import CleanConfig
 from .progress import Progress
 
+if TYPE_CHECKING:
+    from .training import PairedTake
+
 __all__ = ["main"]
 
 _out = Console(soft_wrap=True, highlight=False)
 _err = Console(stderr=True, soft_wrap=True, highlight=False)
 
 Skeletons = Literal["kinect_v1", "kinect_v2"]
+LearnedMethod = Literal["best"]
 Formats = Literal["kinefilter", "kinect-v2", "kinect-v1"]
 
 
@@ -141,6 +145,93 @@ class Database:
 
 
 @dataclass(frozen=True)
+class Train:
+    """Teach a correction method from pairs of Kinect and mocap."""
+
+    pairs: Positional[tuple[Path, ...]]
+    """Pairs files (.npz)."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Model to write (.npz)."""
+    method: LearnedMethod = "best"
+    """What to teach."""
+
+    def run(self) -> int:
+        """Learn and write."""
+        from .correct.methods import LEARNED
+        from .formats import check_folder
+        from .models import Model, save_model
+        from .training import training_set
+
+        if self.out.suffix != ".npz":
+            raise InputError(f"{self.out}: a model is an .npz file; name it so")
+        check_folder(self.out)
+        _keep(self.out, *self.pairs)
+        pairs = _read_all(self.pairs)
+        with _progress() as progress:
+            lessons = training_set(pairs, progress=progress)
+            learner = LEARNED[self.method](lessons.skeleton)
+            learner.fit(lessons, progress=progress)
+        model = Model(learner, self.method, lessons.skeleton, lessons.source)
+        save_model(model, self.out)
+        _out.print(f"wrote {self.out}: {self.method}, learned from {lessons.source}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure correction methods against marker mocap."""
+
+    train: tuple[Path, ...]
+    """Pairs files (.npz) to learn from."""
+    test: tuple[Path, ...] = ()
+    """Pairs files to test on; default: one person of --train after the other."""
+    methods: str = "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,best"
+    """Methods, comma-separated."""
+    protocol: Literal["people", "repetitions"] = "people"
+    """Test on people, or on repetitions of known people, that were not learned from."""
+    physics: bool = False
+    """Send what the methods give through the simulated character too."""
+    database: Path | None = None
+    """Motion database (.npz); default: the embedded."""
+    json: Path | None = None
+    """Write the figures to this file too."""
+
+    def run(self) -> int:
+        """Evaluate and print."""
+        from .database import PostureDatabase
+        from .evaluate import as_table, evaluate
+        from .formats import check_folder
+
+        if self.json is not None:
+            check_folder(self.json)
+            _keep(self.json, *self.train, *self.test, self.database)
+        database = (
+            None if self.database is None else PostureDatabase.load(self.database)
+        )
+        train, test = _read_all(self.train), _read_all(self.test)
+        with _progress() as progress:
+            figures = evaluate(
+                train,
+                test,
+                self.methods.split(","),
+                protocol=self.protocol,
+                physics=self.physics,
+                database=database,
+                progress=progress,
+            )
+        if self.json is not None:
+            _write_json(figures, self.json)
+        _out.print(as_table(figures))
+        return 0
+
+
+def _read_all(files: Sequence[Path]) -> list[PairedTake]:
+    from .training import read_pairs
+
+    return [pair for file in files for pair in read_pairs(file)]
+
+
+@dataclass(frozen=True)
 class Bench:
     """Time every stage, frame by frame as a live user would run it."""
 
@@ -167,6 +258,8 @@ class Bench:
 Command = (
     Annotated[Clean, subcommand("clean")]
     | Annotated[Database, subcommand("database")]
+    | Annotated[Train, subcommand("train")]
+    | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Bench, subcommand("bench")]
 )
 

@@ -6,15 +6,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-__all__ = ["CleanConfig"]
+__all__ = ["CleanConfig", "Method"]
+
+Method = Literal[
+    "local-pca",
+    "best",
+    "none",
+    "butterworth",
+    "savgol",
+    "one-euro",
+    "kalman",
+    "low-rank",
+]
+"""Correction methods by name (see ``correct/methods.py``)."""
 
 
 @dataclass(frozen=True)
 class CleanConfig:
     """How a take is cleaned."""
 
-    method: Literal["local-pca", "none"] = "local-pca"
-    """How unreliable joints are corrected; none fills gaps only."""
+    method: Method | None = None
+    """How joints are corrected; default: by the model where one is given, otherwise
+    local-pca. none fills gaps only."""
+    model: Path | None = None
+    """Model (.npz) of 'kinefilter train'."""
     search: Literal["solver", "stochastic"] = "solver"
     """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
     database: Path | None = None

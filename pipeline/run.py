@@ -11,13 +11,16 @@ from kinefilter.characters import Clip, InputError, Skeleton, Take
 from kinefilter.retarget import measured_body
 
 from .config import CleanConfig
-from .correct import Corrector, Hold, LocalPCA, correct_take
+from .correct import Corrector, LocalPCA, WholeTakeCorrector, correct_take
+from .correct.methods import FILTERS, LEARNED
 from .database import PostureDatabase
 from .library import embedded_database
 from .metrics import Quality, distances, measure
+from .models import Model, load_model
 from .physics import PhysicsFilter, PhysicsTrace
 from .progress import Progress, silent
 from .reliability import Reference, ReliabilityScorer, measure_reference
+from .standard import standardize_take
 from .target import make_target
 
 __all__ = ["CleanResult", "clean", "make_corrector"]
@@ -78,12 +81,13 @@ def clean(
         mass=config.mass,
     )
     reliability = ReliabilityScorer(take.skeleton, reference).score(take)
-    corrected = correct_take(
-        take, body, reliability, corrector, progress("correct", len(take))
+    standard = standardize_take(
+        take, body, reliability, progress("standardize", len(take))
     )
+    corrected = correct_take(standard, corrector, progress("correct", len(take)))
     target = make_target(take.time, corrected, body, cutoff=config.cutoff)
     origin, coverage = corrected.origin(take), corrected.coverage
-    del corrected  # an hour's take is to fit a gigabyte
+    del standard, corrected  # an hour's take is to fit a gigabyte
     raw = take.positions - [0.0, target.floor, 0.0]
     before = after = target.posed(body)
     stages = {
@@ -132,14 +136,21 @@ def _notes(reference: Reference, trace: PhysicsTrace | None) -> tuple[str, ...]:
 
 def make_corrector(
     skeleton: Skeleton, config: CleanConfig, progress: Progress = silent
-) -> Corrector:
+) -> Corrector | WholeTakeCorrector:
     """Return the correction method that a config names, for a skeleton.
 
     Raises:
-        InputError: The database is of another skeleton.
+        InputError: The database or model is of another skeleton, or missing.
     """
-    if config.method == "none":
-        return Hold(skeleton)
+    if config.model is not None:
+        return _learned(skeleton, config, load_model(config.model))
+    method = config.method or "local-pca"
+    if method in LEARNED:
+        raise InputError(
+            f"--method {method} learns: give --model with a file of 'kinefilter train'"
+        )
+    if method in FILTERS:
+        return FILTERS[method](skeleton)
     if config.database is None:
         database = embedded_database(skeleton, progress)
     else:
@@ -151,6 +162,20 @@ def make_corrector(
             f"--skeleton {skeleton.name}'"
         )
     return LocalPCA(database, search=config.search, seed=config.seed)
+
+
+def _learned(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector:
+    if model.skeleton.name != skeleton.name:
+        raise InputError(
+            f"{config.model}: a model for {model.skeleton.name}, but the take is "
+            f"{skeleton.name}; train one on pairs of that skeleton"
+        )
+    if config.method not in (None, model.method):
+        raise InputError(
+            f"{config.model}: a model of method {model.method}, but --method says "
+            f"{config.method}; leave one of the two out"
+        )
+    return model.corrector
 
 
 def _check(take: Take) -> None:

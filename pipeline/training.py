@@ -18,10 +18,11 @@ from kinefilter.characters import (
     State,
     Take,
 )
-from kinefilter.retarget import Standardizer, measured_body
+from kinefilter.retarget import measured_body
 
 from .progress import Progress, silent
 from .reliability import ReliabilityScorer, measure_reference
+from .standard import standardize_take
 
 __all__ = ["PairedTake", "TrainingSet", "read_pairs", "training_set"]
 
@@ -59,6 +60,8 @@ class TrainingSet:
     """The joints, in the order of the arrays."""
     source: str
     """What the pairs are, for the model file."""
+    lengths: Array | None = None
+    """The person's own segment lengths in each frame [m], shape (N, J)."""
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -135,7 +138,7 @@ def training_set(
     if not pairs:
         raise InputError("no clips to learn from; give pairs files with clips in them")
     skeleton = pairs[0].take.skeleton
-    parts: list[tuple[Array, Array, Array]] = []
+    parts: list[tuple[Array, Array, Array, Array]] = []
     for k in progress("standardize", len(pairs)):
         if pairs[k].take.skeleton != skeleton:
             raise InputError(
@@ -143,30 +146,27 @@ def training_set(
                 f"pairs are {skeleton.name}; train one model a skeleton"
             )
         parts.append(_standardized(pairs[k]))
-    lengths = [len(part[0]) for part in parts]
-    first = np.zeros(sum(lengths), dtype=bool)
-    first[np.concatenate([[0], np.cumsum(lengths)[:-1]])] = True
+    counts = [len(part[0]) for part in parts]
+    first = np.zeros(sum(counts), dtype=bool)
+    first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
     subjects = sorted({pair.subject for pair in pairs})
-    positions, rate, truth = (
+    positions, rate, truth, lengths = (
         np.concatenate(arrays) for arrays in zip(*parts, strict=True)
     )
     source = f"{len(pairs)} clips of {', '.join(subjects)}"
-    return TrainingSet(positions, rate, truth, first, skeleton, source)
+    return TrainingSet(positions, rate, truth, first, skeleton, source, lengths)
 
 
-def _standardized(pair: PairedTake) -> tuple[Array, Array, Array]:
-    """Return measured postures, rates and truths of a clip, standardized alike."""
+def _standardized(pair: PairedTake) -> tuple[Array, Array, Array, Array]:
+    """Return postures, rates, truths and the person's lengths of a clip's frames."""
     take, skeleton = pair.take, pair.take.skeleton
     reference = measure_reference(take)
     body = measured_body(skeleton, reference.lengths, reference.directions)
-    rate = ReliabilityScorer(take.skeleton, reference).score(take).rate
-    standardizer = Standardizer(body)
+    reliability = ReliabilityScorer(skeleton, reference).score(take)
+    standard = standardize_take(take, body, reliability, range(len(take)))
     hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
     # E is relative to the hips' middle, so that is what the two sides share.
     shift = take.positions[:, hips].mean(axis=1) - pair.truth[:, hips].mean(axis=1)
-    truth = pair.truth + shift[:, None]
-    positions, truths = np.empty_like(truth), np.empty_like(truth)
-    for k in range(len(take)):
-        positions[k], view = standardizer.step(take.positions[k], rate[k])
-        truths[k] = standardizer.alongside(truth[k], view)
-    return positions, rate, truths
+    truth = standard.alongside(pair.truth + shift[:, None], take.positions)
+    lengths = np.tile(body.lengths, (len(take), 1))
+    return standard.positions, reliability.rate, truth, lengths

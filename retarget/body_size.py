@@ -121,7 +121,6 @@ class Standardizer:
         self._root = np.zeros(3)
         self._yaw = 0.0
         self._bones = self.body.rest_offsets.copy()
-        self._seen = self.body.rest_positions - self.body.rest_positions[0]
 
     def step(self, positions: Array, weights: Array) -> tuple[Array, View]:
         """Return a posture on the standard body, root at the origin, facing +z.
@@ -149,25 +148,22 @@ class Standardizer:
             for j in skeleton.order[1:]:
                 if missing[j]:
                     seen[j] = seen[skeleton.parents[j]] + self._bones[j]
-        self._seen, self._bones = seen, self._bones_of(seen)
+        self._bones = self._bones_of(seen)
         standard = self._chain @ _apply(self._to_standard, self._bones)
         standard[missing] = np.nan
         return standard, view
 
-    def alongside(self, positions: Array, view: View) -> Array:
-        """Return another measurement of the last frame, such as mocap's, likewise.
+    def standardize(self, positions: Array, view: View) -> Array:
+        """Return postures (..., J, 3) in world frame on the standard body, as ``step``.
 
-        Joints that it lacks are taken from the frame on the way, and stay missing.
-
-        Args:
-            positions: Joint positions [m], world frame, NaN where missing, (J, 3).
-            view: The view that ``step`` took out.
+        The root may be elsewhere than the view's, and stays as far from the origin. A
+        missing joint takes what hangs on it along.
         """
-        missing = np.isnan(positions[:, 0])
-        seen = np.where(missing[:, None], self._seen, view.remove(positions))
-        standard = self._chain @ _apply(self._to_standard, self._bones_of(seen))
-        standard[missing] = np.nan
-        return standard
+        bones = self._bones_of(view.remove(positions))
+        lost = np.isnan(bones)
+        standard = self._chain @ _apply(self._to_standard, np.where(lost, 0.0, bones))
+        missing = (self._chain @ lost.astype(float)) > 0.0
+        return np.where(missing, np.nan, standard)
 
     def undo(self, positions: Array, view: View) -> Array:
         """Return standard postures (..., J, 3) on the person's body in their view."""

@@ -209,7 +209,9 @@ def test_about_y_turns_plus_z_to_plus_x() -> None:
     z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     np.testing.assert_allclose(rotate(about_y(np.pi / 2), z), x, atol=1e-15)
     turns = np.linspace(-7.0, 7.0, 12).reshape(3, 4)
-    expected = Rotation.from_euler("y", turns.ravel()).as_matrix().reshape(3, 4, 3, 3)
+    expected = (
+        Rotation.from_euler("y", turns.reshape(-1, 1)).as_matrix().reshape(3, 4, 3, 3)
+    )
     np.testing.assert_allclose(matrix_from_wxyz(about_y(turns)), expected, atol=1e-15)
 
 
@@ -219,7 +221,7 @@ def test_about_y_turns_plus_z_to_plus_x() -> None:
 def test_normalize_scales_to_unit_length_and_makes_zero_the_identity() -> None:
     q = np.array([[0.0, 0.0, 0.0, 0.0], [0.0, -3.0, 0.0, 4.0], [1e-200, 0.0, 0.0, 0.0]])
     np.testing.assert_allclose(
-        normalize(q), [[1, 0, 0, 0], [0, -0.6, 0, 0.8], [1, 0, 0, 0]]
+        normalize(q), np.array([[1.0, 0, 0, 0], [0, -0.6, 0, 0.8], [1.0, 0, 0, 0]])
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -146,7 +147,7 @@ def test_mirror_is_an_involution_that_keeps_the_hierarchy(skeleton: Skeleton) ->
 )
 def test_limbs_hang_together_as_on_a_human(skeleton: Skeleton, chain: str) -> None:
     names = chain.split()
-    for child, parent in zip(names, names[1:], strict=False):
+    for child, parent in pairwise(names):
         assert skeleton.parents[skeleton.index(child)] == skeleton.index(parent)
 
 

@@ -1,7 +1,14 @@
 """Correction methods, one a file, behind one interface."""
 
 from .hold import Hold
-from .interface import Correction, Corrector, Observation
+from .interface import (
+    Correction,
+    Corrector,
+    LearnedCorrector,
+    Observation,
+    ObservedTake,
+    WholeTakeCorrector,
+)
 from .local_pca import LocalPCA
 from .take import CorrectedTake, correct_take
 
@@ -10,7 +17,10 @@ __all__ = [
     "Correction",
     "Corrector",
     "Hold",
+    "LearnedCorrector",
     "LocalPCA",
     "Observation",
+    "ObservedTake",
+    "WholeTakeCorrector",
     "correct_take",
 ]

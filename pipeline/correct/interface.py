@@ -36,6 +36,8 @@ class Observation:
     """The rate without the tracking state, shape (J,)."""
     time: float = 0.0
     """Time stamp [s]."""
+    lengths: Array | None = None
+    """The person's own segment lengths [m], shape (J,)."""
 
 
 @dataclass(frozen=True)

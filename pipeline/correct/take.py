@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Origin, Take
-from kinefilter.pipeline.reliability import Reliability
-from kinefilter.retarget import Standardizer
+from kinefilter.characters import Origin, Take
+from kinefilter.pipeline.standard import StandardTake
+from kinefilter.retarget.rotations import about_y, multiply
 
-from .interface import Corrector, Observation
+from .hold import Hold
+from .interface import Corrector, Observation, ObservedTake, WholeTakeCorrector
 
 __all__ = ["CorrectedTake", "correct_take"]
 
@@ -41,36 +42,41 @@ class CorrectedTake:
 
 
 def correct_take(
-    take: Take,
-    body: Body,
-    reliability: Reliability,
-    corrector: Corrector,
+    standard: StandardTake,
+    corrector: Corrector | WholeTakeCorrector,
     frames: Iterable[int],
 ) -> CorrectedTake:
     """Correct a take.
 
     Args:
-        take: The recording.
-        body: The person.
-        reliability: Of every joint and frame of the take.
+        standard: The take on the standard body.
         corrector: The method.
         frames: Yields 0 to T - 1, e.g. a progress bar's iterator.
     """
-    count, joints = take.state.shape
-    positions, trust = np.empty((count, joints, 3)), np.empty((count, joints))
-    coverage = np.empty(count)
+    seen, reliability = standard.positions, standard.reliability
+    if isinstance(corrector, WholeTakeCorrector):
+        observed = ObservedTake(standard.time, seen, reliability.rate)
+        seen = corrector.correct(observed)
+        # What it leaves open is filled as if nothing else were wrong.
+        corrector = Hold(standard.body.skeleton)
+    positions, trust = np.empty_like(seen), np.empty(seen.shape[:2])
+    coverage = np.empty(len(seen))
     rotations: NDArray[np.float32] | None = None
-    standardizer = Standardizer(body)
     corrector.start()
     for k in frames:
-        rate = reliability.rate[k]
-        standard, view = standardizer.step(take.positions[k], rate)
-        geometry, time = reliability.geometry[k], float(take.time[k])
-        result = corrector.step(Observation(standard, rate, geometry, time))
-        positions[k] = standardizer.undo(result.positions, view)
-        trust[k], coverage[k] = result.trust, result.coverage
+        result = corrector.step(
+            Observation(
+                seen[k],
+                reliability.rate[k],
+                reliability.geometry[k],
+                float(standard.time[k]),
+                standard.body.lengths,
+            )
+        )
+        positions[k], trust[k] = result.positions, result.trust
+        coverage[k] = result.coverage
         if result.rotations is not None:
             if rotations is None:
-                rotations = np.empty((count, joints, 4), dtype=np.float32)
-            rotations[k] = view.restore_rotations(result.rotations)
-    return CorrectedTake(positions, rotations, trust, coverage)
+                rotations = np.empty((*seen.shape[:2], 4), dtype=np.float32)
+            rotations[k] = multiply(about_y(standard.views.yaw[k]), result.rotations)
+    return CorrectedTake(standard.undo(positions), rotations, trust, coverage)

@@ -1,0 +1,261 @@
+"""How near every method comes to marker mocap, on people or repetitions unseen."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from kinefilter.characters import InputError
+from kinefilter.retarget import measured_body
+
+from .accuracy import LIMBS, Accuracy
+from .correct import Corrector, WholeTakeCorrector, correct_take
+from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
+from .database import PostureDatabase
+from .library import embedded_database
+from .metrics import jitter
+from .physics import PhysicsFilter
+from .progress import Progress, silent
+from .reliability import ReliabilityScorer, measure_reference
+from .standard import StandardTake, standardize_take
+from .target import make_target
+from .training import PairedTake, training_set
+
+__all__ = ["METHODS", "as_table", "evaluate"]
+
+Array = NDArray[np.float64]
+
+METHODS = (*FILTERS, *FROM_DATABASE, *LEARNED)
+"""Every method that can be evaluated."""
+
+_LEARNED_REPETITIONS = 7  # e01 to e07 teach, e08 to e10 test
+_CUTOFF = 6.0  # Hz, of the target that the character follows
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """Clips to learn from and clips to test on."""
+
+    train: list[PairedTake]
+    test: list[PairedTake]
+
+
+@dataclass
+class _Tally:
+    """What one method did on the clips of one person."""
+
+    distances: list[Array]
+    standardized: list[Array]
+    varying: list[Array]
+    jitters: list[float]
+    seconds: float = 0.0
+    frames: int = 0
+
+
+def evaluate(
+    train: Sequence[PairedTake],
+    test: Sequence[PairedTake],
+    methods: Sequence[str],
+    *,
+    protocol: Literal["people", "repetitions"] = "people",
+    physics: bool = False,
+    database: PostureDatabase | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Return the accuracy of methods, in cm, and their speed.
+
+    Args:
+        train: Clips to learn from.
+        test: Clips to test on; none: one person of ``train`` after the other.
+        methods: Names out of METHODS.
+        protocol: ``people`` tests on people that were not learned from;
+            ``repetitions`` learns from the repetitions e01 to e07 of all the clips
+            given and tests on the others.
+        physics: Send what the methods give through the character too.
+        database: Natural postures; by default the embedded ones.
+        progress: Wraps the loops, for a progress bar.
+
+    Raises:
+        InputError: An unknown method, too few people or repetitions.
+    """
+    unknown = [name for name in methods if name not in METHODS]
+    if unknown:
+        raise InputError(f"unknown method {unknown[0]!r}; known: {', '.join(METHODS)}")
+    folds = list(_folds(train, test, protocol))
+    skeleton = folds[0].test[0].take.skeleton
+    postures = database or embedded_database(skeleton, progress)
+    tallies: dict[str, dict[str, _Tally]] = {name: {} for name in ("raw", *methods)}
+    accuracy = Accuracy(skeleton)
+    for fold in folds:
+        correctors: dict[str, Corrector | WholeTakeCorrector] = {}
+        lessons = None
+        for name in methods:
+            if name in FILTERS:
+                correctors[name] = FILTERS[name](skeleton)
+            elif name in FROM_DATABASE:
+                correctors[name] = FROM_DATABASE[name](postures)
+            else:
+                lessons = lessons or training_set(fold.train, progress=progress)
+                learner = LEARNED[name](skeleton)
+                correctors[name] = learner.fit(lessons, progress=progress)
+        for k in progress("test", len(fold.test)):
+            _test(fold.test[k], correctors, tallies, accuracy, physics)
+    return {
+        "protocol": protocol,
+        "physics": physics,
+        "test_clips": sum(len(fold.test) for fold in folds),
+        "methods": {name: _summary(people) for name, people in tallies.items()},
+    }
+
+
+def _folds(
+    train: Sequence[PairedTake], test: Sequence[PairedTake], protocol: str
+) -> Iterator[_Fold]:
+    pairs = [*train, *test]
+    if protocol == "repetitions":
+        early = [p for p in pairs if _repetition(p) <= _LEARNED_REPETITIONS]
+        late = [p for p in pairs if _repetition(p) > _LEARNED_REPETITIONS]
+        if not early or not late:
+            raise InputError(
+                "protocol repetitions needs clips e01 to e07 to learn from and e08 on "
+                f"to test on; given are {len(early)} and {len(late)}"
+            )
+        yield _Fold(early, late)
+    elif test:
+        yield _Fold(list(train), list(test))
+    else:
+        people = sorted({pair.subject for pair in train})
+        if len(people) < 2:
+            raise InputError(
+                "protocol people leaves one person out, and needs two or more; give "
+                "more pairs files, or --test"
+            )
+        for person in people:
+            yield _Fold(
+                [p for p in train if p.subject != person],
+                [p for p in train if p.subject == person],
+            )
+
+
+def _repetition(pair: PairedTake) -> int:
+    """Return the repetition that a clip's name tells, as in m01_s02_e05."""
+    found = re.search(r"_e(\d+)", pair.clip)
+    if found is None:
+        raise InputError(
+            f"{pair.take.source}: the clip's name tells no repetition; expected one "
+            "such as m01_s02_e05, or use --protocol people"
+        )
+    return int(found.group(1))
+
+
+def _test(
+    pair: PairedTake,
+    correctors: dict[str, Corrector | WholeTakeCorrector],
+    tallies: dict[str, dict[str, _Tally]],
+    accuracy: Accuracy,
+    physics: bool,
+) -> None:
+    take = pair.take
+    standard = _standard(pair)
+    _add(tallies["raw"], pair, take.positions, accuracy, 0.0)
+    for name, corrector in correctors.items():
+        start = perf_counter()
+        corrected = correct_take(standard, corrector, range(len(take)))
+        seconds = perf_counter() - start
+        positions = corrected.positions
+        if physics:
+            target = make_target(take.time, corrected, standard.body, cutoff=_CUTOFF)
+            positions = (
+                PhysicsFilter(standard.body)
+                .run(take.time, target.positions, target.rotations)
+                .positions
+            )
+        _add(tallies[name], pair, positions, accuracy, seconds)
+
+
+def _standard(pair: PairedTake) -> StandardTake:
+    take = pair.take
+    reference = measure_reference(take)
+    body = measured_body(take.skeleton, reference.lengths, reference.directions)
+    reliability = ReliabilityScorer(take.skeleton, reference).score(take)
+    return standardize_take(take, body, reliability, range(len(take)))
+
+
+def _add(
+    people: dict[str, _Tally],
+    pair: PairedTake,
+    positions: Array,
+    accuracy: Accuracy,
+    seconds: float,
+) -> None:
+    tally = people.setdefault(pair.subject, _Tally([], [], [], []))
+    tally.distances.append(accuracy.distances(positions, pair.truth))
+    tally.standardized.append(accuracy.standardized(positions, pair.truth))
+    tally.varying.append(accuracy.varying(positions, pair.truth))
+    tally.jitters.append(jitter(pair.take.time, positions[:, accuracy.limbs]))
+    tally.seconds += seconds
+    tally.frames += len(positions)
+
+
+def _summary(people: dict[str, _Tally]) -> dict[str, Any]:
+    """Return a method's figures: means over frames and joints, then over people."""
+    each = {person: _figures(tally) for person, tally in people.items()}
+    mean = {
+        key: float(np.mean([figures[key] for figures in each.values()]))
+        for key in ("E", "E_std", "E_var", "p95", "jitter")
+    }
+    joints = np.array([_per_joint(tally) for tally in people.values()])
+    seconds = sum(tally.seconds for tally in people.values())
+    frames = sum(tally.frames for tally in people.values())
+    return {
+        **mean,
+        "ms_per_frame": seconds / frames * 1e3,
+        "joints": dict(zip(LIMBS, np.nanmean(joints, axis=0).tolist(), strict=True)),
+        "people": each,
+    }
+
+
+def _figures(tally: _Tally) -> dict[str, float]:
+    distances = np.concatenate(tally.distances)
+    return {
+        "E": float(np.nanmean(distances) * 100),
+        "E_std": float(np.nanmean(np.concatenate(tally.standardized)) * 100),
+        "E_var": float(np.nanmean(np.concatenate(tally.varying)) * 100),
+        "p95": float(np.nanpercentile(distances, 95) * 100),
+        "jitter": float(np.nanmean(tally.jitters)),
+    }
+
+
+def _per_joint(tally: _Tally) -> Array:
+    distances = np.concatenate(tally.distances)
+    counts = np.maximum((~np.isnan(distances)).sum(axis=0), 1)
+    return np.asarray(np.nansum(distances, axis=0) / counts * 100)
+
+
+def as_table(figures: dict[str, Any]) -> Table:
+    """Return the figures for a terminal."""
+    title = (
+        f"{figures['test_clips']} clips, protocol {figures['protocol']}"
+        f"{', after physics' if figures['physics'] else ''}; cm, and against raw"
+    )
+    table = Table("method", "E", "E_std", "E_var", "p95", "jitter", "ms", title=title)
+    raw = figures["methods"]["raw"]
+    for name, row in figures["methods"].items():
+        table.add_row(
+            name,
+            *(
+                f"{row[key]:.2f} {row[key] / raw[key] - 1:+4.0%}"
+                for key in ("E", "E_std", "E_var")
+            ),
+            f"{row['p95']:.1f}",
+            f"{row['jitter']:.0f}",
+            f"{row['ms_per_frame']:.2f}",
+        )
+    return table

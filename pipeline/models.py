@@ -1,0 +1,86 @@
+"""Files of learned correctors: arrays only."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinefilter.characters import InputError, Skeleton, skeleton_named
+
+from .correct import LearnedCorrector
+from .correct.methods import LEARNED
+from .formats import atomic_path
+
+__all__ = ["Model", "load_model", "save_model"]
+
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Model:
+    """A learned corrector and where it comes from."""
+
+    corrector: LearnedCorrector
+    """The fitted method."""
+    method: str
+    """Its name."""
+    skeleton: Skeleton
+    """The joints it was trained for."""
+    source: str
+    """What it was trained on, for people."""
+
+
+def save_model(model: Model, path: Path) -> None:
+    """Write a model as npz: arrays only; the file appears whole or not at all."""
+    arrays: dict[str, Any] = {
+        "version": np.array(_VERSION),
+        "method": np.array(model.method),
+        "skeleton": np.array(model.skeleton.name),
+        "trained_on": np.array(model.source),
+    }
+    for key, array in model.corrector.arrays().items():
+        arrays[f"fitted_{key}"] = array
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def load_model(path: Path) -> Model:
+    """Read a model that ``save_model`` wrote.
+
+    Raises:
+        InputError: The file is missing, is no model, or of a newer kinefilter.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such model; make one with 'kinefilter train'")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        version, method = int(arrays["version"]), str(arrays["method"])
+        skeleton = skeleton_named(str(arrays["skeleton"]))
+        source = str(arrays["trained_on"])
+    except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile):
+        raise InputError(
+            f"{path}: not a kinefilter model; make one with 'kinefilter train'"
+        ) from None
+    if version > _VERSION or method not in LEARNED:
+        raise InputError(
+            f"{path}: a model of method {method!r}, version {version}, which this "
+            f"kinefilter does not know (it knows {', '.join(LEARNED)}, version "
+            f"{_VERSION}); update kinefilter or train again"
+        )
+    fitted = {
+        key.removeprefix("fitted_"): array
+        for key, array in arrays.items()
+        if key.startswith("fitted_")
+    }
+    try:
+        corrector = LEARNED[method].from_arrays(skeleton, fitted)
+    except KeyError as error:
+        raise InputError(
+            f"{path}: a damaged model: no array {error}; train again"
+        ) from None
+    return Model(corrector, method, skeleton, source)

@@ -1,0 +1,198 @@
+"""The projection of postures onto the lengths of a body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import NonlinearConstraint, minimize
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.retarget import BoneLengths, bone_lengths, positions_from_rotations
+from kinefilter.retarget.rotations import normalize
+
+Array = NDArray[np.float64]
+
+every_skeleton = pytest.mark.parametrize(
+    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
+)
+
+
+def postures(skeleton: Skeleton, count: int, seed: int = 0) -> Array:
+    rng = np.random.default_rng(seed)
+    swing = rng.normal(0.0, 0.3, (count, len(skeleton), 4)) + np.array(
+        [1.0, 0.0, 0.0, 0.0]
+    )
+    return positions_from_rotations(
+        normalize(swing), rng.normal(size=(count, 3)), standard_body(skeleton)
+    )
+
+
+def noisy(skeleton: Skeleton, count: int, size: float, seed: int = 0) -> Array:
+    rng = np.random.default_rng(seed + 1)
+    right = postures(skeleton, count, seed)
+    return np.asarray(right + rng.normal(0.0, size, right.shape))
+
+
+def lengths_of(positions: Array, skeleton: Skeleton) -> Array:
+    bones = positions[:, skeleton.segments] - positions[:, skeleton.segment_parents]
+    return np.asarray(np.linalg.norm(bones, axis=-1))
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    skeleton=st.sampled_from([KINECT_V1, KINECT_V2]),
+    seed=st.integers(0, 2**32 - 1),
+    size=st.floats(0.0, 0.015),
+)
+def test_bone_lengths_are_exact_after_projection(
+    skeleton: Skeleton, seed: int, size: float
+) -> None:
+    body = standard_body(skeleton)
+    positions = noisy(skeleton, 10, size, seed)
+    trust = np.random.default_rng(seed).uniform(0.2, 1.0, positions.shape[:2])
+    projected = BoneLengths(body).project(positions, trust)
+    expected = np.broadcast_to(body.lengths[skeleton.segments], (10, len(skeleton) - 1))
+    np.testing.assert_allclose(lengths_of(projected, skeleton), expected, atol=1e-6)
+
+
+@every_skeleton
+def test_a_long_segment_is_shortened_wherever_it_is(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    right = postures(skeleton, len(skeleton), 3)
+    wrong = right.copy()
+    for frame, joint in enumerate(skeleton.segments):
+        parent = skeleton.parents[joint]
+        wrong[frame, joint] += 0.4 * (right[frame, joint] - right[frame, parent])
+    projected = BoneLengths(body).project(wrong, np.ones(wrong.shape[:2]))
+    expected = np.broadcast_to(
+        body.lengths[skeleton.segments], (len(skeleton), len(skeleton) - 1)
+    )
+    np.testing.assert_allclose(lengths_of(projected, skeleton), expected, atol=1e-6)
+
+
+@every_skeleton
+def test_postures_that_are_right_already_stay(skeleton: Skeleton) -> None:
+    positions = postures(skeleton, 20)
+    trust = np.random.default_rng(0).random(positions.shape[:2])
+    projected = BoneLengths(standard_body(skeleton)).project(positions, trust)
+    np.testing.assert_array_equal(projected, positions)
+
+
+def test_projecting_twice_is_projecting_once() -> None:
+    positions = noisy(KINECT_V1, 20, 0.01)
+    projector = BoneLengths(standard_body(KINECT_V1))
+    trust = np.ones(positions.shape[:2])
+    once = projector.project(positions, trust)
+    np.testing.assert_allclose(projector.project(once, trust), once, atol=1e-6)
+
+
+def test_arguments_are_not_modified() -> None:
+    positions, trust = noisy(KINECT_V1, 4, 0.01), np.full((4, 20), 0.5)
+    before = positions.copy(), trust.copy()
+    BoneLengths(standard_body(KINECT_V1)).project(positions, trust)
+    np.testing.assert_array_equal(positions, before[0])
+    np.testing.assert_array_equal(trust, before[1])
+
+
+def test_untrusted_joints_move_more_than_trusted_ones() -> None:
+    positions = noisy(KINECT_V1, 200, 0.01)
+    trusted = np.random.default_rng(0).random((200, 20)) < 0.5
+    trust = np.where(trusted, 1.0, 0.2)
+    projected = BoneLengths(standard_body(KINECT_V1)).project(positions, trust)
+    moved = np.linalg.norm(projected - positions, axis=-1)
+    assert moved[~trusted].mean() > 1.5 * moved[trusted].mean()
+
+
+@pytest.mark.parametrize(("hand_is_trusted", "share"), [(False, 0.95), (True, 0.15)])
+def test_an_invented_hand_gives_way_to_a_measured_arm_and_the_other_way_round(
+    hand_is_trusted: bool, share: float
+) -> None:
+    hand = KINECT_V1.index("HandLeft")
+    wrong = standard_body(KINECT_V1).rest_positions[None].copy()
+    wrong[0, hand, 0] += 0.03
+    trust = np.full((1, 20), float(not hand_is_trusted))
+    trust[0, hand] = float(hand_is_trusted)
+    projected = BoneLengths(standard_body(KINECT_V1)).project(wrong, trust)
+    moved = np.linalg.norm(projected - wrong, axis=-1)[0] / 0.03
+    assert (moved[hand] < share) if hand_is_trusted else (moved[hand] > share)
+    assert moved.sum() > 0.99
+
+
+def test_two_joints_share_an_error_as_their_mobilities() -> None:
+    # One segment of a chain that is free at both ends: mobilities 1 / (trust + 0.02).
+    skeleton = KINECT_V1
+    body = standard_body(skeleton)
+    a, b = skeleton.index("WristLeft"), skeleton.index("HandLeft")
+    trust = np.ones((1, 20))
+    trust[0, b] = 0.32
+    wrong = body.rest_positions[None].copy()
+    wrong[0, b] += [0.03, 0.0, 0.0]
+    moved = BoneLengths(body).project(wrong, trust) - wrong
+    # The wrist cannot follow without the arm, so that it takes less than its share.
+    share = (1 / 0.34) / (1 / 0.34 + 1 / 1.02)
+    assert -0.03 < moved[0, b, 0] < -0.03 * share
+    assert moved[0, a, 0] > 0.0
+    assert moved[0, a, 0] - moved[0, b, 0] == pytest.approx(0.03, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_weighted_move_is_the_smallest_there_is(seed: int) -> None:
+    skeleton, body = KINECT_V1, standard_body(KINECT_V1)
+    positions = noisy(skeleton, 1, 0.01, seed)
+    trust = np.random.default_rng(seed).uniform(0.1, 1.0, (1, 20))
+    firmness = (trust[0] + 0.02)[:, None]
+    projected = BoneLengths(body).project(positions, trust)
+
+    def cost(flat: Array) -> float:
+        return float(np.sum(firmness * (flat.reshape(20, 3) - positions[0]) ** 2))
+
+    def slack(flat: Array) -> Array:
+        return np.asarray(
+            lengths_of(flat.reshape(1, 20, 3), skeleton)[0]
+            - body.lengths[skeleton.segments]
+        )
+
+    best = minimize(
+        cost,
+        positions[0].ravel(),
+        method="SLSQP",
+        constraints=NonlinearConstraint(slack, 0.0, 0.0),
+        options={"ftol": 1e-12, "maxiter": 200},
+    )
+    assert best.success
+    found = cost(projected[0].ravel())
+    assert best.fun > 1e-5
+    assert 0.999 * best.fun < found < 1.05 * best.fun
+
+
+def test_the_projection_moves_and_turns_with_the_posture() -> None:
+    positions, trust = noisy(KINECT_V1, 5, 0.01), np.ones((5, 20))
+    projector = BoneLengths(standard_body(KINECT_V1))
+    quarter = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    moved = projector.project(positions @ quarter.T + np.array([5.0, 1.0, -2.0]), trust)
+    expected = projector.project(positions, trust) @ quarter.T + np.array(
+        [5.0, 1.0, -2.0]
+    )
+    np.testing.assert_allclose(moved, expected, atol=1e-9)
+
+
+def test_chunks_give_what_one_chunk_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    positions = noisy(KINECT_V1, 23, 0.01)
+    trust = np.random.default_rng(0).uniform(0.1, 1.0, (23, 20))
+    projector = BoneLengths(standard_body(KINECT_V1))
+    whole = projector.project(positions, trust)
+    monkeypatch.setattr(bone_lengths, "_CHUNK", 5)
+    np.testing.assert_allclose(projector.project(positions, trust), whole, atol=1e-7)
+
+
+@pytest.mark.parametrize("frames", [0, 1])
+def test_short_motions_pass(frames: int) -> None:
+    positions = noisy(KINECT_V1, 2, 0.01)[:frames]
+    projected = BoneLengths(standard_body(KINECT_V1)).project(
+        positions, np.ones((frames, 20))
+    )
+    assert projected.shape == (frames, 20, 3)
+    assert np.isfinite(projected).all()

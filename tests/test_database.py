@@ -1,0 +1,524 @@
+"""The motion database: neighbors, the threshold rule, files, and its sources."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from sklearn.neighbors import NearestNeighbors
+from threadpoolctl import threadpool_limits
+
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Clip,
+    InputError,
+    Skeleton,
+    standard_body,
+)
+from kinefilter.pipeline import PostureDatabase, database
+from kinefilter.pipeline.database import filter_postures, filter_to_count
+from kinefilter.pipeline.formats import write_clip
+from kinefilter.pipeline.library import database_from_bvh, scripted_database
+from kinefilter.retarget import find_yaw, positions_from_rotations
+from kinefilter.retarget.rotations import inverse, rotate
+from kinefilter.scenes import MOTIONS
+
+Array = NDArray[np.float64]
+
+CMU = Path(__file__).parents[2] / "shared" / "data" / "mocap" / "cmu"
+recorded = pytest.mark.skipif(
+    not CMU.is_dir(), reason="no motion capture in ../shared/data"
+)
+every_skeleton = pytest.mark.parametrize(
+    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
+)
+
+
+def made_up(count: int = 60, skeleton: Skeleton = KINECT_V1) -> PostureDatabase:
+    rng = np.random.default_rng(0)
+    rotations = rng.normal(size=(count, len(skeleton), 4))
+    positions = rng.normal(0.0, 0.3, (count, len(skeleton), 3))
+    return PostureDatabase(
+        positions.astype(np.float32).astype(float),
+        rotations.astype(np.float32).astype(float),
+        np.array([f"m{k % 3}" for k in range(count)]),
+        skeleton,
+    )
+
+
+# Neighbors
+
+
+def brute_force(base: PostureDatabase, posture: Array, weights: Array) -> list[float]:
+    """Add up eq. 9 joint by joint, over the joints that have a weight."""
+    distances = []
+    for row in base.positions:
+        total = 0.0
+        for j, weight in enumerate(weights):
+            if weight > 0.0:
+                total += weight * float(np.sum((row[j] - posture[j]) ** 2))
+        distances.append(total)
+    return distances
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@pytest.mark.parametrize("unknown", [0, 5])
+def test_distances_are_those_of_a_plain_loop(skeleton: Skeleton, unknown: int) -> None:
+    base, rng = made_up(40, skeleton), np.random.default_rng(1)
+    posture, weights = rng.normal(size=(len(skeleton), 3)), rng.random(len(skeleton))
+    hidden = rng.permutation(len(skeleton))[:unknown]
+    posture[hidden], weights[hidden] = np.nan, 0.0
+    np.testing.assert_allclose(
+        base.distances(posture, weights), brute_force(base, posture, weights)
+    )
+
+
+def test_joints_without_weight_do_not_count_and_no_weight_at_all_is_zero() -> None:
+    base = made_up()
+    posture = base.positions[7].copy()
+    posture[3:] += 100.0
+    weights = np.zeros(20)
+    weights[:3] = 1.0
+    nearest, away = base.neighbors(posture, weights, 1)
+    assert nearest.tolist() == [7]
+    assert away[0] == pytest.approx(0.0, abs=1e-12)
+    nothing = base.distances(np.full((20, 3), np.nan), np.zeros(20))
+    np.testing.assert_array_equal(nothing, 0.0)
+
+
+@pytest.mark.parametrize("count", [1, 7, 60])
+def test_neighbors_are_those_of_scikit_learn_on_scaled_coordinates(count: int) -> None:
+    base, rng = made_up(), np.random.default_rng(2)
+    for _ in range(10):
+        posture, weights = rng.normal(0.0, 0.3, (20, 3)), rng.random(20)
+        scale = np.sqrt(np.repeat(weights, 3))
+        reference = NearestNeighbors(n_neighbors=count).fit(base.flat * scale)
+        away, nearest = reference.kneighbors((posture.ravel() * scale)[None])
+        found, distances = base.neighbors(posture, weights, count)
+        np.testing.assert_array_equal(found, nearest[0])
+        np.testing.assert_allclose(distances, away[0] ** 2)
+
+
+def test_neighbors_are_no_more_than_there_are_and_never_nearer_than_zero() -> None:
+    base = made_up(5)
+    for posture in base.positions:
+        nearest, distances = base.neighbors(posture, np.ones(20), 30)
+        assert sorted(nearest.tolist()) == [0, 1, 2, 3, 4]
+        assert (distances >= 0.0).all()
+        assert (np.diff(distances) >= 0.0).all()
+
+
+def test_spacing_is_the_root_mean_square_distance_to_the_nearest_other() -> None:
+    base = made_up()
+    flat = base.positions.reshape(60, -1)
+    pairs = np.sum((flat[:, None] - flat[None]) ** 2, axis=-1)
+    np.fill_diagonal(pairs, np.inf)
+    expected = np.median(np.sqrt(pairs.min(axis=1) / 20))
+    assert base.spacing == pytest.approx(float(expected))
+    words = f"60 postures of 3 motions, kinect_v1, {100 * expected:.1f} cm apart"
+    assert base.summary == words
+
+
+# The threshold rule
+
+
+def squared_differences(positions: Array) -> Array:
+    flat = positions.reshape(len(positions), -1)
+    return np.asarray(np.sum((flat[:, None] - flat[None]) ** 2, axis=-1))
+
+
+def one_by_one(positions: Array, threshold: float) -> list[int]:
+    """Keep postures as the paper says it: each against all kept so far."""
+    kept: list[int] = []
+    for k, posture in enumerate(positions):
+        if all(np.sum((posture - positions[m]) ** 2) > threshold for m in kept):
+            kept.append(k)
+    return kept
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(1, 60),
+    threshold=st.floats(0.01, 20.0),
+    block=st.sampled_from([1, 7, 512]),
+)
+def test_kept_postures_differ_and_dropped_ones_are_near_a_kept_one(
+    seed: int, count: int, threshold: float, block: int
+) -> None:
+    positions = np.random.default_rng(seed).normal(0.0, 0.3, (count, 20, 3))
+    positions[count // 2 :] = positions[: count - count // 2] + 1e-3
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(database, "_BLOCK", block)
+        kept = filter_postures(positions, threshold)
+    assert kept.tolist() == one_by_one(positions, threshold)
+    differences = squared_differences(positions)
+    among = differences[np.ix_(kept, kept)] + np.where(np.eye(len(kept)), np.inf, 0.0)
+    assert among.min() > threshold
+    dropped = np.setdiff1d(np.arange(count), kept)
+    assert (differences[np.ix_(dropped, kept)].min(axis=1) <= threshold).all()
+
+
+@pytest.mark.parametrize("count", [100, 400])
+def test_filtering_to_a_count_hits_it_within_two_percent(count: int) -> None:
+    rng = np.random.default_rng(3)
+    walk = np.cumsum(rng.normal(0.0, 0.02, (1500, 20, 3)), axis=0)
+    kept = filter_to_count(walk, count)
+    assert abs(len(kept) - count) <= 0.02 * count
+    assert (np.diff(kept) > 0).all()
+    assert kept[0] == 0
+
+
+def test_few_postures_are_all_kept() -> None:
+    positions = made_up(30).positions
+    for count in (30, 31):
+        np.testing.assert_array_equal(filter_to_count(positions, count), np.arange(30))
+
+
+# Files
+
+
+def test_saving_and_loading_keeps_everything_without_pickle(tmp_path: Path) -> None:
+    base, path = made_up(), tmp_path / "base.npz"
+    base.save(path)
+    with np.load(path, allow_pickle=False) as file:
+        assert all(file[key].dtype != object for key in file.files)
+    again = PostureDatabase.load(path)
+    for name in ("positions", "rotations", "labels"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(base, name))
+    assert again.skeleton is base.skeleton
+    assert str(path) in again.source
+    assert [p.name for p in tmp_path.iterdir()] == ["base.npz"]
+
+
+def test_saving_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    made_up().save(tmp_path / "a.npz")
+    PostureDatabase.load(tmp_path / "a.npz").save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def parts_of(base: PostureDatabase) -> dict[str, Any]:
+    return {
+        "positions": base.positions,
+        "rotations": base.rotations,
+        "labels": base.labels,
+        "skeleton": np.array(base.skeleton.name),
+    }
+
+
+def broken_files() -> Iterator[tuple[str, bytes]]:
+    """Yield what may lie where a database should, each under a name."""
+    parts = parts_of(made_up(4))
+
+    def npz(**changes: Any) -> bytes:
+        buffer = io.BytesIO()
+        arrays = {k: v for k, v in {**parts, **changes}.items() if v is not None}
+        np.savez(buffer, **arrays)
+        return buffer.getvalue()
+
+    yield "empty", b""
+    yield "text", b"time,Head.x\n"
+    yield "cut off", npz()[:3000]
+    for name in parts:
+        yield f"without {name}", npz(**{name: None})
+    for name in ("positions", "rotations"):
+        yield f"{name} of other joints", npz(**{name: parts[name][:, :-1]})
+        yield f"fewer {name}", npz(**{name: parts[name][:-1]})
+        yield f"flat {name}", npz(**{name: parts[name].ravel()})
+        holes = parts[name].copy()
+        holes[1, 2, 0] = np.nan
+        yield f"{name} with NaN", npz(**{name: holes})
+    yield "other skeleton", npz(skeleton=np.array("kinect_v2"))
+    yield (
+        "one posture",
+        npz(**{k: parts[k][:1] for k in ("positions", "rotations", "labels")}),
+    )
+    yield "pickled labels", npz(labels=np.array([{}] * 4, dtype=object))
+    yield "pickled positions", npz(positions=parts["positions"].astype(object))
+
+
+@pytest.mark.parametrize("content", [pytest.param(c, id=n) for n, c in broken_files()])
+def test_a_broken_database_is_refused_naming_the_file(
+    tmp_path: Path, content: bytes
+) -> None:
+    path = tmp_path / "bad.npz"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=re.escape(str(path))) as caught:
+        PostureDatabase.load(path)
+    assert "database build" in str(caught.value)
+
+
+def test_a_missing_database_says_how_to_make_one(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.npz", tmp_path):
+        with pytest.raises(InputError, match=r"no such database.*database build"):
+            PostureDatabase.load(path)
+
+
+def test_an_unknown_skeleton_is_refused(tmp_path: Path) -> None:
+    parts = parts_of(made_up(4))
+    np.savez(tmp_path / "a.npz", **{**parts, "skeleton": np.array("octopus")})
+    with pytest.raises(InputError, match="octopus"):
+        PostureDatabase.load(tmp_path / "a.npz")
+
+
+# The scripted database
+
+
+@pytest.fixture(
+    scope="module", params=[KINECT_V1, KINECT_V2], ids=lambda skeleton: skeleton.name
+)
+def scripted(request: pytest.FixtureRequest) -> PostureDatabase:
+    # Two BLAS threads on busy cores wait for each other ten times as long as they work.
+    with threadpool_limits(1, "blas"):
+        return scripted_database(request.param)
+
+
+def assert_standard(base: PostureDatabase, *, atol: float = 1e-5) -> None:
+    """Assert that postures are on the standard body, in its view, and so rotated."""
+    skeleton, body = base.skeleton, standard_body(base.skeleton)
+    ends = skeleton.segments
+    bones = base.positions[:, ends] - base.positions[:, skeleton.segment_parents]
+    lengths = np.linalg.norm(bones, axis=-1)
+    expected = np.broadcast_to(body.lengths[ends], lengths.shape)
+    np.testing.assert_allclose(lengths, expected, atol=atol)
+    np.testing.assert_array_equal(base.positions[:, skeleton.root], 0.0)
+    again = positions_from_rotations(base.rotations, np.zeros((len(base), 3)), body)
+    np.testing.assert_allclose(again, base.positions, atol=atol)
+    np.testing.assert_allclose(np.linalg.norm(base.rotations, axis=-1), 1.0, atol=1e-5)
+
+
+def test_the_scripted_database_holds_every_motion(scripted: PostureDatabase) -> None:
+    assert set(scripted.labels.tolist()) == set(MOTIONS)
+    assert 2400 <= len(scripted) <= 2750
+    assert scripted.source == "embedded"
+
+
+def test_scripted_postures_are_on_the_standard_body_facing_forward(
+    scripted: PostureDatabase,
+) -> None:
+    assert_standard(scripted)
+    yaw = find_yaw(
+        scripted.positions, np.ones(scripted.positions.shape[:2]), scripted.skeleton
+    )
+    np.testing.assert_allclose(yaw, 0.0, atol=1e-5)
+
+
+def test_scripted_knees_bend_the_right_way(scripted: PostureDatabase) -> None:
+    assert knee_bend(scripted).min() > -1.0
+
+
+def test_the_scripted_database_survives_its_file(
+    scripted: PostureDatabase, tmp_path: Path
+) -> None:
+    scripted.save(tmp_path / "a.npz")
+    again = PostureDatabase.load(tmp_path / "a.npz")
+    np.testing.assert_array_equal(again.positions, scripted.positions)
+    np.testing.assert_array_equal(again.rotations, scripted.rotations)
+    assert again.summary == scripted.summary
+
+
+def knee_bend(base: PostureDatabase) -> Array:
+    """Return how far shanks are bent backwards in the frame of the thigh [deg]."""
+    bends = []
+    for side in ("Left", "Right"):
+        knee, ankle = (base.skeleton.index(p + side) for p in ("Knee", "Ankle"))
+        shank = base.positions[:, ankle] - base.positions[:, knee]
+        local = rotate(inverse(base.rotations[:, knee]), shank)
+        bends.append(np.degrees(np.arctan2(-local[:, 2], -local[:, 1])))
+    return np.concatenate(bends)
+
+
+# Databases from BVH
+
+CMU_NAMES = {
+    "Wrist": "Hand",
+    "Elbow": "ForeArm",
+    "Hand": "HandIndex1",
+    "Hip": "UpLeg",
+    "Knee": "Leg",
+    "Ankle": "Foot",
+    "Foot": "ToeBase",
+}
+
+
+def small_bvh(unit: float = 1.0) -> str:
+    """Return a BVH of arms that rise and knees that bend, first frame a T-pose."""
+    body = standard_body(KINECT_V1, height=1.6)
+    offsets, index = body.rest_offsets, KINECT_V1.index
+    nodes = [("Spine", "Hips", offsets[index("Spine")])]
+    girdle = offsets[index("ShoulderCenter")]
+    nodes.append(("Spine1", "Spine", 0.5 * girdle))
+    nodes.append(("Neck1", "Spine1", 0.6 * girdle))
+    head = offsets[index("Head")] - 0.1 * girdle
+    nodes.append(("Head", "Neck1", head))
+    for side in ("Left", "Right"):
+        shoulder = offsets[index(f"Shoulder{side}")]
+        nodes.append((f"{side}Shoulder", "Spine1", 0.5 * girdle))
+        nodes.append((f"{side}Arm", f"{side}Shoulder", shoulder))
+        for part, parent in (
+            ("Elbow", "Arm"),
+            ("Wrist", "ForeArm"),
+            ("Hand", "Hand"),
+            ("Hip", ""),
+            ("Knee", "UpLeg"),
+            ("Ankle", "Leg"),
+            ("Foot", "Foot"),
+        ):
+            above = side + parent if parent else "Hips"
+            nodes.append((side + CMU_NAMES[part], above, offsets[index(part + side)]))
+    return bvh_text([(n, p, unit * o) for n, p, o in nodes], unit)
+
+
+def bvh_text(nodes: list[tuple[str, str, Array]], unit: float) -> str:
+    lines, names = ["HIERARCHY"], []
+
+    def write(name: str, offset: Array) -> None:
+        x, y, z = offset
+        place = "Xposition Yposition Zposition " if name == "Hips" else ""
+        channels = f"{6 if place else 3} {place}Zrotation Yrotation Xrotation"
+        names.append(name)
+        lines.append(f"{'JOINT' if names[1:] else 'ROOT'} {name}")
+        lines.extend(["{", f"OFFSET {x:.9f} {y:.9f} {z:.9f}", f"CHANNELS {channels}"])
+        for child, parent, below in nodes:
+            if parent == name:
+                write(child, below)
+        lines.append("}")
+
+    write("Hips", np.zeros(3))
+    frames = 40
+    lines.extend(["MOTION", f"Frames: {frames}", "Frame Time: 0.0333333"])
+    for k in range(frames):
+        turns = np.zeros((len(names), 3))
+        turns[names.index("LeftArm"), 0] = 2.0 * k
+        turns[names.index("RightForeArm"), 1] = 1.5 * k
+        for side in ("Left", "Right"):
+            turns[names.index(f"{side}UpLeg"), 2] = -1.0 * k
+            turns[names.index(f"{side}Leg"), 2] = 2.0 * k
+        turns[names.index("Hips"), 1] = 3.0 * k
+        root = unit * np.array([0.1, 0.9, 0.01 * k])
+        lines.append(" ".join(f"{v:.9f}" for v in [*root, *turns.ravel()]))
+    return "\n".join(lines) + "\n"
+
+
+def write_text(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@every_skeleton
+def test_a_database_from_bvh_is_on_the_standard_body(
+    tmp_path: Path, skeleton: Skeleton
+) -> None:
+    path = write_text(tmp_path / "arms.up.bvh", small_bvh())
+    base = database_from_bvh([path], skeleton)
+    assert len(base) == 40
+    assert set(base.labels.tolist()) == {"arms"}
+    assert_standard(base)
+    np.testing.assert_allclose(knee_bend(base)[:40], 2.0 * np.arange(40), atol=0.01)
+
+
+@every_skeleton
+@pytest.mark.parametrize("unit", [100.0, 39.37, 0.001])
+def test_the_unit_of_a_bvh_does_not_matter(
+    tmp_path: Path, skeleton: Skeleton, unit: float
+) -> None:
+    meters = write_text(tmp_path / "a.bvh", small_bvh())
+    other = write_text(tmp_path / "b.bvh", small_bvh(unit))
+    a, b = (database_from_bvh([path], skeleton) for path in (meters, other))
+    tolerance = 1e-5 if unit > 1.0 else 1e-4
+    np.testing.assert_allclose(a.positions, b.positions, atol=tolerance)
+    np.testing.assert_allclose(a.rotations, b.rotations, atol=10.0 * tolerance)
+
+
+def test_the_heading_of_a_bvh_does_not_stay(tmp_path: Path) -> None:
+    base = database_from_bvh([write_text(tmp_path / "a.bvh", small_bvh())], KINECT_V1)
+    yaw = find_yaw(base.positions, np.ones((40, 20)), KINECT_V1)
+    np.testing.assert_allclose(yaw, 0.0, atol=1e-5)
+
+
+def test_files_are_named_to_the_progress_bar_and_counted(tmp_path: Path) -> None:
+    paths = [write_text(tmp_path / f"{n}.bvh", small_bvh()) for n in "abc"]
+    seen: list[tuple[str, int]] = []
+
+    def progress(stage: str, total: int) -> range:
+        seen.append((stage, total))
+        return range(total)
+
+    base = database_from_bvh(paths, KINECT_V1, count=50, progress=progress)
+    assert seen == [("read", 3)]
+    # The same motion three times is kept once.
+    assert set(base.labels.tolist()) == {"a"}
+    assert len(base) <= 40
+    assert "3 BVH files" in base.source
+
+
+def test_no_files_and_files_that_do_not_fit_are_refused(
+    tmp_path: Path, make_clip: Any
+) -> None:
+    with pytest.raises(InputError, match="no BVH files"):
+        database_from_bvh([], KINECT_V1)
+    text = small_bvh().replace("LeftToeBase", "LeftPaw")
+    path = write_text(tmp_path / "paw.bvh", text)
+    with pytest.raises(InputError, match=r"paw\.bvh.*'LeftToeBase'.*CMU"):
+        database_from_bvh([path], KINECT_V1)
+    clip: Clip = make_clip(3)
+    write_clip(clip, tmp_path / "own.bvh")
+    with pytest.raises(InputError, match=r"own\.bvh: no joint"):
+        database_from_bvh([tmp_path / "own.bvh"], KINECT_V1)
+    with pytest.raises(InputError, match="none"):
+        database_from_bvh([tmp_path / "none.bvh"], KINECT_V1)
+
+
+@recorded
+@every_skeleton
+def test_a_database_from_motion_capture_has_standard_segments(
+    skeleton: Skeleton,
+) -> None:
+    files = [CMU / f"{name}.bvh.gz" for name in ("35_26", "35_24", "02_01")]
+    base = database_from_bvh(files, skeleton, count=150)
+    assert 147 <= len(base) <= 153
+    assert set(base.labels.tolist()) == {"35_26", "35_24", "02_01"}
+    # Left and right share their mean length, and Kinect's spine lies between joints
+    # of the file. A hand ends elsewhere in each.
+    ends = np.array([j for j in skeleton.segments if "Hand" not in skeleton.joints[j]])
+    parents = [skeleton.parents[j] for j in ends]
+    lengths = np.linalg.norm(
+        base.positions[:, ends] - base.positions[:, parents], axis=2
+    )
+    expected = np.broadcast_to(standard_body(skeleton).lengths[ends], lengths.shape)
+    np.testing.assert_allclose(lengths, expected, rtol=0.06)
+    bones = rotate(base.rotations[:, ends], standard_body(skeleton).directions[ends])
+    bones *= lengths[..., None]
+    measured = base.positions[:, ends] - base.positions[:, parents]
+    np.testing.assert_allclose(bones, measured, atol=1e-5)
+
+
+@recorded
+@every_skeleton
+def test_knees_from_motion_capture_bend_the_right_way(skeleton: Skeleton) -> None:
+    files = [CMU / f"{name}.bvh.gz" for name in ("35_26", "02_01")]
+    bend = knee_bend(database_from_bvh(files, skeleton, count=100))
+    assert np.quantile(bend, 0.02) > -10.0
+    assert np.quantile(bend, 0.95) > 40.0
+
+
+@recorded
+def test_a_recorded_walk_is_nearest_to_motions_that_walk(
+    scripted: PostureDatabase,
+) -> None:
+    base = database_from_bvh([CMU / "02_01.bvh.gz"], scripted.skeleton, count=40)
+    weights = np.array(["Hand" not in j for j in scripted.skeleton.joints], float)
+    found = [scripted.neighbors(posture, weights, 1) for posture in base.positions]
+    away = np.sqrt([distance[0] / weights.sum() for _, distance in found])
+    assert np.median(away) < 0.13
+    nearest = [str(scripted.labels[index[0]]) for index, _ in found]
+    assert np.mean(np.isin(nearest, ["walk", "carry", "run", "march"])) > 0.7

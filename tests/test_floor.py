@@ -1,0 +1,120 @@
+"""The floor under a take."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.pipeline.floor import floor_height, put_on_floor
+from kinefilter.pipeline.metrics import lowest_point
+from kinefilter.retarget import positions_from_rotations
+from kinefilter.retarget.rotations import about_y, normalize, rotate
+from kinefilter.scenes import perform
+
+Array = NDArray[np.float64]
+
+every_skeleton = pytest.mark.parametrize(
+    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
+)
+
+
+def standing(frames: int, skeleton: Skeleton = KINECT_V1) -> Array:
+    return np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1))
+
+
+def feet_of(skeleton: Skeleton) -> list[int]:
+    return [
+        skeleton.index(part + side)
+        for part in ("Ankle", "Foot")
+        for side in ("Left", "Right")
+    ]
+
+
+@given(
+    skeleton=st.sampled_from([KINECT_V1, KINECT_V2]),
+    lift=st.floats(-3.0, 3.0),
+    yaw=st.floats(-3.0, 3.0),
+)
+def test_the_floor_is_under_a_standing_person_at_any_height(
+    skeleton: Skeleton, lift: float, yaw: float
+) -> None:
+    positions = rotate(about_y(yaw), standing(10, skeleton)) + np.array(
+        [1.0, lift, 2.0]
+    )
+    trust = np.ones(positions.shape[:2])
+    found = floor_height(positions, trust, standard_body(skeleton))
+    assert found == pytest.approx(lift, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["walk", "wave", "squat", "punch"])
+def test_the_floor_of_a_performance_is_where_it_is(name: str) -> None:
+    act = perform(name, standard_body(KINECT_V1), seed=0)
+    trust = np.ones(act.positions.shape[:2])
+    found = floor_height(act.positions - [0.0, 0.9, 0.0], trust, act.body)
+    assert found == pytest.approx(-0.9, abs=0.02)
+
+
+def test_one_foot_on_the_floor_is_enough_even_where_only_its_ankle_is_seen() -> None:
+    body, feet = standard_body(KINECT_V1), feet_of(KINECT_V1)
+    positions, trust = standing(10) + np.array([0.0, 0.2, 0.0]), np.ones((10, 20))
+    right = [j for j in feet if KINECT_V1.joints[j].endswith("Right")]
+    positions[:, right, 1] += 0.3
+    assert floor_height(positions, trust, body) == pytest.approx(0.2)
+    trust[:, KINECT_V1.index("FootLeft")] = 0.4
+    positions[:, KINECT_V1.index("FootLeft"), 1] -= 9.0
+    assert floor_height(positions, trust, body) == pytest.approx(0.2)
+
+
+def test_jumps_and_sunken_frames_do_not_move_the_floor() -> None:
+    body, positions = standard_body(KINECT_V1), standing(100)
+    positions[:30] += [0.0, 0.4, 0.0]
+    positions[50:58] -= [0.0, 0.2, 0.0]
+    assert floor_height(positions, np.ones((100, 20)), body) == pytest.approx(0.0)
+
+
+def test_invented_and_missing_feet_have_no_say() -> None:
+    body, feet = standard_body(KINECT_V1), feet_of(KINECT_V1)
+    positions, trust = standing(20) + np.array([0.0, -0.5, 0.0]), np.ones((20, 20))
+    positions[:12, feet, 1] -= 1.0
+    trust[:12, feet] = 0.0
+    assert floor_height(positions, trust, body) == pytest.approx(-0.5)
+    positions[:12, feet] = np.nan
+    trust[:12, feet] = 1.0
+    assert floor_height(positions, trust, body) == pytest.approx(-0.5)
+
+
+@every_skeleton
+def test_without_any_measured_foot_the_lowest_joint_serves(skeleton: Skeleton) -> None:
+    positions, body = (
+        standing(20, skeleton) + np.array([0.0, 0.7, 0.0]),
+        standard_body(skeleton),
+    )
+    trust = np.ones(positions.shape[:2])
+    trust[:, feet_of(skeleton)] = 0.0
+    assert floor_height(positions, trust, body) == pytest.approx(0.7)
+
+
+@given(skeleton=st.sampled_from([KINECT_V1, KINECT_V2]), seed=st.integers(0, 2**32 - 1))
+def test_no_capsule_is_left_under_the_floor(skeleton: Skeleton, seed: int) -> None:
+    rng, body = np.random.default_rng(seed), standard_body(skeleton)
+    rotations = normalize(rng.normal(size=(4, len(skeleton), 4)))
+    root = rng.normal(size=(4, 3))
+    positions = positions_from_rotations(rotations, root, body)
+    before = positions.copy()
+    lifted = put_on_floor(positions, body)
+    np.testing.assert_array_equal(positions, before)
+    assert lowest_point(lifted, body).min() >= -1e-12
+    np.testing.assert_array_equal(lifted[..., [0, 2]], positions[..., [0, 2]])
+    assert (lifted[..., 1] >= positions[..., 1]).all()
+
+
+def test_who_stands_over_the_floor_stays_and_landing_twice_is_landing_once() -> None:
+    body = standard_body(KINECT_V1)
+    high = standing(3) + np.array([0.0, 0.5, 0.0])
+    np.testing.assert_array_equal(put_on_floor(high, body), high)
+    once = put_on_floor(standing(3) - [0.0, 0.4, 0.0], body)
+    np.testing.assert_array_equal(put_on_floor(once, body), once)

@@ -1,0 +1,302 @@
+"""Learning from pairs: reading them, the personal Gaussian process, its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Body,
+    InputError,
+    State,
+    Take,
+    standard_body,
+)
+from kinefilter.pipeline import CleanConfig, clean
+from kinefilter.pipeline.accuracy import Accuracy
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.correct import Observation
+from kinefilter.pipeline.correct.personal_gp import PersonalGP
+from kinefilter.pipeline.evaluate import evaluate
+from kinefilter.pipeline.models import Model, load_model, save_model
+from kinefilter.pipeline.training import PairedTake, read_pairs, training_set
+from kinefilter.scenes import perform
+
+Array = NDArray[np.float64]
+BIAS = {"WristLeft": [0.0, 0.06, 0.0], "KneeRight": [0.05, 0.0, -0.03]}
+"""What the imagined sensor gets wrong, always [m]."""
+DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
+
+
+def _pair(subject: str, motion: str, repetition: int, height: float) -> PairedTake:
+    """Return a performance and how a sensor with a constant bias would see it."""
+    body = standard_body(KINECT_V1, height=height)
+    act = perform(motion, body, seed=repetition)
+    rng = np.random.default_rng(repetition)
+    seen = act.positions[:90] + 0.004 * rng.standard_normal((90, len(KINECT_V1), 3))
+    for joint, bias in BIAS.items():
+        seen[:, KINECT_V1.index(joint)] += bias
+    state = np.full(seen.shape[:2], State.TRACKED, dtype=np.uint8)
+    clip = f"m01_{subject}_e{repetition:02d}"
+    take = Take(act.time[:90], seen, state, KINECT_V1, clip)
+    return PairedTake(take, act.positions[:90], subject, clip)
+
+
+@pytest.fixture(scope="module")
+def pairs() -> list[PairedTake]:
+    return [
+        _pair(subject, motion, repetition, height)
+        for subject, height in (("s01", 1.6), ("s02", 1.7), ("s03", 1.8))
+        for motion in ("squat", "raise_arms")
+        for repetition in (1, 2, 8)
+    ]
+
+
+@pytest.fixture(scope="module")
+def model(pairs: list[PairedTake]) -> PersonalGP:
+    return PersonalGP(KINECT_V1, samples=800).fit(training_set(pairs))
+
+
+def _save_pairs(pairs: list[PairedTake], path: Path, **changes: Any) -> None:
+    lengths = [len(pair.take) for pair in pairs]
+    stop = np.cumsum(lengths)
+    arrays: dict[str, Any] = {
+        "joints": np.array(KINECT_V1.joints),
+        "fps": np.float32(30.0),
+        "subject": np.array(pairs[0].subject),
+        "kinect": np.concatenate([pair.take.positions for pair in pairs]),
+        "mocap": np.concatenate([pair.truth for pair in pairs]),
+        "clip": np.array([pair.clip for pair in pairs]),
+        "start": stop - lengths,
+        "stop": stop,
+    }
+    np.savez(path, **{**arrays, **changes})
+
+
+def test_pairs_come_back_from_their_file(
+    pairs: list[PairedTake], tmp_path: Path
+) -> None:
+    _save_pairs(pairs[:3], tmp_path / "p.npz")
+    again = read_pairs(tmp_path / "p.npz")
+    assert [pair.clip for pair in again] == [pair.clip for pair in pairs[:3]]
+    for one, two in zip(pairs, again, strict=False):
+        np.testing.assert_array_equal(one.take.positions, two.take.positions)
+        np.testing.assert_array_equal(one.truth, two.truth)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mocap": np.zeros((5, 20, 3))}, "both sides need the same frames"),
+        ({"joints": np.array(["a"] * 20)}, "no known skeleton"),
+        ({"stop": np.array([10_000] * 3)}, "clip .* is rows"),
+    ],
+)
+def test_pairs_whose_sides_differ_are_refused(
+    pairs: list[PairedTake], tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    _save_pairs(pairs[:3], tmp_path / "p.npz", **changes)
+    with pytest.raises(InputError, match=message):
+        read_pairs(tmp_path / "p.npz")
+
+
+def test_a_file_that_is_no_pairs_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.npz").write_text("hello")
+    np.savez(tmp_path / "other.npz", kinect=np.zeros(3))
+    for name in ("text.npz", "other.npz", "absent.npz"):
+        with pytest.raises(InputError, match=name):
+            read_pairs(tmp_path / name)
+
+
+def test_training_pairs_share_the_hips_and_the_scale(pairs: list[PairedTake]) -> None:
+    lessons = training_set(pairs[:2])
+    hips = [KINECT_V1.index("HipLeft"), KINECT_V1.index("HipRight")]
+    np.testing.assert_allclose(
+        lessons.truth[:, hips].mean(axis=1),
+        lessons.positions[:, hips].mean(axis=1),
+        atol=2e-3,
+    )
+    away = np.linalg.norm(lessons.truth - lessons.positions, axis=2).mean(axis=0)
+    biased = [KINECT_V1.index(joint) for joint in BIAS]
+    assert away[biased].min() > 2 * np.delete(away, biased).max()
+    assert lessons.first.sum() == 2
+
+
+def test_a_constant_bias_is_learned_also_for_strangers(pairs: list[PairedTake]) -> None:
+    figures = evaluate(pairs, [], ["best"])["methods"]
+    assert figures["best"]["E"] < 0.5 * figures["raw"]["E"]
+    assert figures["best"]["joints"]["WristLeft"] < 3.0
+    assert figures["raw"]["joints"]["WristLeft"] > 5.0
+
+
+def test_known_people_are_corrected_better(pairs: list[PairedTake]) -> None:
+    known = evaluate(pairs, [], ["best"], protocol="repetitions")["methods"]
+    assert known["best"]["E"] < 0.4 * known["raw"]["E"]
+    assert known["best"]["people"].keys() == {"s01", "s02", "s03"}
+
+
+def test_where_nothing_is_known_nothing_is_added(model: PersonalGP) -> None:
+    far = 40.0 * standard_body(KINECT_V1).rest_positions
+    lengths = np.full(len(KINECT_V1), 9.0)
+    ones = np.ones(len(KINECT_V1))
+    model.start()
+    result = model.step(Observation(far, ones, ones, 0.0, lengths))
+    np.testing.assert_allclose(result.positions, far, atol=1e-9)
+    assert result.coverage == pytest.approx(0.0, abs=1e-9)
+    model.start()
+
+
+def test_missing_joints_are_filled(model: PersonalGP, pairs: list[PairedTake]) -> None:
+    posture = standard_body(KINECT_V1).rest_positions
+    posture = posture - posture[KINECT_V1.root]
+    hand = KINECT_V1.index("HandRight")
+    posture[hand] = np.nan
+    ones = np.ones(len(KINECT_V1))
+    model.start()
+    result = model.step(Observation(posture, ones, ones))
+    model.start()
+    assert np.isfinite(result.positions).all()
+    assert result.trust[hand] == 0.0
+
+
+def test_a_model_file_gives_the_same_corrections(
+    model: PersonalGP, pairs: list[PairedTake], tmp_path: Path
+) -> None:
+    save_model(Model(model, "best", KINECT_V1, "three people"), tmp_path / "m.npz")
+    again = load_model(tmp_path / "m.npz")
+    assert (again.method, again.skeleton, again.source) == (
+        "best",
+        KINECT_V1,
+        "three people",
+    )
+    ones = np.ones(len(KINECT_V1))
+    posture = pairs[0].take.positions[3] - pairs[0].take.positions[3, 0]
+    model.start()
+    seen = Observation(posture, ones, ones)
+    np.testing.assert_array_equal(
+        model.step(seen).positions, again.corrector.step(seen).positions
+    )
+
+
+def test_clean_with_a_model_uses_its_method(
+    model: PersonalGP, pairs: list[PairedTake], tmp_path: Path
+) -> None:
+    save_model(Model(model, "best", KINECT_V1, "three people"), tmp_path / "m.npz")
+    take, truth = pairs[4].take, pairs[4].truth
+    accuracy = Accuracy(KINECT_V1)
+    error = {
+        name: accuracy.distances(clean(take, config).clip.positions, truth).mean()
+        for name, config in {
+            "model": CleanConfig(model=tmp_path / "m.npz"),
+            "none": CleanConfig(method="none"),
+        }.items()
+    }
+    assert error["model"] < 0.7 * error["none"]
+
+
+def test_models_that_do_not_fit_are_refused(
+    model: PersonalGP, pairs: list[PairedTake], tmp_path: Path
+) -> None:
+    path = tmp_path / "m.npz"
+    save_model(Model(model, "best", KINECT_V1, "x"), path)
+    take = pairs[0].take
+    other = perform("wave", standard_body(KINECT_V2), seed=1)
+    state = np.full(other.positions.shape[:2], 2, dtype=np.uint8)
+    v2 = Take(other.time, other.positions, state, KINECT_V2)
+    with pytest.raises(InputError, match="kinect_v1, but the take is kinect_v2"):
+        clean(v2, CleanConfig(model=path))
+    with pytest.raises(InputError, match="leave one of the two out"):
+        clean(take, CleanConfig(model=path, method="kalman"))
+    with pytest.raises(InputError, match="give --model"):
+        clean(take, CleanConfig(method="best"))
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    np.savez(tmp_path / "newer.npz", **{**arrays, "version": np.array(99)})
+    arrays.pop("fitted_weights")
+    np.savez(tmp_path / "damaged.npz", **arrays)
+    (tmp_path / "text.npz").write_text("no model")
+    for name in ("newer.npz", "damaged.npz", "text.npz", "absent.npz"):
+        with pytest.raises(InputError, match=name):
+            load_model(tmp_path / name)
+
+
+def test_too_few_frames_are_refused(pairs: list[PairedTake]) -> None:
+    with pytest.raises(InputError, match="too few"):
+        PersonalGP(KINECT_V1).fit(training_set(pairs[:1]))
+    with pytest.raises(InputError, match="no clips"):
+        training_set([])
+
+
+def test_evaluation_needs_people_or_repetitions(pairs: list[PairedTake]) -> None:
+    alone = [pair for pair in pairs if pair.subject == "s01"]
+    with pytest.raises(InputError, match="two or more"):
+        evaluate(alone, [], ["none"])
+    early = [pair for pair in pairs if "e08" not in pair.clip]
+    with pytest.raises(InputError, match="e08"):
+        evaluate(early, [], ["none"], protocol="repetitions")
+    with pytest.raises(InputError, match="unknown method 'magic'"):
+        evaluate(pairs, [], ["magic"])
+
+
+def test_train_and_evaluate_run_from_the_command_line(
+    pairs: list[PairedTake], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = []
+    for subject in ("s01", "s02"):
+        files.append(str(tmp_path / f"{subject}.npz"))
+        own = [pair for pair in pairs if pair.subject == subject]
+        _save_pairs(own, Path(files[-1]))
+    model = tmp_path / "model.npz"
+    assert main(["train", *files, "-o", str(model)]) == 0
+    assert load_model(model).source == "12 clips of s01, s02"
+    figures = tmp_path / "figures.json"
+    arguments = ["evaluate", "--train", *files, "--methods", "none,best"]
+    assert main([*arguments, "--json", str(figures)]) == 0
+    assert figures.exists()
+    assert "E_var" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("measure", ["distances", "standardized", "varying"])
+def test_the_truth_is_no_error_away_from_itself(measure: str) -> None:
+    act = perform("bend", standard_body(KINECT_V1), seed=0)
+    error = getattr(Accuracy(KINECT_V1), measure)(act.positions, act.positions)
+    np.testing.assert_allclose(error, 0.0, atol=1e-12)
+
+
+def test_a_constant_offset_is_an_error_but_no_varying_one() -> None:
+    act = perform("bend", standard_body(KINECT_V1), seed=0)
+    moved = act.positions.copy()
+    wrist = KINECT_V1.index("WristLeft")
+    moved[:, wrist] += [0.0, 0.12, 0.0]
+    accuracy = Accuracy(KINECT_V1)
+    column = accuracy.limbs.index(wrist)
+    assert accuracy.distances(moved, act.positions)[:, column] == pytest.approx(0.12)
+    assert accuracy.varying(moved, act.positions)[:, column] == pytest.approx(0.0)
+
+
+def test_size_is_an_error_but_no_standardized_one() -> None:
+    small, tall = (_standing(h) for h in (1.5, 1.9))
+    accuracy = Accuracy(KINECT_V1)
+    assert accuracy.distances(small, tall).max() > 0.1
+    np.testing.assert_allclose(accuracy.standardized(small, tall), 0.0, atol=1e-12)
+
+
+def _standing(height: float) -> Array:
+    body: Body = standard_body(KINECT_V1, height=height)
+    return body.rest_positions[None]
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="paired recordings are not here")
+def test_best_beats_the_filters_on_real_strangers() -> None:
+    train = [p for s in ("s03", "s04") for p in read_pairs(DATA / f"{s}.npz")[::4]]
+    test = read_pairs(DATA / "s07.npz")[::10]
+    figures = evaluate(train, test, ["best", "butterworth"])["methods"]
+    assert figures["best"]["E_std"] < 0.9 * figures["raw"]["E_std"]
+    assert figures["best"]["E_var"] < 0.95 * figures["raw"]["E_var"]
+    assert figures["best"]["E_std"] < figures["butterworth"]["E_std"]

@@ -1,0 +1,177 @@
+"""Segment rotations from joint positions, twist included."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.retarget import positions_from_rotations, rotations_from_positions
+from kinefilter.retarget.rotations import (
+    IDENTITY,
+    about_y,
+    inverse,
+    multiply,
+    normalize,
+    rotate,
+    rotation_vector,
+)
+from kinefilter.scenes import perform
+
+Array = NDArray[np.float64]
+
+every_skeleton = pytest.mark.parametrize(
+    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
+)
+
+
+def wild(skeleton: Skeleton, seed: int, frames: int = 3) -> Array:
+    rng = np.random.default_rng(seed)
+    return normalize(rng.normal(size=(frames, len(skeleton), 4)))
+
+
+def twist(axes: Array, angle: float) -> Array:
+    cosine = np.full((*axes.shape[:-1], 1), np.cos(angle / 2))
+    return np.concatenate([cosine, np.sin(angle / 2) * axes], axis=-1)
+
+
+def assert_same_rotations(a: Array, b: Array, atol: float = 1e-7) -> None:
+    away = np.linalg.norm(rotation_vector(multiply(a, inverse(b))), axis=-1)
+    np.testing.assert_allclose(away, 0.0, atol=atol)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    skeleton=st.sampled_from([KINECT_V1, KINECT_V2]),
+    seed=st.integers(0, 2**32 - 1),
+    with_prior=st.booleans(),
+)
+def test_forward_kinematics_gives_the_positions_back(
+    skeleton: Skeleton, seed: int, with_prior: bool
+) -> None:
+    body = standard_body(skeleton)
+    root = np.random.default_rng(seed).normal(size=(3, 3))
+    positions = positions_from_rotations(wild(skeleton, seed), root, body)
+    prior = wild(skeleton, seed + 1) if with_prior else None
+    rotations = rotations_from_positions(positions, body, prior)
+    np.testing.assert_allclose(np.linalg.norm(rotations, axis=-1), 1.0)
+    again = positions_from_rotations(rotations, root, body)
+    np.testing.assert_allclose(again, positions, atol=1e-4)
+
+
+@every_skeleton
+def test_a_performance_goes_through_positions_and_back(skeleton: Skeleton) -> None:
+    act = perform("punch", standard_body(skeleton), seed=0)
+    for prior in (None, act.rotations):
+        rotations = rotations_from_positions(act.positions, act.body, prior)
+        again = positions_from_rotations(
+            rotations, act.positions[:, skeleton.root], act.body
+        )
+        np.testing.assert_allclose(again, act.positions, atol=1e-9)
+
+
+@every_skeleton
+def test_a_prior_whose_bones_point_right_comes_back_unchanged(
+    skeleton: Skeleton,
+) -> None:
+    body, ends = standard_body(skeleton), skeleton.segments
+    posed = wild(skeleton, 5)
+    positions = positions_from_rotations(posed, np.zeros((3, 3)), body)
+    twisted = multiply(posed, twist(body.directions, 0.8))
+    for prior in (posed, twisted, -twisted):
+        rotations = rotations_from_positions(positions, body, prior)
+        assert_same_rotations(rotations[:, ends], prior[:, ends])
+
+
+@every_skeleton
+def test_a_prior_is_turned_by_the_smallest_rotation(skeleton: Skeleton) -> None:
+    body, ends = standard_body(skeleton), skeleton.segments
+    prior, posed = wild(skeleton, 6), wild(skeleton, 7)
+    positions = positions_from_rotations(posed, np.zeros((3, 3)), body)
+    rotations = rotations_from_positions(positions, body, prior)
+    change = rotation_vector(multiply(rotations, inverse(prior)))[:, ends]
+    before = rotate(prior, body.directions)[:, ends]
+    after = rotate(posed, body.directions)[:, ends]
+    angle = np.arccos(np.clip(np.sum(before * after, axis=-1), -1.0, 1.0))
+    np.testing.assert_allclose(np.linalg.norm(change, axis=-1), angle, atol=1e-6)
+    np.testing.assert_allclose(np.sum(change * before, axis=-1), 0.0, atol=1e-6)
+
+
+@every_skeleton
+@pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5, np.pi])
+def test_the_turned_rest_posture_has_the_same_turn_everywhere(
+    skeleton: Skeleton, yaw: float
+) -> None:
+    body = standard_body(skeleton)
+    rotations = rotations_from_positions(
+        rotate(about_y(yaw), body.rest_positions), body
+    )
+    assert_same_rotations(rotations, np.broadcast_to(about_y(yaw), rotations.shape))
+
+
+def test_without_a_prior_twist_follows_the_parent() -> None:
+    body, i = standard_body(KINECT_V1), KINECT_V1.index
+    posed = np.tile(IDENTITY, (20, 1))
+    x = np.array([1.0, 0.0, 0.0])
+    bend = twist(np.array([0.0, 0.0, 1.0]), 0.9)
+    for joint in ("ElbowLeft", "WristLeft", "HandLeft"):
+        posed[i(joint)] = bend
+    positions = positions_from_rotations(posed, np.zeros(3), body)
+    assert_same_rotations(rotations_from_positions(positions, body), posed)
+    # Turned about its own axis the forearm lies as before: positions cannot tell.
+    posed[i("WristLeft")] = multiply(bend, twist(x, 0.5))
+    np.testing.assert_allclose(
+        positions_from_rotations(posed, np.zeros(3), body), positions, atol=1e-12
+    )
+
+
+@every_skeleton
+@pytest.mark.parametrize("name", ["walk", "bend", "squat"])
+def test_the_pelvis_of_a_performance_is_found(name: str, skeleton: Skeleton) -> None:
+    act = perform(name, standard_body(skeleton), seed=0)
+    rotations = rotations_from_positions(act.positions, act.body)[:, skeleton.root]
+    left, right = skeleton.index("HipLeft"), skeleton.index("HipRight")
+    across = act.positions[:, left] - act.positions[:, right]
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    np.testing.assert_allclose(
+        rotate(rotations, np.array([1.0, 0.0, 0.0])), across, atol=1e-9
+    )
+    root, spine = (
+        act.positions[:, skeleton.root],
+        skeleton.index("Spine" if skeleton is KINECT_V1 else "SpineMid"),
+    )
+    forward = rotate(rotations, np.array([0.0, 0.0, 1.0]))
+    up = act.positions[:, spine] - root
+    np.testing.assert_allclose(np.sum(forward * up, axis=1), 0.0, atol=1e-9)
+    assert (np.sum(rotate(rotations, np.array([0.0, 1.0, 0.0])) * up, axis=1) > 0).all()
+
+
+@every_skeleton
+def test_a_posture_folded_to_a_point_has_rotations_all_the_same(
+    skeleton: Skeleton,
+) -> None:
+    body = standard_body(skeleton)
+    rotations = rotations_from_positions(np.zeros((len(skeleton), 3)), body)
+    np.testing.assert_array_equal(rotations, np.tile(IDENTITY, (len(skeleton), 1)))
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (4,), (2, 3)])
+def test_leading_axes_pass_through(shape: tuple[int, ...]) -> None:
+    body = standard_body(KINECT_V1)
+    rng = np.random.default_rng(8)
+    count = int(np.prod(shape))
+    posed = normalize(rng.normal(size=(count, 20, 4)))
+    flat = positions_from_rotations(posed, rng.normal(size=(count, 3)), body)
+    positions, prior = flat.reshape(*shape, 20, 3), posed.reshape(*shape, 20, 4)
+    for given_prior, one in ((None, None), (prior, posed)):
+        rotations = rotations_from_positions(positions, body, given_prior)
+        assert rotations.shape == (*shape, 20, 4)
+        rows = rotations.reshape(count, 20, 4)
+        for k in range(count):
+            single = rotations_from_positions(
+                flat[k], body, None if one is None else one[k]
+            )
+            np.testing.assert_allclose(rows[k], single, atol=1e-15)
