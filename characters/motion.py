@@ -55,6 +55,24 @@ def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:
             )
 
 
+def _check_time(motion: Any) -> None:
+    time = motion.time
+    wrong = np.flatnonzero(~np.isfinite(time))
+    if len(wrong):
+        raise InputError(
+            f"{motion.source}: frame {wrong[0] + 1} has no time stamp; "
+            "give every frame one, in seconds"
+        )
+    backwards = np.flatnonzero(np.diff(time) < 0)
+    if len(backwards):
+        k = int(backwards[0]) + 1
+        raise InputError(
+            f"{motion.source}: time goes backwards at frame {k + 1} "
+            f"({time[k - 1]:.4f} s, then {time[k]:.4f} s); "
+            "sort the frames by time or cut the take there"
+        )
+
+
 def _frames_per_second(time: NDArray[np.float64]) -> float:
     steps = np.diff(time)
     steps = steps[steps > 0]
@@ -79,14 +97,7 @@ class Take:
     def __post_init__(self) -> None:
         t, j = len(self.time), len(self.skeleton)
         _check_shapes(self, {"time": (t,), "positions": (t, j, 3), "state": (t, j)})
-        backwards = np.flatnonzero(np.diff(self.time) < 0)
-        if len(backwards):
-            k = int(backwards[0]) + 1
-            raise InputError(
-                f"{self.source}: time goes backwards at frame {k + 1} "
-                f"({self.time[k - 1]:.4f} s, then {self.time[k]:.4f} s); "
-                "sort the frames by time or cut the take there"
-            )
+        _check_time(self)
         _freeze(self)
 
     def __len__(self) -> int:
@@ -147,8 +158,15 @@ class Clip:
             (t, j),
         )
         _check_shapes(
-            self, {"positions": (t, j, 3), "rotations": (t, j, 4), **per_joint}
+            self,
+            {"time": (t,), "positions": (t, j, 3), "rotations": (t, j, 4), **per_joint},
         )
+        _check_time(self)
+        if self.body.skeleton != self.skeleton:
+            raise InputError(
+                f"{self.source}: the body is {self.body.skeleton.name}, the clip "
+                f"{self.skeleton.name}"
+            )
         _freeze(self)
 
     def __len__(self) -> int:

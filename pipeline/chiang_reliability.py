@@ -84,7 +84,7 @@ class ChiangReliabilityScorer(ReliabilityScorer):
             moved = (d1 > LARGEST_DISPLACEMENT) & (d2 > LARGEST_DISPLACEMENT)
             excess = (d2[moved] - LARGEST_DISPLACEMENT) / LARGEST_DISPLACEMENT
             trust[moved] = np.maximum(1.0 - STEEPNESS * excess, 0.0)
-        self._past = [*self._past[-1:], positions]
+        self._past = [*self._past[-1:], positions.copy()]
         return trust
 
 

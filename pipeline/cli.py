@@ -205,9 +205,9 @@ class Evaluate:
         if self.json is not None:
             check_folder(self.json)
             _keep(self.json, *self.train, *self.test, self.database)
-        database = (
-            None if self.database is None else PostureDatabase.load(self.database)
-        )
+        database = None
+        if self.database is not None:
+            database = PostureDatabase.load(self.database)
         train, test = _read_all(self.train), _read_all(self.test)
         with _progress() as progress:
             figures = evaluate(

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from kinefilter.characters import InputError
+
 __all__ = ["CleanConfig", "Method"]
 
 Method = Literal[
@@ -17,6 +19,8 @@ Method = Literal[
     "one-euro",
     "kalman",
     "low-rank",
+    "nearest",
+    "no-reliability",
 ]
 """Correction methods by name (see ``correct/methods.py``)."""
 
@@ -35,7 +39,8 @@ class CleanConfig:
     database: Path | None = None
     """Motion database (.npz) of 'kinefilter database build'; default: the embedded."""
     cutoff: float = 6.0
-    """Frequency [Hz] over which movement is smoothed away, without lag; 0: nothing."""
+    """Frequency [Hz] over which movement is smoothed away, without lag; 0: nothing,
+    otherwise 0.5 or more."""
     physics: bool = True
     """Pull a simulated character through the motion, so that dynamics hold."""
     height: float | None = None
@@ -44,3 +49,10 @@ class CleanConfig:
     """The person's mass [kg]; default: from the stature."""
     seed: int = 0
     """Seed of the stochastic search: same seed, same bytes."""
+
+    def __post_init__(self) -> None:
+        if self.cutoff != 0.0 and not 0.5 <= self.cutoff < float("inf"):
+            raise InputError(
+                f"--cutoff {self.cutoff:g} Hz: expected 0 (no smoothing) or 0.5 and "
+                "more; 6 keeps what people do"
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +19,18 @@ Array = NDArray[np.float64]
 
 FILTERED_POSTURES = 2574
 """Postures that the threshold rule leaves (Shum 2013, table V)."""
+
+UNREADABLE = (
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    OSError,
+    EOFError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+"""What numpy and zipfile raise on files that are something else."""
 
 _BLOCK = 512  # rows compared at a time, a matter of speed alone
 
@@ -131,7 +144,9 @@ class PostureDatabase:
                 and np.isfinite(arrays["positions"]).all()
                 and np.isfinite(arrays["rotations"]).all()
             )
-        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile):
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        except UNREADABLE:
             sound = False
         if not sound:
             raise InputError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -12,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import (
-    STANDARD_HEIGHT,
     Body,
     InputError,
     Skeleton,
     standard_body,
 )
-from kinefilter.retarget.body_size import Standardizer, measured_body
+from kinefilter.retarget.body_size import Standardizer
 from kinefilter.retarget.normalise import find_yaw
 from kinefilter.retarget.orientation import rotations_from_positions
 from kinefilter.retarget.rotations import IDENTITY, about_y, inverse, multiply, rotate
@@ -27,7 +27,7 @@ from kinefilter.scenes import MOTIONS, perform
 from .database import FILTERED_POSTURES, PostureDatabase, filter_to_count
 from .formats import Bvh, read_bvh
 from .progress import Progress, silent
-from .reliability import segment_lengths
+from .reliability import column_medians, segment_lengths
 
 __all__ = ["database_from_bvh", "embedded_database", "scripted_database"]
 
@@ -114,6 +114,10 @@ def database_from_bvh(
         bvh = read_bvh(files[k])
         stem = files[k].name.split(".")[0]
         parts.append((stem, *_postures_of(bvh, skeleton, files[k])))
+    if sum(len(postures) for _, postures, _ in parts) < 2:
+        raise InputError(
+            f"{files[0]}: one posture makes no database; give files with motion in them"
+        )
     return _filtered(parts, skeleton, f"{len(files)} BVH files", count)
 
 
@@ -183,11 +187,12 @@ def _postures_of(bvh: Bvh, skeleton: Skeleton, file: Path) -> tuple[Array, Array
         columns = [bvh.names.index(name) for name in row["at"]]
         positions[:, j] = bvh.positions[:, columns].mean(axis=1)
         turns[:, j] = bvh.rotations[:, bvh.names.index(row["turned_by"])]
-    lengths = np.nanmedian(segment_lengths(positions, skeleton), axis=0)
-    ends = skeleton.segments
-    average = standard_body(skeleton).lengths
-    unit = np.nanmedian(average[ends] / lengths[ends])  # meters per unit of the file
-    body = measured_body(skeleton, unit * lengths, height=STANDARD_HEIGHT)
+    lengths = column_medians(segment_lengths(positions, skeleton))
+    ends, average = skeleton.segments, standard_body(skeleton)
+    # Meters per unit of the file; mocap's own lengths are taken as they are.
+    unit = np.nanmedian(average.lengths[ends] / lengths[ends])
+    known = unit * lengths > 1e-3
+    body = replace(average, lengths=np.where(known, unit * lengths, average.lengths))
     prior = _since_t_pose(turns, positions[0], body)
     return _standardized(
         unit * positions[frames], None if prior is None else prior[frames], body
@@ -211,6 +216,6 @@ def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
     cosines = np.sum(bones * rest, axis=1) / (
         np.linalg.norm(bones, axis=1) * np.linalg.norm(rest, axis=1)
     )
-    if np.any(cosines < np.cos(_T_POSE_TOLERANCE)):
+    if not np.all(cosines > np.cos(_T_POSE_TOLERANCE)):
         return None
     return multiply(multiply(turns, inverse(turns[:1])), heading)

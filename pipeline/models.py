@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from kinefilter.characters import InputError, Skeleton, skeleton_named
 
 from .correct import LearnedCorrector
 from .correct.methods import LEARNED
+from .database import UNREADABLE
 from .formats import atomic_path
 
 __all__ = ["Model", "load_model", "save_model"]
@@ -62,7 +62,9 @@ def load_model(path: Path) -> Model:
         version, method = int(arrays["version"]), str(arrays["method"])
         skeleton = skeleton_named(str(arrays["skeleton"]))
         source = str(arrays["trained_on"])
-    except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile):
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except UNREADABLE:
         raise InputError(
             f"{path}: not a kinefilter model; make one with 'kinefilter train'"
         ) from None

@@ -92,11 +92,14 @@ def measure_reference(take: Take) -> Reference:
     both[:, skeleton.segments] &= tracked[:, skeleton.segment_parents]
     ever = tracked.any(axis=0)
     posed = tracked[:, ever].all(axis=1) & _in_reference_posture(take)
-    found = int(posed.sum()) >= 5
-    if found:
-        lengths = np.where(posed[:, None], lengths, np.nan)
-    best = _median(np.where(both, lengths, np.nan))
-    best = np.where(np.isnan(best), _median(lengths), best)
+    found = bool(ever.any()) and int(posed.sum()) >= 5
+    # The best there is, segment by segment: posed, both ends tracked, both present.
+    best = np.full(len(skeleton), np.nan)
+    for seen in (both & posed[:, None] & found, both, np.ones_like(both)):
+        medians = column_medians(np.where(seen, lengths, np.nan))
+        best = np.where(np.isnan(best), medians, best)
+    # Joints that always coincide measure nothing.
+    best = np.where(best > 1e-3, best, np.nan)
     return Reference(best, _trunk_directions(take), found)
 
 
@@ -143,7 +146,7 @@ def _chain(skeleton: Skeleton, joint: int) -> list[int]:
     return chain
 
 
-def _median(values: Array) -> Array:
+def column_medians(values: Array) -> Array:
     """Return medians down axis 0 without NaN; NaN where a column has nothing else."""
     medians = np.full(values.shape[1], np.nan)
     some = ~np.isnan(values).all(axis=0)
@@ -153,7 +156,10 @@ def _median(values: Array) -> Array:
 
 def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
     """Tell the frames in T-pose or standing: legs and arms straight, trunk upright."""
-    upright = np.ones(len(take), dtype=bool)
+    skeleton = take.skeleton
+    girdle = skeleton.parents[skeleton.index("ShoulderLeft")]
+    trunk = take.positions[:, girdle] - take.positions[:, skeleton.root]
+    upright = trunk[:, 1] > 0.94 * np.linalg.norm(trunk, axis=1)  # within 20 degrees
     sideways, down = [], []
 
     def direction(end: str) -> Array:
@@ -163,11 +169,12 @@ def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
 
     for side in ("Left", "Right"):
         for end in ("Knee", "Ankle"):
-            upright &= direction(end + side)[:, 1] < -0.94  # within 20 degrees
+            upright &= direction(end + side)[:, 1] < -0.94
         arm = [direction(end + side)[:, 1] for end in ("Elbow", "Wrist")]
         down.append((arm[0] < -0.9) & (arm[1] < -0.9))
         sideways.append((np.abs(arm[0]) < 0.34) & (np.abs(arm[1]) < 0.34))
-    return upright & ((down[0] & down[1]) | (sideways[0] & sideways[1]))
+    arms = (down[0] & down[1]) | (sideways[0] & sideways[1])
+    return np.asarray(upright & arms)
 
 
 class ReliabilityScorer:
@@ -243,7 +250,7 @@ class ReliabilityScorer:
 
     def _behavior(self, positions: Array) -> Array:
         """Return the vibration term: trust falls with sharp turns (eq. 1-4)."""
-        self._before.append(positions)
+        self._before.append(positions.copy())
         angle = np.zeros(len(positions))
         if len(self._before) == 3:
             oldest, middle, newest = self._before

@@ -12,7 +12,7 @@ from kinefilter.retarget import measured_body
 
 from .config import CleanConfig
 from .correct import Corrector, LocalPCA, WholeTakeCorrector, correct_take
-from .correct.methods import FILTERS, LEARNED
+from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
 from .library import embedded_database
 from .metrics import Quality, distances, measure
@@ -161,7 +161,9 @@ def make_corrector(
             f"the take is {skeleton.name}; build one with 'kinefilter database build "
             f"--skeleton {skeleton.name}'"
         )
-    return LocalPCA(database, search=config.search, seed=config.seed)
+    if method == "local-pca":
+        return LocalPCA(database, search=config.search, seed=config.seed)
+    return FROM_DATABASE[method](database)
 
 
 def _learned(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector:

@@ -140,7 +140,7 @@ class Standardizer:
         yaw = float(find_yaw(positions, weights, skeleton))
         self._yaw = self._yaw if np.isnan(yaw) else yaw
         if not missing[skeleton.root]:
-            self._root = positions[skeleton.root]
+            self._root = positions[skeleton.root].copy()
         view = View(self._root, np.array(self._yaw))
         seen = view.remove(positions)
         if missing.any():

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body
 
-from .rotations import between, multiply, rotate, wxyz_from_matrix
+from .rotations import between, inverse, multiply, rotate, wxyz_from_matrix
 
 __all__ = ["rotations_from_positions"]
 
@@ -53,11 +53,19 @@ def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:
 
 def _pelvis(positions: Array, body: Body) -> Array:
     """Return the pelvis' rotation: x through the hips, y towards the spine."""
-    skeleton = body.skeleton
+    skeleton, root = body.skeleton, body.skeleton.root
     left, right = skeleton.index("HipLeft"), skeleton.index("HipRight")
     (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
-    x = positions[..., left, :] - positions[..., right, :]
-    up = positions[..., spine, :] - positions[..., skeleton.root, :]
+    rest = body.rest_positions
+    now, then = (
+        _frame(p[..., left, :] - p[..., right, :], p[..., spine, :] - p[..., root, :])
+        for p in (positions, rest)
+    )
+    return multiply(now, inverse(then))
+
+
+def _frame(x: Array, up: Array) -> Array:
+    """Return the rotation whose x axis is along x and whose y axis is nearest to up."""
     z = np.cross(x, up)
     y = np.cross(z, x)
     axes = np.stack([x, y, z], axis=-1)

@@ -310,9 +310,15 @@ def test_what_was_never_seen_hangs_as_in_rest_and_begins_where_it_appears() -> N
     np.testing.assert_array_equal(result[6:, HAND], positions[6:, HAND])
 
 
-def test_start_forgets_and_repeated_stamps_stay_finite() -> None:
-    corrector = OneEuro(KINECT_V1)
-    positions = REST + 0.05 * noise(30, JOINTS)
+def test_start_forgets_all_frames() -> None:
+    corrector, positions = OneEuro(KINECT_V1), REST + 0.05 * noise(30, JOINTS)
+    positions[:5, HAND] = np.nan
     first = run(corrector, positions)
     np.testing.assert_array_equal(run(corrector, positions), first)
-    assert np.isfinite(run(corrector, positions, np.zeros(30))).all()
+
+
+def test_a_repeated_stamp_divides_nothing_by_zero() -> None:
+    positions = REST + 0.05 * noise(10, JOINTS)
+    with np.errstate(all="raise"):
+        result = run(OneEuro(KINECT_V1), positions, np.zeros(10))
+    assert np.isfinite(result).all()

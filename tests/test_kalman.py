@@ -268,17 +268,34 @@ def test_an_unreliable_outlier_moves_a_joint_far_less_than_a_reliable_one() -> N
 
 def test_the_less_certain_joint_gives_way_to_bone_lengths() -> None:
     positions = np.tile(REST, (30, 1, 1))
-    positions[:, ELBOW] += 0.1 * (REST[WRIST] - REST[ELBOW])
-    rate = np.ones(positions.shape[:2])
-    rate[:, ELBOW] = 0.2
-    result = postures(run(ConstantLengthKalman(KINECT_V1), positions, rate=rate))
-    away = np.linalg.norm(result[-1] - REST, axis=1)
-    assert away[WRIST] < 0.002
-    assert away[ELBOW] < 0.004
+    positions[:, [WRIST, HAND]] += 0.2 * (REST[WRIST] - REST[ELBOW])
+
+    def elbow_moved(rate_of_wrist: float) -> float:
+        rate = np.ones(positions.shape[:2])
+        rate[:, [WRIST, HAND]] = rate_of_wrist
+        result = postures(run(ConstantLengthKalman(KINECT_V1), positions, rate=rate))
+        return float(np.linalg.norm(result[-1, ELBOW] - REST[ELBOW]))
+
+    assert elbow_moved(1.0) > 0.003
+    assert elbow_moved(0.2) < 0.2 * elbow_moved(1.0)
+
+
+def test_a_trunk_of_the_wrong_length_does_not_move_the_legs() -> None:
+    positions = np.tile(REST, (30, 1, 1))
+    legs = [
+        KINECT_V1.index(part + side)
+        for part in ("Hip", "Knee", "Ankle", "Foot")
+        for side in ("Left", "Right")
+    ]
+    upper = np.setdiff1d(np.arange(JOINTS), [KINECT_V1.root, *legs])
+    positions[:, upper] += [0.0, 0.05, 0.0]
+    result = postures(run(ConstantLengthKalman(KINECT_V1), positions))
+    np.testing.assert_allclose(result[-1, legs], REST[legs], atol=1e-4)
 
 
 def test_only_differences_of_the_stamps_matter_and_start_forgets() -> None:
     positions = swinging(30)
+    positions[:5, HAND] = np.nan
     corrector = ConstantLengthKalman(KINECT_V1)
     first = postures(run(corrector, positions))
     np.testing.assert_array_equal(postures(run(corrector, positions)), first)

@@ -18,6 +18,7 @@ from kinefilter.pipeline.correct.posture_space import (
     PostureSpace,
 )
 from kinefilter.pipeline.correct.search import solve, stochastic_search
+from kinefilter.pipeline.correct.shum_baselines import Nearest, NoReliability
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.library import embedded_database
 from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
@@ -320,3 +321,17 @@ def test_it_works_on_either_skeleton(skeleton: Skeleton) -> None:
     for seen in _observations(take):
         result = corrector.step(seen)
         np.testing.assert_allclose(result.positions, seen.positions, atol=1e-6)
+
+
+def test_method_a_is_a_posture_of_the_database(database: PostureDatabase) -> None:
+    posture = _performed("wave", 85)[10]
+    found = Nearest(database).step(_seen(posture))
+    away = np.sum((database.positions - posture) ** 2, axis=(1, 2))
+    np.testing.assert_array_equal(found.positions, database.positions[np.argmin(away)])
+
+
+def test_method_b_does_not_care_about_reliability(database: PostureDatabase) -> None:
+    posture = _performed("wave", 86)[10]
+    low = NoReliability(database).step(_seen(posture, np.full(JOINTS, 0.1)))
+    high = NoReliability(database).step(_seen(posture))
+    np.testing.assert_array_equal(low.positions, high.positions)

@@ -34,7 +34,8 @@ def movement(frames: int, rank: int, seed: int = 0) -> Array:
 def corrupted(truth: Array, share: float = 0.05, seed: int = 1) -> Array:
     rng = np.random.default_rng(seed)
     wrong = rng.random(truth.shape) < share
-    return truth + wrong * rng.choice([-CORRUPTED, CORRUPTED], truth.shape)
+    errors = rng.choice(np.array([-CORRUPTED, CORRUPTED]), truth.shape)
+    return truth + np.where(wrong, errors, 0.0)
 
 
 def take_of(positions: Array) -> ObservedTake:
@@ -43,8 +44,7 @@ def take_of(positions: Array) -> ObservedTake:
 
 
 def matrix_of(positions: Array) -> Array:
-    count, joints, _ = positions.shape
-    return np.asarray(positions.transpose(0, 2, 1).reshape(3 * count, joints))
+    return positions.transpose(0, 2, 1).reshape(-1, positions.shape[1])
 
 
 def error(result: Array, truth: Array) -> float:

@@ -69,6 +69,25 @@ class LocalPCA:
         """Correct the next frame."""
         measured, missing = observation.positions, np.isnan(observation.positions[:, 0])
         rate = np.where(missing, 0.0, observation.rate)
+        prior, nearest = self.synthesize(measured, rate)
+        coverage = self._cover(measured, rate, nearest)
+        trust = measurement_trust(rate, observation.geometry, missing, coverage)
+        return Correction(
+            self._blend(prior, measured, trust),
+            self.orientation(prior, nearest, rate),
+            trust,
+            coverage,
+        )
+
+    def synthesize(
+        self, measured: Array, rate: Array
+    ) -> tuple[Array, NDArray[np.intp]]:
+        """Return the natural posture of least energy [m], (J, 3), and its neighbors.
+
+        Args:
+            measured: Joint positions [m], NaN only where the rate is 0, shape (J, 3).
+            rate: Reliability rate of each joint, shape (J,).
+        """
         nearest = self._neighbors(measured, rate)
         postures = self.database.flat[nearest]
         space = PostureSpace(postures, self.dimensions)
@@ -81,15 +100,7 @@ class LocalPCA:
         )
         posture = space.posture(latent)
         self._last = [*self._last[-1:], posture]
-        coverage = self._cover(measured, rate, nearest)
-        trust = measurement_trust(rate, observation.geometry, missing, coverage)
-        prior = posture.reshape(-1, 3)
-        return Correction(
-            self._blend(prior, measured, trust),
-            self._orientation(prior, nearest, rate),
-            trust,
-            coverage,
-        )
+        return posture.reshape(-1, 3), nearest
 
     def _neighbors(self, measured: Array, rate: Array) -> NDArray[np.intp]:
         """Return the database postures nearest to the reliable joints (eq. 9).
@@ -131,7 +142,7 @@ class LocalPCA:
         self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)
         return self._coverage
 
-    def _orientation(
+    def orientation(
         self, posture: Array, nearest: NDArray[np.intp], rate: Array
     ) -> Array:
         """Return the neighbors' rotations, weighted by inverse difference (VII.B)."""

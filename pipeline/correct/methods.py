@@ -14,6 +14,7 @@ from .kalman import ConstantLengthKalman
 from .local_pca import LocalPCA
 from .low_rank import LowRank
 from .personal_gp import PersonalGP
+from .shum_baselines import Nearest, NoReliability
 
 __all__ = ["FILTERS", "FROM_DATABASE", "LEARNED"]
 
@@ -29,6 +30,8 @@ FILTERS: dict[str, Callable[[Skeleton], Corrector | WholeTakeCorrector]] = {
 
 FROM_DATABASE: dict[str, Callable[[PostureDatabase], Corrector]] = {
     "local-pca": LocalPCA,
+    "nearest": Nearest,
+    "no-reliability": NoReliability,
 }
 """Methods that need natural postures."""
 
