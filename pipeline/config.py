@@ -34,6 +34,8 @@ class CleanConfig:
     local-pca. none fills gaps only."""
     model: Path | None = None
     """Model (.npz) of 'kinefilter train'."""
+    scoring: Literal["shum", "chiang"] = "shum"
+    """How reliability is scored: after Shum 2013 or Chiang 2017."""
     search: Literal["solver", "stochastic"] = "solver"
     """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
     database: Path | None = None

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, InputError, Skeleton, Take
 from kinefilter.retarget import measured_body
 
+from .chiang_reliability import ChiangReliabilityScorer
 from .config import CleanConfig
 from .correct import Corrector, LocalPCA, WholeTakeCorrector, correct_take
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
@@ -26,6 +27,8 @@ from .target import make_target
 __all__ = ["CleanResult", "clean", "make_corrector"]
 
 Array = NDArray[np.float64]
+
+_SCORERS = {"shum": ReliabilityScorer, "chiang": ChiangReliabilityScorer}
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ def clean(
         height=config.height,
         mass=config.mass,
     )
-    reliability = ReliabilityScorer(take.skeleton, reference).score(take)
+    reliability = _SCORERS[config.scoring](take.skeleton, reference).score(take)
     standard = standardize_take(
         take, body, reliability, progress("standardize", len(take))
     )

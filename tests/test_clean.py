@@ -94,6 +94,17 @@ def test_either_search_cleans_the_sample(search: str) -> None:
     _holds(result, result.stages["raw"].jitter)
 
 
+@pytest.mark.parametrize(
+    "method", ["butterworth", "savgol", "one-euro", "kalman", "low-rank", "nearest"]
+)
+def test_every_baseline_cleans_the_sample(method: str) -> None:
+    config = CleanConfig(method=method, scoring="chiang")  # type: ignore[arg-type]
+    result = clean(sample_take(), config)
+    assert np.isfinite(result.clip.positions).all()
+    assert result.stages["physics"].bone_length_cv < 1e-6
+    assert result.stages["physics"].lowest_point_mm > -20.0
+
+
 @pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
 @pytest.mark.parametrize("motion", ["walk", "squat", "punch"])
 def test_a_perfect_take_is_left_as_it_is(skeleton: Skeleton, motion: str) -> None:
