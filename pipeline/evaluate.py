@@ -24,6 +24,7 @@ from .metrics import jitter
 from .physics import PhysicsFilter
 from .progress import Progress, silent
 from .reliability import ReliabilityScorer, measure_reference
+from .scoring import SCORERS
 from .standard import StandardTake, standardize_take
 from .target import make_target
 from .training import PairedTake, training_set
@@ -107,10 +108,12 @@ def evaluate(
                 correctors[name] = learner.fit(lessons, progress=progress)
         for k in progress("test", len(fold.test)):
             _test(fold.test[k], correctors, tallies, accuracy, physics)
+    tested = [pair for fold in folds for pair in fold.test]
     return {
         "protocol": protocol,
         "physics": physics,
-        "test_clips": sum(len(fold.test) for fold in folds),
+        "test_clips": len(tested),
+        "reliability_auc": _reliability_auc(tested, accuracy),
         "methods": {name: _summary(people) for name, people in tallies.items()},
     }
 
@@ -204,6 +207,42 @@ def _add(
     tally.frames += len(positions)
 
 
+def _reliability_auc(
+    pairs: Sequence[PairedTake], accuracy: Accuracy
+) -> dict[str, dict[str, float | None]]:
+    """Return how well each scoring finds limb joints that are far off.
+
+    Area under the ROC curve of 1 - rate, for joints over 10 cm off, and for joints over
+    7 cm off without their constant offset; None where there are none.
+    """
+    from sklearn.metrics import roc_auc_score
+
+    far: dict[str, list[NDArray[np.bool_]]] = {
+        "over_10_cm": [],
+        "varying_over_7_cm": [],
+    }
+    doubt: dict[str, list[Array]] = {name: [] for name in SCORERS}
+    for pair in pairs:
+        positions, truth = pair.take.positions, pair.truth
+        distances = accuracy.distances(positions, truth).ravel()
+        seen = ~np.isnan(distances)
+        far["over_10_cm"].append(distances[seen] > 0.10)
+        varying = accuracy.varying(positions, truth).ravel()
+        far["varying_over_7_cm"].append(varying[seen] > 0.07)
+        reference = measure_reference(pair.take)
+        for name, scorer in SCORERS.items():
+            rate = scorer(pair.take.skeleton, reference).score(pair.take).rate
+            doubt[name].append(1.0 - rate[:, accuracy.limbs].ravel()[seen])
+    areas: dict[str, dict[str, float | None]] = {}
+    for name, scores in doubt.items():
+        areas[name] = {}
+        for key, labels in far.items():
+            wrong, score = np.concatenate(labels), np.concatenate(scores)
+            found = float(roc_auc_score(wrong, score)) if 0 < wrong.mean() < 1 else None
+            areas[name][key] = found
+    return areas
+
+
 def _summary(people: dict[str, _Tally]) -> dict[str, Any]:
     """Return a method's figures: means over frames and joints, then over people."""
     each = {person: _figures(tally) for person, tally in people.items()}
@@ -258,4 +297,10 @@ def as_table(figures: dict[str, Any]) -> Table:
             f"{row['jitter']:.0f}",
             f"{row['ms_per_frame']:.2f}",
         )
+    areas = ", ".join(
+        f"{name} {value:.2f}"
+        for name, scores in figures["reliability_auc"].items()
+        if (value := scores["varying_over_7_cm"]) is not None
+    )
+    table.caption = f"reliability finds joints over 7 cm off, offset removed: area under ROC {areas}"
     return table

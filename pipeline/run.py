@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, InputError, Skeleton, Take
 from kinefilter.retarget import measured_body
 
-from .chiang_reliability import ChiangReliabilityScorer
 from .config import CleanConfig
 from .correct import Corrector, LocalPCA, WholeTakeCorrector, correct_take
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
@@ -20,15 +19,14 @@ from .metrics import Quality, distances, measure
 from .models import Model, load_model
 from .physics import PhysicsFilter, PhysicsTrace
 from .progress import Progress, silent
-from .reliability import Reference, ReliabilityScorer, measure_reference
+from .reliability import Reference, measure_reference
+from .scoring import SCORERS
 from .standard import standardize_take
 from .target import make_target
 
 __all__ = ["CleanResult", "clean", "make_corrector"]
 
 Array = NDArray[np.float64]
-
-_SCORERS = {"shum": ReliabilityScorer, "chiang": ChiangReliabilityScorer}
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ def clean(
         height=config.height,
         mass=config.mass,
     )
-    reliability = _SCORERS[config.scoring](take.skeleton, reference).score(take)
+    reliability = SCORERS[config.scoring](take.skeleton, reference).score(take)
     standard = standardize_take(
         take, body, reliability, progress("standardize", len(take))
     )

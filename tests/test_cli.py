@@ -213,7 +213,7 @@ def test_bench_measures_every_stage(tmp_path: Path) -> None:
 
 def test_every_command_is_in_the_readme() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for command in ("clean", "database build", "bench"):
+    for command in ("clean", "database build", "train", "evaluate", "bench"):
         assert f"kinefilter {command}" in readme
 
 
@@ -232,9 +232,10 @@ def test_every_readme_command_runs(
     commands = _readme_commands()
     assert len(commands) >= 5
     for command in commands:
-        if "shared" in command and not (ROOT.parent / "shared").is_dir():
+        if "cmu.npz" in command and not (tmp_path / "cmu.npz").exists():
             embedded_database(KINECT_V1).save(tmp_path / "cmu.npz")
-        else:
+        recorded = "shared" in command or "model" in command
+        if not recorded or (ROOT.parent / "shared").is_dir():
             assert main(_arguments(command)) == 0, command
 
 
@@ -249,7 +250,7 @@ def _arguments(command: str) -> list[str]:
                 word = str(folder / word.removeprefix(prefix))
         if "*" in word:
             matches = sorted(Path(word).parent.glob(Path(word).name))
-            resolved += [str(p) for p in matches[:4]]
+            resolved += [str(p) for p in matches[:2]]
         else:
             resolved.append(word)
     return resolved
