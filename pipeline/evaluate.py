@@ -302,5 +302,5 @@ def as_table(figures: dict[str, Any]) -> Table:
         for name, scores in figures["reliability_auc"].items()
         if (value := scores["varying_over_7_cm"]) is not None
     )
-    table.caption = f"reliability finds joints over 7 cm off, offset removed: area under ROC {areas}"
+    table.caption = f"area under ROC of joints over 7 cm off, offset removed: {areas}"
     return table

@@ -86,9 +86,10 @@ def clean(
         take, body, reliability, progress("standardize", len(take))
     )
     corrected = correct_take(standard, corrector, progress("correct", len(take)))
+    del standard  # an hour's take is to fit a gigabyte
     target = make_target(take.time, corrected, body, cutoff=config.cutoff)
     origin, coverage = corrected.origin(take), corrected.coverage
-    del standard, corrected  # an hour's take is to fit a gigabyte
+    del corrected
     raw = take.positions - [0.0, target.floor, 0.0]
     before = after = target.posed(body)
     stages = {
