@@ -61,10 +61,11 @@ class Clean:
         from .summary import as_json, as_tables
 
         check_writable(self.out)
-        _keep(self.out, self.take, self.config.database)
+        used = (self.take, self.config.database, self.config.model)
+        _keep(self.out, *used)
         if self.json is not None:
             check_folder(self.json)
-            _keep(self.json, self.take, self.config.database, self.out)
+            _keep(self.json, *used, self.out)
         take = read_take(self.take, format=self.format)
         with _progress() as progress:
             result = clean(take, self.config, progress=progress)
@@ -269,13 +270,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0: done. 2: the input or the command was wrong; nothing was written.
     """
-    command = tyro.cli(
-        Command,
-        prog="kinefilter",
-        description="Turn noisy Kinect takes into clips that animators ship.",
-        args=arguments,
-    )
     try:
+        command = tyro.cli(
+            Command,
+            prog="kinefilter",
+            description="Turn noisy Kinect takes into clips that animators ship.",
+            args=arguments,
+        )
         return command.run()
     except InputError as error:
         _err.print(f"kinefilter: {error}", markup=False)

@@ -171,6 +171,14 @@ def test_an_impossible_height_is_refused(
     assert "metres" in error or "meters" in error
 
 
+@pytest.mark.parametrize("cutoff", ["0.01", "-3", "nan", "inf"])
+def test_an_impossible_cutoff_is_refused(
+    cutoff: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh")]
+    assert "cutoff" in _refused([*arguments, f"--cutoff={cutoff}"], tmp_path, capsys)
+
+
 def test_an_unknown_flag_ends_with_code_2(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh"), "--colour", "red"])
