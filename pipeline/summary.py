@@ -87,7 +87,12 @@ def as_tables(result: CleanResult) -> RenderableType:
         title_justify="left",
     )
     for j in np.argsort(rates, kind="stable")[:_WORST]:
-        terms = np.bincount(clip.deciding_term[:, j], minlength=len(Term))
+        # By how much it cost, not how often: some term is the least in every frame.
+        terms = np.bincount(
+            clip.deciding_term[:, j],
+            weights=1.0 - clip.reliability[:, j],
+            minlength=len(Term),
+        )
         joints.add_row(
             clip.skeleton.joints[j],
             f"{rates[j]:.2f}",
