@@ -24,7 +24,7 @@ from tyro.conf import (
 
 from kinefilter.characters import SKELETONS, InputError
 
-from .config import CleanConfig
+from .config import CleanConfig, LearnedMethod
 from .progress import Progress
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ _out = Console(soft_wrap=True, highlight=False)
 _err = Console(stderr=True, soft_wrap=True, highlight=False)
 
 Skeletons = Literal["kinect_v1", "kinect_v2"]
-LearnedMethod = Literal["best"]
 Formats = Literal["kinefilter", "kinect-v2", "kinect-v1"]
 
 
@@ -186,7 +185,10 @@ class Evaluate:
     """Pairs files (.npz) to learn from."""
     test: tuple[Path, ...] = ()
     """Pairs files to test on; default: one person of --train after the other."""
-    methods: str = "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,best"
+    methods: str = (
+        "butterworth,savgol,one-euro,kalman,low-rank,local-pca,"
+        "exemplar,full-gp,local-gp,clustered-gp,best"
+    )
     """Methods, comma-separated."""
     protocol: Literal["people", "repetitions"] = "people"
     """Test on people, or on repetitions of known people, that were not learned from."""

@@ -8,11 +8,18 @@ from typing import Literal
 
 from kinefilter.characters import InputError
 
-__all__ = ["CleanConfig", "Method"]
+__all__ = ["CleanConfig", "LearnedMethod", "Method"]
+
+LearnedMethod = Literal["best", "local-gp", "clustered-gp", "full-gp", "exemplar"]
+"""Correction methods that learn from pairs of Kinect and mocap."""
 
 Method = Literal[
     "local-pca",
     "best",
+    "local-gp",
+    "clustered-gp",
+    "full-gp",
+    "exemplar",
     "none",
     "butterworth",
     "savgol",

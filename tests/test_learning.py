@@ -22,6 +22,7 @@ from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import Observation
+from kinefilter.pipeline.correct.methods import LEARNED
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
 from kinefilter.pipeline.evaluate import evaluate
 from kinefilter.pipeline.models import Model, load_model, save_model
@@ -210,6 +211,22 @@ def test_clean_with_a_model_uses_its_method(
         }.items()
     }
     assert error["model"] < 0.7 * error["none"]
+
+
+@pytest.mark.parametrize("method", list(LEARNED))
+def test_every_learned_method_trains_saves_and_cleans(
+    method: str, pairs: list[PairedTake], tmp_path: Path
+) -> None:
+    lessons = training_set(pairs)
+    learner = LEARNED[method](KINECT_V1).fit(lessons)
+    path = tmp_path / "m.npz"
+    save_model(Model(learner, method, KINECT_V1, lessons.source), path)
+    take, truth = pairs[4].take, pairs[4].truth
+    result = clean(take, CleanConfig(model=path))
+    accuracy = Accuracy(KINECT_V1)
+    corrected = accuracy.distances(result.clip.positions, truth).mean()
+    assert corrected < 0.9 * accuracy.distances(take.positions, truth).mean()
+    assert result.stages["physics"].bone_length_cv < 1e-6
 
 
 def test_models_that_do_not_fit_are_refused(

@@ -7,10 +7,14 @@ from collections.abc import Callable
 from kinefilter.characters import Skeleton
 from kinefilter.pipeline.database import PostureDatabase
 
+from .clustered_gp import ClusteredGP
+from .exemplar import Exemplar
 from .filters import Butterworth, OneEuro, SavitzkyGolay
+from .full_gp import FullGP
 from .hold import Hold
 from .interface import Corrector, WholeTakeCorrector
 from .kalman import ConstantLengthKalman
+from .local_gp import LocalGP
 from .local_pca import LocalPCA
 from .low_rank import LowRank
 from .personal_gp import PersonalGP
@@ -35,7 +39,15 @@ FROM_DATABASE: dict[str, Callable[[PostureDatabase], Corrector]] = {
 }
 """Methods that need natural postures."""
 
-LEARNED: dict[str, type[PersonalGP]] = {
+Learner = (
+    type[ClusteredGP] | type[Exemplar] | type[FullGP] | type[LocalGP] | type[PersonalGP]
+)
+
+LEARNED: dict[str, Learner] = {
     "best": PersonalGP,
+    "local-gp": LocalGP,
+    "clustered-gp": ClusteredGP,
+    "full-gp": FullGP,
+    "exemplar": Exemplar,
 }
 """Methods that learn from pairs of Kinect and mocap."""

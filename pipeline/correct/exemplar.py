@@ -1,0 +1,216 @@
+"""Offsets of the most similar examples: the baseline that Gaussian processes beat.
+
+After Shen, Deng, Bai, Leyvand, Guo & Tu 2012, "Exemplar-based human action pose
+correction and tagging", CVPR, as far as Liu 2016 compares with it. What an example is,
+the offset methods share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.neighbors import NearestNeighbors
+
+from kinefilter.characters import InputError, Skeleton
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.training import TrainingSet
+
+from .hold import Hold
+from .interface import Correction, Observation
+
+__all__ = ["Exemplar", "Lessons", "add_offsets"]
+
+Array = NDArray[np.float64]
+
+_LEAST_FRAMES = 100
+_TRUST = 0.9  # of a corrected measurement: the smoother may move it
+_NO_OFFSET = 0.05  # weight of no offset at all, against 1 for the same posture again
+
+
+@dataclass(frozen=True, eq=False)
+class Lessons:
+    """Frames of a training set in which every joint to be learned is there twice."""
+
+    postures: Array
+    """Measured joint positions [m], finite, shape (N, J, 3)."""
+    offsets: Array
+    """Mocap less Kinect [m] of the learned joints, shape (N, M, 3)."""
+    learned: NDArray[np.intp]
+    """The joints that mocap and Kinect both have, shape (M,)."""
+    seen: NDArray[np.bool_]
+    """The joints that Kinect has, shape (J,)."""
+
+    @classmethod
+    def drawn(
+        cls,
+        training: TrainingSet,
+        skeleton: Skeleton,
+        samples: int,
+        seed: int,
+        *,
+        above: float = 0.0,
+    ) -> Self:
+        """Draw at most ``samples`` frames at random.
+
+        Args:
+            training: Where to draw from.
+            skeleton: The joints of the model.
+            samples: Most frames.
+            seed: Of the draw.
+            above: Least rate of every joint to be learned.
+
+        Raises:
+            InputError: They are too few, or of another skeleton.
+        """
+        if training.skeleton != skeleton:
+            raise InputError(
+                f"{training.source}: pairs of {training.skeleton.name}, but the model "
+                f"is for {skeleton.name}"
+            )
+        measured = ~np.isnan(training.positions[..., 0])
+        both = measured & ~np.isnan(training.truth[..., 0])
+        # A joint that is mostly absent would cost the others their frames.
+        learned = np.flatnonzero(both.mean(axis=0) > 0.5)
+        both &= training.rate >= above
+        rows = np.flatnonzero(both[:, learned].all(axis=1))
+        if len(rows) < _LEAST_FRAMES or not len(learned):
+            raise InputError(
+                f"{training.source}: {len(rows)} frames with every joint reliable "
+                "and in both recordings are too few to learn from; give "
+                f"{_LEAST_FRAMES} or more"
+            )
+        rows = np.random.default_rng(seed).permutation(rows)[:samples]
+        # Rounded as a model file rounds: a model is the same before and after.
+        postures = training.positions[rows].astype(np.float32).astype(float)
+        offsets = training.truth[rows] - training.positions[rows]
+        offsets = offsets[:, learned].astype(np.float32).astype(float)
+        hold = Hold(skeleton)
+        ones = np.ones(len(skeleton))
+        for row in np.flatnonzero(np.isnan(postures).any(axis=(1, 2))):
+            hold.start()
+            seen = Observation(postures[row], ones, ones)
+            postures[row] = hold.step(seen).positions
+        return cls(postures, offsets, learned, measured.mean(axis=0) > 0.5)
+
+
+def add_offsets(
+    skeleton: Skeleton,
+    posture: Array,
+    learned: NDArray[np.intp],
+    offsets: Array,
+    missing: NDArray[np.bool_],
+    coverage: float,
+) -> Correction:
+    """Return a posture moved by offsets; missing joints go along with their parents.
+
+    Args:
+        skeleton: The joints.
+        posture: Joint positions [m], filled where missing, shape (J, 3).
+        learned: The joints that have offsets, shape (M,).
+        offsets: Shape (M, 3) [m].
+        missing: Nothing was measured, shape (J,).
+        coverage: How well the method knows the posture, in [0, 1].
+    """
+    corrected = posture.copy()
+    corrected[learned] += np.where(missing[learned, None], 0.0, offsets)
+    for j in skeleton.order[1:]:
+        if missing[j]:
+            parent = skeleton.parents[j]
+            corrected[j] = corrected[parent] + posture[j] - posture[parent]
+    return Correction(corrected, None, np.where(missing, 0.0, _TRUST), coverage)
+
+
+class Exemplar:
+    """Adds the average offset of the nearest postures, near ones weighing more.
+
+    Args:
+        skeleton: The joints.
+        samples: Most training frames that are kept.
+        neighbors: Postures averaged.
+        seed: Draws the frames.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        samples: int = 10000,
+        neighbors: int = 10,
+        seed: int = 0,
+    ) -> None:
+        self.skeleton = skeleton
+        self.samples = samples
+        self.neighbors = neighbors
+        self.seed = seed
+        self._hold = Hold(skeleton)
+
+    def start(self) -> None:
+        """Forget all frames."""
+        self._hold.start()
+
+    def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
+        """Keep pairs.
+
+        Raises:
+            InputError: The pairs are too few, or of another skeleton.
+        """
+        lessons = Lessons.drawn(training, self.skeleton, self.samples, self.seed)
+        for _ in progress("exemplars", 1):
+            self.joints_, self.seen_ = lessons.learned, lessons.seen
+            self.postures_ = lessons.postures.astype(np.float32)
+            self.offsets_ = lessons.offsets.astype(np.float32)
+            self._prepare()
+            # As wide as the examples lie apart: to the furthest that is averaged.
+            count = min(self.neighbors + 1, len(self._rows))
+            apart = self._nearest.kneighbors(self._rows, count)[0][:, -1]
+            self.width_ = max(float(np.median(apart)), 1e-6)
+        return self
+
+    def _prepare(self) -> None:
+        self._rows = self._features(self.postures_.astype(float))
+        self._nearest = NearestNeighbors(algorithm="brute").fit(self._rows)
+        self._squares = np.sum(self._rows * self._rows, axis=1)
+
+    def _features(self, postures: Array) -> Array:
+        """Return what is compared: every joint that the sensor measures, (N, F)."""
+        return postures[:, self.seen_].reshape(len(postures), -1)
+
+    def step(self, observation: Observation) -> Correction:
+        """Correct the next frame."""
+        missing = np.isnan(observation.positions[:, 0])
+        posture = self._hold.step(observation).positions
+        features = self._features(posture[None])[0]
+        squares = self._squares - 2.0 * (self._rows @ features) + features @ features
+        count = min(self.neighbors, len(squares))
+        near = np.argpartition(squares, count - 1)[:count]
+        weights = np.exp(-0.5 * np.maximum(squares[near], 0.0) / self.width_**2)
+        total = float(weights.sum()) + _NO_OFFSET
+        offsets = np.tensordot(weights / total, self.offsets_[near], axes=1)
+        coverage = float(weights.max())
+        return add_offsets(
+            self.skeleton, posture, self.joints_, offsets, missing, coverage
+        )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the fitted state as named arrays, for a model file."""
+        return {
+            "postures": self.postures_,
+            "offsets": self.offsets_,
+            "joints": self.joints_,
+            "seen": self.seen_,
+            "width": np.array(self.width_),
+            "neighbors": np.array(self.neighbors),
+        }
+
+    @classmethod
+    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
+        """Return the fitted corrector that ``arrays`` described."""
+        model = cls(skeleton, neighbors=int(arrays["neighbors"]))
+        model.postures_, model.offsets_ = arrays["postures"], arrays["offsets"]
+        model.joints_, model.seen_ = arrays["joints"], arrays["seen"]
+        model.width_ = float(arrays["width"])
+        model._prepare()
+        return model

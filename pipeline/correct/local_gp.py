@@ -1,0 +1,390 @@
+"""A mixture of local Gaussian processes per joint, fused with time and reliability.
+
+Liu, Zhou, Leung & Shum 2016, "Kinect posture reconstruction based on a local mixture
+of Gaussian process models", IEEE TVCG 22(11).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky
+from sklearn.cluster import KMeans
+
+from kinefilter.characters import Skeleton
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.training import TrainingSet
+
+from .exemplar import Lessons, add_offsets
+from .full_gp import JointFeatures, JointKernels
+from .gaussian_process import grow_factor, grow_inverse, informative_samples
+from .hold import Hold
+from .interface import Correction, Observation
+
+__all__ = ["LocalGP", "least_energy"]
+
+Array = NDArray[np.float64]
+
+_POOL = 4  # samples drawn for each that may be kept: what budgeting chooses from
+_MOST_LEARNED = 20  # samples a local model, and models a joint, may gain online
+_FOR_CERTAIN = 300  # training frames that the usual variance is measured on
+_SURE = 0.25  # share of the prior variance under which a prediction may teach
+
+
+def least_energy(
+    mean: Array,
+    certainty: Array,
+    steady: Array,
+    rate: Array,
+    *,
+    spatial: float,
+    temporal: float,
+    reliability: float,
+) -> Array:
+    """Return the offsets of the least energy (Liu eq. 22), in closed form.
+
+    The spatial term is the negative of eq. 7's log density, which is what there is to
+    minimize, times twice the prior variance: certainty * |y - mean|^2, a squared
+    distance as the other terms (eq. 20, 21) are. Every term is quadratic in y.
+
+    Args:
+        mean: Predicted offsets [m], shape (M, 3).
+        certainty: Prior variance over predicted variance, shape (M, 3): 1 where
+            nothing is known, so that the weights then are those of the paper.
+        steady: Offsets of constant velocity [m], NaN where unknown, shape (M, 3).
+        rate: Reliability rate, shape (M,).
+        spatial: Weight of the spatial term.
+        temporal: Weight of the temporal term.
+        reliability: Weight of the reliability term.
+    """
+    near = spatial * certainty
+    flow = np.where(np.isnan(steady), 0.0, temporal)
+    total = near + flow + reliability * rate[:, None] ** 2
+    pull = near * mean + flow * np.nan_to_num(steady)
+    return np.asarray(pull / np.maximum(total, 1e-12))
+
+
+class LocalModels:
+    """The local processes of every joint, in padded arrays.
+
+    Features are times the roots of W. What pads has no weight: zeros in alpha and in
+    the inverse, centers at infinity.
+
+    Args:
+        kernels: The joints' kernels.
+        centers: Shape (M, Q, F) [m].
+        features: Of the samples, shape (M, Q, S, F) [m].
+        offsets: Of the samples, shape (M, Q, S, 3) [m].
+        counts: Samples that there are, shape (M, Q).
+        spare: Models a joint, and samples a model, that may be added.
+    """
+
+    def __init__(
+        self,
+        kernels: JointKernels,
+        centers: NDArray[Any],
+        features: NDArray[Any],
+        offsets: NDArray[Any],
+        counts: NDArray[np.int32],
+        *,
+        spare: int = 0,
+    ) -> None:
+        self._kernels = [kernels.of_joint(m) for m in range(len(kernels.table))]
+        self._theta0, self._theta1 = kernels.theta0, kernels.theta1
+        self._unknown = kernels.theta0 + kernels.theta1 + kernels.noise
+        self._used = np.full(len(centers), centers.shape[1])
+        self.counts = np.pad(counts, ((0, 0), (0, spare)))
+        roots = kernels.roots
+        width = ((0, 0), (0, spare), (0, 0))
+        self.centers = np.pad(centers * roots[:, None], width, constant_values=np.inf)
+        deeper = ((0, 0), (0, spare), (0, spare), (0, 0))
+        self._rows = np.pad(features * roots[:, None, None], deeper)
+        self._offsets = np.pad(offsets.astype(float), deeper)
+        joints, models, samples = self._rows.shape[:3]
+        self._alpha = np.zeros((joints, models, samples, 3))
+        self.factors = np.zeros((joints, models, samples, samples))
+        self._inverse = np.zeros_like(self.factors)
+        for m, q in np.ndindex(joints, centers.shape[1]):
+            n = int(counts[m, q])
+            factor = cholesky(self._kernels[m].of_samples(self._rows[m, q, :n]))
+            self._set(m, q, factor, cho_solve((factor, False), np.eye(n)))
+
+    def _set(self, m: int, q: int, factor: Array, inverse: Array) -> None:
+        """Store a model's factor and inverse, and its prediction vector, in O(S^2)."""
+        n = len(factor)
+        self.counts[m, q] = n
+        self.factors[m, q, :n, :n] = factor
+        self._inverse[m, q, :n, :n] = inverse
+        self._alpha[m, q, :n] = cho_solve((factor, False), self._offsets[m, q, :n])
+
+    def predict(self, x: Array, blended: int) -> tuple[Array, Array]:
+        """Return the mixture's mean [m] and variance [m^2], noise included, (M, 3).
+
+        Args:
+            x: Features times the roots of W, shape (M, F).
+            blended: Nearest models that are blended.
+        """
+        joints, models = self.centers.shape[:2]
+        blended = min(blended, models)
+        apart = self.centers - x[:, None]
+        squares = np.einsum("mqf,mqf->mq", apart, apart)
+        near = np.argpartition(squares, blended - 1, axis=1)[:, :blended]
+        squares = np.take_along_axis(squares, near, axis=1)
+        # Eq. 10; over the greatest, or far away all of them would be 0.
+        similarity = np.exp(-0.5 * (squares - squares.min(axis=1, keepdims=True)))
+        picked = (near + models * np.arange(joints)[:, None]).ravel()
+        rows = _taken(self._rows, picked)
+        rows -= np.repeat(x, blended, axis=0)[:, None]
+        likeness = np.exp(-0.5 * np.einsum("psf,psf->ps", rows, rows))
+        likeness *= np.repeat(self._theta0, blended)[:, None]
+        likeness += np.repeat(self._theta1, blended)[:, None]
+        means = (likeness[:, None] @ _taken(self._alpha, picked))[:, 0]  # eq. 8
+        solved = (likeness[:, None] @ _taken(self._inverse, picked))[:, 0]
+        explained = np.sum(solved * likeness, axis=1).reshape(joints, blended)
+        variances = self._unknown[:, None] - explained  # eq. 9
+        # Eq. 12 by similarity alone lets models vote, with an offset near 0, that
+        # hold no sample on this side of their center: precision tells.
+        weights = similarity / variances
+        weights /= weights.sum(axis=1, keepdims=True)
+        means = means.reshape(joints, blended, 3)
+        mean = np.einsum("ml,mlc->mc", weights, means)  # eq. 13
+        # Eq. 13 says no more; a mixture's variance has the means' spread in it.
+        spread = np.einsum("ml,mlc->mc", weights, (means - mean[:, None]) ** 2)
+        within = np.sum(weights * variances, axis=1)
+        return mean, within[:, None] + spread
+
+    def learn(self, m: int, x: Array, offset: Array, reach: float) -> None:
+        """Add a sample to the nearest model, or as a new one (Liu, algorithm 2).
+
+        Args:
+            m: The joint.
+            x: Features times the roots of W, shape (F,).
+            offset: Shape (3,) [m].
+            reach: Distance from every center, in units of the kernel, over which a
+                new model begins: the similarity of eq. 10 is too small.
+        """
+        kernel = self._kernels[m]
+        distances = np.linalg.norm(self.centers[m] - x, axis=1)
+        q = int(np.argmin(distances))
+        if distances[q] > reach:
+            if (q := int(self._used[m])) == len(distances):
+                return
+            self._used[m] += 1
+            self.centers[m, q] = x
+        n = int(self.counts[m, q])
+        if n == self._rows.shape[2]:
+            return
+        covariance = kernel(self._rows[m, q, :n], x[None])[:, 0]
+        factor = grow_factor(
+            self.factors[m, q, :n, :n], covariance, kernel.prior + kernel.noise
+        )
+        inverse = grow_inverse(self._inverse[m, q, :n, :n], factor)
+        self._rows[m, q, n], self._offsets[m, q, n] = x, offset
+        self.centers[m, q] += (x - self.centers[m, q]) / (n + 1)
+        self._set(m, q, factor, inverse)
+
+
+def _taken(array: Array, picked: NDArray[np.intp]) -> Array:
+    """Return the models ``picked`` of an array (M, Q, ...), counted through."""
+    # mode: the default checks every index through a buffer, at twice the time.
+    flat = array.reshape(-1, *array.shape[2:])
+    return np.take(flat, picked, axis=0, mode="clip")
+
+
+class LocalGP:
+    """Adds to each joint the offset of least energy, around local predictions.
+
+    Args:
+        skeleton: The joints.
+        clusters: Local models of a joint, Q.
+        samples: Most samples of a local model, S.
+        blended: Nearest local models that are blended, L.
+        redundancy: Divergence under which posture budgeting drops a sample; 0: only
+            what does not fit is dropped.
+        spatial: Weight of the predicted offset.
+        temporal: Weight of constant velocity.
+        reliability: Weight of staying where a reliable joint was measured.
+        adapt: Learn from the frames themselves, until ``start``.
+        adapt_reliability: Least reliability of a joint to learn from.
+        seed: Draws the frames and starts the clusters.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        clusters: int = 30,
+        samples: int = 50,
+        blended: int = 9,
+        redundancy: float = 0.05,
+        spatial: float = 0.6,
+        temporal: float = 0.2,
+        reliability: float = 0.2,
+        adapt: bool = False,
+        adapt_reliability: float = 0.9,
+        seed: int = 0,
+    ) -> None:
+        self.skeleton = skeleton
+        self.clusters = clusters
+        self.samples = samples
+        self.blended = blended
+        self.redundancy = redundancy
+        self.spatial, self.temporal = spatial, temporal
+        self.reliability = reliability
+        self.adapt = adapt
+        self.adapt_reliability = adapt_reliability
+        self.seed = seed
+        self._hold = Hold(skeleton)
+        self._pool = _POOL * clusters * samples
+        self._past: list[Array] = []
+
+    def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
+        """Learn offsets from pairs.
+
+        Raises:
+            InputError: The pairs are too few, or of another skeleton.
+        """
+        lessons = Lessons.drawn(training, self.skeleton, self._pool, self.seed)
+        self.joints_, self.seen_ = lessons.learned, lessons.seen
+        features = JointFeatures(self.skeleton, self.joints_, self.seen_)
+        rows = features(lessons.postures)
+        self.kernels_ = JointKernels.fitted(
+            rows, lessons.offsets, features.sizes, progress
+        )
+        count = min(self.clusters, len(rows))
+        shape = (len(self.joints_), count, self.samples)
+        self.features_ = np.zeros((*shape, rows.shape[2]), dtype=np.float32)
+        self.offsets_ = np.zeros((*shape, 3), dtype=np.float32)
+        self.counts_ = np.zeros(shape[:2], dtype=np.int32)
+        self.centers_ = np.zeros((*shape[:2], rows.shape[2]), dtype=np.float32)
+        self.reach_ = np.zeros(len(self.joints_))
+        for m in progress("local processes", len(self.joints_)):
+            self._fit_joint(m, rows[:, m], lessons.offsets[:, m])
+        self._models = self._local_models()
+        # As sure as the method is at the median training frame.
+        scaled = rows[:_FOR_CERTAIN] * self.kernels_.roots
+        variances = [self._models.predict(x, self.blended)[1] for x in scaled]
+        self.certain_ = np.median(np.mean(variances, axis=2), axis=0)
+        return self
+
+    def _fit_joint(self, m: int, rows: Array, offsets: Array) -> None:
+        """Partition a joint's samples and keep the informative ones of each part."""
+        kernel, roots = self.kernels_.of_joint(m), self.kernels_.roots[m]
+        scaled = rows * roots
+        count = self.features_.shape[1]
+        means = KMeans(count, n_init=1, random_state=self.seed).fit(scaled)
+        self.reach_[m] = np.quantile(means.transform(scaled).min(axis=1), 0.99)
+        # A joint that hardly moves fills fewer clusters; their models then repeat.
+        filled = np.unique(means.labels_)
+        for q in range(count):
+            inside = means.labels_ == filled[q % len(filled)]
+            part = np.flatnonzero(inside)[: _POOL * self.samples]
+            kept = informative_samples(
+                kernel.of_samples(scaled[part]),
+                offsets[part],
+                kernel.noise,
+                most=self.samples,
+                redundancy=self.redundancy,
+            )
+            kept = part[kept]
+            self.counts_[m, q] = len(kept)
+            self.centers_[m, q] = rows[part].mean(axis=0)
+            self.features_[m, q, : len(kept)] = rows[kept]
+            self.offsets_[m, q, : len(kept)] = offsets[kept]
+
+    def _local_models(self) -> LocalModels:
+        self._features = JointFeatures(self.skeleton, self.joints_, self.seen_)
+        return LocalModels(
+            self.kernels_,
+            self.centers_,
+            self.features_,
+            self.offsets_,
+            self.counts_,
+            spare=_MOST_LEARNED if self.adapt else 0,
+        )
+
+    def start(self) -> None:
+        """Forget all frames, and what was learned from them."""
+        self._hold.start()
+        self._past = []
+        if self.adapt:
+            self._models = self._local_models()
+
+    def step(self, observation: Observation) -> Correction:
+        """Correct the next frame."""
+        joints, kernels = self.joints_, self.kernels_
+        missing = np.isnan(observation.positions[:, 0])
+        posture = self._hold.step(observation).positions
+        x = self._features(posture) * kernels.roots
+        mean, variance = self._models.predict(x, self.blended)
+        unknown = kernels.theta0 + kernels.noise
+        offsets = least_energy(
+            mean,
+            (unknown + kernels.theta1)[:, None] / variance,
+            self._steady(posture[joints]),
+            observation.rate[joints],
+            spatial=self.spatial,
+            temporal=self.temporal,
+            reliability=self.reliability,
+        )
+        seen, spread = ~missing[joints], variance.mean(axis=1)
+        if self.adapt:
+            sure = (spread < _SURE * unknown) & (spread > self.certain_)
+            sure &= seen & (observation.rate[joints] >= self.adapt_reliability)
+            for m in np.flatnonzero(sure):
+                self._models.learn(int(m), x[m], offsets[m], self.reach_[m])
+        # Of the variance that can be explained, over all joints: those that are hardly
+        # ever off say nothing.
+        most = np.maximum(unknown - self.certain_, 0.0)[seen]
+        explained = np.clip(unknown[seen] - spread[seen], 0.0, most)
+        coverage = float(explained.sum() / max(float(most.sum()), 1e-12))
+        result = add_offsets(self.skeleton, posture, joints, offsets, missing, coverage)
+        ends = np.where(seen[:, None], result.positions[joints], np.nan)
+        self._past = [*self._past[-1:], ends]
+        return result
+
+    def _steady(self, measured: Array) -> Array:
+        """Return the offsets that keep the velocity (eq. 20), NaN where unknown."""
+        if len(self._past) < 2:
+            return np.full_like(measured, np.nan)
+        before, last = self._past
+        return 2.0 * last - before - measured
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the fitted state as named arrays, for a model file."""
+        settings = [self.spatial, self.temporal, self.reliability, self.blended]
+        return {
+            "features": self.features_,
+            "offsets": self.offsets_,
+            "counts": self.counts_,
+            "centers": self.centers_,
+            "reach": self.reach_,
+            "certain": self.certain_,
+            "kernels": self.kernels_.table,
+            "joints": self.joints_,
+            "seen": self.seen_,
+            "settings": np.array([*settings, self.adapt, self.adapt_reliability]),
+        }
+
+    @classmethod
+    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
+        """Return the fitted corrector that ``arrays`` described."""
+        spatial, temporal, reliability, blended, adapt, least = arrays["settings"]
+        model = cls(
+            skeleton,
+            blended=int(blended),
+            spatial=float(spatial),
+            temporal=float(temporal),
+            reliability=float(reliability),
+            adapt=bool(adapt),
+            adapt_reliability=float(least),
+        )
+        model.features_, model.offsets_ = arrays["features"], arrays["offsets"]
+        model.counts_, model.centers_ = arrays["counts"], arrays["centers"]
+        model.reach_, model.certain_ = arrays["reach"], arrays["certain"]
+        model.kernels_ = JointKernels(arrays["kernels"])
+        model.joints_, model.seen_ = arrays["joints"], arrays["seen"]
+        model._models = model._local_models()
+        return model

@@ -1,0 +1,224 @@
+"""The process over the whole standardized body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from kinefilter.characters import KINECT_V1, InputError, standard_body
+from kinefilter.pipeline.accuracy import Accuracy
+from kinefilter.pipeline.correct import Correction, Observation
+from kinefilter.pipeline.correct.clustered_gp import BoneWalk, ClusteredGP
+from kinefilter.pipeline.training import TrainingSet, read_pairs, training_set
+
+Array = NDArray[np.float64]
+
+DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
+ONES = np.ones(len(KINECT_V1))
+WRIST, ELBOW = KINECT_V1.index("WristLeft"), KINECT_V1.index("ElbowLeft")
+SPINE = KINECT_V1.index("Spine")
+SHIFT = np.array([0.1, -0.15, 0.1])
+
+
+def _postures(count: int, seed: int) -> Array:
+    """Return postures that vary along three directions, bones of odd lengths."""
+    rest = standard_body(KINECT_V1).rest_positions
+    directions = np.random.default_rng(99).normal(0.0, 0.1, (3, *rest.shape))
+    latent = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 3))
+    postures = rest - rest[KINECT_V1.root] + np.tensordot(latent, directions, axes=1)
+    postures[:, KINECT_V1.root] = 0.0
+    return np.asarray(postures)
+
+
+def _lessons(shift: Array, count: int = 400, seed: int = 0) -> TrainingSet:
+    """Return postures on standard bones whose left wrist is off."""
+    seen = BoneWalk(KINECT_V1).standardized(_postures(count, seed))
+    truth = seen.copy()
+    truth[:, WRIST] += shift
+    truth[:, SPINE] = np.nan
+    rate = np.ones(seen.shape[:2])
+    first = np.zeros(count, dtype=bool)
+    return TrainingSet(seen, rate, truth, first, KINECT_V1, "imagined")
+
+
+@pytest.fixture(scope="module")
+def model() -> ClusteredGP:
+    return ClusteredGP(KINECT_V1, centroids=60).fit(_lessons(SHIFT))
+
+
+def _step(model: ClusteredGP, posture: Array) -> Correction:
+    model.start()
+    return model.step(Observation(posture, ONES, ONES))
+
+
+def test_bones_come_back_from_standard_lengths() -> None:
+    walk, postures = BoneWalk(KINECT_V1), _postures(10, seed=1)
+    directions, lengths = walk.measure(postures)
+    standard = walk.lay(directions, walk.lengths)
+    np.testing.assert_allclose(
+        walk.measure(standard)[1], np.tile(walk.lengths, (10, 1)), atol=1e-12
+    )
+    assert np.abs(lengths - walk.lengths).max() > 0.02
+    again = walk.lay(walk.measure(standard)[0], lengths)
+    np.testing.assert_allclose(again, postures, atol=1e-12)
+
+
+def test_a_bone_without_a_length_points_as_at_rest() -> None:
+    walk, rest = BoneWalk(KINECT_V1), standard_body(KINECT_V1).rest_positions
+    posture = rest - rest[KINECT_V1.root]
+    posture[WRIST] = posture[ELBOW]
+    np.testing.assert_allclose(
+        walk.standardized(posture), rest - rest[KINECT_V1.root], atol=1e-12
+    )
+
+
+def test_corrected_bones_have_the_standard_lengths(model: ClusteredGP) -> None:
+    walk = BoneWalk(KINECT_V1)
+    for posture in _postures(10, seed=1):
+        corrected = _step(model, posture).positions
+        np.testing.assert_allclose(walk.measure(corrected)[1], walk.lengths, atol=1e-12)
+
+
+def test_a_constant_shift_is_learned_as_a_direction(model: ClusteredGP) -> None:
+    walk = BoneWalk(KINECT_V1)
+    lessons = _lessons(SHIFT, count=30, seed=5)
+    away, before = [], []
+    for seen in lessons.positions:
+        truth = seen.copy()
+        truth[WRIST] += SHIFT
+        wanted = walk.standardized(truth)
+        away.append(np.linalg.norm(_step(model, seen).positions - wanted, axis=1))
+        before.append(np.linalg.norm(seen - wanted, axis=1))
+    assert np.mean(away, axis=0)[WRIST] < 0.15 * np.mean(before, axis=0)[WRIST]
+    unmoved = [j for j in range(len(KINECT_V1)) if j not in (WRIST, WRIST + 1)]
+    assert np.max(np.array(away)[:, unmoved]) < 2e-3
+
+
+def test_no_shift_is_learned_from_none() -> None:
+    still = ClusteredGP(KINECT_V1, centroids=40).fit(_lessons(np.zeros(3)))
+    posture = BoneWalk(KINECT_V1).standardized(_postures(1, seed=5)[0])
+    np.testing.assert_allclose(_step(still, posture).positions, posture, atol=1e-9)
+
+
+def test_the_process_is_that_of_scikit_learn() -> None:
+    lessons = _lessons(SHIFT, count=150)
+    # As many centroids as frames: every cluster is one posture.
+    model = ClusteredGP(KINECT_V1, centroids=150).fit(lessons)
+    kernel = model.kernel_
+    same = WhiteKernel(kernel.noise) + sum(
+        (
+            ConstantKernel(variance) * RBF(1.0 / float(scale[0]))
+            for variance, scale in zip(kernel.variances, kernel.scales, strict=True)
+        ),
+        start=ConstantKernel(1e-12),
+    )
+    rows = model.rows_.astype(float)
+    outputs = kernel.of_samples(rows) @ model.weights_
+    other = GaussianProcessRegressor(same, optimizer=None, alpha=0.0)
+    other.fit(rows, outputs)
+    for posture in _lessons(SHIFT, count=10, seed=5).positions:
+        mean = other.predict(model._features(posture)[None])
+        offsets, _ = model._predict(posture)
+        np.testing.assert_allclose(offsets.ravel(), mean[0], atol=1e-5)
+
+
+def test_unreliable_postures_teach_nothing() -> None:
+    lessons = _lessons(SHIFT)
+    spoilt = lessons.truth.copy()
+    spoilt[::2, ELBOW] += 0.5
+    rate = lessons.rate.copy()
+    rate[::2, WRIST] = 0.6
+    mixed = TrainingSet(
+        lessons.positions, rate, spoilt, lessons.first, KINECT_V1, "half wrong"
+    )
+    half = TrainingSet(
+        lessons.positions[1::2],
+        lessons.rate[1::2],
+        lessons.truth[1::2],
+        lessons.first[1::2],
+        KINECT_V1,
+        "good half",
+    )
+    posture = _postures(1, seed=5)[0]
+    one, two = (
+        _step(ClusteredGP(KINECT_V1, centroids=50).fit(part), posture).positions
+        for part in (mixed, half)
+    )
+    np.testing.assert_allclose(one, two, atol=0.01)
+    rate[:] = 0.6
+    with pytest.raises(InputError, match="half wrong: 0 frames"):
+        ClusteredGP(KINECT_V1).fit(mixed)
+
+
+def test_coverage_is_high_on_training_postures_and_none_far_away() -> None:
+    lessons = _lessons(np.zeros(3))
+    # Only what varies with the posture tells how far a posture is known.
+    lessons.truth[:, WRIST] += SHIFT * np.sin(12.0 * lessons.positions[:, WRIST, :1])
+    model = ClusteredGP(KINECT_V1, centroids=100).fit(lessons)
+    near = [_step(model, posture).coverage for posture in lessons.positions[:20]]
+    assert min(near) > 0.8
+    assert max(near) <= 1.0
+    upside_down = lessons.positions[0] * [1.0, -1.0, 1.0]
+    result = _step(model, upside_down)
+    assert result.coverage < 0.1
+    np.testing.assert_allclose(result.positions, upside_down, atol=5e-3)
+
+
+def test_missing_joints_are_filled_with_their_last_bones(model: ClusteredGP) -> None:
+    first, second = BoneWalk(KINECT_V1).standardized(_postures(2, seed=7))
+    second[[WRIST, WRIST + 1]] = np.nan
+    model.start()
+    model.step(Observation(first, ONES, ONES))
+    result = model.step(Observation(second, ONES, ONES))
+    bone = result.positions[WRIST] - result.positions[ELBOW]
+    np.testing.assert_allclose(bone, first[WRIST] - first[ELBOW], atol=2e-3)
+    assert result.trust[WRIST] == 0.0
+    assert np.all(np.delete(result.trust, [WRIST, WRIST + 1]) == 0.9)
+    nothing = _step(model, np.full_like(first, np.nan))
+    assert np.isfinite(nothing.positions).all()
+
+
+def test_the_arrays_bring_the_same_corrections_back(model: ClusteredGP) -> None:
+    again = ClusteredGP.from_arrays(KINECT_V1, model.arrays())
+    for posture in _postures(10, seed=8):
+        one, two = _step(model, posture), _step(again, posture)
+        np.testing.assert_array_equal(one.positions, two.positions)
+        assert one.coverage == two.coverage
+
+
+def test_the_seed_decides_everything(model: ClusteredGP) -> None:
+    twin = ClusteredGP(KINECT_V1, centroids=60).fit(_lessons(SHIFT)).arrays()
+    for key, array in model.arrays().items():
+        np.testing.assert_array_equal(twin[key], array)
+
+
+def _real(keep: Callable[[int], bool]) -> TrainingSet:
+    pairs = [
+        pair
+        for pair in read_pairs(DATA / "s02.npz")
+        if pair.clip[:3] in ("m01", "m07")
+        and "_inc" not in pair.clip
+        and keep(int(pair.clip[9:11]))
+    ]
+    return training_set(pairs)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="paired recordings are not here")
+def test_known_people_are_corrected_on_real_recordings() -> None:
+    train, test = _real(lambda e: e <= 7), _real(lambda e: e > 7)
+    accuracy = Accuracy(KINECT_V1)
+    model = ClusteredGP(KINECT_V1, centroids=300).fit(train)
+    found = np.array(
+        [
+            model.step(Observation(posture, rate, rate)).positions
+            for posture, rate in zip(test.positions, test.rate, strict=True)
+        ]
+    )
+    raw = np.nanmean(accuracy.standardized(test.positions, test.truth))
+    assert np.nanmean(accuracy.standardized(found, test.truth)) < 0.5 * raw
