@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
-from kinefilter.pipeline import CleanConfig, CleanResult, clean, read_take
+from kinefilter.pipeline import CleanConfig, clean, read_take
 
 Array = NDArray[np.float64]
 
@@ -68,16 +67,16 @@ def errors(positions: Array, truth: Array) -> tuple[Array, Array]:
 
 def print_takes(folder: Path) -> None:
     """Clean every recorded take and print the extremes."""
-    results: list[CleanResult] = []
+    raw, final, coverage, resets = [], [], [], 0
     files = sorted([*folder.glob("*/*.csv"), *folder.glob("*/*.csv.gz")])
     for file in files:
         result = clean(read_take(file))
-        results.append(replace(result, clip=None))  # type: ignore[arg-type]
-    raw = [r.stages["raw"] for r in results]
-    final = [r.stages["physics"] for r in results]
+        raw.append(result.stages["raw"])
+        final.append(result.stages["physics"])
+        coverage.append(result.coverage)
+        resets += 0 if result.trace is None else int(result.trace.reset.sum())
     jitter = [b.jitter / a.jitter for a, b in zip(raw, final, strict=True)]
     lengths = [max(q.bone_length_cv for q in stage) for stage in (raw, final)]
-    coverage = np.concatenate([r.coverage for r in results])
     figures = {
         "jitter, share of raw, median": np.median(jitter),
         "jitter, share of raw, worst": max(jitter),
@@ -85,8 +84,8 @@ def print_takes(folder: Path) -> None:
         "bone-length variation, clip, worst": lengths[1],
         "lowest point of the body, worst, mm": min(q.lowest_point_mm for q in final),
         "amplitude kept, median": np.median([q.amplitude_kept for q in final]),
-        "share of frames outside the database": np.mean(coverage < 0.5),
-        "simulation resets": sum(int(r.trace.reset.sum()) for r in results if r.trace),
+        "share of frames outside the database": np.mean(np.concatenate(coverage) < 0.5),
+        "simulation resets": resets,
     }
     print_line(f"{len(files)} recorded takes")
     for name, value in figures.items():
