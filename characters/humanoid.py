@@ -61,15 +61,15 @@ class Tracking:
 
     natural_frequency: float = 60.0
     """Natural frequency of the pull [rad/s]. The gains follow, critically damped, from
-    it and the mass of each part: kp = m w^2, kv = 2 m w. 60 follows a clean target
-    within 4.2 mm and filters what is faster than 10 Hz."""
+    it and the mass of each part: kp = m w^2, kv = 2 m w. 60 follows a clean
+    motion within 3 mm on average and filters what is faster than 10 Hz."""
     twist_frequency: float = 40.0
     """Natural frequency of the torque about the segment axis [rad/s]."""
     largest_acceleration: float = 200.0
     """Bound of the force on a part: its mass times this [m/s^2]. About twice the
     peak acceleration of a boxer's fist."""
     largest_angular_acceleration: float = 4000.0
-    """Bound of the torque on a part: its inertia about its axis times this
+    """Bound of the torque on a part: the inertia its gains are made for times this
     [rad/s^2]."""
 
 

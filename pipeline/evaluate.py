@@ -16,6 +16,7 @@ from kinefilter.characters import InputError
 from kinefilter.retarget import measured_body
 
 from .accuracy import LIMBS, Accuracy
+from .config import CleanConfig
 from .correct import Corrector, WholeTakeCorrector, correct_take
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
@@ -37,7 +38,6 @@ METHODS = (*FILTERS, *FROM_DATABASE, *LEARNED)
 """Every method that can be evaluated."""
 
 _LEARNED_REPETITIONS = 7  # e01 to e07 teach, e08 to e10 test
-_CUTOFF = 6.0  # Hz, of the target that the character follows
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,9 @@ def _test(
         seconds = perf_counter() - start
         positions = corrected.positions
         if physics:
-            target = make_target(take.time, corrected, standard.body, cutoff=_CUTOFF)
+            target = make_target(
+                take.time, corrected, standard.body, cutoff=CleanConfig.cutoff
+            )
             positions = (
                 PhysicsFilter(standard.body)
                 .run(take.time, target.positions, target.rotations)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline import CleanConfig, CleanResult, clean, read_take
+from kinefilter.pipeline.config import Method
 from kinefilter.pipeline.formats import read_bvh, read_usd_positions, write_clip
 from kinefilter.retarget import positions_from_rotations
 from kinefilter.scenes import observe, perform, sample_take
@@ -89,16 +91,18 @@ def test_same_take_same_bytes(sample: CleanResult, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("search", ["solver", "stochastic"])
-def test_either_search_cleans_the_sample(search: str) -> None:
-    result = clean(sample_take(), CleanConfig(search=search))  # type: ignore[arg-type]
+def test_either_search_cleans_the_sample(
+    search: Literal["solver", "stochastic"],
+) -> None:
+    result = clean(sample_take(), CleanConfig(search=search))
     _holds(result, result.stages["raw"].jitter)
 
 
 @pytest.mark.parametrize(
     "method", ["butterworth", "savgol", "one-euro", "kalman", "low-rank", "nearest"]
 )
-def test_every_baseline_cleans_the_sample(method: str) -> None:
-    config = CleanConfig(method=method, scoring="chiang")  # type: ignore[arg-type]
+def test_every_baseline_cleans_the_sample(method: Method) -> None:
+    config = CleanConfig(method=method, scoring="chiang")
     result = clean(sample_take(), config)
     assert np.isfinite(result.clip.positions).all()
     assert result.stages["physics"].bone_length_cv < 1e-6
@@ -279,8 +283,9 @@ def test_correction_does_no_harm_to_real_people(person: str) -> None:
                 continue
             take = Take(np.arange(len(kinect)) / 30.0, kinect, state, KINECT_V1)
             errors["raw"].append(varying(kinect, mocap))
-            for method in ("none", "local-pca"):
-                clip = clean(take, CleanConfig(method=method)).clip  # type: ignore[arg-type]
+            methods: tuple[Method, ...] = ("none", "local-pca")
+            for method in methods:
+                clip = clean(take, CleanConfig(method=method)).clip
                 errors[method].append(varying(clip.positions, mocap))
     mean = {name: np.nanmean(np.concatenate(e)) for name, e in errors.items()}
     assert mean["local-pca"] < mean["raw"]
