@@ -78,10 +78,11 @@ class Clean:
 
 @dataclass(frozen=True)
 class DatabaseBuild:
-    """Build a motion database from BVH mocap."""
+    """Build a motion database from mocap."""
 
     files: Positional[tuple[Path, ...]]
-    """BVH files (.gz too) with the joint names of the cgspeed CMU conversion."""
+    """BVH files (.gz too) with the joint names of the cgspeed CMU conversion, or pairs
+    files (.npz), of which the mocap is taken."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Database to write (.npz)."""
     skeleton: Skeletons = "kinect_v1"
@@ -92,7 +93,7 @@ class DatabaseBuild:
     def run(self) -> int:
         """Build and write."""
         from .formats import check_folder
-        from .library import database_from_bvh
+        from .library import database_from_bvh, database_from_pairs
 
         if self.out.suffix != ".npz":
             raise InputError(f"{self.out}: a database is an .npz file; name it so")
@@ -100,13 +101,25 @@ class DatabaseBuild:
             raise InputError(f"--count {self.count}: a database needs two postures")
         check_folder(self.out)
         _keep(self.out, *self.files)
+        skeleton = SKELETONS[self.skeleton]
+        paired = [file for file in self.files if file.suffix == ".npz"]
+        if paired and len(paired) < len(self.files):
+            raise InputError(f"{paired[0]}: give BVH files or pairs files, not both")
         with _progress() as progress:
-            database = database_from_bvh(
-                self.files,
-                SKELETONS[self.skeleton],
-                count=self.count,
-                progress=progress,
-            )
+            if paired:
+                pairs = _read_all(paired)
+                if (found := pairs[0].take.skeleton) != skeleton:
+                    raise InputError(
+                        f"{paired[0]}: pairs of {found.name}; add --skeleton "
+                        f"{found.name}"
+                    )
+                database = database_from_pairs(
+                    pairs, count=self.count, progress=progress
+                )
+            else:
+                database = database_from_bvh(
+                    self.files, skeleton, count=self.count, progress=progress
+                )
         database.save(self.out)
         _out.print(f"wrote {self.out}: {database.summary}")
         return 0
@@ -194,8 +207,13 @@ class Evaluate:
     """Test on people, or on repetitions of known people, that were not learned from."""
     physics: bool = False
     """Send what the methods give through the simulated character too."""
+    ablation: bool = False
+    """Also measure methods without a part of them: local-gp without terms of its
+    energy (Liu 2016, Table 5), Shum's methods A and B beside local-pca."""
     database: Path | None = None
     """Motion database (.npz); default: the embedded."""
+    mocap_database: bool = False
+    """Take the mocap of the clips that are learned from for the motion database."""
     json: Path | None = None
     """Write the figures to this file too."""
 
@@ -208,8 +226,12 @@ class Evaluate:
         if self.json is not None:
             check_folder(self.json)
             _keep(self.json, *self.train, *self.test, self.database)
-        database = None
-        if self.database is not None:
+        if self.mocap_database and self.database is not None:
+            raise InputError("give --database or --mocap-database, not both")
+        database: PostureDatabase | Literal["mocap"] | None = None
+        if self.mocap_database:
+            database = "mocap"
+        elif self.database is not None:
             database = PostureDatabase.load(self.database)
         train, test = _read_all(self.train), _read_all(self.test)
         with _progress() as progress:
@@ -219,6 +241,7 @@ class Evaluate:
                 self.methods.split(","),
                 protocol=self.protocol,
                 physics=self.physics,
+                ablation=self.ablation,
                 database=database,
                 progress=progress,
             )

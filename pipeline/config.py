@@ -41,6 +41,8 @@ class CleanConfig:
     local-pca. none fills gaps only."""
     model: Path | None = None
     """Model (.npz) of 'kinefilter train'."""
+    adapt: bool = False
+    """Let a model of local-gp learn on from the take, where it is sure."""
     scoring: Literal["shum", "chiang"] = "shum"
     """How reliability is scored: after Shum 2013 or Chiang 2017."""
     search: Literal["solver", "stochastic"] = "solver"

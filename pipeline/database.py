@@ -49,6 +49,8 @@ class PostureDatabase:
     """The joints, in the order of the arrays."""
     source: str = "database"
     """Where the database came from, for messages."""
+    recorded: bool = False
+    """The postures are those of real people: how they vary says how people do."""
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -119,6 +121,7 @@ class PostureDatabase:
                 rotations=self.rotations.astype(np.float32),
                 labels=self.labels,
                 skeleton=np.array(self.skeleton.name),
+                recorded=np.array(self.recorded),
             )
 
     @classmethod
@@ -159,6 +162,7 @@ class PostureDatabase:
             arrays["labels"],
             skeleton,
             str(path),
+            bool(arrays.get("recorded", False)),
         )
 
 

@@ -15,18 +15,19 @@ from rich.table import Table
 from kinefilter.characters import InputError
 from kinefilter.retarget import measured_body
 
-from .accuracy import LIMBS, Accuracy
+from .accuracy import Accuracy
 from .config import CleanConfig
 from .correct import Corrector, WholeTakeCorrector, correct_take
+from .correct.local_gp import LocalGP
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
-from .library import embedded_database
-from .metrics import jitter
+from .library import database_from_pairs, embedded_database
 from .physics import PhysicsFilter
 from .progress import Progress, silent
 from .reliability import ReliabilityScorer, measure_reference
 from .scoring import SCORERS
 from .standard import StandardTake, standardize_take
+from .tally import Tally
 from .target import make_target
 from .training import PairedTake, training_set
 
@@ -37,6 +38,12 @@ Array = NDArray[np.float64]
 METHODS = (*FILTERS, *FROM_DATABASE, *LEARNED)
 """Every method that can be evaluated."""
 
+_LIU_TERMS = {
+    "local-gp S": {"temporal": 0.0, "reliability": 0.0},
+    "local-gp S+T": {"reliability": 0.0},
+    "local-gp S+R": {"temporal": 0.0},
+}
+_WITHOUT_PARTS = ("nearest", "no-reliability")
 _LEARNED_REPETITIONS = 7  # e01 to e07 teach, e08 to e10 test
 
 
@@ -48,18 +55,6 @@ class _Fold:
     test: list[PairedTake]
 
 
-@dataclass
-class _Tally:
-    """What one method did on the clips of one person."""
-
-    distances: list[Array]
-    standardized: list[Array]
-    varying: list[Array]
-    jitters: list[float]
-    seconds: float = 0.0
-    frames: int = 0
-
-
 def evaluate(
     train: Sequence[PairedTake],
     test: Sequence[PairedTake],
@@ -67,7 +62,8 @@ def evaluate(
     *,
     protocol: Literal["people", "repetitions"] = "people",
     physics: bool = False,
-    database: PostureDatabase | None = None,
+    ablation: bool = False,
+    database: PostureDatabase | Literal["mocap"] | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Return the accuracy of methods, in cm, and their speed.
@@ -80,7 +76,11 @@ def evaluate(
             ``repetitions`` learns from the repetitions e01 to e07 of all the clips
             given and tests on the others.
         physics: Send what the methods give through the character too.
-        database: Natural postures; by default the embedded ones.
+        ablation: Measure also what a part of a method is worth: ``local-gp`` without
+            terms of its energy (Liu 2016, Table 5), and ``local-pca`` as Shum's
+            methods A and B, ``nearest`` and ``no-reliability``.
+        database: Natural postures; ``mocap``: those of the clips to learn from; by
+            default the embedded ones.
         progress: Wraps the loops, for a progress bar.
 
     Raises:
@@ -89,33 +89,56 @@ def evaluate(
     unknown = [name for name in methods if name not in METHODS]
     if unknown:
         raise InputError(f"unknown method {unknown[0]!r}; known: {', '.join(METHODS)}")
+    if ablation and "local-pca" in methods:
+        methods = [*methods, *(m for m in _WITHOUT_PARTS if m not in methods)]
     folds = list(_folds(train, test, protocol))
     skeleton = folds[0].test[0].take.skeleton
-    postures = database or embedded_database(skeleton, progress)
-    tallies: dict[str, dict[str, _Tally]] = {name: {} for name in ("raw", *methods)}
+    postures = database
+    if postures is None:
+        postures = embedded_database(skeleton, progress)
     accuracy = Accuracy(skeleton)
+    tallies: dict[str, Tally] = {}
     for fold in folds:
-        correctors: dict[str, Corrector | WholeTakeCorrector] = {}
-        lessons = None
-        for name in methods:
-            if name in FILTERS:
-                correctors[name] = FILTERS[name](skeleton)
-            elif name in FROM_DATABASE:
-                correctors[name] = FROM_DATABASE[name](postures)
-            else:
-                lessons = lessons or training_set(fold.train, progress=progress)
-                learner = LEARNED[name](skeleton)
-                correctors[name] = learner.fit(lessons, progress=progress)
+        correctors = _correctors(fold, methods, postures, progress)
+        if ablation and isinstance(whole := correctors.get("local-gp"), LocalGP):
+            for name, terms in _LIU_TERMS.items():
+                correctors[name] = whole.with_terms(**terms)
+        for name in ("raw", *correctors):
+            tallies.setdefault(name, Tally(accuracy))
         for k in progress("test", len(fold.test)):
-            _test(fold.test[k], correctors, tallies, accuracy, physics)
+            _test(fold.test[k], correctors, tallies, physics)
     tested = [pair for fold in folds for pair in fold.test]
     return {
         "protocol": protocol,
         "physics": physics,
         "test_clips": len(tested),
         "reliability_auc": _reliability_auc(tested, accuracy),
-        "methods": {name: _summary(people) for name, people in tallies.items()},
+        "methods": {name: tally.summary() for name, tally in tallies.items()},
     }
+
+
+def _correctors(
+    fold: _Fold,
+    methods: Sequence[str],
+    database: PostureDatabase | Literal["mocap"],
+    progress: Progress,
+) -> dict[str, Corrector | WholeTakeCorrector]:
+    """Return the methods, taught by the fold where they learn."""
+    skeleton = fold.test[0].take.skeleton
+    correctors: dict[str, Corrector | WholeTakeCorrector] = {}
+    lessons = None
+    for name in methods:
+        if name in FILTERS:
+            correctors[name] = FILTERS[name](skeleton)
+        elif name in FROM_DATABASE:
+            if isinstance(database, str):
+                database = database_from_pairs(fold.train, progress=progress)
+            correctors[name] = FROM_DATABASE[name](database)
+        else:
+            lessons = lessons or training_set(fold.train, progress=progress)
+            learner = LEARNED[name](skeleton)
+            correctors[name] = learner.fit(lessons, progress=progress)
+    return correctors
 
 
 def _folds(
@@ -161,13 +184,12 @@ def _repetition(pair: PairedTake) -> int:
 def _test(
     pair: PairedTake,
     correctors: dict[str, Corrector | WholeTakeCorrector],
-    tallies: dict[str, dict[str, _Tally]],
-    accuracy: Accuracy,
+    tallies: dict[str, Tally],
     physics: bool,
 ) -> None:
     take = pair.take
     standard = _standard(pair)
-    _add(tallies["raw"], pair, take.positions, accuracy, 0.0)
+    tallies["raw"].add(pair, take.positions, 0.0)
     for name, corrector in correctors.items():
         start = perf_counter()
         corrected = correct_take(standard, corrector, range(len(take)))
@@ -182,7 +204,7 @@ def _test(
                 .run(take.time, target.positions, target.rotations)
                 .positions
             )
-        _add(tallies[name], pair, positions, accuracy, seconds)
+        tallies[name].add(pair, positions, seconds)
 
 
 def _standard(pair: PairedTake) -> StandardTake:
@@ -191,22 +213,6 @@ def _standard(pair: PairedTake) -> StandardTake:
     body = measured_body(take.skeleton, reference.lengths, reference.directions)
     reliability = ReliabilityScorer(take.skeleton, reference).score(take)
     return standardize_take(take, body, reliability, range(len(take)))
-
-
-def _add(
-    people: dict[str, _Tally],
-    pair: PairedTake,
-    positions: Array,
-    accuracy: Accuracy,
-    seconds: float,
-) -> None:
-    tally = people.setdefault(pair.subject, _Tally([], [], [], []))
-    tally.distances.append(accuracy.distances(positions, pair.truth))
-    tally.standardized.append(accuracy.standardized(positions, pair.truth))
-    tally.varying.append(accuracy.varying(positions, pair.truth))
-    tally.jitters.append(jitter(pair.take.time, positions[:, accuracy.limbs]))
-    tally.seconds += seconds
-    tally.frames += len(positions)
 
 
 def _reliability_auc(
@@ -243,41 +249,6 @@ def _reliability_auc(
             found = float(roc_auc_score(wrong, score)) if 0 < wrong.mean() < 1 else None
             areas[name][key] = found
     return areas
-
-
-def _summary(people: dict[str, _Tally]) -> dict[str, Any]:
-    """Return a method's figures: means over frames and joints, then over people."""
-    each = {person: _figures(tally) for person, tally in people.items()}
-    mean = {
-        key: float(np.mean([figures[key] for figures in each.values()]))
-        for key in ("E", "E_std", "E_var", "p95", "jitter")
-    }
-    joints = np.array([_per_joint(tally) for tally in people.values()])
-    seconds = sum(tally.seconds for tally in people.values())
-    frames = sum(tally.frames for tally in people.values())
-    return {
-        **mean,
-        "ms_per_frame": seconds / frames * 1e3,
-        "joints": dict(zip(LIMBS, np.nanmean(joints, axis=0).tolist(), strict=True)),
-        "people": each,
-    }
-
-
-def _figures(tally: _Tally) -> dict[str, float]:
-    distances = np.concatenate(tally.distances)
-    return {
-        "E": float(np.nanmean(distances) * 100),
-        "E_std": float(np.nanmean(np.concatenate(tally.standardized)) * 100),
-        "E_var": float(np.nanmean(np.concatenate(tally.varying)) * 100),
-        "p95": float(np.nanpercentile(distances, 95) * 100),
-        "jitter": float(np.nanmean(tally.jitters)),
-    }
-
-
-def _per_joint(tally: _Tally) -> Array:
-    distances = np.concatenate(tally.distances)
-    counts = np.maximum((~np.isnan(distances)).sum(axis=0), 1)
-    return np.asarray(np.nansum(distances, axis=0) / counts * 100)
 
 
 def as_table(figures: dict[str, Any]) -> Table:

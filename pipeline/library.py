@@ -1,4 +1,4 @@
-"""Where motion databases come from: scripted performers, or BVH mocap."""
+"""Where motion databases come from: scripted performers, or mocap."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from kinefilter.characters import (
     Body,
     InputError,
     Skeleton,
+    State,
+    Take,
     standard_body,
 )
-from kinefilter.retarget.body_size import Standardizer
+from kinefilter.retarget.body_size import Standardizer, measured_body
 from kinefilter.retarget.normalise import find_yaw
 from kinefilter.retarget.orientation import rotations_from_positions
 from kinefilter.retarget.rotations import IDENTITY, about_y, inverse, multiply, rotate
@@ -27,14 +29,21 @@ from kinefilter.scenes import MOTIONS, perform
 from .database import FILTERED_POSTURES, PostureDatabase, filter_to_count
 from .formats import Bvh, read_bvh
 from .progress import Progress, silent
-from .reliability import column_medians, segment_lengths
+from .reliability import column_medians, measure_reference, segment_lengths
+from .training import PairedTake
 
-__all__ = ["database_from_bvh", "embedded_database", "scripted_database"]
+__all__ = [
+    "database_from_bvh",
+    "database_from_pairs",
+    "embedded_database",
+    "scripted_database",
+]
 
 Array = NDArray[np.float64]
 
 _SEEDS = range(5)
 _POSTURES_PER_SECOND = 30.0
+_EVERY_OTHER = 2  # frame of pairs: the filter drops more than that
 _T_POSE_TOLERANCE = np.radians(25.0)
 
 
@@ -85,7 +94,7 @@ def scripted_database(
             act = perform(MOTIONS[k], body, seed=seed, fps=_POSTURES_PER_SECOND)
             postures = _standardized(act.positions, act.rotations, body)
             parts.append((MOTIONS[k], *postures))
-    return _filtered(parts, skeleton, "embedded")
+    return _filtered(parts, skeleton, "embedded", recorded=False)
 
 
 def database_from_bvh(
@@ -121,11 +130,57 @@ def database_from_bvh(
     return _filtered(parts, skeleton, f"{len(files)} BVH files", count)
 
 
+def database_from_pairs(
+    pairs: Sequence[PairedTake],
+    *,
+    count: int = FILTERED_POSTURES,
+    progress: Progress = silent,
+) -> PostureDatabase:
+    """Build a database from the mocap side of pairs.
+
+    Args:
+        pairs: Clips of one skeleton.
+        count: About how many postures the threshold rule keeps.
+        progress: Wraps the loop over the clips, for a progress bar.
+
+    Raises:
+        InputError: No pairs, or none with mocap in it.
+    """
+    if not pairs:
+        raise InputError("no pairs given; name one or more files with clips in them")
+    skeleton = pairs[0].take.skeleton
+    parts = []
+    for k in progress("mocap", len(pairs)):
+        truth = pairs[k].truth[::_EVERY_OTHER]
+        missing = np.isnan(truth).any(axis=2)
+        # A joint that is missing now and then costs its frames, one that is missing
+        # always is put where it is at rest.
+        truth = truth[(missing == missing.all(axis=0)).all(axis=1)]
+        if not len(truth):
+            continue
+        missing = np.isnan(truth).any(axis=2)
+        state = np.where(missing, State.NOT_TRACKED, State.TRACKED).astype(np.uint8)
+        time = np.arange(len(truth)) * _EVERY_OTHER / _POSTURES_PER_SECOND
+        seen = np.where(missing[..., None], np.nan, truth)
+        take = Take(time, seen, state, skeleton, pairs[k].take.source)
+        reference = measure_reference(take)
+        body = measured_body(skeleton, reference.lengths, reference.directions)
+        parts.append((pairs[k].clip, *_standardized(seen, None, body)))
+    if sum(len(postures) for _, postures, _ in parts) < 2:
+        raise InputError(
+            f"{pairs[0].take.source}: the pairs hold no frame of mocap to learn from"
+        )
+    people = sorted({pair.subject for pair in pairs})
+    return _filtered(parts, skeleton, f"mocap of {', '.join(people)}", count)
+
+
 def _filtered(
     parts: list[tuple[str, Array, Array]],
     skeleton: Skeleton,
     source: str,
     count: int = FILTERED_POSTURES,
+    *,
+    recorded: bool = True,
 ) -> PostureDatabase:
     labels = np.concatenate([np.full(len(p), name) for name, p, _ in parts])
     # Rounded as the file rounds them: a database is the same before and after.
@@ -138,6 +193,7 @@ def _filtered(
         labels[kept],
         skeleton,
         source,
+        recorded,
     )
 
 

@@ -12,6 +12,7 @@ from kinefilter.retarget import measured_body
 
 from .config import CleanConfig
 from .correct import Corrector, LocalPCA, WholeTakeCorrector, correct_take
+from .correct.local_gp import LocalGP
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
 from .library import embedded_database
@@ -146,6 +147,8 @@ def make_corrector(
     """
     if config.model is not None:
         return _learned(skeleton, config, load_model(config.model))
+    if config.adapt:
+        raise InputError("--adapt needs --model with a model of method local-gp")
     method = config.method or "local-pca"
     if method in LEARNED:
         raise InputError(
@@ -179,6 +182,13 @@ def _learned(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector
             f"{config.model}: a model of method {model.method}, but --method says "
             f"{config.method}; leave one of the two out"
         )
+    if config.adapt:
+        if not isinstance(model.corrector, LocalGP):
+            raise InputError(
+                f"{config.model}: a model of method {model.method} cannot --adapt; "
+                "train one of method local-gp"
+            )
+        model.corrector.adapt = True
     return model.corrector
 
 

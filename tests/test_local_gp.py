@@ -17,7 +17,7 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, standard_bod
 from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct import gaussian_process as shared
-from kinefilter.pipeline.correct import local_gp as module
+from kinefilter.pipeline.correct import local_models as module
 from kinefilter.pipeline.correct.exemplar import Exemplar
 from kinefilter.pipeline.correct.full_gp import FullGP, JointFeatures
 from kinefilter.pipeline.correct.local_gp import LocalGP, least_energy
@@ -161,10 +161,11 @@ def test_the_mean_alone_is_left_without_the_other_terms(
     assert isinstance(model, LocalGP)
     model.temporal = model.reliability = 0.0
     posture = _postures(1, seed=5)[0]
-    x = model._features(posture) * model.kernels_.roots
-    mean, _ = model._models.predict(x, model.blended)
+    features = model._features(posture)
+    mean, _ = model._models.predict(features * model.kernels_.roots, model.blended)
     moved = _correct(model, posture[None])[0].positions - posture
-    np.testing.assert_allclose(moved[model.joints_], mean, atol=1e-12)
+    expected = model.trend_(features) + mean
+    np.testing.assert_allclose(moved[model.joints_], expected, atol=1e-12)
 
 
 def test_the_temporal_term_calms_what_jumps(fitted: dict[str, Method]) -> None:

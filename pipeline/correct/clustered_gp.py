@@ -18,10 +18,10 @@ from kinefilter.characters import Skeleton, standard_body
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
 
-from .exemplar import Lessons
 from .gaussian_process import Kernel, fit_kernel
 from .hold import Hold
 from .interface import Correction, Observation
+from .lessons import Lessons
 
 __all__ = ["BoneWalk", "ClusteredGP"]
 
@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 _POOL = 25  # frames drawn for each centroid
 _FOR_KERNEL = 400  # centroids the hyper-parameters are learned from
 _SHORT, _LONG = 0.5, 1.0  # length scales to start from, of the spread of postures
+_LIKE = 0.03  # m over all segments: within it two people have the same proportions
+_UNLIKE = 0.003  # weight of an example of other proportions
+_PEOPLE = 800  # examples of how long segments are, beside how long they are seen
 _TRUST = 0.9  # of a corrected measurement: the smoother may move it
 
 
@@ -121,6 +124,8 @@ class ClusteredGP:
             self.joints_, self.seen_ = lessons.learned, lessons.seen
             truth = lessons.postures.copy()
             truth[:, self.joints_] += lessons.offsets
+            self.people_ = lessons.lengths[:_PEOPLE].astype(np.float32)
+            self.bones_ = self._walk.measure(truth[:_PEOPLE])[1].astype(np.float32)
             targets = self._walk.standardized(truth)
             inputs = self._walk.standardized(lessons.postures)
             offsets = (targets - inputs)[:, self.joints_].reshape(len(inputs), -1)
@@ -177,11 +182,25 @@ class ClusteredGP:
         # What has no offset of its own goes along with its parent.
         own = (self._moved & ~missing)[self.skeleton.segments, None]
         directions = np.where(own, self._walk.measure(standard)[0], directions)
-        # Section 2.2 undoes with the person's lengths, and on the standard body those
-        # are the standard ones: the way back to the person is the caller's.
-        corrected = self._walk.lay(directions, self._walk.lengths)
+        # Section 2.2 undoes with the person's lengths. The caller's way back knows
+        # those that Kinect saw; on the standard body, these make mocap's of them.
+        corrected = self._walk.lay(directions, self._lengths(observation.lengths))
         corrected += posture[self.skeleton.root]
         return Correction(corrected, None, np.where(missing, 0.0, _TRUST), coverage)
+
+    def _lengths(self, seen: Array | None) -> Array:
+        """Return mocap's bone lengths [m] on the body that Kinect's are standard on.
+
+        Averaged over the examples, those of like people weighing more.
+
+        Args:
+            seen: The person's own segment lengths, as Kinect has them [m], (J,).
+        """
+        if seen is None:
+            return self._walk.lengths
+        squares = np.sum((self.people_ - seen) ** 2, axis=1)
+        weights = np.exp(-0.5 * squares / _LIKE**2) + _UNLIKE
+        return np.asarray(weights @ self.bones_ / weights.sum())
 
     def _predict(self, standard: Array) -> tuple[Array, float]:
         """Return offsets [m] of the learned joints (M, 3), and the coverage."""
@@ -195,6 +214,8 @@ class ClusteredGP:
         """Return the fitted state as named arrays, for a model file."""
         return {
             "rows": self.rows_,
+            "people": self.people_,
+            "bones": self.bones_,
             "weights": self.weights_,
             "variances": self.kernel_.variances,
             "scales": self.kernel_.scales,
@@ -208,6 +229,7 @@ class ClusteredGP:
         """Return the fitted corrector that ``arrays`` described."""
         model = cls(skeleton)
         model.rows_, model.weights_ = arrays["rows"], arrays["weights"]
+        model.people_, model.bones_ = arrays["people"], arrays["bones"]
         noise = float(arrays["noise"])
         model.kernel_ = Kernel(arrays["variances"], arrays["scales"], 0.0, noise)
         model.joints_, model.seen_ = arrays["joints"], arrays["seen"]

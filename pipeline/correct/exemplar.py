@@ -1,126 +1,30 @@
 """Offsets of the most similar examples: the baseline that Gaussian processes beat.
 
 After Shen, Deng, Bai, Leyvand, Guo & Tu 2012, "Exemplar-based human action pose
-correction and tagging", CVPR, as far as Liu 2016 compares with it. What an example is,
-the offset methods share.
+correction and tagging", CVPR, as far as Liu 2016 compares with it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 
-from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters import Skeleton
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
 
 from .hold import Hold
 from .interface import Correction, Observation
+from .lessons import Lessons, add_offsets
 
-__all__ = ["Exemplar", "Lessons", "add_offsets"]
+__all__ = ["Exemplar"]
 
 Array = NDArray[np.float64]
 
-_LEAST_FRAMES = 100
-_TRUST = 0.9  # of a corrected measurement: the smoother may move it
 _NO_OFFSET = 0.05  # weight of no offset at all, against 1 for the same posture again
-
-
-@dataclass(frozen=True, eq=False)
-class Lessons:
-    """Frames of a training set in which every joint to be learned is there twice."""
-
-    postures: Array
-    """Measured joint positions [m], finite, shape (N, J, 3)."""
-    offsets: Array
-    """Mocap less Kinect [m] of the learned joints, shape (N, M, 3)."""
-    learned: NDArray[np.intp]
-    """The joints that mocap and Kinect both have, shape (M,)."""
-    seen: NDArray[np.bool_]
-    """The joints that Kinect has, shape (J,)."""
-
-    @classmethod
-    def drawn(
-        cls,
-        training: TrainingSet,
-        skeleton: Skeleton,
-        samples: int,
-        seed: int,
-        *,
-        above: float = 0.0,
-    ) -> Self:
-        """Draw at most ``samples`` frames at random.
-
-        Args:
-            training: Where to draw from.
-            skeleton: The joints of the model.
-            samples: Most frames.
-            seed: Of the draw.
-            above: Least rate of every joint to be learned.
-
-        Raises:
-            InputError: They are too few, or of another skeleton.
-        """
-        if training.skeleton != skeleton:
-            raise InputError(
-                f"{training.source}: pairs of {training.skeleton.name}, but the model "
-                f"is for {skeleton.name}"
-            )
-        measured = ~np.isnan(training.positions[..., 0])
-        both = measured & ~np.isnan(training.truth[..., 0])
-        # A joint that is mostly absent would cost the others their frames.
-        learned = np.flatnonzero(both.mean(axis=0) > 0.5)
-        both &= training.rate >= above
-        rows = np.flatnonzero(both[:, learned].all(axis=1))
-        if len(rows) < _LEAST_FRAMES or not len(learned):
-            raise InputError(
-                f"{training.source}: {len(rows)} frames with every joint reliable "
-                "and in both recordings are too few to learn from; give "
-                f"{_LEAST_FRAMES} or more"
-            )
-        rows = np.random.default_rng(seed).permutation(rows)[:samples]
-        # Rounded as a model file rounds: a model is the same before and after.
-        postures = training.positions[rows].astype(np.float32).astype(float)
-        offsets = training.truth[rows] - training.positions[rows]
-        offsets = offsets[:, learned].astype(np.float32).astype(float)
-        hold = Hold(skeleton)
-        ones = np.ones(len(skeleton))
-        for row in np.flatnonzero(np.isnan(postures).any(axis=(1, 2))):
-            hold.start()
-            seen = Observation(postures[row], ones, ones)
-            postures[row] = hold.step(seen).positions
-        return cls(postures, offsets, learned, measured.mean(axis=0) > 0.5)
-
-
-def add_offsets(
-    skeleton: Skeleton,
-    posture: Array,
-    learned: NDArray[np.intp],
-    offsets: Array,
-    missing: NDArray[np.bool_],
-    coverage: float,
-) -> Correction:
-    """Return a posture moved by offsets; missing joints go along with their parents.
-
-    Args:
-        skeleton: The joints.
-        posture: Joint positions [m], filled where missing, shape (J, 3).
-        learned: The joints that have offsets, shape (M,).
-        offsets: Shape (M, 3) [m].
-        missing: Nothing was measured, shape (J,).
-        coverage: How well the method knows the posture, in [0, 1].
-    """
-    corrected = posture.copy()
-    corrected[learned] += np.where(missing[learned, None], 0.0, offsets)
-    for j in skeleton.order[1:]:
-        if missing[j]:
-            parent = skeleton.parents[j]
-            corrected[j] = corrected[parent] + posture[j] - posture[parent]
-    return Correction(corrected, None, np.where(missing, 0.0, _TRUST), coverage)
 
 
 class Exemplar:

@@ -18,10 +18,10 @@ from kinefilter.characters import Skeleton
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
 
-from .exemplar import Lessons, add_offsets
 from .gaussian_process import Kernel, fit_kernel
 from .hold import Hold
 from .interface import Correction, Observation
+from .lessons import Lessons, add_offsets
 
 __all__ = ["FullGP", "JointFeatures", "JointKernels"]
 

@@ -13,6 +13,7 @@ from kinefilter.retarget.rotations import normalize
 
 from .blend import Blend, measurement_trust
 from .interface import Correction, Observation
+from .natural_spaces import NaturalSpaces
 from .posture_space import EnergyWeights, PostureEnergy, PostureSpace
 from .search import solve, stochastic_search
 
@@ -22,11 +23,16 @@ Array = NDArray[np.float64]
 
 _SENSOR_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, sizes standardized
 _MEMORY = 0.05  # weight of the last posture in the query, against a rate of 1
+_AS_MEASURED = 0.001  # m: what a joint may be moved and still count as measured
+_TRUST = 0.9  # of a measurement that is moved more: the smoother may move it too
 _COVERAGE_MEMORY = 0.8  # share of the last frame's coverage: no switching in a frame
 
 
 class LocalPCA:
     """Finds the natural posture that fits the reliable joints, and follows it.
+
+    Reliable joints stay where they are, but for what a database of recorded postures
+    knows to be no posture of people.
 
     Args:
         database: Natural postures.
@@ -57,6 +63,8 @@ class LocalPCA:
             skeleton, standard_body(skeleton).lengths, weights or EnergyWeights()
         )
         self._blend = Blend(skeleton)
+        # A script imagines motions: how its postures vary says little about people.
+        self._spaces = NaturalSpaces(database) if database.recorded else None
         self.start()
 
     def start(self) -> None:
@@ -72,11 +80,14 @@ class LocalPCA:
         prior, nearest = self.synthesize(measured, rate)
         coverage = self._cover(measured, rate, nearest)
         trust = measurement_trust(rate, observation.geometry, missing, coverage)
+        posture = self._blend(prior, measured, trust)
+        if self._spaces is not None:
+            shift = self._spaces.shift(posture)
+            posture = posture + shift
+            moved = np.sum(shift * shift, axis=1) > _AS_MEASURED**2
+            trust = np.where(moved, np.minimum(trust, _TRUST), trust)
         return Correction(
-            self._blend(prior, measured, trust),
-            self.orientation(prior, nearest, rate),
-            trust,
-            coverage,
+            posture, self.orientation(prior, nearest, rate), trust, coverage
         )
 
     def synthesize(
