@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -222,3 +223,24 @@ def test_known_people_are_corrected_on_real_recordings() -> None:
     )
     raw = np.nanmean(accuracy.standardized(test.positions, test.truth))
     assert np.nanmean(accuracy.standardized(found, test.truth)) < 0.5 * raw
+
+
+def test_people_get_back_the_bones_that_mocap_had() -> None:
+    """Two people whose forearms Kinect sees too short, one more than the other."""
+    lessons = _lessons(SHIFT)
+    wrist, elbow = KINECT_V1.index("WristLeft"), KINECT_V1.index("ElbowLeft")
+    own = np.tile(standard_body(KINECT_V1).lengths, (len(lessons), 1))
+    tall = np.arange(len(lessons)) % 2 == 1
+    own[tall] *= 1.2
+    truth = lessons.positions.copy()
+    bone = truth[:, wrist] - truth[:, elbow]
+    truth[:, wrist] += np.where(tall, 0.2, 0.1)[:, None] * bone
+    seen = replace(lessons, truth=truth, lengths=own)
+    model = ClusteredGP(KINECT_V1, centroids=60).fit(seen)
+    posture = lessons.positions[0]
+    forearm = np.linalg.norm(posture[wrist] - posture[elbow])
+    for person, factor in ((own[0], 1.1), (own[1], 1.2)):
+        model.start()
+        found = model.step(Observation(posture, ONES, ONES, lengths=person)).positions
+        length = np.linalg.norm(found[wrist] - found[elbow])
+        assert length == pytest.approx(factor * forearm, rel=0.02)

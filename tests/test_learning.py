@@ -18,10 +18,11 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.pipeline import CleanConfig, clean
+from kinefilter.pipeline import CleanConfig, PostureDatabase, clean
 from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import Observation
+from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.correct.methods import LEARNED
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
 from kinefilter.pipeline.evaluate import evaluate
@@ -289,6 +290,70 @@ def test_train_and_evaluate_run_from_the_command_line(
     assert main([*arguments, "--json", str(figures)]) == 0
     assert figures.exists()
     assert "E_var" in capsys.readouterr().out
+
+
+def test_the_mocap_of_pairs_makes_a_database(
+    pairs: list[PairedTake], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "pairs.npz", tmp_path / "mocap.npz"
+    _save_pairs([pair for pair in pairs if pair.subject == "s01"], file)
+    assert main(["database", "build", str(file), "-o", str(out)]) == 0
+    database = PostureDatabase.load(out)
+    assert database.recorded
+    # The mocap of imagined pairs is what the scripts do: on the standard body again.
+    act = perform("squat", standard_body(KINECT_V1), seed=1)
+    posture = act.positions[30] - act.positions[30, KINECT_V1.root]
+    nearest = np.sqrt(database.distances(posture, np.full(20, 1 / 20)).min())
+    assert nearest < 0.03
+    for wrong, message in (
+        ([str(file), "clip.bvh"], "not both"),
+        ([str(file), "--skeleton", "kinect_v2"], "add --skeleton kinect_v1"),
+    ):
+        again = tmp_path / "again.npz"
+        assert main(["database", "build", *wrong, "-o", str(again)]) == 2
+        assert message in capsys.readouterr().err
+        assert not again.exists()
+
+
+def test_ablation_measures_methods_without_their_parts(
+    pairs: list[PairedTake],
+) -> None:
+    figures = evaluate(
+        pairs[:12], pairs[12:15], ["local-pca", "local-gp"], ablation=True
+    )["methods"]
+    assert list(figures) == [
+        "raw",
+        "local-pca",
+        "local-gp",
+        "nearest",
+        "no-reliability",
+        "local-gp S",
+        "local-gp S+T",
+        "local-gp S+R",
+    ]
+    # The temporal term calms, the reliability term holds back.
+    assert figures["local-gp S+T"]["jitter"] < figures["local-gp S"]["jitter"]
+    errors = [figures[name]["E"] for name in ("local-gp S", "local-gp S+R", "raw")]
+    assert errors == sorted(errors)
+
+
+def test_only_local_gp_learns_on(
+    pairs: list[PairedTake], model: PersonalGP, tmp_path: Path
+) -> None:
+    lessons = training_set(pairs)
+    local = LocalGP(KINECT_V1, clusters=5, samples=20).fit(lessons)
+    for name, corrector in (("best", model), ("local-gp", local)):
+        found = Model(corrector, name, KINECT_V1, "imagined")
+        save_model(found, tmp_path / f"{name}.npz")
+    take = pairs[0].take
+    adapting = CleanConfig(model=tmp_path / "local-gp.npz", adapt=True, physics=False)
+    still = CleanConfig(model=tmp_path / "local-gp.npz", physics=False)
+    apart = clean(take, adapting).clip.positions - clean(take, still).clip.positions
+    assert 0.0 < np.abs(apart).max() < 0.05
+    with pytest.raises(InputError, match="model of method best cannot --adapt"):
+        clean(take, CleanConfig(model=tmp_path / "best.npz", adapt=True))
+    with pytest.raises(InputError, match="--adapt needs --model"):
+        clean(take, CleanConfig(adapt=True))
 
 
 @pytest.mark.parametrize("measure", ["distances", "standardized", "varying"])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+from sklearn.linear_model import Ridge
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, standard_body
 from kinefilter.pipeline.accuracy import Accuracy
@@ -21,6 +22,7 @@ from kinefilter.pipeline.correct import local_models as module
 from kinefilter.pipeline.correct.exemplar import Exemplar
 from kinefilter.pipeline.correct.full_gp import FullGP, JointFeatures
 from kinefilter.pipeline.correct.local_gp import LocalGP, least_energy
+from kinefilter.pipeline.correct.local_models import LinearTrend
 from kinefilter.pipeline.training import TrainingSet, read_pairs, training_set
 
 Array = NDArray[np.float64]
@@ -126,6 +128,22 @@ def test_one_local_model_is_the_process_of_scikit_learn() -> None:
             )
             compared += 1
     assert compared == 40
+
+
+def test_the_trend_is_the_ridge_regression_of_scikit_learn() -> None:
+    rng = np.random.default_rng(4)
+    features, slopes = rng.normal(size=(40, 2, 5)), rng.normal(size=(2, 5, 3))
+    offsets = np.einsum("nmf,mfc->nmc", features, slopes) + 0.3
+    offsets += 0.01 * rng.normal(size=offsets.shape)
+    trend = LinearTrend.fitted(features, offsets)
+    inside = 0.5 * features[:5]
+    for m in range(2):
+        other = Ridge(alpha=0.3**2).fit(features[:, m], offsets[:, m])
+        np.testing.assert_allclose(
+            trend(inside)[:, m], other.predict(inside[:, m]), atol=1e-9
+        )
+    beyond = features.max(axis=0)
+    np.testing.assert_allclose(trend(beyond + 5.0), trend(beyond))
 
 
 def test_the_least_energy_is_what_a_search_finds() -> None:
