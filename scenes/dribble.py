@@ -1,0 +1,183 @@
+"""When hands have a ball: holds with both, strokes of dribbling with one.
+
+The hands were not moved for the ball, so it leaves the hand of a stroke and comes back
+in those frames in which a flying ball fits the hands best.
+"""
+
+from __future__ import annotations
+
+from itertools import zip_longest
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import find_peaks
+
+from .flight import flown, launch_speed
+from .hands import Hands, runs
+from .puppet import LEFT, RIGHT
+
+__all__ = ["THROW", "Contact", "contacts", "holds", "under"]
+
+Array = NDArray[np.float64]
+
+# Guesses that suit the scripted motions and a ball of size 7.
+_ROOM = 0.12  # m: most room left between the ball and both hands
+_SHORTEST_HOLD = 0.1  # s
+_STROKE = 0.1  # m: a hand that dribbles comes down at least so far
+_STROKE_HEIGHTS = (0.3, 1.2)  # m, of the hand at the bottom of a stroke
+_STROKE_TIME = 0.25  # s: two strokes that are nearer in time are one
+_LONGEST_FLIGHT = 0.9  # s from the bottom of a stroke until a hand has the ball back
+THROW = 1.0
+"""Hands over the head that rise faster than this [m/s] throw the ball: a guess."""
+_LOW = 0.35  # m: a ball that is first taken below this had been lying on the floor
+_CATCH = 0.5  # weight of the misfit at the catch against that at the release
+_BOTH = -1
+
+
+class _Event(NamedTuple):
+    """A hold from first to last frame, or the bottom of a stroke."""
+
+    first: int
+    last: int
+    hand: int
+
+
+class Contact(NamedTuple):
+    """Frames, both included, in which the ball is in the hands, not in flight."""
+
+    start: int
+    end: int
+    catcher: int
+    """LEFT or RIGHT: the hand that has it before both have."""
+    thrower: int
+    """The hand that has it after both have."""
+    stroke: bool
+    """It ends with a stroke of dribbling, not with both hands."""
+
+
+def holds(hands: Hands, radius: float) -> list[tuple[int, int]]:
+    """Return first and last frame of the times both hands have the ball.
+
+    A throw over the head ends one, or the hands that part.
+    """
+    near = hands.gap < 2.0 * (radius + hands.radius) + _ROOM
+    rise = hands.speed[..., 2].mean(axis=1)
+    fast = (rise > THROW) & (hands.middle[:, 2] > hands.head)
+    held = []
+    for first, last in runs(near, hands.frames(_SHORTEST_HOLD)):
+        thrown = runs(fast[first : last + 1], 1)
+        if thrown:  # the ball leaves at full speed, while the hands are still together
+            last = first + thrown[0][0]
+            last += int(np.argmax(rise[last : first + thrown[0][1] + 1]))
+        held.append((first, last))
+    return held
+
+
+def under(hands: Hands, hand: int, radius: float) -> Array:
+    """Center of a ball under one palm [m], not in the floor, shape (T, 3)."""
+    center = hands.positions[:, hand].copy()
+    center[:, 2] = np.maximum(center[:, 2] - hands.radius - radius, radius)
+    return center
+
+
+def contacts(hands: Hands, radius: float) -> list[Contact]:
+    """Return when hands have the ball, in order of time.
+
+    Args:
+        hands: The hands.
+        radius: Radius of the ball [m].
+    """
+    events = _events(hands, radius)
+    found: list[Contact] = []
+    start = None if _lies_at_first(events, hands, radius) else 0
+    hand = next((event.hand for event in events if event.hand != _BOTH), RIGHT)
+    for event, following in zip_longest(events, events[1:]):
+        start = event.first if start is None else start
+        if event.hand == _BOTH:
+            if following is None or following.hand == _BOTH:
+                found.append(Contact(start, event.last, hand, hand, stroke=False))
+                start = None
+        else:
+            release, catch = _stroke(hands, start, event, following, radius)
+            found.append(Contact(start, release, hand, event.hand, stroke=True))
+            start, hand = catch, _catcher(event, following)
+    return found
+
+
+def _lies_at_first(events: list[_Event], hands: Hands, radius: float) -> bool:
+    """Tell whether the ball lies on the floor until both hands take it."""
+    if not events or events[0].hand != _BOTH:
+        return False
+    return bool(hands.middle[events[0].first, 2] - radius < _LOW)
+
+
+def _events(hands: Hands, radius: float) -> list[_Event]:
+    """Return holds and strokes in order of time."""
+    held = [_Event(first, last, _BOTH) for first, last in holds(hands, radius)]
+    bottoms = []
+    for hand in (LEFT, RIGHT):
+        height = hands.positions[:, hand, 2]
+        frames, shape = find_peaks(-height, prominence=_STROKE, height=-np.inf)
+        for k, depth in zip(frames.tolist(), shape["prominences"], strict=True):
+            if _STROKE_HEIGHTS[0] < height[k] < _STROKE_HEIGHTS[1]:
+                bottoms.append((float(depth), _Event(k, k, hand)))
+    strokes: list[_Event] = []
+    for _, stroke in sorted(bottoms, reverse=True):  # the deeper one of two counts
+        near = (abs(stroke.first - other.first) for other in strokes)
+        free = not any(hold.first <= stroke.first <= hold.last for hold in held)
+        if free and min(near, default=np.inf) > hands.frames(_STROKE_TIME):
+            strokes.append(stroke)
+    return sorted(held + strokes)
+
+
+def _catcher(stroke: _Event, following: _Event | None) -> int:
+    """Return which hand gets the ball after a stroke."""
+    if following is None or following.hand == _BOTH:
+        return stroke.hand
+    return following.hand
+
+
+def _stroke(
+    hands: Hands, start: int, stroke: _Event, following: _Event | None, radius: float
+) -> tuple[int, int | None]:
+    """Return in which frame a stroke lets go, and in which a hand has the ball back."""
+    height = hands.positions[:, stroke.hand, 2]
+    top = stroke.first
+    while top > start and height[top - 1] > height[top]:
+        top -= 1
+    release = np.arange(top, stroke.first + 1)
+    latest = stroke.first + hands.frames(_LONGEST_FLIGHT)
+    latest = stroke.first if following is None else min(following.first - 1, latest)
+    if latest == stroke.first:
+        return int(release[np.argmin(hands.speed[release, stroke.hand, 2])]), None
+    catcher = _catcher(stroke, following)
+    rise = hands.positions[stroke.first + 1 : latest + 1, catcher, 2]
+    catch = stroke.first + 1 + np.arange(1 + int(np.argmax(rise)))
+    return _best_flight(hands, release, catch, (stroke.hand, catcher), radius)
+
+
+def _best_flight(
+    hands: Hands,
+    release: NDArray[np.int64],
+    catch: NDArray[np.int64],
+    pair: tuple[int, int],
+    radius: float,
+) -> tuple[int, int | None]:
+    """Return the frames whose flight starts and ends nearest to the hands' speeds.
+
+    The ball bounces on its way; if it cannot, it is not caught.
+    """
+    before, after = np.meshgrid(release, catch, indexing="ij")
+    start = under(hands, pair[0], radius)[before, 2] - radius
+    end = under(hands, pair[1], radius)[after, 2] - radius
+    duration = hands.time[after] - hands.time[before]
+    thrown = hands.speed[before, pair[0], 2]
+    speed = launch_speed(start, end, duration, thrown, bouncing=True)
+    moment = 1e-4  # s
+    arrival = (end - flown(start, speed, duration - moment)) / moment
+    misfit = (speed - thrown) ** 2
+    misfit += _CATCH * (arrival - hands.speed[after, pair[1], 2]) ** 2
+    misfit = np.where(np.isnan(misfit), np.inf, misfit)
+    i, j = np.unravel_index(np.argmin(misfit), misfit.shape)
+    return int(release[i]), int(catch[j]) if np.isfinite(misfit[i, j]) else None
