@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from .dribble import THROW, Contact, contacts, holds, under
+from .dribble import Contact, Ending, contacts, holds, under
 from .flight import flown, launch_speed, rolled
 from .hands import Hands, fading
 
@@ -51,7 +51,7 @@ def ball_path(hands: Hands, radius: float, rest: Array) -> Array:
 def _in_hands(hands: Hands, touch: Contact, radius: float) -> Array:
     """Center of the ball [m] in every frame of a contact."""
     both = np.zeros(len(hands.time))
-    for first, last in holds(hands, radius):
+    for first, last, _ in holds(hands, radius):
         both[first : last + 1] = 1.0
     span = slice(touch.start, touch.end + 1)
     caught = np.cumsum(both[span]) > 0.0
@@ -85,18 +85,21 @@ def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
 def _letting_go(hands: Hands, touch: Contact) -> Array:
     """Velocity [m/s] of what lets go of the ball at the end of a contact."""
     speed = hands.speed[touch.end]
-    if touch.stroke:
+    if touch.ending is Ending.STROKE:
         return np.asarray(speed[touch.thrower])
-    both = np.asarray(speed.mean(axis=0))
-    return both * _FLICK if both[2] > THROW else both
+    gain = _FLICK if touch.ending is Ending.THROW else 1.0
+    return np.asarray(gain * speed.mean(axis=0))
 
 
 def _fly(path: Array, hands: Hands, touch: Contact, catch: int, radius: float) -> None:
     """Fill in the flight from the end of a contact to the frame of the next catch."""
     time = hands.time[touch.end : catch + 1] - hands.time[touch.end]
     start, end = path[touch.end].copy(), path[catch].copy()
-    low, high = start[2] - radius, end[2] - radius
-    speed = launch_speed(low, high, time[-1], _letting_go(hands, touch)[2])
+    low, high, wish = start[2] - radius, end[2] - radius, _letting_go(hands, touch)[2]
+    stroke = touch.ending is Ending.STROKE
+    speed = launch_speed(low, high, time[-1], wish, bouncing=stroke)
+    if np.isnan(speed):
+        speed = launch_speed(low, high, time[-1], wish)
     path[touch.end : catch + 1] = start + (time / time[-1])[:, None] * (end - start)
     path[touch.end : catch + 1, 2] = radius + flown(low, speed, time)
 

@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 Support = Callable[[Array], float]
 
 # Guesses that suit the scripted motions.
-_GRIP = (0.5, 1.35)  # distance of the hand joints, as a share of the box's width
-_AHEAD = 0.18  # m, in front of the root joint: hands that hang hold nothing
+_GRIP = (0.5, 1.6)  # distance of the hand joints, as a share of the box's width
+_AHEAD = 0.25  # m, in front of the root joint: hands that hang hold nothing
 _SHORTEST_CARRY = 0.4  # s
 _STIR = 0.03  # m: a rise by which lifting shows
 _ARM = 0.35  # m: the hands take only what is so near, and set down from so low

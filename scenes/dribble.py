@@ -6,6 +6,7 @@ in those frames in which a flying ball fits the hands best.
 
 from __future__ import annotations
 
+from enum import Enum
 from itertools import zip_longest
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from .flight import flown, launch_speed
 from .hands import Hands, runs
 from .puppet import LEFT, RIGHT
 
-__all__ = ["THROW", "Contact", "contacts", "holds", "under"]
+__all__ = ["Contact", "Ending", "contacts", "holds", "under"]
 
 Array = NDArray[np.float64]
 
@@ -25,14 +26,22 @@ Array = NDArray[np.float64]
 _ROOM = 0.12  # m: most room left between the ball and both hands
 _SHORTEST_HOLD = 0.1  # s
 _STROKE = 0.1  # m: a hand that dribbles comes down at least so far
+_HIGHEST = 0.3  # m above the bottom of a stroke: where a hand meets the ball at most
 _STROKE_HEIGHTS = (0.3, 1.2)  # m, of the hand at the bottom of a stroke
 _STROKE_TIME = 0.25  # s: two strokes that are nearer in time are one
 _LONGEST_FLIGHT = 0.9  # s from the bottom of a stroke until a hand has the ball back
-THROW = 1.0
-"""Hands over the head that rise faster than this [m/s] throw the ball: a guess."""
+_THROW = 1.0  # m/s: hands over the head that rise faster throw the ball
 _LOW = 0.35  # m: a ball that is first taken below this had been lying on the floor
 _CATCH = 0.5  # weight of the misfit at the catch against that at the release
 _BOTH = -1
+
+
+class Ending(Enum):
+    """How the ball leaves the hands."""
+
+    STROKE = "one hand pushes it to the floor"
+    THROW = "both hands throw it"
+    PART = "the hands part"
 
 
 class _Event(NamedTuple):
@@ -41,6 +50,7 @@ class _Event(NamedTuple):
     first: int
     last: int
     hand: int
+    thrown: bool = False
 
 
 class Contact(NamedTuple):
@@ -52,26 +62,26 @@ class Contact(NamedTuple):
     """LEFT or RIGHT: the hand that has it before both have."""
     thrower: int
     """The hand that has it after both have."""
-    stroke: bool
-    """It ends with a stroke of dribbling, not with both hands."""
+    ending: Ending
+    """How the ball leaves."""
 
 
-def holds(hands: Hands, radius: float) -> list[tuple[int, int]]:
-    """Return first and last frame of the times both hands have the ball.
+def holds(hands: Hands, radius: float) -> list[tuple[int, int, bool]]:
+    """Return first and last frame of holds with both hands, and if a throw ends them.
 
-    A throw over the head ends one, or the hands that part.
+    Without a throw a hold ends where the hands part.
     """
     near = hands.gap < 2.0 * (radius + hands.radius) + _ROOM
     rise = hands.speed[..., 2].mean(axis=1)
-    fast = (rise > THROW) & (hands.middle[:, 2] > hands.head)
-    held = []
+    fast = (rise > _THROW) & (hands.middle[:, 2] > hands.head)
+    found = []
     for first, last in runs(near, hands.frames(_SHORTEST_HOLD)):
-        thrown = runs(fast[first : last + 1], 1)
-        if thrown:  # the ball leaves at full speed, while the hands are still together
-            last = first + thrown[0][0]
-            last += int(np.argmax(rise[last : first + thrown[0][1] + 1]))
-        held.append((first, last))
-    return held
+        throws = runs(fast[first : last + 1], 1)
+        if throws:  # the ball leaves at the highest speed, the hands stay together
+            start, end = (first + k for k in throws[0])
+            last = start + int(np.argmax(rise[start : end + 1]))
+        found.append((first, last, bool(throws)))
+    return found
 
 
 def under(hands: Hands, hand: int, radius: float) -> Array:
@@ -93,16 +103,28 @@ def contacts(hands: Hands, radius: float) -> list[Contact]:
     start = None if _lies_at_first(events, hands, radius) else 0
     hand = next((event.hand for event in events if event.hand != _BOTH), RIGHT)
     for event, following in zip_longest(events, events[1:]):
-        start = event.first if start is None else start
-        if event.hand == _BOTH:
-            if following is None or following.hand == _BOTH:
-                found.append(Contact(start, event.last, hand, hand, stroke=False))
-                start = None
-        else:
+        if start is None:
+            start = _top(hands, event, found[-1].end + 1 if found else 0)
+        if event.hand != _BOTH:
             release, catch = _stroke(hands, start, event, following, radius)
-            found.append(Contact(start, release, hand, event.hand, stroke=True))
+            found.append(Contact(start, release, hand, event.hand, Ending.STROKE))
             start, hand = catch, _catcher(event, following)
+        elif event.thrown or following is None or following.hand == _BOTH:
+            ending = Ending.THROW if event.thrown else Ending.PART
+            found.append(Contact(start, event.last, hand, hand, ending))
+            start = None
     return found
+
+
+def _top(hands: Hands, event: _Event, earliest: int) -> int:
+    """Return the first frame of a hold, or the one of a stroke where the hand is up."""
+    if event.hand == _BOTH:
+        return event.first
+    height, frame = hands.positions[:, event.hand, 2], event.first
+    highest = height[frame] + _HIGHEST
+    while frame > earliest and height[frame] < height[frame - 1] < highest:
+        frame -= 1
+    return frame
 
 
 def _lies_at_first(events: list[_Event], hands: Hands, radius: float) -> bool:
@@ -114,7 +136,7 @@ def _lies_at_first(events: list[_Event], hands: Hands, radius: float) -> bool:
 
 def _events(hands: Hands, radius: float) -> list[_Event]:
     """Return holds and strokes in order of time."""
-    held = [_Event(first, last, _BOTH) for first, last in holds(hands, radius)]
+    held = [_Event(a, b, _BOTH, thrown) for a, b, thrown in holds(hands, radius)]
     bottoms = []
     for hand in (LEFT, RIGHT):
         height = hands.positions[:, hand, 2]
@@ -142,11 +164,7 @@ def _stroke(
     hands: Hands, start: int, stroke: _Event, following: _Event | None, radius: float
 ) -> tuple[int, int | None]:
     """Return in which frame a stroke lets go, and in which a hand has the ball back."""
-    height = hands.positions[:, stroke.hand, 2]
-    top = stroke.first
-    while top > start and height[top - 1] > height[top]:
-        top -= 1
-    release = np.arange(top, stroke.first + 1)
+    release = np.arange(_top(hands, stroke, start), stroke.first + 1)
     latest = stroke.first + hands.frames(_LONGEST_FLIGHT)
     latest = stroke.first if following is None else min(following.first - 1, latest)
     if latest == stroke.first:

@@ -44,6 +44,7 @@ def load_scene(
     path = _path(scene)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        _find_assets(spec, path)
         if body is not None:
             spec = _merged(build_humanoid(body, tracking), spec)
         spec.copy().compile()
@@ -56,7 +57,10 @@ def load_scene(
 
 
 def scene_xml(scene: str | Path, body: Body | None = None) -> str:
-    """Return a scene as one MJCF text that includes no other MJCF file.
+    """Return a scene as one MJCF text, which plain MuJoCo loads from anywhere.
+
+    It includes no other MJCF file. Meshes and textures of users' scenes stay in their
+    files and are named by absolute paths.
 
     Args:
         scene: One of SCENES, or the path of an MJCF file.
@@ -107,6 +111,7 @@ def _merged(character: mujoco.MjSpec, scene: mujoco.MjSpec) -> mujoco.MjSpec:
     character.modelname = scene.modelname
     character.visual, character.stat = scene.visual, scene.stat
     scene.option = character.option
+    character.meshdir, character.texturedir = scene.meshdir, scene.texturedir
     frame = character.worldbody.add_frame()
     character.attach(scene, frame=frame, prefix=_ATTACHED)
     # An attached model needs a prefix, and every later reader the names without. Only
@@ -114,17 +119,38 @@ def _merged(character: mujoco.MjSpec, scene: mujoco.MjSpec) -> mujoco.MjSpec:
     character.compiler.savecompiled = False
     text = str(character.to_xml())
     text = text.replace(f'class="{_ATTACHED}main"', 'class="main:scene"')
-    merged = mujoco.MjSpec.from_string(text.replace(_ATTACHED, ""))
-    merged.modelfiledir = scene.modelfiledir
-    return merged
+    return mujoco.MjSpec.from_string(text.replace(_ATTACHED, ""))
+
+
+def _find_assets(scene: mujoco.MjSpec, path: Path) -> None:
+    """Let the meshes and textures of a file be found from everywhere."""
+    if any(a.file for a in (*scene.meshes, *scene.hfields, *scene.skins)):
+        scene.meshdir = str((path.parent / scene.meshdir).resolve())
+    if any(texture.file or any(texture.cubefiles) for texture in scene.textures):
+        scene.texturedir = str((path.parent / scene.texturedir).resolve())
 
 
 def _take_floor(floor: mujoco.MjsGeom, scene: mujoco.MjSpec) -> None:
-    """Give the character's floor the look of the scene's, and remove that one."""
-    for plane in scene.worldbody.geoms:
-        if plane.type != mujoco.mjtGeom.mjGEOM_PLANE or any(plane.pos):
-            continue
+    """Give the character's floor the look of the scene's, and remove that one.
+
+    The floor of a scene is a level plane at height 0.
+    """
+    for plane in _level_planes(scene):
         floor.rgba, floor.size = plane.rgba, plane.size
         if plane.material:
             floor.material = f"{_ATTACHED}{plane.material}"
         scene.delete(plane)
+
+
+def _level_planes(scene: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
+    """Return the planes at height 0 that face up."""
+    model = scene.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return [
+        geom
+        for geom in scene.geoms
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+        and data.geom_xmat[geom.id][8] > 1.0 - 1e-9
+        and abs(data.geom_xpos[geom.id][2]) < 1e-9
+    ]
