@@ -80,6 +80,7 @@ def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
     path[:taken] = place
     fade = fading(hands.time[taken:] - hands.time[taken])
     path[taken:] += fade[:, None] * (place - path[taken])
+    path[:, 2] = np.maximum(path[:, 2], radius)
 
 
 def _letting_go(hands: Hands, touch: Contact) -> Array:

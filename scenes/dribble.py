@@ -140,7 +140,7 @@ def _events(hands: Hands, radius: float) -> list[_Event]:
     bottoms = []
     for hand in (LEFT, RIGHT):
         height = hands.positions[:, hand, 2]
-        frames, shape = find_peaks(-height, prominence=_STROKE, height=-np.inf)
+        frames, shape = find_peaks(-height, prominence=_STROKE)
         for k, depth in zip(frames.tolist(), shape["prominences"], strict=True):
             if _STROKE_HEIGHTS[0] < height[k] < _STROKE_HEIGHTS[1]:
                 bottoms.append((float(depth), _Event(k, k, hand)))
