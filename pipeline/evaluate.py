@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
+from rich.table import Column, Table
 
 from kinefilter.characters import InputError
 from kinefilter.retarget import measured_body
@@ -257,7 +257,16 @@ def as_table(figures: dict[str, Any]) -> Table:
         f"{figures['test_clips']} clips, protocol {figures['protocol']}"
         f"{', after physics' if figures['physics'] else ''}; cm, and against raw"
     )
-    table = Table("method", "E", "E_std", "E_var", "p95", "jitter", "ms", title=title)
+    table = Table(
+        Column("method", no_wrap=True),
+        "E",
+        "E_std",
+        "E_var",
+        "p95",
+        "jitter",
+        "ms",
+        title=title,
+    )
     raw = figures["methods"]["raw"]
     for name, row in figures["methods"].items():
         table.add_row(
