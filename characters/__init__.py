@@ -1,6 +1,6 @@
 """Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, Body, standard_body
+from .anthropometry import STANDARD_HEIGHT, Body, random_body, standard_body
 from .errors import InputError, KinefilterError
 from .motion import Clip, Origin, State, Take
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
@@ -18,6 +18,7 @@ __all__ = [
     "Skeleton",
     "State",
     "Take",
+    "random_body",
     "skeleton_named",
     "standard_body",
 ]

@@ -198,16 +198,20 @@ def filter_postures(positions: Array, threshold: float) -> NDArray[np.intp]:
 def filter_to_count(positions: Array, count: int) -> NDArray[np.intp]:
     """Return the indices that the threshold rule keeps, about ``count`` of them.
 
-    Bisects the threshold until the rule keeps the count within 2 %.
+    Bisects the threshold until the rule keeps the count within 2 %. What a threshold
+    that kept too many has dropped is not looked at again by the larger ones.
     """
     if len(positions) <= count:
         return np.arange(len(positions))
     low, high = 0.0, float(np.sum(np.ptp(positions, axis=0) ** 2))
-    kept = np.arange(len(positions))
+    rest = kept = np.arange(len(positions))
     for _ in range(40):
         middle = (low + high) / 2.0
-        kept = filter_postures(positions, middle)
+        kept = rest[filter_postures(positions[rest], middle)]
         if abs(len(kept) - count) <= 0.02 * count:
             break
-        low, high = (middle, high) if len(kept) > count else (low, middle)
+        if len(kept) > count:
+            low, rest = middle, kept
+        else:
+            high = middle
     return kept

@@ -18,10 +18,11 @@ from kinefilter.characters import (
     Skeleton,
     State,
     Take,
+    random_body,
     standard_body,
 )
 from kinefilter.retarget.body_size import Standardizer, measured_body
-from kinefilter.retarget.normalise import find_yaw
+from kinefilter.retarget.normalise import View, find_yaw
 from kinefilter.retarget.orientation import rotations_from_positions
 from kinefilter.retarget.rotations import IDENTITY, about_y, inverse, multiply, rotate
 from kinefilter.scenes import MOTIONS, perform
@@ -37,11 +38,12 @@ __all__ = [
     "database_from_pairs",
     "embedded_database",
     "scripted_database",
+    "scripted_postures",
 ]
 
 Array = NDArray[np.float64]
 
-_SEEDS = range(5)
+_SEEDS = range(6)
 _POSTURES_PER_SECOND = 30.0
 _EVERY_OTHER = 2  # frame of pairs: the filter drops more than that
 _T_POSE_TOLERANCE = np.radians(25.0)
@@ -86,15 +88,27 @@ def _fingerprint() -> str:
 def scripted_database(
     skeleton: Skeleton, progress: Progress = silent
 ) -> PostureDatabase:
-    """Perform every scripted motion on the standard body and keep what differs."""
-    body = standard_body(skeleton)
-    parts = []
-    for k in progress("motion database", len(MOTIONS)):
-        for seed in _SEEDS:
-            act = perform(MOTIONS[k], body, seed=seed, fps=_POSTURES_PER_SECOND)
-            postures = _standardized(act.positions, act.rotations, body)
-            parts.append((MOTIONS[k], *postures))
+    """Perform every scripted motion and keep what differs."""
+    parts = scripted_postures(skeleton, progress)
     return _filtered(parts, skeleton, "embedded", recorded=False)
+
+
+def scripted_postures(
+    skeleton: Skeleton, progress: Progress = silent
+) -> list[tuple[str, Array, Array]]:
+    """Return name, postures and rotations of every scripted performance.
+
+    People of different height and build perform. Postures and segment rotations are
+    on the standard body, 30 a second.
+    """
+    parts = []
+    # Every motion once, then again: the filter keeps what comes first.
+    for k in progress("motion database", len(_SEEDS) * len(MOTIONS)):
+        seed, name = _SEEDS[k // len(MOTIONS)], MOTIONS[k % len(MOTIONS)]
+        body = random_body(skeleton, np.random.default_rng(seed))
+        act = perform(name, body, seed=seed, fps=_POSTURES_PER_SECOND)
+        parts.append((name, *_standardized(act.positions, act.rotations, body)))
+    return parts
 
 
 def database_from_bvh(
@@ -207,9 +221,14 @@ def _standardized(
     skeleton, standard = body.skeleton, standard_body(body.skeleton)
     weights = np.ones(len(skeleton))
     standardizer = Standardizer(body)
-    postures = np.array([standardizer.step(frame, weights)[0] for frame in positions])
+    yaw = find_yaw(positions, weights, skeleton)
+    if np.isnan(positions).any():
+        steps = [standardizer.step(frame, weights)[0] for frame in positions]
+        postures = np.array(steps)
+    else:
+        view = View(positions[:, skeleton.root], yaw)
+        postures = standardizer.standardize(positions, view)
     if rotations is not None:
-        yaw = find_yaw(positions, weights, skeleton)
         rotations = multiply(inverse(about_y(yaw))[:, None], rotations)
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         if np.isnan(postures[:, j]).all():

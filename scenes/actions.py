@@ -39,7 +39,7 @@ def _squat(
         depth = rng.uniform(0.2, 0.58)
         low = _arms_for_balance(puppet, base, rng, style).leaning(
             drop=depth * puppet.leg,
-            back=0.28 * depth * puppet.leg,
+            back=0.4 * depth * puppet.leg,
             pelvis=(0.0, 0.6 * depth, 0.0),
             spine=(rng.uniform(0.5, 1.1) * depth, 0.0, 0.0),
             head=(-0.5 * depth, 0.0, 0.0),
@@ -259,7 +259,7 @@ def _lunge(
                 drop=(0.1 + depth) * puppet.leg,
                 back=-0.55 * by[2] * puppet.leg,
                 spine=(rng.uniform(0.0, 0.3), 0.0, 0.0),
-            ).with_foot(1 - side, heel=rng.uniform(0.7, 0.95), yaw=0.0)
+            ).with_foot(1 - side, heel=rng.uniform(0.7, 0.95))
         score.to(rng.uniform(0.4, 0.6), air).to(rng.uniform(0.6, 0.9), low)
         score.hold(rng.uniform(0.1, 0.5)).to(rng.uniform(0.6, 0.8), air)
         score.to(rng.uniform(0.4, 0.6), base).hold(rng.uniform(0.2, 0.4))

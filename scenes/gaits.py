@@ -47,6 +47,10 @@ class _Gait:
     """Mean flexion of the elbow [rad]."""
     lean: float
     """Flexion of the trunk [rad]."""
+    half_width: tuple[float, float] = (0.4, 0.6)
+    """Least and most distance of the feet from the middle, in hip widths."""
+    mean_swing: float = 0.0
+    """Mean flexion of the shoulder [rad]."""
 
 
 def _style(name: str, rng: np.random.Generator) -> _Gait:
@@ -87,9 +91,11 @@ def _style(name: str, rng: np.random.Generator) -> _Gait:
         u(0.6, 0.9),
         u(0.012, 0.03),
         0.015,
-        u(0.2, 0.5),
         u(0.15, 0.5),
-        u(0.0, 0.1),
+        u(0.1, 0.6),
+        u(-0.12, 0.1),
+        (0.15, 0.5),
+        u(-0.25, 0.0),
     )
 
 
@@ -100,7 +106,7 @@ def gait(name: str, puppet: Puppet, rng: np.random.Generator, time: Array) -> Po
     cycle = time / style.period + rng.uniform(0.0, 1.0)
     lead = style.stance / 2.0 - 0.03
     ankle, foot = np.zeros((len(time), 2, 3)), np.zeros((len(time), 2, 2))
-    half = puppet.hip_width * rng.uniform(0.4, 0.6)
+    half = puppet.hip_width * rng.uniform(*style.half_width)
     for side in (LEFT, RIGHT):
         number, phase = np.divmod(cycle + 0.5 * side, 1.0)
         swing = np.clip((phase - style.stance) / (1.0 - style.stance), 0.0, 1.0)
@@ -122,14 +128,14 @@ def gait(name: str, puppet: Puppet, rng: np.random.Generator, time: Array) -> Po
         ],
         axis=-1,
     )
-    zero, one = np.zeros_like(time), np.ones_like(time)
+    zero, lean = np.zeros_like(time), style.lean + 0.06 * _drift(rng, time)
     yaw = -0.12 * np.cos(turn) * min(style.stride, 1.5)
     twist = -1.8 * yaw
     pose = Pose(
         root=root,
-        pelvis=np.stack([yaw, 0.4 * style.lean * one, -0.05 * sway], axis=-1),
-        spine=np.stack([style.lean * one, 0.05 * sway, twist], axis=-1),
-        head=np.stack([-0.5 * style.lean * one, zero, -0.5 * (yaw + twist)], axis=-1),
+        pelvis=np.stack([yaw, 0.6 * lean, -0.05 * sway], axis=-1),
+        spine=np.stack([0.8 * lean, 0.05 * sway, twist], axis=-1),
+        head=np.stack([-0.5 * lean, zero, -0.5 * (yaw + twist)], axis=-1),
         arm=np.broadcast_to(base.arm, (len(time), 2, 4)).copy(),
         elbow=np.broadcast_to(base.elbow, (len(time), 2)).copy(),
         hand=np.zeros((len(time), 2, 2)),
@@ -140,7 +146,16 @@ def gait(name: str, puppet: Puppet, rng: np.random.Generator, time: Array) -> Po
     )
     if name == "carry":
         return _load(puppet, pose, rng)
-    return _swing_arms(puppet, pose, style, turn, rng)
+    drifts = [_drift(rng, time) for _ in range(3)]
+    return _swing_arms(puppet, pose, style, turn, rng, drifts)
+
+
+def _drift(rng: np.random.Generator, time: Array) -> Array:
+    """Return a slow change of habit over time, about within -1 and 1, shape (T,)."""
+    rates, phases = rng.uniform(0.08, 0.3, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
+    return np.asarray(
+        np.sin(2.0 * np.pi * np.multiply.outer(time, rates) + phases).mean(axis=1)
+    )
 
 
 def _ease(s: Array) -> Array:
@@ -164,15 +179,25 @@ def _heel(phase: Array, style: _Gait) -> Array:
 
 
 def _swing_arms(
-    puppet: Puppet, pose: Pose, style: _Gait, turn: Array, rng: np.random.Generator
+    puppet: Puppet,
+    pose: Pose,
+    style: _Gait,
+    turn: Array,
+    rng: np.random.Generator,
+    drifts: list[Array],
 ) -> Pose:
-    spread, inward = rng.uniform(0.14, 0.25), rng.uniform(-0.1, 0.25)
+    spread, inward = rng.uniform(0.1, 0.25), rng.uniform(-0.1, 0.5)
+    # In walking the shoulder swings from about 24 degrees of extension to 8 of flexion
+    # (Murray et al. 1967, Am. J. Phys. Med. 46(1)).
+    mean = style.mean_swing + 0.1 * drifts[0]
+    wide = spread * (1.0 + 0.4 * drifts[1])
+    bent = style.elbow * (1.0 + 0.4 * drifts[2])
     for side in (LEFT, RIGHT):
         swing = -style.arm_swing * np.cos(turn + np.pi * side - 0.15)
-        forward = np.sin(swing + 0.05 * style.elbow)
-        out = np.sin(spread)
+        forward = np.sin(swing + mean + 0.05 * style.elbow)
+        out = np.sin(wide)
         elevation = np.arcsin(np.minimum(np.hypot(forward, out), 0.999))
-        elbow = style.elbow * (1.0 + 0.35 * np.sin(swing)) + 0.1 * forward
+        elbow = bent * (1.0 + 0.35 * np.sin(swing)) + 0.15 + 0.1 * forward
         plane = np.arctan2(forward, out)
         pose = pose.with_arm(side, puppet.arm(elevation, plane, inward, elbow))
     return pose

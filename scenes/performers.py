@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,30 +18,64 @@ from kinefilter.characters import Body, InputError
 from kinefilter.retarget.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
+from .breathing import BREATHING
+from .clearance import clear_arms
+from .exercises import EXERCISES
 from .gaits import GAITS, TURNS, gait
 from .gestures import GESTURES, stance
+from .joint_ranges import within_ranges
 from .poses import Pose, Score
-from .puppet import Puppet
+from .prop_motions import PROP_MOTIONS
+from .puppet import LEFT, RIGHT, Puppet
+from .sports import SPORTS
 
 __all__ = ["MOTIONS", "Performance", "perform", "perform_medley"]
 
 Array = NDArray[np.float64]
 
-_SCRIPTS = {**GESTURES, **ACTIONS, **TURNS}
+_SCRIPTS = {
+    **GESTURES,
+    **ACTIONS,
+    **TURNS,
+    **EXERCISES,
+    **BREATHING,
+    **SPORTS,
+    **PROP_MOTIONS,
+}
 
 MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
 """Names of the motions that ``perform`` knows."""
 
 _EXTRA_WIDTH = {
+    "deep_squat": 0.7,
+    "bend_leg": -0.3,
+    "dance": -0.5,
     "dodge": 1.0,
+    "hurdle_step": -0.3,
     "kick": 0.2,
+    "leg_raise": -0.3,
     "pick_up": 0.4,
-    "punch": 0.8,
+    "punch": 0.3,
     "sit": 0.4,
+    "sit_to_stand": 0.4,
     "squat": 0.9,
-    "swing": 0.8,
+    "swing": 0.3,
 }
-"""Hip widths by which people stand wider for a motion."""
+"""Hip widths by which people stand wider or narrower for a motion."""
+
+_CLOSER = -0.25
+"""Hip widths by which the others differ: feet 11 to 29 cm apart."""
+
+_STAGGERED = {*GESTURES, "dance", "dodge"}
+"""Motions that people do with one foot in front, too."""
+
+_HIPS_AHEAD = (0.035, 0.02)
+"""Mean and standard deviation [m] of the hips before the ankles in quiet standing: the
+line of gravity passes about 5 cm before the ankles and just behind the hips (Winter
+1995, Gait Posture 3(4))."""
+
+_TRUNK_TILT = (-0.03, 0.05)
+"""Mean and standard deviation [rad] of the trunk's tilt in standing, a guess."""
 
 _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
@@ -80,16 +115,43 @@ def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Performan
         InputError: There is no motion of that name.
     """
     _check(name, MOTIONS)
-    rng = np.random.default_rng([seed, MOTIONS.index(name)])
+    rng = np.random.default_rng([seed, crc32(name.encode())])
     puppet = Puppet(body)
     length = rng.uniform(5.0, 9.0)
     if name in GAITS:
         time = np.arange(0.0, length, 1.0 / fps)
         pose = gait(name, puppet, rng, time)
     else:
-        base = stance(puppet, rng, wide=_EXTRA_WIDTH.get(name, 0.0))
+        base = stance(puppet, rng, wide=_EXTRA_WIDTH.get(name, _CLOSER))
+        ahead = rng.normal(*_HIPS_AHEAD) * puppet.scale
+        tilt = float(rng.normal(*_TRUNK_TILT))
+        base = base.leaning(back=-float(ahead), pelvis=(0.0, tilt, 0.0))
+        base = _as_one_stands(name, puppet, base, rng)
         time, pose = _SCRIPTS[name](puppet, rng, base, length).sample(fps)
-    return _performed(name, puppet, time, _alive(pose, time, rng))
+    pose = within_ranges(_alive(pose, time, rng))
+    pose = clear_arms(puppet, pose, fps)
+    return _performed(name, puppet, time, pose)
+
+
+def _as_one_stands(
+    name: str, puppet: Puppet, base: Pose, rng: np.random.Generator
+) -> Pose:
+    """Return a stance with arms hanging as they like and perhaps a foot in front."""
+    u = rng.uniform
+    for side in (LEFT, RIGHT):
+        arm = puppet.arm(u(0.1, 0.3), u(-1.0, 0.9), u(0.0, 0.7), u(0.1, 0.6))
+        base = base.with_arm(side, arm)
+    if name not in _STAGGERED or (name in GESTURES and rng.random() < 0.5):
+        return base
+    way, step = int(rng.choice([-1, 1])), u(0.1, 0.6) * puppet.leg
+    ankle = base.ankle.copy()
+    ankle[:, 2] += np.array([0.5, -0.5]) * way * step
+    drop = puppet.leg - np.sqrt(puppet.leg**2 - (step / 2.0) ** 2)
+    base = replace(base, ankle=ankle)
+    return base.leaning(
+        drop=float(drop) + u(0.0, 0.06) * puppet.leg,
+        pelvis=(-0.3 * way * step, 0.0, 0.0),
+    )
 
 
 def perform_medley(

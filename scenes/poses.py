@@ -119,6 +119,11 @@ class Pose:
             out[side] = knee_out
         return replace(self, ankle=ankles, foot=foot, knee_out=out, lifted=lifted)
 
+    def stepping(self, side: int, to: Array, lift: float) -> Pose:
+        """Return the pose with one foot [m] in the air halfway to a place."""
+        middle = (self.ankle[side] + to) / 2.0 + np.array([0.0, lift, 0.0])
+        return self.with_foot(side, ankle=middle, heel=0.2)
+
 
 class Score:
     """Key poses in time, joined by smooth movements."""

@@ -64,6 +64,8 @@ def about_z(angle: ArrayLike) -> Array:
 
 _KNEE_FOLLOWS_FOOT = 0.8
 _POINTED_TOES = np.radians(25.0)  # of a foot that hangs
+_CLEARANCE = 0.03  # m between the floor and the ankle's least height when lifted
+_HANGS_FROM = 0.15  # m the ankle is raised: lower, a foot is kept clear of the floor
 _TRUNK = {
     "HipCenter": "pelvis",
     "SpineBase": "pelvis",
@@ -173,6 +175,10 @@ class Puppet:
         hanging = multiply(about_y(-rotation), about_z(-np.pi / 2.0))
         return multiply(between(_DOWN, direction), hanging), elbow.copy()
 
+    def forearm(self, side: int) -> float:
+        """Return the length [m] from elbow to hand of a straight wrist."""
+        return float(self._fore[side] + self._hand[side])
+
     def reach(
         self, side: int, goal: ArrayLike, elbow_to: ArrayLike
     ) -> tuple[Array, Array]:
@@ -186,20 +192,20 @@ class Puppet:
         """
         goal, pole = np.asarray(goal, float) * self.scale, np.asarray(elbow_to, float)
         upper, lower = self._upper[side], self._fore[side] + self._hand[side]
-        near = _third_side(upper, lower, _MAX_ELBOW)
-        arm = self.arm(0.8, 1.0, 0.0, 0.5)[0]
+        near, far = _third_side(upper, lower, _MAX_ELBOW), _MAX_REACH * (upper + lower)
+        along = np.array([np.sin(0.8) * np.cos(1.0), -np.cos(0.8), np.sin(0.8)])
         for _ in range(6):  # the collarbone follows the arm, the arm the collarbone
-            shoulder = rotate(_collarbone(arm), _X) * self._collar[side]
-            line = goal - shoulder
-            distance = np.linalg.norm(line, axis=-1)
-            distance = np.clip(distance, near, _MAX_REACH * (upper + lower))
-            line = _unit(line)
-            toward = _unit(pole - np.sum(pole * line, axis=-1, keepdims=True) * line)
+            line = goal - _collarbone_end(along) * self._collar[side]
+            distance = np.sqrt(np.sum(line * line, axis=-1))
+            line = line / np.maximum(distance, 1e-9)[..., None]
+            distance = np.minimum(np.maximum(distance, near), far)
+            toward = pole - np.sum(pole * line, axis=-1)[..., None] * line
+            toward = _unit(toward)
             cosine = (upper**2 + distance**2 - lower**2) / (2.0 * upper * distance)
             sine = np.sqrt(1.0 - cosine**2)
             along = cosine[..., None] * line + sine[..., None] * toward
-            hinge = _unit(np.cross(toward, line))
-            arm = wxyz_from_matrix(_frame(along, -hinge))
+        hinge = _unit(np.cross(toward, line))
+        arm = wxyz_from_matrix(_frame(along, -hinge))
         bend = (upper**2 + lower**2 - distance**2) / (2.0 * upper * lower)
         return arm, np.pi - np.arccos(bend)
 
@@ -260,7 +266,10 @@ class Puppet:
         turn = multiply(about_y(yaw), about_x(pitch))
         pivot = rotate(about_y(yaw), self._sole) - rotate(turn, self._sole)
         on_toes = (pitch > 0.0) * (1.0 - pose.lifted)
-        return pose.ankle + pivot * on_toes[..., None], turn
+        ankle = pose.ankle + pivot * on_toes[..., None]
+        lowest = self.ankle_height + _CLEARANCE * self.scale * pose.lifted
+        ankle[..., 1] = np.maximum(ankle[..., 1], lowest)
+        return ankle, turn
 
     def solve(self, pose: Pose) -> tuple[Array, Array]:
         """Return world rotations wxyz (..., J, 4) and joint positions [m] (..., J, 3).
@@ -320,7 +329,9 @@ class Puppet:
             for along in (thigh_line, shank_line)
         )
         hanging = multiply(shank, about_x(pose.foot[..., side, 1] + _POINTED_TOES))
-        foot = _blend(feet[..., side, :], hanging, pose.lifted[..., side])
+        height = (ankles[..., side, 1] - self.ankle_height) / self.scale
+        free = pose.lifted[..., side] * np.clip(height / _HANGS_FROM, 0.0, 1.0)
+        foot = _blend(feet[..., side, :], hanging, free)
         return {"Hip": trunk.pelvis, "Knee": thigh, "Ankle": shank, "Foot": foot}
 
 
@@ -356,10 +367,27 @@ def _collarbone(arm: Array) -> Array:
     Elevation and protraction grow with the arm's, after the shoulder rhythm of Inman
     et al. 1944 (J. Bone Joint Surg. 26); how much is a guess that looks right.
     """
-    along = rotate(arm, _X)
-    elevation = np.arccos(np.clip(-along[..., 1], -1.0, 1.0)) / np.pi
+    lift, forward = _collarbone_angles(rotate(arm, _X))
+    return multiply(about_y(-forward), about_z(lift))
+
+
+def _collarbone_angles(along: Array) -> tuple[Array, Array]:
+    """Return elevation and protraction [rad] of the collarbone, (...), (...).
+
+    Args:
+        along: Unit vector along a left upper arm, thorax frame, (..., 3).
+    """
+    elevation = np.arccos(np.minimum(np.maximum(-along[..., 1], -1.0), 1.0)) / np.pi
     lift = np.radians(-7.0 + 32.0 * elevation**1.5)
     forward = np.radians(11.0) * along[..., 2] + np.radians(8.0) * np.maximum(
         -along[..., 0], 0.0
     )
-    return multiply(about_y(-forward), about_z(lift))
+    return lift, forward
+
+
+def _collarbone_end(along: Array) -> Array:
+    """Return the unit vector along the left collarbone, as ``_collarbone`` turns it."""
+    lift, forward = _collarbone_angles(along)
+    flat = np.cos(lift)
+    ends = (flat * np.cos(forward), np.sin(lift), flat * np.sin(forward))
+    return np.stack(ends, axis=-1)
