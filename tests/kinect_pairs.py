@@ -1,0 +1,79 @@
+"""Recorded pairs of Kinect and marker mocap as performances, for calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V1
+from kinefilter.retarget import measured_body, rotations_from_positions
+from kinefilter.scenes import Performance
+
+Array = NDArray[np.float64]
+
+DISTANCE = 2.5
+"""Distance [m] from the Kinect at which ui-prmd's people stand."""
+index = KINECT_V1.index
+UNSEEN = [index(j) for j in ("Spine", "HandLeft", "HandRight")]
+"""Joints that the recordings lack."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A clip: what a Kinect said [m] and what happened, both in the world's frame."""
+
+    clip: str
+    kinect: Array
+    act: Performance
+
+    @property
+    def error(self) -> Array:
+        """Kinect minus mocap [m], (T, 20, 3), NaN where either lacks the joint."""
+        error = self.kinect - self.act.positions
+        error[:, UNSEEN] = np.nan
+        return error
+
+
+def pairs_of(file: Path, every: int = 1) -> Iterator[Pair]:
+    """Yield the clips of a person that have no long gaps in the mocap."""
+    with np.load(file, allow_pickle=False) as arrays:
+        data = {k: arrays[k] for k in ("clip", "kinect", "mocap", "start", "stop")}
+    spans = zip(data["clip"], data["start"], data["stop"], strict=True)
+    for clip, start, stop in list(spans)[::every]:
+        mocap = _completed(data["mocap"][start:stop].astype(float))
+        if np.isfinite(mocap).all():
+            shift = np.array([0.0, 0.0, DISTANCE])
+            kinect = data["kinect"][start:stop].astype(float) + shift
+            yield Pair(str(clip), kinect, _act(mocap + shift, str(clip)))
+
+
+def _completed(mocap: Array) -> Array:
+    """Fill marker gaps linearly, the spine between its ends, and the hands."""
+    flat = mocap.reshape(len(mocap), -1).copy()
+    rows = np.arange(len(flat))
+    for column in flat.T:
+        known = np.isfinite(column)
+        if known.any():
+            column[:] = np.interp(rows, rows[known], column[known])
+    filled = flat.reshape(mocap.shape)
+    trunk = filled[:, index("HipCenter")], filled[:, index("ShoulderCenter")]
+    filled[:, index("Spine")] = 0.45 * trunk[0] + 0.55 * trunk[1]
+    for side in ("Left", "Right"):
+        wrist = filled[:, index(f"Wrist{side}")]
+        forearm = wrist - filled[:, index(f"Elbow{side}")]
+        filled[:, index(f"Hand{side}")] = wrist + 0.3 * forearm
+    return filled
+
+
+def _act(positions: Array, name: str) -> Performance:
+    seg, par = KINECT_V1.segments, KINECT_V1.segment_parents
+    bones = np.linalg.norm(positions[:, seg] - positions[:, par], axis=-1)
+    lengths = np.full(len(KINECT_V1), np.nan)
+    lengths[seg] = np.median(bones, axis=0)
+    body = measured_body(KINECT_V1, lengths)
+    turn = rotations_from_positions(positions, body)
+    return Performance(name, np.arange(len(positions)) / 30.0, positions, turn, body)

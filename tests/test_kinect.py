@@ -1,0 +1,297 @@
+"""The virtual Kinect: what it sees, what it makes of it, what it says."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Body,
+    Skeleton,
+    State,
+    standard_body,
+)
+from kinefilter.retarget import positions_from_rotations
+from kinefilter.retarget.rotations import about_y, between, multiply
+from kinefilter.scenes import (
+    SENSORS,
+    Errors,
+    Performance,
+    Sensor,
+    in_sensor_frame,
+    in_world_frame,
+    observe,
+    perform,
+)
+from kinefilter.scenes.misplacement import kinship, misplacements, unsteadiness
+from kinefilter.scenes.visibility import look
+
+Array = NDArray[np.float64]
+
+BODY = standard_body(KINECT_V1)
+index = KINECT_V1.index
+NO_ERRORS = Errors(
+    **{f.name: 0.0 for f in fields(Errors)} | {"mirrored_beyond": float(np.pi)}
+)
+EXACT = replace(
+    Sensor(),
+    depth_noise=type(Sensor().depth_noise)(0.0, 0.0, 0.0),
+    dropped_share=0.0,
+    stamp_jitter=0.0,
+)
+every_skeleton = pytest.mark.parametrize(
+    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
+)
+
+
+def posed(frames: int = 1, *, body: Body = BODY, yaw: float = 0.0, **arms: Array):
+    """Stand in T-pose, turned by yaw, limbs pointing where the keywords say."""
+    skeleton = body.skeleton
+    turn = np.tile(about_y(yaw), (frames, len(skeleton), 1))
+    for limb, direction in arms.items():
+        joint = skeleton.index(limb)
+        tail = [joint]
+        for j in tail:
+            tail.extend(skeleton.children[j])
+            bent = between(body.directions[j], np.asarray(direction, float))
+            turn[:, j] = multiply(about_y(yaw), bent)
+    root = np.tile(body.rest_positions[skeleton.root], (frames, 1))
+    positions = positions_from_rotations(turn, root, body)
+    return Performance("posed", np.arange(frames) / 30.0, positions, turn, body)
+
+
+def room_with(name: str, size: tuple[float, float, float]) -> mujoco.MjSpec:
+    scene = mujoco.MjSpec()
+    prop = scene.worldbody.add_body(name=name)
+    prop.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size)
+    return scene
+
+
+# The sensor --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+def test_the_sensors_frame_and_the_world_are_inverse(sensor):
+    placed = replace(sensor, azimuth=0.7, tilt=-0.3, height=1.4, distance=3.1)
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    there = in_sensor_frame(points, placed)
+    np.testing.assert_allclose(in_world_frame(there, placed), points, atol=1e-12)
+    gaps = np.linalg.norm(there[1:] - there[:-1], axis=-1)
+    np.testing.assert_allclose(gaps, np.linalg.norm(np.diff(points, axis=0), axis=-1))
+
+
+def test_a_sensor_that_looks_up_sees_what_is_level_lower():
+    ahead = np.array([0.0, 1.0, 0.0])
+    level, up = (in_sensor_frame(ahead, Sensor(tilt=t)) for t in (0.0, 0.1))
+    np.testing.assert_allclose(level, [0.0, 0.0, 2.7], atol=1e-12)
+    assert up[1] == pytest.approx(-2.7 * np.sin(0.1))
+
+
+def test_azimuth_turns_the_performer_to_its_left():
+    left = np.array([0.0, 1.0, 1.0])  # a meter before a person who faces the sensor
+    turned = in_sensor_frame(left, Sensor(azimuth=np.pi / 2))
+    np.testing.assert_allclose(turned, [-1.0, 0.0, 2.7], atol=1e-12)
+
+
+def test_out_of_view_or_range_is_not_tracked():
+    act = posed(5)
+    low = replace(EXACT, height=1.5, distance=1.5)
+    take = observe(act, seed=0, sensor=low)
+    inside = low.in_view(in_sensor_frame(act.positions, low))
+    assert not inside[:, index("FootLeft")].any()
+    assert inside[:, index("Head")].all()
+    np.testing.assert_array_equal(take.state == State.NOT_TRACKED, ~inside)
+    np.testing.assert_array_equal(np.isnan(take.positions).any(axis=-1), ~inside)
+    far = observe(act, seed=0, sensor=replace(EXACT, distance=9.0))
+    assert (far.state == State.NOT_TRACKED).all()
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_noise_grows_with_distance(name):
+    act = posed(200)
+    sensor = replace(SENSORS[name], dropped_share=0.0)
+    errors = replace(NO_ERRORS, grain=5.0)
+    spread = []
+    for distance in (1.6, 2.4, 3.2):
+        placed = replace(sensor, distance=distance)
+        take = observe(act, seed=0, sensor=placed, errors=errors)
+        spread.append(np.nanstd(take.positions[:, index("Spine"), 2]))
+    assert spread[0] < 0.8 * spread[1] < 0.64 * spread[2]
+
+
+# What the tracker makes of it ---------------------------------------------------
+
+
+@every_skeleton
+def test_without_errors_the_take_is_the_truth(skeleton):
+    act = perform("squat", standard_body(skeleton), seed=0)
+    take = observe(act, seed=0, sensor=EXACT, errors=NO_ERRORS)
+    assert (take.state != State.NOT_TRACKED).all()
+    truth = in_sensor_frame(act.positions, EXACT)
+    np.testing.assert_allclose(take.positions, truth, atol=1e-12)
+    np.testing.assert_allclose(take.time, act.time)
+
+
+@pytest.mark.parametrize("motion", ["carry", "sit", "turn"])
+def test_same_seed_same_bytes_and_another_seed_another_take(motion):
+    act = perform(motion, BODY, seed=0)
+    one, two = (observe(act, seed=3) for _ in range(2))
+    assert one.positions.tobytes() == two.positions.tobytes()
+    assert one.state.tobytes() == two.state.tobytes()
+    assert one.time.tobytes() == two.time.tobytes()
+    other = observe(act, seed=4)
+    frames = min(len(one), len(other))
+    gap = np.abs(one.positions[:frames] - other.positions[:frames])
+    assert np.nanmedian(gap) > 0.001
+
+
+def test_takes_of_one_person_share_their_misplacement():
+    act = perform("stand_idle", BODY, seed=0)
+    offsets = {}
+    for person in (1, 2):
+        for seed in (5, 6):
+            sensor = replace(Sensor(), dropped_share=0.0)
+            take = observe(act, seed=seed, sensor=sensor, person=person)
+            away = take.positions - in_sensor_frame(act.positions, sensor)
+            offsets[person, seed] = np.nanmedian(away, axis=0)
+    same = np.linalg.norm(offsets[1, 5] - offsets[1, 6], axis=-1).mean()
+    other = np.linalg.norm(offsets[1, 5] - offsets[2, 5], axis=-1).mean()
+    assert same < 0.4 * other
+
+
+def test_states_follow_what_is_seen():
+    act = perform("stand_idle", BODY, seed=1)
+    sure = replace(Errors(), doubt=0.0, merging=0.0, fast=0.0)
+    turned = replace(EXACT, azimuth=np.pi / 2)
+    take = observe(act, seed=0, sensor=turned, errors=sure)
+    sight = look(act, turned)
+    for side in ("Left", "Right"):
+        j = index(f"Wrist{side}")
+        share = sight.visible[:, j]
+        assert (take.state[share > 0.95, j] == State.TRACKED).all()
+        assert (take.state[share < 0.2, j] == State.INFERRED).all()
+    assert (take.state == State.INFERRED).any()
+
+
+def test_doubt_makes_hidden_joints_likelier_inferred_than_seen_ones():
+    act = perform("stand_idle", BODY, seed=1)
+    arm = [index(f"{part}Left") for part in ("Elbow", "Wrist", "Hand")]
+    shares = []
+    for azimuth in (0.0, np.pi / 2):
+        take = observe(act, seed=0, sensor=Sensor(azimuth=azimuth))
+        shares.append(np.mean(take.state[:, arm] != State.TRACKED))
+    assert shares[1] > shares[0] + 0.2
+
+
+def test_a_guess_starts_where_the_joint_was_and_ends_hanging():
+    act = posed(90)
+    poses = np.tile([1.0, 0.6, 1.4, 1.0, 0.0, 0.0, 0.0], (90, 1))
+    poses[:30, 1] = 9.0
+    scene = room_with("board", (0.02, 0.4, 0.3))
+    errors = replace(NO_ERRORS, guess=1.0, guess_time=0.3, trust=0.0)
+    scenery = {"scene": scene, "prop_poses": {"board": poses}}
+    take = observe(act, seed=0, sensor=EXACT, errors=errors, **scenery)
+    wrist = index("WristLeft")
+    assert (take.state[:30, wrist] == State.TRACKED).all()
+    assert (take.state[30:, wrist] == State.INFERRED).all()
+    away = in_world_frame(take.positions, EXACT) - act.positions
+    distance = np.linalg.norm(away[:, wrist], axis=-1)
+    np.testing.assert_allclose(distance[:30], 0.0, atol=1e-12)
+    assert distance[30] < 0.12
+    assert distance[89] > 0.3
+    assert (np.diff(distance[30:]) > -1e-9).all()
+    bone = in_world_frame(take.positions, EXACT)[:, [wrist, index("ElbowLeft")]]
+    length = np.linalg.norm(bone[:, 0] - bone[:, 1], axis=-1)
+    np.testing.assert_allclose(length, BODY.lengths[wrist], rtol=1e-9)
+
+
+def test_a_person_seen_from_behind_is_mirrored():
+    act = posed(yaw=np.pi)
+    take = observe(
+        act, seed=0, sensor=EXACT, errors=replace(NO_ERRORS, mirrored_beyond=2.0)
+    )
+    truth = in_sensor_frame(act.positions, EXACT)
+    np.testing.assert_allclose(take.positions, truth[:, KINECT_V1.mirror], atol=1e-12)
+
+
+def test_limbs_that_cross_in_the_image_are_swapped_now_and_then():
+    down = posed(300, yaw=np.pi / 2, ElbowLeft=[0, -1, 0], ElbowRight=[0, -1, 0])
+    errors = replace(NO_ERRORS, swap_rate=2.0, swap_time=0.3)
+    take = observe(down, seed=0, sensor=EXACT, errors=errors)
+    away = np.abs(in_world_frame(take.positions, EXACT) - down.positions).max(axis=-1)
+    swapped = away[:, index("WristLeft")] > 0.1
+    assert 0.05 < swapped.mean() < 0.95
+    np.testing.assert_array_equal(swapped, away[:, index("WristRight")] > 0.1)
+    np.testing.assert_allclose(away[:, index("Head")], 0.0, atol=1e-12)
+
+
+def test_what_moves_is_seen_where_it_was():
+    act = perform("swing", BODY, seed=0)
+    late = replace(NO_ERRORS, blur=0.01)
+    take = observe(act, seed=0, sensor=EXACT, errors=late)
+    away = in_world_frame(take.positions, EXACT) - act.positions
+    velocity = np.gradient(act.positions, 1.0 / 30.0, axis=0)
+    behind = np.sum(away * velocity) / np.sum(velocity**2)
+    assert behind == pytest.approx(-0.01, abs=0.004)
+
+
+def test_a_joint_that_moves_wobbles_more_than_one_at_rest():
+    act = perform("wave", BODY, seed=0)
+    errors = replace(NO_ERRORS, wobble=0.03, wobble_time=0.1, stirring_speed=0.5)
+    take = observe(act, seed=0, sensor=EXACT, errors=errors)
+    away = in_world_frame(take.positions, EXACT) - act.positions
+    speed = np.linalg.norm(np.gradient(act.positions, 1 / 30.0, axis=0), axis=-1)
+    error = np.linalg.norm(away, axis=-1)
+    wrists = [index("WristLeft"), index("WristRight")]
+    fast, slow = speed[:, wrists] > 0.8, speed[:, wrists] < 0.05
+    assert fast.sum() > 20
+    assert slow.sum() > 20
+    assert error[:, wrists][fast].mean() > 3.0 * error[:, wrists][slow].mean()
+
+
+def test_errors_of_a_posture_come_back_with_the_posture():
+    act = perform("squat", BODY, seed=0)
+    errors = replace(NO_ERRORS, posture_error=0.02, posture_scale=1.0)
+    one, two = (
+        observe(act, seed=s, sensor=EXACT, errors=errors, person=1) for s in (1, 2)
+    )
+    np.testing.assert_array_equal(one.positions, two.positions)
+    away = in_world_frame(one.positions, EXACT) - act.positions
+    assert 0.005 < away.std() < 0.05
+
+
+# Tables ------------------------------------------------------------------------
+
+
+@every_skeleton
+def test_misplacements_mirror(skeleton):
+    offsets = misplacements(skeleton)
+    mirrored = offsets[:, skeleton.mirror] * np.array([-1.0, 1.0, 1.0])
+    np.testing.assert_allclose(mirrored, offsets, atol=1e-12)
+    np.testing.assert_array_equal(
+        unsteadiness(skeleton), unsteadiness(skeleton)[skeleton.mirror]
+    )
+
+
+@every_skeleton
+def test_kinship_keeps_the_variance_of_every_joint(skeleton: Skeleton):
+    mix = kinship(skeleton)
+    np.testing.assert_allclose(np.sum(mix**2, axis=1), 1.0)
+    shared = mix @ mix.T
+    foot, ankle = skeleton.index("FootLeft"), skeleton.index("AnkleLeft")
+    assert shared[foot, ankle] == pytest.approx(0.78)
+
+
+def test_kinects_ankles_are_too_high_in_a_take_of_a_standing_person():
+    act = perform("stand_idle", BODY, seed=0)
+    ankle = index("AnkleLeft")
+    takes = [observe(act, seed=seed, sensor=EXACT) for seed in range(4)]
+    heights = [np.nanmedian(take.positions[:, ankle, 1]) for take in takes]
+    truth = np.median(in_sensor_frame(act.positions, EXACT)[:, ankle, 1])
+    assert 0.02 < np.mean(heights) - truth < 0.1
