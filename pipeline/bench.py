@@ -61,7 +61,9 @@ def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
     generator = np.random.default_rng(0)
     times, energies = [], []
     for k in range(len(take)):
-        rate, _, geometry = scorer.step(take.positions[k], take.state[k])
+        rate, _, geometry = scorer.step(
+            take.positions[k], take.state[k], float(take.time[k])
+        )
         standard, _ = standardizer.step(take.positions[k], rate)
         corrector.step(Observation(standard, rate, geometry))
         space = PostureSpace(energy.neighbors, corrector.dimensions)
@@ -95,7 +97,9 @@ def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
     corrector.start()
     for k in range(len(take)):
         marks = [perf_counter()]
-        rate, _, geometry = scorer.step(take.positions[k], take.state[k])
+        rate, _, geometry = scorer.step(
+            take.positions[k], take.state[k], float(take.time[k])
+        )
         marks.append(perf_counter())
         standard, view = standardizer.step(take.positions[k], rate)
         found = corrector.step(Observation(standard, rate, geometry))

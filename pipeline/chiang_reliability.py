@@ -47,13 +47,17 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         self._previous: Array | None = None
 
     def step(
-        self, positions: Array, state: NDArray[np.uint8]
+        self,
+        positions: Array,
+        state: NDArray[np.uint8],
+        time: float | None = None,  # noqa: ARG002 - made for 30 Hz
     ) -> tuple[Array, NDArray[np.uint8], Array]:
         """Score the next frame.
 
         Args:
             positions: Joint positions [m], NaN where missing, shape (J, 3).
             state: Tracking states (State), shape (J,).
+            time: Time stamp [s], for scorers that go by it.
 
         Returns:
             The rate (J,), the deciding term (J,) and the rate of the geometry alone

@@ -43,8 +43,9 @@ class CleanConfig:
     """Model (.npz) of 'kinefilter train'."""
     adapt: bool = False
     """Let a model of local-gp learn on from the take, where it is sure."""
-    scoring: Literal["shum", "chiang"] = "shum"
-    """How reliability is scored: after Shum 2013 or Chiang 2017."""
+    scoring: Literal["shum", "chiang", "noise"] = "shum"
+    """How reliability is scored: after Shum 2013, after Chiang 2017, or by noise and
+    segment lengths."""
     search: Literal["solver", "stochastic"] = "solver"
     """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
     database: Path | None = None

@@ -212,13 +212,17 @@ class ReliabilityScorer:
         self._scores: list[Array] = []
 
     def step(
-        self, positions: Array, state: NDArray[np.uint8]
+        self,
+        positions: Array,
+        state: NDArray[np.uint8],
+        time: float | None = None,  # noqa: ARG002 - Shum's terms count frames
     ) -> tuple[Array, NDArray[np.uint8], Array]:
         """Score the next frame.
 
         Args:
             positions: Joint positions [m], NaN where missing, shape (J, 3).
             state: Tracking states (State), shape (J,).
+            time: Time stamp [s], for scorers that go by it.
 
         Returns:
             The rate (J,), the deciding term (J,) and the rate of the geometry alone
@@ -245,7 +249,9 @@ class ReliabilityScorer:
         rate, geometry = np.empty((count, n)), np.empty((count, n))
         term = np.empty((count, n), dtype=np.uint8)
         for k in range(count):
-            rate[k], term[k], geometry[k] = self.step(take.positions[k], take.state[k])
+            rate[k], term[k], geometry[k] = self.step(
+                take.positions[k], take.state[k], float(take.time[k])
+            )
         return Reliability(rate, term, geometry)
 
     def _behavior(self, positions: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .chiang_reliability import ChiangReliabilityScorer
+from .noise_reliability import NoiseReliabilityScorer
 from .reliability import ReliabilityScorer
 
 __all__ = ["SCORERS"]
@@ -10,5 +11,6 @@ __all__ = ["SCORERS"]
 SCORERS: dict[str, type[ReliabilityScorer]] = {
     "shum": ReliabilityScorer,
     "chiang": ChiangReliabilityScorer,
+    "noise": NoiseReliabilityScorer,
 }
-"""After Shum 2013, and after Chiang 2017."""
+"""After Shum 2013, after Chiang 2017, and by noise and segment lengths."""
