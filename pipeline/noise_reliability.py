@@ -53,8 +53,9 @@ class NoiseReliabilityScorer(ReliabilityScorer):
     term is the one that took most; Term.BEHAVIOR stands for noise.
 
     The rate of the geometry, which says where a measurement is to give way even to a
-    posture that nobody knows, is that of the lengths alone: a joint that trembles is
-    still nearer to its place than one that is invented.
+    posture that nobody knows, is that of the lengths alone while the joint is tracked:
+    one that trembles is still nearer to its place than one that is invented. An
+    inferred joint that trembles is a guess, and there noise counts too.
 
     Args:
         skeleton: The joints.
@@ -95,14 +96,13 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         noise = ERROR_PER_NOISE**2 * np.maximum(noise, 0.0)
         lengths = self._length_error.add(self._square_length_error(positions), share)
         lengths = self._touch @ lengths
-        self._tracked += (1.0 - np.exp(-elapsed / RECOVERY)) * (1.0 - self._tracked)
         lost = (state != State.TRACKED) | np.isnan(positions[:, 0])
-        self._tracked[lost] = 0.0
+        tracked = self._track(lost, elapsed)
         trust = np.exp(-(noise + lengths) / DOUBTFUL_ERROR**2)
         term = np.where(noise > lengths, Term.BEHAVIOR, Term.KINEMATICS)
-        term = np.where(self._tracked < trust, Term.TRACKING_STATE, term)
-        geometry = np.exp(-lengths / DOUBTFUL_ERROR**2)
-        return self._tracked * trust, term.astype(np.uint8), geometry
+        term = np.where(tracked < trust, Term.TRACKING_STATE, term)
+        geometry = np.where(lost, trust, np.exp(-lengths / DOUBTFUL_ERROR**2))
+        return tracked * trust, term.astype(np.uint8), geometry
 
     def _elapsed(self, time: float | None) -> float:
         """Return the time since the last frame [s], and take this one's down."""
@@ -111,6 +111,13 @@ class NoiseReliabilityScorer(ReliabilityScorer):
             time = 0.0 if before is None else before + FRAME_TIME
         self._time = time
         return FRAME_TIME if before is None else time - before
+
+    def _track(self, lost: NDArray[np.bool_], elapsed: float) -> Array:
+        """Return the trust by tracking state, shape (J,): none at once, back slowly."""
+        back = 1.0 - np.exp(-elapsed / RECOVERY)
+        self._tracked += back * (1.0 - self._tracked)
+        self._tracked[lost] = 0.0
+        return self._tracked
 
     def _remember(self, positions: Array) -> None:
         """Add a frame to the paths of the joints that it has."""

@@ -202,6 +202,16 @@ def test_a_joint_that_vibrates_by_centimeters_loses_trust(
     np.testing.assert_array_equal(result.geometry, 1.0)
 
 
+def test_trembling_speaks_against_the_position_of_an_inferred_joint_only() -> None:
+    noise = np.random.default_rng(2).normal(0.0, 0.05, (60, 3))
+    tracked = moved(noise)
+    inferred = replace(tracked, state=np.full_like(tracked.state, State.INFERRED))
+    rate = score(tracked, blind()).rate
+    assert (rate[30:, HAND] < UNRELIABLE).all()
+    np.testing.assert_array_equal(score(tracked, blind()).geometry, 1.0)
+    np.testing.assert_array_equal(score(inferred, blind()).geometry, rate)
+
+
 def test_a_spike_of_one_frame_is_doubted_in_the_next_and_forgotten_in_a_second() -> (
     None
 ):
