@@ -32,7 +32,7 @@ after 0.2 s, when Shum's rate is back too."""
 HONEST_SHARE = 0.1
 """What a cubic leaves of a person's own movement, as a share of the distance covered
 from frame to frame. At 30 Hz, nine tenths of marker mocap (CMU: walking, punching,
-sword play, dance) stay under it at any speed over 0.6 m/s."""
+sword play, dance) stay under it between 0.6 and 3 m/s."""
 ERROR_PER_NOISE = 7.0
 """How far a joint is off, for its noise along one axis: Kinect's errors are mostly too
 slow to tremble. Fitted on six people; 5 to 15 do about as well."""
