@@ -15,6 +15,7 @@ from .correct import Corrector, LocalPCA, WholeTakeCorrector, correct_take
 from .correct.local_gp import LocalGP
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
+from .failures import Failure, distrust, find_failures, unmirrored
 from .library import embedded_database
 from .metrics import Quality, distances, measure
 from .models import Model, load_model
@@ -43,6 +44,8 @@ class CleanResult:
     NaN where the method has none."""
     trace: PhysicsTrace | None
     """What the simulation did, per distinct time stamp; None without physics."""
+    failures: tuple[Failure, ...]
+    """Where the tracker failed grossly, frames counted by distinct time stamp."""
     notes: tuple[str, ...]
     """What the user should know about this take."""
 
@@ -74,6 +77,8 @@ def clean(
     frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
     source, take = take, take if distinct.all() else _select(take, distinct)
 
+    failures = find_failures(take)
+    take = unmirrored(take, failures)
     reference = measure_reference(take)
     body = measured_body(
         take.skeleton,
@@ -83,6 +88,7 @@ def clean(
         mass=config.mass,
     )
     reliability = SCORERS[config.scoring](take.skeleton, reference).score(take)
+    reliability = distrust(reliability, failures, take.skeleton)
     standard = standardize_take(
         take, body, reliability, progress("standardize", len(take))
     )
@@ -121,7 +127,8 @@ def clean(
         moved_by_physics=distances(after, before)[frames],
         source=source.source,
     )
-    return CleanResult(clip, stages, coverage[frames], trace, _notes(reference, trace))
+    notes = _notes(reference, trace)
+    return CleanResult(clip, stages, coverage[frames], trace, failures, notes)
 
 
 def _notes(reference: Reference, trace: PhysicsTrace | None) -> tuple[str, ...]:

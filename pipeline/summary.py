@@ -48,6 +48,15 @@ def as_json(result: CleanResult) -> dict[str, Any]:
             f"share_{origin.name.lower()}": float(np.mean(clip.origin == origin))
             for origin in Origin
         },
+        "failures": [
+            {
+                "kind": failure.kind.name.lower(),
+                "part": failure.part,
+                "start_s": failure.start,
+                "end_s": failure.end,
+            }
+            for failure in result.failures
+        ],
         "notes": list(result.notes),
     }
     for stage, quality in result.stages.items():
@@ -103,7 +112,8 @@ def as_tables(result: CleanResult) -> RenderableType:
         f"{origin.name.lower()} {np.mean(clip.origin == origin):.0%}"
         for origin in Origin
     )
-    lines = [f"of all joints: {shares}", *result.notes]
+    failures = [f"tracker failure: {failure}" for failure in result.failures]
+    lines = [f"of all joints: {shares}", *failures, *result.notes]
     if np.isfinite(result.share_outside):
         lines.insert(
             1, f"{result.share_outside:.0%} of the frames lie outside the database"

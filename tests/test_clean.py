@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -121,26 +121,30 @@ def test_a_perfect_take_is_left_as_it_is(skeleton: Skeleton, motion: str) -> Non
 
 
 @pytest.mark.parametrize("motion", ["walk", "bend", "squat"])
-def test_a_simulated_take_ends_nearer_to_the_truth(motion: str) -> None:
-    act = perform(motion, standard_body(KINECT_V1), seed=21)
-    take = observe(act, seed=4)
-    relative = act.positions - act.positions[:, [0]]
-    truth = np.array(
-        [np.interp(take.time, act.time, c) for c in relative.reshape(len(act), -1).T]
-    )
-    truth = truth.T.reshape(len(take), -1, 3)
-    result = clean(take)
-    seen = np.isfinite(take.positions[..., 0])  # who walks on leaves the picture
+def test_simulated_takes_end_nearer_to_the_truth(motion: str) -> None:
+    """On average over performances: some errors look like another posture."""
+    before, after = [], []
+    for seed in range(21, 25):
+        act = perform(motion, standard_body(KINECT_V1), seed=seed)
+        take = observe(act, seed=4)
+        paths = (act.positions - act.positions[:, [0]]).reshape(len(act), -1).T
+        columns = [np.interp(take.time, act.time, path) for path in paths]
+        truth = np.transpose(columns).reshape(len(take), -1, 3)
+        # Who walks on leaves the picture.
+        seen = np.isfinite(take.positions[..., 0])
+        seen &= seen.mean(axis=0) > 0.1
 
-    def error(positions: Array) -> float:
-        """Without the constant misplacement, which takes a model to know."""
-        relative = positions - positions[:, [0]]
-        yaw = np.array([-1.0, 1.0, -1.0])  # the person faces the sensor
-        away = np.where(seen[..., None], relative * yaw - truth, np.nan)
-        away -= np.nanmean(away, axis=0)
-        return float(np.nanmean(np.linalg.norm(away, axis=2)))
+        def error(positions: Array, truth: Array = truth, seen: Any = seen) -> float:
+            """Without the constant misplacement, which takes a model to know."""
+            relative = positions - positions[:, [0]]
+            yaw = np.array([-1.0, 1.0, -1.0])  # the person faces the sensor
+            away = np.where(seen[..., None], relative * yaw - truth, 0.0)
+            away -= away.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)[:, None]
+            return float(np.linalg.norm(away, axis=2)[seen].mean())
 
-    assert error(result.clip.positions) < error(take.positions)
+        before.append(error(np.nan_to_num(take.positions)))
+        after.append(error(clean(take).clip.positions))
+    assert np.mean(after) < np.mean(before)
 
 
 def test_the_skeleton_is_not_bent_the_wrong_way(sample: CleanResult) -> None:
@@ -279,7 +283,7 @@ def test_correction_does_no_harm_to_real_people(person: str) -> None:
 
     errors: dict[str, list[Array]] = {"raw": [], "none": [], "local-pca": []}
     with np.load(DATA / "ui-prmd" / f"{person}.npz") as pairs:
-        for start, stop in list(zip(pairs["start"], pairs["stop"], strict=True))[::25]:
+        for start, stop in list(zip(pairs["start"], pairs["stop"], strict=True))[::12]:
             kinect = pairs["kinect"][start:stop].astype(float)
             mocap = pairs["mocap"][start:stop].astype(float)
             state = np.where(np.isnan(kinect[..., 0]), 0, 2).astype(np.uint8)
