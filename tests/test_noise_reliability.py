@@ -35,7 +35,7 @@ from kinefilter.pipeline.reliability import (
 )
 from kinefilter.pipeline.training import read_pairs
 from kinefilter.retarget.rotations import about_y, rotate
-from kinefilter.scenes import Sensor, observe, perform, sample_take
+from kinefilter.scenes import perform, sample_take
 
 Array = NDArray[np.float64]
 
@@ -164,9 +164,11 @@ def test_a_movement_is_trusted_at_other_frame_rates(fps: float) -> None:
 def test_fast_motion_that_is_tracked_well_is_doubted_no_more_than_by_shum(
     motion: str,
 ) -> None:
-    sensor = Sensor(runs_per_second=0.0, dropped_share=0.0)
     performance = perform(motion, standard_body(KINECT_V1), seed=3)
-    take = observe(performance, seed=3, sensor=sensor)
+    noise = np.random.default_rng(0).normal(0.0, 0.004, performance.positions.shape)
+    state = np.full(noise.shape[:2], State.TRACKED, dtype=np.uint8)
+    seen = performance.positions + noise
+    take = Take(performance.time, seen, state, KINECT_V1)
     reference = measure_reference(take)
     shum = ReliabilityScorer(KINECT_V1, reference).score(take)
     doubted = score(take, reference).rate < RELIABLE
