@@ -29,6 +29,9 @@ revolutions a second, dancers two, and this is two."""
 _BACKWARDS = 0.06
 """Share of a leg's length by which a knee is behind the line from hip to ankle: 14
 degrees of hyperextension, three times what is normal."""
+_MENDS = 0.7
+"""Share of the jump into and out of a mirrored stretch that exchanging sides leaves at
+most, where it mends anything. A guess."""
 _LASTING = 0.8  # s: shorter is noise, or a kick seen from the front
 _STEADY = 0.3  # s, of the median over time before the knee is judged
 _LEG = ("Knee", "Ankle", "Foot")
@@ -84,11 +87,21 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
 
 
 def unmirrored(take: Take, failures: tuple[Failure, ...]) -> Take:
-    """Return a take whose left and right are exchanged back where they were."""
+    """Return a take whose left and right are exchanged back where they were.
+
+    They stay where the body would jump as far either way: then more is wrong with it.
+    """
     frames = np.zeros(len(take), dtype=bool)
     for failure in failures:
         if failure.kind is FailureKind.MIRRORED:
-            frames[failure.frames] = True
+            edges = [
+                (failure.first, failure.first - 1),
+                (failure.last, failure.last + 1),
+            ]
+            edges = [edge for edge in edges if 0 <= edge[1] < len(take)]
+            jumps = [_jump(take, *edge, mirror=False) for edge in edges]
+            mended = [_jump(take, *edge, mirror=True) for edge in edges]
+            frames[failure.frames] = sum(mended) < _MENDS * sum(jumps)
     return _exchanged(take, frames)
 
 
@@ -104,6 +117,15 @@ def distrust(
             rate[failure.frames, leg] = 0.0
             geometry[failure.frames, leg] = 0.0
     return replace(reliability, rate=rate, geometry=geometry)
+
+
+def _jump(take: Take, inside: int, outside: int, *, mirror: bool) -> float:
+    """Return how far joints move from a frame to another, the root apart [m]."""
+    relative = take.positions - take.positions[:, [take.skeleton.root]]
+    frame = relative[inside]
+    if mirror:
+        frame = frame[take.skeleton.mirror]
+    return float(np.nanmean(np.linalg.norm(frame - relative[outside], axis=1)))
 
 
 def _mirrored(take: Take) -> NDArray[np.bool_]:

@@ -1,0 +1,101 @@
+"""Takes whose truth is known: a performance in a scene, before the virtual Kinect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kinefilter.characters import SKELETONS, InputError, State, Take, random_body
+from kinefilter.scenes import (
+    MOTIONS,
+    SENSORS,
+    in_sensor_frame,
+    load_scene,
+    observe,
+    perform,
+    prop_poses,
+)
+
+from .formats import atomic_path
+from .training import PairedTake
+
+__all__ = ["simulate", "truth_of", "write_pairs"]
+
+_SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
+
+
+def simulate(
+    scene: str | Path,
+    motion: str,
+    *,
+    sensor: str = "v2",
+    skeleton: str | None = None,
+    seed: int = 0,
+) -> PairedTake:
+    """Return what a virtual Kinect sees of a motion in a scene, and the truth.
+
+    Args:
+        scene: One of ``SCENES``, or the path of an MJCF file.
+        motion: One of ``MOTIONS``.
+        sensor: One of ``SENSORS``.
+        skeleton: Name of the take's skeleton; by default the sensor's own (that of
+            Azure Kinect is not known yet: Kinect v2's).
+        seed: Draws the person, the performance and the sensor's errors.
+
+    Raises:
+        InputError: An unknown scene, motion, sensor or skeleton.
+    """
+    for name, known in ((motion, MOTIONS), (sensor, tuple(SENSORS))):
+        if name not in known:
+            raise InputError(f"unknown name {name!r}; known: {', '.join(known)}")
+    room = load_scene(scene)
+    body = random_body(
+        SKELETONS[skeleton or _SKELETON[sensor]], np.random.default_rng(seed)
+    )
+    act = perform(motion, body, seed=seed)
+    take = observe(
+        act,
+        seed=seed,
+        sensor=SENSORS[sensor],
+        scene=room,
+        prop_poses=prop_poses(room, act),
+    )
+    # Frames that never arrived have no truth; stamps tremble far less than a frame.
+    frames = np.searchsorted(act.time, take.time - 0.5 * np.diff(act.time).mean())
+    frames = np.minimum(frames, len(act) - 1)
+    truth = in_sensor_frame(act.positions, SENSORS[sensor])[frames]
+    stem = f"{Path(scene).stem}_{motion}_{sensor}"
+    return PairedTake(take, truth, f"person {seed}", f"{stem}_e{seed:02d}")
+
+
+def truth_of(pair: PairedTake) -> Take:
+    """Return the truth of a simulated take as a take without any error."""
+    state = np.full(pair.take.state.shape, State.TRACKED, dtype=np.uint8)
+    return Take(pair.take.time, pair.truth, state, pair.take.skeleton, pair.clip)
+
+
+def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:
+    """Write clips of one person as a pairs file, as ``read_pairs`` reads them.
+
+    Clips are at a constant rate there: the median of the stamps' is written.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    stop = np.cumsum([len(pair.take) for pair in pairs])
+    steps = np.concatenate([np.diff(pair.take.time) for pair in pairs])
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(
+            file,
+            joints=np.array(pairs[0].take.skeleton.joints),
+            fps=np.float32(1.0 / np.median(steps)),
+            subject=np.array(pairs[0].subject),
+            kinect=np.concatenate([pair.take.positions for pair in pairs]),
+            mocap=np.concatenate([pair.truth for pair in pairs]),
+            state=np.concatenate([pair.take.state for pair in pairs]),
+            clip=np.array([pair.clip for pair in pairs]),
+            start=np.concatenate([[0], stop[:-1]]),
+            stop=stop,
+        )

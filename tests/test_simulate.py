@@ -1,0 +1,61 @@
+"""Simulated takes and their truth, from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline import read_take
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.simulate import simulate
+from kinefilter.pipeline.training import read_pairs
+from kinefilter.scenes import SCENES
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_every_scene_is_recorded(scene: str) -> None:
+    pair = simulate(scene, "wave", seed=1)
+    assert pair.truth.shape == pair.take.positions.shape
+    apart = np.linalg.norm(pair.take.positions - pair.truth, axis=2)
+    assert 0.005 < np.nanmedian(apart) < 0.15
+
+
+def test_a_box_hides_what_is_behind_it() -> None:
+    bare, boxed = (simulate(scene, "lift_box", seed=2) for scene in ("basic", "box"))
+    np.testing.assert_array_equal(bare.truth.shape[1:], boxed.truth.shape[1:])
+    assert (boxed.take.state == 2).mean() < (bare.take.state == 2).mean()
+
+
+def test_files_read_back_and_the_same_seed_gives_the_same_bytes(
+    tmp_path: Path,
+) -> None:
+    for name in ("a", "b"):
+        arguments = ["simulate", "chair", "--motion", "sit", "--sensor", "v1"]
+        arguments += ["--seed", "4", "-o", str(tmp_path / f"{name}.csv")]
+        arguments += ["--truth", str(tmp_path / f"{name}_truth.csv")]
+        arguments += ["--pairs", str(tmp_path / f"{name}.npz")]
+        assert main(arguments) == 0
+    for kind in (".csv", "_truth.csv"):
+        one, two = (tmp_path / f"{name}{kind}" for name in ("a", "b"))
+        assert one.read_bytes() == two.read_bytes()
+    take, truth = (read_take(tmp_path / f"a{end}.csv") for end in ("", "_truth"))
+    (pair,) = read_pairs(tmp_path / "a.npz")
+    np.testing.assert_allclose(pair.take.positions, take.positions, atol=1e-8)
+    np.testing.assert_allclose(pair.truth, truth.positions, atol=1e-8)
+    np.testing.assert_array_equal(pair.take.state, take.state)
+
+
+def test_unknown_names_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for scene, motion in (("moon", "walk"), ("basic", "fly")):
+        with pytest.raises(InputError, match="unknown"):
+            simulate(scene, motion)
+        arguments = ["simulate", scene, "--motion", motion]
+        assert main([*arguments, "-o", str(tmp_path / "t.csv")]) == 2
+        assert "known:" in capsys.readouterr().err
+    assert main(["simulate", "basic", "-o", str(tmp_path / "t.bvh")]) == 2
+    assert list(tmp_path.iterdir()) == []
