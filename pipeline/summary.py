@@ -12,6 +12,7 @@ from rich.table import Table
 from kinefilter.characters import Origin
 
 from .reliability import Term
+from .failures import Failure
 from .run import CleanResult
 
 __all__ = ["as_json", "as_tables"]
@@ -112,10 +113,22 @@ def as_tables(result: CleanResult) -> RenderableType:
         f"{origin.name.lower()} {np.mean(clip.origin == origin):.0%}"
         for origin in Origin
     )
-    failures = [f"tracker failure: {failure}" for failure in result.failures]
+    failures = _told(result.failures)
     lines = [f"of all joints: {shares}", *failures, *result.notes]
     if np.isfinite(result.share_outside):
         lines.insert(
             1, f"{result.share_outside:.0%} of the frames lie outside the database"
         )
     return Group(head, stages, joints, *lines)
+
+
+def _told(failures: tuple[Failure, ...]) -> list[str]:
+    """Return a line for every kind of failure of a part of the body."""
+    kinds: dict[tuple[str, str], list[Failure]] = {}
+    for failure in failures:
+        kinds.setdefault((failure.part, failure.kind), []).append(failure)
+    return [
+        f"tracker failure: {same[0]}"
+        + (f", and {len(same) - 1} times later" if len(same) > 1 else "")
+        for same in kinds.values()
+    ]

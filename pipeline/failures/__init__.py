@@ -1,0 +1,13 @@
+"""Gross failures of the tracker: found, reported, and mended where that is possible.
+
+Sensors now and then take a person for one who faces the other way, and exchange left
+and right from one frame to the next; they bend a leg the way no knee bends, put an arm
+through the head, or let a limb leap to somewhere else and back. Most of it goes on for
+many frames, so that nothing which looks at single frames or lengths minds it.
+"""
+
+from .failure import Failure, FailureKind
+from .find import distrust, find_failures
+from .mirrored import unmirrored
+
+__all__ = ["Failure", "FailureKind", "distrust", "find_failures", "unmirrored"]
