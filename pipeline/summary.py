@@ -11,8 +11,8 @@ from rich.table import Table
 
 from kinefilter.characters import Origin
 
-from .reliability import Term
 from .failures import Failure
+from .reliability import Term
 from .run import CleanResult
 
 __all__ = ["as_json", "as_tables"]
