@@ -1,9 +1,15 @@
 """The stages a frame passes, and the one call that runs them all."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from .config import CleanConfig
 from .database import PostureDatabase
 from .formats import read_clip, read_take, write_clip
-from .run import CleanResult, clean
+
+if TYPE_CHECKING:
+    from .run import CleanResult, clean
 
 __all__ = [
     "CleanConfig",
@@ -14,3 +20,12 @@ __all__ = [
     "read_take",
     "write_clip",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Return what loads MuJoCo and scikit-learn only when it is asked for."""
+    if name not in ("CleanResult", "clean"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from . import run
+
+    return getattr(run, name)

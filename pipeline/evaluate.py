@@ -31,7 +31,7 @@ from .tally import Tally
 from .target import make_target
 from .training import PairedTake, training_set
 
-__all__ = ["METHODS", "as_table", "evaluate"]
+__all__ = ["METHODS", "as_table", "evaluate", "observed", "reliability_auc"]
 
 Array = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def evaluate(
         "protocol": protocol,
         "physics": physics,
         "test_clips": len(tested),
-        "reliability_auc": _reliability_auc(tested, accuracy),
+        "reliability_auc": reliability_auc(tested),
         "methods": {name: tally.summary() for name, tally in tallies.items()},
     }
 
@@ -188,7 +188,7 @@ def _test(
     physics: bool,
 ) -> None:
     take = pair.take
-    standard = _standard(pair)
+    standard = observed(pair)
     tallies["raw"].add(pair, take.positions, 0.0)
     for name, corrector in correctors.items():
         start = perf_counter()
@@ -207,7 +207,8 @@ def _test(
         tallies[name].add(pair, positions, seconds)
 
 
-def _standard(pair: PairedTake) -> StandardTake:
+def observed(pair: PairedTake) -> StandardTake:
+    """Return a take as the methods see it: scored, on the standard body."""
     take = pair.take
     reference = measure_reference(take)
     body = measured_body(take.skeleton, reference.lengths, reference.directions)
@@ -215,8 +216,8 @@ def _standard(pair: PairedTake) -> StandardTake:
     return standardize_take(take, body, reliability, range(len(take)))
 
 
-def _reliability_auc(
-    pairs: Sequence[PairedTake], accuracy: Accuracy
+def reliability_auc(
+    pairs: Sequence[PairedTake],
 ) -> dict[str, dict[str, float | None]]:
     """Return how well each scoring finds limb joints that are far off.
 
@@ -231,6 +232,7 @@ def _reliability_auc(
     }
     doubt: dict[str, list[Array]] = {name: [] for name in SCORERS}
     for pair in pairs:
+        accuracy = Accuracy(pair.take.skeleton)
         positions, truth = pair.take.positions, pair.truth
         distances = accuracy.distances(positions, truth).ravel()
         seen = ~np.isnan(distances)

@@ -33,6 +33,7 @@ def simulate(
     sensor: str = "v2",
     skeleton: str | None = None,
     seed: int = 0,
+    person: int | None = None,
 ) -> PairedTake:
     """Return what a virtual Kinect sees of a motion in a scene, and the truth.
 
@@ -43,6 +44,8 @@ def simulate(
         skeleton: Name of the take's skeleton; by default the sensor's own (that of
             Azure Kinect is not known yet: Kinect v2's).
         seed: Draws the person, the performance and the sensor's errors.
+        person: Draws the person alone, with what the sensor always errs by in them;
+            by default the seed.
 
     Raises:
         InputError: An unknown scene, motion, sensor or skeleton.
@@ -51,13 +54,15 @@ def simulate(
         if name not in known:
             raise InputError(f"unknown name {name!r}; known: {', '.join(known)}")
     room = load_scene(scene)
+    person = seed if person is None else person
     body = random_body(
-        SKELETONS[skeleton or _SKELETON[sensor]], np.random.default_rng(seed)
+        SKELETONS[skeleton or _SKELETON[sensor]], np.random.default_rng(person)
     )
     act = perform(motion, body, seed=seed)
     take = observe(
         act,
         seed=seed,
+        person=person,
         sensor=SENSORS[sensor],
         scene=room,
         prop_poses=prop_poses(room, act),
@@ -67,7 +72,7 @@ def simulate(
     frames = np.minimum(frames, len(act) - 1)
     truth = in_sensor_frame(act.positions, SENSORS[sensor])[frames]
     stem = f"{Path(scene).stem}_{motion}_{sensor}"
-    return PairedTake(take, truth, f"person {seed}", f"{stem}_e{seed:02d}")
+    return PairedTake(take, truth, f"person {person}", f"{stem}_e{seed:02d}")
 
 
 def truth_of(pair: PairedTake) -> Take:

@@ -221,7 +221,10 @@ def test_bench_measures_every_stage(tmp_path: Path) -> None:
 
 def test_every_command_is_in_the_readme() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for command in ("clean", "database build", "train", "evaluate", "bench"):
+    for command in (
+        *("clean", "database build", "train", "evaluate"),
+        *("simulate", "reproduce", "bench"),
+    ):
         assert f"kinefilter {command}" in readme
 
 

@@ -59,3 +59,17 @@ def test_unknown_names_are_refused(
         assert "known:" in capsys.readouterr().err
     assert main(["simulate", "basic", "-o", str(tmp_path / "t.bvh")]) == 2
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_person_keeps_their_bones_in_another_performance() -> None:
+    one, other = (simulate("basic", "wave", seed=s, person=3) for s in (3, 4))
+    skeleton = one.take.skeleton
+    ends, starts = skeleton.segments, skeleton.segment_parents
+    lengths = [
+        np.linalg.norm(pair.truth[0, ends] - pair.truth[0, starts], axis=1)
+        for pair in (one, other)
+    ]
+    np.testing.assert_allclose(lengths[0], lengths[1], atol=1e-9)
+    assert one.subject == other.subject
+    assert len(one.take) != len(other.take)
+    np.testing.assert_array_equal(one.truth, simulate("basic", "wave", seed=3).truth)

@@ -40,6 +40,8 @@ class LocalPCA:
         dimensions: Most dimensions of that space.
         weights: Weights of the energy terms.
         search: ``solver`` or the paper's ``stochastic`` sampling.
+        steps: Most steps of the stochastic search.
+        samples: Samples in each of them.
         seed: Seed of the stochastic search.
     """
 
@@ -51,12 +53,16 @@ class LocalPCA:
         dimensions: int = 20,
         weights: EnergyWeights | None = None,
         search: Literal["solver", "stochastic"] = "solver",
+        steps: int = 20,
+        samples: int = 100,
         seed: int = 0,
     ) -> None:
         self.database = database
         self.neighbors = neighbors
         self.dimensions = dimensions
         self.search = search
+        self.steps = steps
+        self.samples = samples
         self.seed = seed
         skeleton = database.skeleton
         self.energy = PostureEnergy(
@@ -104,11 +110,17 @@ class LocalPCA:
         space = PostureSpace(postures, self.dimensions)
         self.energy.observe(measured, rate, postures, self._steady())
         start = space.project(self._last[-1] if self._last else postures[0])
-        latent = (
-            solve(space, self.energy, start)
-            if self.search == "solver"
-            else stochastic_search(space, self.energy, start, self._generator)
-        )
+        if self.search == "solver":
+            latent = solve(space, self.energy, start)
+        else:
+            latent = stochastic_search(
+                space,
+                self.energy,
+                start,
+                self._generator,
+                steps=self.steps,
+                samples=self.samples,
+            )
         posture = space.posture(latent)
         self._last = [*self._last[-1:], posture]
         return posture.reshape(-1, 3), nearest

@@ -1,0 +1,19 @@
+"""The commands of the command line, one a file: they parse and print, nothing else."""
+
+from .bench import Bench
+from .clean import Clean
+from .database import Database
+from .evaluate import Evaluate
+from .reproduce import Reproduce
+from .simulate import Simulate
+from .train import Train
+
+__all__ = [
+    "Bench",
+    "Clean",
+    "Database",
+    "Evaluate",
+    "Reproduce",
+    "Simulate",
+    "Train",
+]

@@ -1,0 +1,34 @@
+"""``kinefilter bench``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from .terminal import keep, out, write_json
+
+__all__ = ["Bench"]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Time every stage, frame by frame as a live user would run it."""
+
+    take: Path | None = None
+    """Take to time on; default: the sample that comes with kinefilter."""
+    json: Path | None = None
+    """Write the figures to this file too."""
+
+    def run(self) -> int:
+        """Time and print."""
+        from kinefilter.pipeline.bench import as_table, bench
+        from kinefilter.pipeline.formats import check_folder
+
+        if self.json is not None:
+            check_folder(self.json)
+            keep(self.json, self.take)
+        figures = bench(self.take)
+        if self.json is not None:
+            write_json(figures, self.json)
+        out.print(as_table(figures))
+        return 0

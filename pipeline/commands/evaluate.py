@@ -1,0 +1,74 @@
+"""``kinefilter evaluate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from kinefilter.characters import InputError
+
+from .terminal import keep, out, progress_bars, read_all, write_json
+
+__all__ = ["Evaluate"]
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure correction methods against marker mocap."""
+
+    train: tuple[Path, ...]
+    """Pairs files (.npz) to learn from."""
+    test: tuple[Path, ...] = ()
+    """Pairs files to test on; default: one person of --train after the other."""
+    methods: str = (
+        "butterworth,savgol,one-euro,kalman,low-rank,local-pca,"
+        "exemplar,full-gp,local-gp,clustered-gp,best"
+    )
+    """Methods, comma-separated."""
+    protocol: Literal["people", "repetitions"] = "people"
+    """Test on people, or on repetitions of known people, that were not learned from."""
+    physics: bool = False
+    """Send what the methods give through the simulated character too."""
+    ablation: bool = False
+    """Also measure methods without a part of them: local-gp without terms of its
+    energy (Liu 2016, Table 5), Shum's methods A and B beside local-pca."""
+    database: Path | None = None
+    """Motion database (.npz); default: the embedded."""
+    mocap_database: bool = False
+    """Take the mocap of the clips that are learned from for the motion database."""
+    json: Path | None = None
+    """Write the figures to this file too."""
+
+    def run(self) -> int:
+        """Evaluate and print."""
+        from kinefilter.pipeline.database import PostureDatabase
+        from kinefilter.pipeline.evaluate import as_table, evaluate
+        from kinefilter.pipeline.formats import check_folder
+
+        if self.json is not None:
+            check_folder(self.json)
+            keep(self.json, *self.train, *self.test, self.database)
+        if self.mocap_database and self.database is not None:
+            raise InputError("give --database or --mocap-database, not both")
+        database: PostureDatabase | Literal["mocap"] | None = None
+        if self.mocap_database:
+            database = "mocap"
+        elif self.database is not None:
+            database = PostureDatabase.load(self.database)
+        train, test = read_all(self.train), read_all(self.test)
+        with progress_bars() as progress:
+            figures = evaluate(
+                train,
+                test,
+                self.methods.split(","),
+                protocol=self.protocol,
+                physics=self.physics,
+                ablation=self.ablation,
+                database=database,
+                progress=progress,
+            )
+        if self.json is not None:
+            write_json(figures, self.json)
+        out.print(as_table(figures))
+        return 0

@@ -1,0 +1,68 @@
+"""``kinefilter simulate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from kinefilter.characters import InputError, State
+
+from .terminal import Skeletons, keep, out
+
+__all__ = ["Simulate"]
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Let a virtual Kinect record a scripted motion, of which the truth is known."""
+
+    scene: Positional[str]
+    """basic, box, flip_chart, basketball, chair, office, or an MJCF file (.xml)."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Take to write (.csv)."""
+    motion: str = "walk"
+    """What is done, such as walk, deep_squat, tai_chi or lift_box."""
+    sensor: Literal["v1", "v2", "azure"] = "v2"
+    """Which Kinect looks."""
+    skeleton: Skeletons | None = None
+    """Skeleton of the take; default: the sensor's."""
+    seed: int = 0
+    """Draws the person, the performance and the errors: same seed, same bytes."""
+    truth: Path | None = None
+    """Write what really happened to this file too (.csv)."""
+    pairs: Path | None = None
+    """Write take and truth as a pairs file too (.npz), to train and evaluate with."""
+
+    def run(self) -> int:
+        """Simulate and write."""
+        from kinefilter.pipeline.formats import check_folder, write_take_csv
+        from kinefilter.pipeline.simulate import simulate, truth_of, write_pairs
+
+        for path, suffix in (
+            (self.out, ".csv"),
+            (self.truth, ".csv"),
+            (self.pairs, ".npz"),
+        ):
+            if path is not None and path.suffix != suffix:
+                raise InputError(f"{path}: expected a name that ends in {suffix}")
+            if path is not None:
+                check_folder(path)
+        keep(self.out, self.truth, self.pairs)
+        pair = simulate(
+            self.scene,
+            self.motion,
+            sensor=self.sensor,
+            skeleton=self.skeleton,
+            seed=self.seed,
+        )
+        write_take_csv(pair.take, self.out)
+        if self.truth is not None:
+            write_take_csv(truth_of(pair), self.truth)
+        if self.pairs is not None:
+            write_pairs([pair], self.pairs)
+        tracked = (pair.take.state == State.TRACKED).mean()
+        out.print(f"wrote {self.out}: {len(pair.take)} frames, {tracked:.0%} tracked")
+        return 0

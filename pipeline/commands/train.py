@@ -1,0 +1,49 @@
+"""``kinefilter train``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline.config import LearnedMethod
+
+from .terminal import keep, out, progress_bars, read_all
+
+__all__ = ["Train"]
+
+
+@dataclass(frozen=True)
+class Train:
+    """Teach a correction method from pairs of Kinect and mocap."""
+
+    pairs: Positional[tuple[Path, ...]]
+    """Pairs files (.npz)."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Model to write (.npz)."""
+    method: LearnedMethod = "best"
+    """What to teach."""
+
+    def run(self) -> int:
+        """Learn and write."""
+        from kinefilter.pipeline.correct.methods import LEARNED
+        from kinefilter.pipeline.formats import check_folder
+        from kinefilter.pipeline.models import Model, save_model
+        from kinefilter.pipeline.training import training_set
+
+        if self.out.suffix != ".npz":
+            raise InputError(f"{self.out}: a model is an .npz file; name it so")
+        check_folder(self.out)
+        keep(self.out, *self.pairs)
+        pairs = read_all(self.pairs)
+        with progress_bars() as progress:
+            lessons = training_set(pairs, progress=progress)
+            learner = LEARNED[self.method](lessons.skeleton)
+            learner.fit(lessons, progress=progress)
+        model = Model(learner, self.method, lessons.skeleton, lessons.source)
+        save_model(model, self.out)
+        out.print(f"wrote {self.out}: {self.method}, learned from {lessons.source}")
+        return 0

@@ -1,0 +1,74 @@
+"""How well each way of scoring reliability finds the joints that are far off."""
+
+from __future__ import annotations
+
+from kinefilter.pipeline.evaluate import reliability_auc
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.scoring import SCORERS
+
+from .study import Bar, Cell, Panel, Series, Study
+from .takes import CLASSES, study_takes
+
+__all__ = ["reliability"]
+
+_FAR, _VARYING = "over_10_cm", "varying_over_7_cm"
+_BAR = 0.90
+
+
+def reliability(
+    *, seed: int = 0, takes: int = 12, progress: Progress = silent
+) -> Study:
+    """Find joints that are over 10 cm off the truth, by their reliability alone.
+
+    Limb joints relative to the middle of the hips, as ``evaluate`` counts them. The
+    area under the ROC curve is 1 if every joint that is far off is less reliable than
+    every other, and 0.5 by chance.
+
+    Args:
+        seed: Draws people, performances and the sensor's errors.
+        takes: How many takes of each class of Table IV.
+        progress: Wraps the loops, for a progress bar.
+    """
+    pairs = {
+        kind: study_takes(kind, seed=seed, count=takes, progress=progress)
+        for kind in CLASSES
+    }
+    whole = [pair for part in pairs.values() for pair in part]
+    groups = {"all": whole, **{f"({kind})": part for kind, part in pairs.items()}}
+    names, areas = list(groups), []
+    for k in progress("score", len(groups)):
+        areas.append(reliability_auc(groups[names[k]]))
+    rows: list[tuple[Cell, ...]] = []
+    for scoring in SCORERS:
+        far = [area[scoring][_FAR] for area in areas]
+        rows.append((scoring, *far, areas[0][scoring][_VARYING]))
+    return Study(
+        name="reliability",
+        title="Joints over 10 cm off, found by their reliability (area under ROC)",
+        columns=("scoring", *names, "varying_over_7_cm"),
+        rows=tuple(rows),
+        panels=(
+            Panel(
+                "class of movement",
+                "area under the ROC curve",
+                tuple(
+                    Series(
+                        scoring,
+                        names,
+                        [area[scoring][_FAR] or 0.0 for area in areas],
+                        "bars",
+                    )
+                    for scoring in SCORERS
+                ),
+            ),
+        ),
+        bars=tuple(
+            Bar(
+                f"area under ROC, {scoring}",
+                areas[0][scoring][_FAR] or 0.0,
+                _BAR,
+                at_most=False,
+            )
+            for scoring in SCORERS
+        ),
+    )

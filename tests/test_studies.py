@@ -1,0 +1,224 @@
+"""The studies of the papers: what they measure, write and refuse."""
+
+from __future__ import annotations
+
+import csv
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinefilter.characters import (
+    KINECT_V1,
+    SKELETONS,
+    InputError,
+    random_body,
+    standard_body,
+)
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.simulate import simulate
+from kinefilter.pipeline.studies import (
+    STUDIES,
+    Bar,
+    Study,
+    drawing,
+    files,
+    reproduce,
+    write_study,
+)
+from kinefilter.pipeline.studies.relative_error import bone_errors, relative_error
+from kinefilter.pipeline.studies.study import Panel, Series
+from kinefilter.pipeline.studies.takes import CLASSES, people_of, study_takes
+from kinefilter.scenes import load_scene, perform, prop_poses
+
+POSTURE = standard_body(KINECT_V1).rest_positions
+SMALL = Study(
+    name="small",
+    title="Made up",
+    columns=("what", "cm", "paper_cm"),
+    rows=(("one", 1.25, None), ("two", 3, 4.5)),
+    panels=(
+        Panel("what", "cm", (Series("ours", ["one", "two"], [1.25, 3.0], "bars"),)),
+        Panel("n", "cm", (Series("n", [1.0, 2.0], [3.0, 4.0]),), log_x=True),
+        Panel("n", "cm", (Series("level", (), [2.0], "level", paper=True),)),
+    ),
+    across=2,
+)
+
+
+def test_eq_18_counts_each_part_from_its_parent() -> None:
+    moved = np.stack([POSTURE, POSTURE])
+    truth = moved + np.array([0.0, 1.0, -2.0])
+    assert relative_error(moved, truth, KINECT_V1) == pytest.approx(0.0, abs=1e-12)
+    moved[1, KINECT_V1.index("HandLeft")] += [0.0, 0.06, 0.08]
+    moved[1, KINECT_V1.index("KneeRight")] += [0.3, 0.0, 0.0]
+    # The hand moves one segment, the knee the thigh and the shank: of 2 x 19.
+    expected = (0.1 + 2 * 0.3) / 38
+    assert relative_error(moved, truth, KINECT_V1) == pytest.approx(expected)
+
+
+def test_a_missing_joint_costs_its_segments_alone() -> None:
+    moved = POSTURE[None].copy()
+    moved[0, KINECT_V1.index("ElbowLeft")] = np.nan
+    errors = bone_errors(moved, POSTURE[None] * 1.1, KINECT_V1)
+    assert np.isnan(errors).sum() == 2
+    assert relative_error(moved, POSTURE[None], KINECT_V1) == 0.0
+
+
+def test_postures_come_nearer_the_more_joints_are_given() -> None:
+    study = reproduce("shum-table-3", quick=True)
+    foot_and_hand, hands, ends, middles, whole = (row[1] for row in study.rows)
+    assert foot_and_hand > ends
+    assert hands > ends > middles > whole > 0.0
+    assert study.rows[-1][2] == 0.0  # reliable joints stay where they are
+    assert [row[3] for row in study.rows] == [6.38, 5.60, 4.52, 4.15, 3.90]
+
+
+def test_more_sampling_lowers_the_energy_and_the_solver_is_below_all() -> None:
+    study = reproduce("shum-figure-8", quick=True)
+    for parameter in ("steps", "samples"):
+        rows = [row for row in study.rows if row[0] == parameter]
+        sampled = [row[3] for row in rows if row[2] == "stochastic"]
+        solved = [row[3] for row in rows if row[2] == "solver"]
+        assert len(sampled) == 2
+        assert sampled[0] > sampled[1] > solved[0] == solved[1]
+
+
+def test_what_was_recorded_is_wrong_and_the_truth_is_not() -> None:
+    (pair,) = study_takes("a", count=1)
+    raw = relative_error(pair.take.positions, pair.truth, pair.take.skeleton)
+    assert 0.02 < raw < 0.2
+    assert relative_error(pair.truth, pair.truth, pair.take.skeleton) == 0.0
+
+
+def test_nobody_of_a_study_taught_the_database_or_another_class() -> None:
+    from kinefilter.pipeline import library
+
+    seen = [
+        int(pair.clip[-4:]) for kind in CLASSES for pair in study_takes(kind, count=2)
+    ]
+    assert len(set(seen)) == len(seen)
+    assert min(seen) > max(library._SEEDS)
+    assert max(seen) < people_of(0, learners=True) < people_of(1)
+
+
+def test_in_class_b_things_hide_the_body_and_nobody_moves_them() -> None:
+    first = people_of(0) + len(CLASSES["a"])
+    for k, (scene, motion, sensor) in enumerate(CLASSES["b"]):
+        skeleton = SKELETONS[f"kinect_{sensor}"]
+        body = random_body(skeleton, np.random.default_rng(first + k))
+        poses = prop_poses(load_scene(scene), perform(motion, body, seed=first + k))
+        for pose in poses.values():
+            np.testing.assert_array_equal(pose, np.broadcast_to(pose[0], pose.shape))
+    for k, pair in zip((0, 4, 8), study_takes("b", count=3), strict=True):
+        _, motion, sensor = CLASSES["b"][k]
+        bare = simulate("basic", motion, sensor=sensor, seed=first + k)
+        np.testing.assert_array_equal(pair.truth[:9], bare.truth[:9])
+        assert (pair.take.state == 2).mean() < (bare.take.state == 2).mean() - 0.03
+
+
+def test_bars_are_held_at_the_target_itself() -> None:
+    assert Bar("error, cm", 3.0, 3.0).held
+    assert not Bar("error, cm", 3.1, 3.0).held
+    assert Bar("enhanced, %", 40.0, 40.0, at_most=False).held
+    assert not Bar("enhanced, %", 39.9, 40.0, at_most=False).held
+
+
+def test_quick_studies_take_less_of_what_there_is() -> None:
+    for name, (run, quick) in STUDIES.items():
+        defaults = inspect.signature(run).parameters
+        assert quick, name
+        for parameter, size in quick.items():
+            assert 0 < size < defaults[parameter].default, name
+
+
+def test_a_study_becomes_a_table_and_a_plot(tmp_path: Path) -> None:
+    table, plot = write_study(SMALL, tmp_path / "new")
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows == [[*SMALL.columns], ["one", "1.25", ""], ["two", "3", "4.5"]]
+    assert plot.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    assert sorted(p.name for p in table.parent.iterdir()) == ["small.csv", "small.png"]
+
+
+def test_an_interrupted_study_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_: Study, path: Path) -> None:
+        path.write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    (tmp_path / "small.csv").write_text("old", encoding="utf-8")
+    monkeypatch.setattr(files, "draw", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_study(SMALL, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["small.csv"]
+    assert (tmp_path / "small.csv").read_text(encoding="utf-8") == "old"
+
+
+@pytest.mark.parametrize("name", ["shum-table-9", "Reliability"])
+def test_an_unknown_study_is_refused_before_anything_is_made(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "studies"
+    assert main(["reproduce", "reliability", name, "-o", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert name in error
+    assert "shum-table-3" in error
+    assert not out.exists()
+
+
+def test_without_matplotlib_nothing_is_computed(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def missing(_: str) -> None:
+        return None
+
+    monkeypatch.setattr(drawing, "find_spec", missing)
+    monkeypatch.setitem(STUDIES, "reliability", pytest.fail)
+    assert main(["reproduce", "reliability", "-o", str(tmp_path / "s")]) == 2
+    assert 'pip install "kinefilter[reproduce]"' in capsys.readouterr().err
+    with pytest.raises(InputError, match="matplotlib"):
+        write_study(SMALL, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    for out in ("file", "absent/studies"):
+        assert main(["reproduce", "reliability", "-o", str(tmp_path / out)]) == 2
+        assert out.partition("/")[0] in capsys.readouterr().err
+
+
+def test_the_command_writes_and_says_which_bars_held(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reproduce", "reliability", "--quick", "-o", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "bars held" in printed
+    with (tmp_path / "reliability.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["scoring"] for row in rows] == ["shum", "chiang", "noise"]
+    assert all(0.5 < float(row["all"]) < 1.0 for row in rows)
+    assert all(row["scoring"] in printed for row in rows)
+    assert (tmp_path / "reliability.png").is_file()
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; from kinefilter.pipeline.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = ('pxr', 'mujoco', 'scipy', 'sklearn', 'matplotlib')\n"
+        "sys.exit(str([m for m in heavy if m in sys.modules] or ''))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "reproduce" in done.stdout
+    assert done.stderr.strip() == ""
