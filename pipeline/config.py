@@ -10,7 +10,9 @@ from kinefilter.characters import InputError
 
 __all__ = ["CleanConfig", "LearnedMethod", "Method"]
 
-LearnedMethod = Literal["best", "local-gp", "clustered-gp", "full-gp", "exemplar"]
+LearnedMethod = Literal[
+    "best", "local-gp", "clustered-gp", "full-gp", "exemplar", "joint-offsets"
+]
 """Correction methods that learn from pairs of Kinect and mocap."""
 
 Method = Literal[
@@ -20,6 +22,7 @@ Method = Literal[
     "clustered-gp",
     "full-gp",
     "exemplar",
+    "joint-offsets",
     "none",
     "butterworth",
     "savgol",
@@ -38,7 +41,7 @@ class CleanConfig:
 
     method: Method | None = None
     """How joints are corrected; default: by the model where one is given, otherwise
-    local-pca. none fills gaps only."""
+    by the offsets of the sensor's joints, then local-pca. none fills gaps only."""
     model: Path | None = None
     """Model (.npz) of 'kinefilter train'."""
     adapt: bool = False

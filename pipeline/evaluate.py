@@ -21,7 +21,9 @@ from .correct import Corrector, WholeTakeCorrector, correct_take
 from .correct.local_gp import LocalGP
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
+from .default import default_corrector
 from .library import database_from_pairs, embedded_database
+from .person import corrected_body
 from .physics import PhysicsFilter
 from .progress import Progress, silent
 from .reliability import ReliabilityScorer, measure_reference
@@ -35,8 +37,8 @@ __all__ = ["METHODS", "as_table", "evaluate", "observed", "reliability_auc"]
 
 Array = NDArray[np.float64]
 
-METHODS = (*FILTERS, *FROM_DATABASE, *LEARNED)
-"""Every method that can be evaluated."""
+METHODS = (*FILTERS, *FROM_DATABASE, "default", *LEARNED)
+"""Every method that can be evaluated; ``default`` is what ``clean`` does by itself."""
 
 _LIU_TERMS = {
     "local-gp S": {"temporal": 0.0, "reliability": 0.0},
@@ -130,10 +132,11 @@ def _correctors(
     for name in methods:
         if name in FILTERS:
             correctors[name] = FILTERS[name](skeleton)
-        elif name in FROM_DATABASE:
+        elif name in FROM_DATABASE or name == "default":
             if isinstance(database, str):
                 database = database_from_pairs(fold.train, progress=progress)
-            correctors[name] = FROM_DATABASE[name](database)
+            make = FROM_DATABASE.get(name, default_corrector)
+            correctors[name] = make(database)
         else:
             lessons = lessons or training_set(fold.train, progress=progress)
             learner = LEARNED[name](skeleton)
@@ -196,11 +199,10 @@ def _test(
         seconds = perf_counter() - start
         positions = corrected.positions
         if physics:
-            target = make_target(
-                take.time, corrected, standard.body, cutoff=CleanConfig.cutoff
-            )
+            body = corrected_body(take, corrected)
+            target = make_target(take.time, corrected, body, cutoff=CleanConfig.cutoff)
             positions = (
-                PhysicsFilter(standard.body)
+                PhysicsFilter(body)
                 .run(take.time, target.positions, target.rotations)
                 .positions
             )

@@ -15,10 +15,12 @@ from .correct import Corrector, LocalPCA, WholeTakeCorrector, correct_take
 from .correct.local_gp import LocalGP
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
+from .default import default_corrector
 from .failures import Failure, distrust, find_failures, unmirrored
 from .library import embedded_database
 from .metrics import Quality, distances, measure
 from .models import Model, load_model
+from .person import corrected_body
 from .physics import PhysicsFilter, PhysicsTrace
 from .progress import Progress, silent
 from .reliability import Reference, measure_reference
@@ -63,7 +65,7 @@ def clean(
 
     Args:
         take: The recording.
-        config: What to do; by default local PCA, then physics.
+        config: What to do; by default joint offsets, local PCA, then physics.
         progress: Wraps the frame loops, for a progress bar.
 
     Raises:
@@ -94,6 +96,7 @@ def clean(
     )
     corrected = correct_take(standard, corrector, progress("correct", len(take)))
     del standard  # an hour's take is to fit a gigabyte
+    body = corrected_body(take, corrected, height=config.height, mass=config.mass)
     target = make_target(take.time, corrected, body, cutoff=config.cutoff)
     origin, coverage = corrected.origin(take), corrected.coverage
     del corrected
@@ -156,7 +159,7 @@ def make_corrector(
         return _learned(skeleton, config, load_model(config.model))
     if config.adapt:
         raise InputError("--adapt needs --model with a model of method local-gp")
-    method = config.method or "local-pca"
+    method = config.method
     if method in LEARNED:
         raise InputError(
             f"--method {method} learns: give --model with a file of 'kinefilter train'"
@@ -173,6 +176,8 @@ def make_corrector(
             f"the take is {skeleton.name}; build one with 'kinefilter database build "
             f"--skeleton {skeleton.name}'"
         )
+    if method is None:
+        return default_corrector(database)
     if method == "local-pca":
         return LocalPCA(database, search=config.search, seed=config.seed)
     return FROM_DATABASE[method](database)

@@ -19,9 +19,10 @@ from kinefilter.scenes import (
 )
 
 from .formats import atomic_path
+from .progress import Progress, silent
 from .training import PairedTake
 
-__all__ = ["simulate", "truth_of", "write_pairs"]
+__all__ = ["simulate", "simulated_pairs", "truth_of", "write_pairs"]
 
 _SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
 
@@ -73,6 +74,25 @@ def simulate(
     truth = in_sensor_frame(act.positions, SENSORS[sensor])[frames]
     stem = f"{Path(scene).stem}_{motion}_{sensor}"
     return PairedTake(take, truth, f"person {person}", f"{stem}_e{seed:02d}")
+
+
+def simulated_pairs(
+    skeleton: str, *, people: int = 400, progress: Progress = silent
+) -> list[PairedTake]:
+    """Return takes of Kinect v2 to learn from, each of another simulated person.
+
+    One motion of the library after the other, on a bare floor. Nobody in them is in
+    the embedded database or in the studies.
+
+    Args:
+        skeleton: Name of the takes' skeleton.
+        people: How many, at most 900.
+        progress: Wraps the loop over the takes, for a progress bar.
+    """
+    return [
+        simulate("basic", MOTIONS[k % len(MOTIONS)], skeleton=skeleton, seed=100 + k)
+        for k in progress("simulate", min(people, 900))
+    ]
 
 
 def truth_of(pair: PairedTake) -> Take:

@@ -153,7 +153,8 @@ def training_set(
     positions, rate, truth, lengths = (
         np.concatenate(arrays) for arrays in zip(*parts, strict=True)
     )
-    source = f"{len(pairs)} clips of {', '.join(subjects)}"
+    people = ", ".join(subjects) if len(subjects) <= 20 else f"{len(subjects)} people"
+    source = f"{len(pairs)} clips of {people}"
     return TrainingSet(positions, rate, truth, first, skeleton, source, lengths)
 
 

@@ -17,12 +17,12 @@ __all__ = ["Evaluate"]
 class Evaluate:
     """Measure correction methods against marker mocap."""
 
-    train: tuple[Path, ...]
-    """Pairs files (.npz) to learn from."""
+    train: tuple[Path, ...] = ()
+    """Pairs files (.npz) to learn from; none for methods that do not learn."""
     test: tuple[Path, ...] = ()
     """Pairs files to test on; default: one person of --train after the other."""
     methods: str = (
-        "butterworth,savgol,one-euro,kalman,low-rank,local-pca,"
+        "butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,"
         "exemplar,full-gp,local-gp,clustered-gp,best"
     )
     """Methods, comma-separated."""

@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import LearnedMethod
 
-from .terminal import keep, out, progress_bars, read_all
+from .terminal import Skeletons, keep, out, progress_bars, read_all
 
 __all__ = ["Train"]
 
@@ -20,10 +20,12 @@ __all__ = ["Train"]
 class Train:
     """Teach a correction method from pairs of Kinect and mocap."""
 
-    pairs: Positional[tuple[Path, ...]]
-    """Pairs files (.npz)."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Model to write (.npz)."""
+    pairs: Positional[tuple[Path, ...]] = ()
+    """Pairs files (.npz)."""
+    simulated: Skeletons | None = None
+    """Learn from simulated pairs of this skeleton, in place of files."""
     method: LearnedMethod = "best"
     """What to teach."""
 
@@ -32,14 +34,19 @@ class Train:
         from kinefilter.pipeline.correct.methods import LEARNED
         from kinefilter.pipeline.formats import check_folder
         from kinefilter.pipeline.models import Model, save_model
+        from kinefilter.pipeline.simulate import simulated_pairs
         from kinefilter.pipeline.training import training_set
 
         if self.out.suffix != ".npz":
             raise InputError(f"{self.out}: a model is an .npz file; name it so")
         check_folder(self.out)
         keep(self.out, *self.pairs)
+        if bool(self.pairs) == (self.simulated is not None):
+            raise InputError("give pairs files or --simulated SKELETON, not both")
         pairs = read_all(self.pairs)
         with progress_bars() as progress:
+            if self.simulated is not None:
+                pairs = simulated_pairs(self.simulated, progress=progress)
             lessons = training_set(pairs, progress=progress)
             learner = LEARNED[self.method](lessons.skeleton)
             learner.fit(lessons, progress=progress)

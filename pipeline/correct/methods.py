@@ -13,6 +13,7 @@ from .filters import Butterworth, OneEuro, SavitzkyGolay
 from .full_gp import FullGP
 from .hold import Hold
 from .interface import Corrector, WholeTakeCorrector
+from .joint_offsets import JointOffsets
 from .kalman import ConstantLengthKalman
 from .local_gp import LocalGP
 from .local_pca import LocalPCA
@@ -40,7 +41,12 @@ FROM_DATABASE: dict[str, Callable[[PostureDatabase], Corrector]] = {
 """Methods that need natural postures."""
 
 Learner = (
-    type[ClusteredGP] | type[Exemplar] | type[FullGP] | type[LocalGP] | type[PersonalGP]
+    type[ClusteredGP]
+    | type[Exemplar]
+    | type[FullGP]
+    | type[JointOffsets]
+    | type[LocalGP]
+    | type[PersonalGP]
 )
 
 LEARNED: dict[str, Learner] = {
@@ -49,5 +55,6 @@ LEARNED: dict[str, Learner] = {
     "clustered-gp": ClusteredGP,
     "full-gp": FullGP,
     "exemplar": Exemplar,
+    "joint-offsets": JointOffsets,
 }
 """Methods that learn from pairs of Kinect and mocap."""

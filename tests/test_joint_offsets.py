@@ -1,0 +1,186 @@
+"""Offsets that turn with the body; the embedded model; methods in turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    SKELETONS,
+    Skeleton,
+    State,
+    Take,
+    standard_body,
+)
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.correct import Correction, Hold, Observation
+from kinefilter.pipeline.correct.in_turn import InTurn
+from kinefilter.pipeline.correct.joint_offsets import JointOffsets
+from kinefilter.pipeline.correct.take import CorrectedTake
+from kinefilter.pipeline.default import default_corrector
+from kinefilter.pipeline.evaluate import evaluate, observed
+from kinefilter.pipeline.library import embedded_database
+from kinefilter.pipeline.models import load_model
+from kinefilter.pipeline.person import corrected_body
+from kinefilter.pipeline.simulate import simulate, simulated_pairs
+from kinefilter.pipeline.training import TrainingSet, training_set
+from kinefilter.retarget.rotations import about_y, rotate
+from kinefilter.scenes import perform
+
+Array = NDArray[np.float64]
+
+
+def _shipped(skeleton: Skeleton) -> JointOffsets:
+    folder = resources.files("kinefilter.pipeline") / "embedded"
+    with resources.as_file(folder / f"{skeleton.name}.npz") as path:
+        corrector = load_model(path).corrector
+    assert isinstance(corrector, JointOffsets)
+    return corrector
+
+
+def _seen(posture: Array) -> Observation:
+    ones = np.ones(len(posture))
+    return Observation(posture, ones, ones)
+
+
+def _postures(skeleton: Skeleton, motion: str = "tai_chi") -> Array:
+    return perform(motion, standard_body(skeleton), seed=3).positions
+
+
+def test_an_offset_along_a_segment_is_learned() -> None:
+    """What always lies ahead along the forearm is taken back, in other motions too."""
+
+    def beyond(postures: Array) -> Array:
+        wrist, elbow = KINECT_V1.index("WristLeft"), KINECT_V1.index("ElbowLeft")
+        forearm = postures[:, wrist] - postures[:, elbow]
+        forearm /= np.linalg.norm(forearm, axis=1, keepdims=True)
+        moved = postures.copy()
+        moved[:, wrist] += 0.05 * forearm
+        return moved
+
+    truth, other = _postures(KINECT_V1), _postures(KINECT_V1, "wave")
+    lessons = TrainingSet(
+        positions=beyond(truth),
+        rate=np.ones(truth.shape[:2]),
+        truth=truth,
+        first=np.zeros(len(truth), dtype=bool),
+        skeleton=KINECT_V1,
+        source="a wrist too far",
+    )
+    method = JointOffsets(KINECT_V1).fit(lessons)
+    wrist = KINECT_V1.index("WristLeft")
+    for wrong, right in zip(beyond(other), other, strict=True):
+        made = method.step(_seen(wrong)).positions
+        # Ridge leaves up to a half, and asks for less where postures tell less.
+        assert np.linalg.norm(made[wrist] - right[wrist]) < 0.6 * 0.05
+        made[wrist] = right[wrist]
+        np.testing.assert_allclose(made, right, atol=1e-12)
+
+
+@pytest.mark.parametrize("skeleton", SKELETONS.values(), ids=SKELETONS)
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-np.pi, np.pi))
+def test_offsets_turn_with_the_body(skeleton: Skeleton, angle: float) -> None:
+    method, turn = _shipped(skeleton), about_y(np.array(angle))
+    posture = _postures(skeleton)[40]
+    there = rotate(turn, method.offsets(posture))
+    np.testing.assert_allclose(method.offsets(rotate(turn, posture)), there, atol=1e-9)
+
+
+@pytest.mark.parametrize("skeleton", SKELETONS.values(), ids=SKELETONS)
+def test_the_embedded_offsets_are_the_same_on_both_sides(skeleton: Skeleton) -> None:
+    method, rest = _shipped(skeleton), standard_body(skeleton).rest_positions
+    made = method.step(_seen(rest)).positions
+    mirrored = made[skeleton.mirror] * [-1.0, 1.0, 1.0]
+    np.testing.assert_allclose(made, mirrored, atol=0.01)
+
+
+def test_the_embedded_offsets_are_what_simulated_pairs_teach() -> None:
+    """Of fewer people, so that they differ by what people differ."""
+    lessons = training_set(simulated_pairs("kinect_v1", people=51))
+    again, shipped = JointOffsets(KINECT_V1).fit(lessons), _shipped(KINECT_V1)
+    differ = [
+        np.linalg.norm(again.offsets(posture) - shipped.offsets(posture), axis=1)
+        for posture in _postures(KINECT_V1)[::10]
+    ]
+    assert np.mean(differ) < 0.005
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+def test_the_default_brings_simulated_strangers_nearer(skeleton: Skeleton) -> None:
+    motions = ("cross_arms", "squat", "punch", "wave")
+    pairs = [
+        simulate("basic", motion, skeleton=skeleton.name, seed=1200 + k)
+        for k, motion in enumerate(motions)
+    ]
+    figures = evaluate([], pairs, ["default", "local-pca"])["methods"]
+    assert figures["default"]["E"] < 0.85 * figures["raw"]["E"]
+    assert figures["default"]["E"] < 0.9 * figures["local-pca"]["E"]
+
+
+def test_what_was_not_measured_stays_open_to_the_next_method() -> None:
+    class Watch(Hold):
+        def step(self, observation: Observation) -> Correction:
+            self.saw = observation.positions
+            return super().step(observation)
+
+    posture = _postures(KINECT_V1)[0].copy()
+    posture[KINECT_V1.index("HandLeft")] = np.nan
+    watch = Watch(KINECT_V1)
+    InTurn([_shipped(KINECT_V1), watch]).step(_seen(posture))
+    np.testing.assert_array_equal(np.isnan(watch.saw), np.isnan(posture))
+    assert np.nanmax(np.abs(watch.saw - posture)) > 0.01
+
+
+def test_the_default_forgets_when_it_starts_again() -> None:
+    corrector = default_corrector(embedded_database(KINECT_V1))
+    pair = simulate("basic", "punch", sensor="v1", seed=1300)
+    frames = observed(pair).positions[:20]
+    runs = []
+    for _ in range(2):
+        corrector.start()
+        runs.append([corrector.step(_seen(frame)).positions for frame in frames])
+    np.testing.assert_array_equal(*runs)
+
+
+def test_bones_are_measured_again_after_correction() -> None:
+    """Legs that were corrected by a tenth are a tenth longer, left and right."""
+    body = standard_body(KINECT_V1)
+    act = perform("raise_arms", body, seed=1)
+    state = np.full(act.positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    take = Take(act.time, act.positions, state, KINECT_V1)
+    moved = act.positions.copy()
+    shins = []
+    for side in ("Left", "Right"):
+        knee, ankle, foot = (
+            KINECT_V1.index(part + side) for part in ("Knee", "Ankle", "Foot")
+        )
+        step = 0.1 * (moved[:, ankle] - moved[:, knee])
+        moved[:, ankle] += step
+        moved[:, foot] += step
+        shins.append(ankle)
+    trust = np.ones(state.shape)
+    corrected = CorrectedTake(moved, None, trust, np.ones(len(take)))
+    found = corrected_body(take, corrected)
+    np.testing.assert_allclose(found.lengths[shins], 1.1 * body.lengths[shins])
+    same = corrected_body(take, replace(corrected, positions=act.positions))
+    np.testing.assert_allclose(same.lengths, body.lengths, rtol=1e-6)
+
+
+@pytest.mark.parametrize("more", [[], ["pairs.npz", "--simulated", "kinect_v1"]])
+def test_train_wants_either_files_or_simulated_people(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
+) -> None:
+    model = tmp_path / "model.npz"
+    assert main(["train", *more, "-o", str(model)]) == 2
+    assert "--simulated" in capsys.readouterr().err
+    assert not model.exists()
