@@ -33,8 +33,8 @@ HIPS = [KINECT_V1.index("HipLeft"), KINECT_V1.index("HipRight")]
 CONFIGS = {
     "none": CleanConfig(method="none", physics=False),
     "none, physics": CleanConfig(method="none"),
-    "local-pca": CleanConfig(physics=False),
-    "local-pca, physics": CleanConfig(),
+    "default": CleanConfig(physics=False),
+    "default, physics": CleanConfig(),
 }
 print_line = Console(soft_wrap=True, highlight=False).print
 

@@ -174,8 +174,9 @@ def test_only_the_lost_limb_is_distrusted() -> None:
         Failure(kind, part, first, first + 9, 0.0, 1.0)
         for kind, part, first in (
             (FailureKind.THROUGH_HEAD, "left arm", 10),
-            (FailureKind.LEAPING, "right leg", 30),
+            (FailureKind.BENT_BACKWARDS, "right leg", 30),
             (FailureKind.OUT_OF_RANGE, "right arm", 50),
+            (FailureKind.LEAPING, "left leg", 70),
         )
     )
     rate = distrust(trusted, failures, KINECT_V2).rate
