@@ -36,7 +36,14 @@ class Nearest:
 
 
 class NoReliability(LocalPCA):
-    """Method B: the posture of least energy, every tracked part trusted alike."""
+    """Method B: the posture of least energy, every tracked part trusted alike.
+
+    Args:
+        database: Natural postures.
+    """
+
+    def __init__(self, database: PostureDatabase) -> None:
+        super().__init__(database, neighbors=30)  # as in table V
 
     def step(self, observation: Observation) -> Correction:
         """Synthesize the next frame."""
