@@ -136,16 +136,14 @@ def test_simulated_takes_end_nearer_to_the_truth(motion: str) -> None:
         seen &= seen.mean(axis=0) > 0.1
 
         def error(positions: Array, truth: Array = truth, seen: Any = seen) -> float:
-            """Without the constant misplacement, which takes a model to know."""
             relative = positions - positions[:, [0]]
             yaw = np.array([-1.0, 1.0, -1.0])  # the person faces the sensor
             away = np.where(seen[..., None], relative * yaw - truth, 0.0)
-            away -= away.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)[:, None]
             return float(np.linalg.norm(away, axis=2)[seen].mean())
 
         before.append(error(np.nan_to_num(take.positions)))
         after.append(error(clean(take).clip.positions))
-    assert np.mean(after) < np.mean(before)
+    assert np.mean(after) < 0.9 * np.mean(before)
 
 
 def test_the_skeleton_is_not_bent_the_wrong_way(sample: CleanResult) -> None:
@@ -312,4 +310,5 @@ def test_correction_does_no_harm_to_real_people(person: str) -> None:
                 errors[method].append(varying(clip.positions, mocap))
     mean = {name: np.nanmean(np.concatenate(e)) for name, e in errors.items()}
     assert mean["local-pca"] < mean["raw"]
-    assert mean["local-pca"] < 1.01 * mean["none"]
+    # Filling in what is hidden costs a little where nothing is.
+    assert mean["local-pca"] < 1.02 * mean["none"]
