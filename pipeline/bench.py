@@ -19,6 +19,7 @@ from kinefilter.retarget.orientation import rotations_from_positions
 from .correct import Corrector, LocalPCA, Observation
 from .correct.posture_space import PostureSpace
 from .correct.search import solve, stochastic_search
+from .default import default_corrector
 from .floor import floor_height, put_on_floor
 from .formats import read_take
 from .library import embedded_database
@@ -47,7 +48,7 @@ def bench(path: Path | None = None) -> dict[str, Any]:
     take = read_take(path or sample_path())
     database = embedded_database(take.skeleton)
     return {
-        **_time_stages(take, LocalPCA(database)),
+        **_time_stages(take, default_corrector(database)),
         "search": _compare_searches(take, LocalPCA(database)),
     }
 
