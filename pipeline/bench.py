@@ -93,7 +93,8 @@ def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
     standardizer, lengths = Standardizer(body), BoneLengths(body)
     character = PhysicsFilter(body)
     present = (~np.isnan(take.positions[..., 0])).astype(float)
-    floor = np.array([0.0, floor_height(take.positions, present, body), 0.0])
+    stands = np.zeros((len(take), 2), dtype=np.bool_)
+    floor = np.array([0.0, floor_height(take.positions, present, stands, body), 0.0])
     times = np.zeros((len(take), len(_STAGES)))
     corrector.start()
     for k in range(len(take)):

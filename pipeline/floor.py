@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body
 
+from .contacts import ankles_and_toes
+
 __all__ = ["floor_height", "put_on_floor"]
 
 Array = NDArray[np.float64]
@@ -15,16 +17,20 @@ _STANDING = 10.0  # percentile of the lowest sole that is taken for standing: ab
 # the frames in which the tracker lets a foot sink
 
 
-def floor_height(positions: Array, trust: Array, body: Body) -> float:
+def floor_height(
+    positions: Array, trust: Array, stands: NDArray[np.bool_], body: Body
+) -> float:
     """Return the height [m] of the floor under a take.
 
-    The lower sole of each frame, at the height it has on the body when standing, and of
-    all frames the 10th percentile. Joints that were measured count; where no foot ever
-    was, the lowest joint of the body serves.
+    The median over all feet that stand, by how high their ankles are over the floor.
+    Where none does, the lower sole of each frame, at the height it has on the body when
+    standing, and of all frames the 10th percentile. Joints that were measured count;
+    where no foot ever was, the lowest joint of the body serves.
 
     Args:
         positions: Joint positions [m], y up, shape (T, J, 3).
         trust: Share of the measurement in each joint, shape (T, J).
+        stands: Whether each foot stands, shape (T, 2).
         body: Whose ankles and feet are how high over the floor.
     """
     skeleton = body.skeleton
@@ -34,6 +40,11 @@ def floor_height(positions: Array, trust: Array, body: Body) -> float:
         for side in ("Left", "Right")
     ]
     heights = positions[..., 1] - body.rest_positions[:, 1]
+    ankles, _ = ankles_and_toes(skeleton)
+    standing = heights[:, ankles][stands & (trust[:, ankles] >= 0.5)]
+    standing = standing[~np.isnan(standing)]
+    if len(standing) > 0:
+        return float(np.median(standing))
     seen = np.where(trust[:, feet] >= 0.5, heights[:, feet], np.nan)
     frames = ~np.isnan(seen).all(axis=1)
     if frames.any():

@@ -7,15 +7,25 @@ has little weight (Eilers 2003, A perfect smoother, Anal. Chem. 75).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.linalg import solveh_banded
 
-__all__ = ["smooth"]
+__all__ = ["smooth", "smooth_by_speed"]
 
 Array = NDArray[np.float64]
 
 _ORDER = 3
+# Of smooth_by_speed, chosen on simulated takes and three of six recorded people.
+_SLOWEST_CUTOFF = 0.7  # Hz, of a joint at rest
+_PER_SPEED = 2.5  # Hz per m/s
+_FIRST_CUTOFF = 3.0  # Hz, to estimate the speed
+_PASSES = 2  # estimates of the speed
+_SPEED_FRAMES = 7  # that a speed is averaged over
+_NYQUIST = 0.49  # of the frame rate: where the stiffness is not nothing yet
 _LONGEST_GAP = 30  # missing frames that a gap is bridged with; a longer one shrinks
 
 
@@ -29,25 +39,77 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
         cutoff: Frequency [Hz] at which half of the amplitude of a fully trusted value
             is left; trust w moves it by a factor of w^(1/6).
     """
-    count = len(time)
-    steps = np.diff(time)
-    if count <= _ORDER or cutoff >= 0.5 / np.median(steps):
+    grid, length = _grid(time)
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    if len(time) <= _ORDER or cutoff >= 0.5 / step:
         return values.copy()
-    grid = np.concatenate([[0], np.cumsum(_frames(steps))])
-    length = int(grid[-1]) + 1
-    # A sine of the cutoff frequency keeps 1 / (1 + lambda |2 sin(w/2)|^6) = 1/2.
-    stiffness = (2.0 * np.sin(np.pi * cutoff * float(np.median(steps)))) ** (
-        -2 * _ORDER
-    )
-    bands = stiffness * _penalty(length)
+    stiffness = np.full(length - _ORDER, _stiffness(cutoff, step))
     smoothed = np.empty_like(values)
     for j in range(values.shape[1]):
-        system = bands.copy()
-        system[0, grid] += weights[:, j]
-        right = np.zeros((length, values.shape[2]))
-        right[grid] = weights[:, j, None] * values[:, j]
-        smoothed[:, j] = solveh_banded(system, right, lower=True)[grid]
+        found = _solve(stiffness, grid, values[:, j], weights[:, j])
+        smoothed[:, j] = found[grid]
     return smoothed
+
+
+def smooth_by_speed(
+    time: Array, values: Array, weights: Array, *, cutoff: float
+) -> Array:
+    """Return joint paths, the smoother the slower a joint is.
+
+    What trembles while a joint rests is noise, what is quick while it moves may be
+    movement: the cutoff grows with the speed of what is left, as in the 1 euro filter
+    (Casiez, Roussel & Vogel 2012, CHI), but without its lag.
+
+    Args:
+        time: Time stamps [s], strictly increasing, shape (T,).
+        values: Positions [m], shape (T, J, 3).
+        weights: Trust in each joint, in [0, 1], over 0, shape (T, J).
+        cutoff: The highest frequency [Hz] that is kept, where a joint is fast.
+    """
+    grid, length = _grid(time)
+    if len(time) <= _ORDER:
+        return values.copy()
+    step = float(np.median(np.diff(time)))
+    highest = min(cutoff, _NYQUIST / step)
+    smoothed = np.empty_like(values)
+    for j in range(values.shape[1]):
+        rates = np.full(length - _ORDER, min(_FIRST_CUTOFF, highest))
+        for _ in range(_PASSES):
+            path = _solve(_stiffness(rates, step), grid, values[:, j], weights[:, j])
+            moved = np.sum(np.diff(path, axis=0) ** 2, axis=1)
+            speed = np.sqrt(uniform_filter1d(moved, _SPEED_FRAMES))[1:-1] / step
+            rates = np.minimum(_SLOWEST_CUTOFF + _PER_SPEED * speed, highest)
+        path = _solve(_stiffness(rates, step), grid, values[:, j], weights[:, j])
+        smoothed[:, j] = path[grid]
+    return smoothed
+
+
+def _grid(time: Array) -> tuple[NDArray[np.intp], int]:
+    """Return the place of every frame among evenly spaced ones, and their number."""
+    if len(time) < 2:
+        return np.zeros(len(time), dtype=np.intp), len(time)
+    grid = np.concatenate([[0], np.cumsum(_frames(np.diff(time)))])
+    return grid, int(grid[-1]) + 1
+
+
+def _stiffness(cutoff: Any, step: float) -> Any:
+    """Return lambda at which half of a sine of the cutoff frequency is left.
+
+    A sine keeps 1 / (1 + lambda |2 sin(w/2)|^6).
+    """
+    return (2.0 * np.sin(np.pi * cutoff * step)) ** (-2 * _ORDER)
+
+
+def _solve(
+    stiffness: Array, grid: NDArray[np.intp], values: Array, weights: Array
+) -> Array:
+    """Return the smoothed path of one joint on the even grid, shape (length, C)."""
+    length = len(stiffness) + _ORDER
+    system = _penalty(stiffness)
+    system[0, grid] += weights
+    right = np.zeros((length, values.shape[1]))
+    right[grid] = weights[:, None] * values
+    return np.asarray(solveh_banded(system, right, lower=True))
 
 
 def _frames(steps: Array) -> NDArray[np.intp]:
@@ -56,12 +118,12 @@ def _frames(steps: Array) -> NDArray[np.intp]:
     return np.clip(frames, 1, _LONGEST_GAP).astype(np.intp)
 
 
-def _penalty(length: int) -> Array:
-    """Return the lower bands of D'D, D the third-difference matrix, (4, length)."""
+def _penalty(stiffness: Array) -> Array:
+    """Return the lower bands of D'LD, D the third-difference matrix, (4, length)."""
     row = np.array([-1.0, 3.0, -3.0, 1.0])
-    bands = np.zeros((_ORDER + 1, length))
-    rows = length - _ORDER
+    rows = len(stiffness)
+    bands = np.zeros((_ORDER + 1, rows + _ORDER))
     for a in range(_ORDER + 1):
         for b in range(a + 1):
-            bands[a - b, b : b + rows] += row[a] * row[b]
+            bands[a - b, b : b + rows] += row[a] * row[b] * stiffness
     return bands

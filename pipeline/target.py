@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +21,24 @@ from kinefilter.retarget import (
 )
 from kinefilter.retarget.rotations import continuous, normalize
 
+from .contacts import ankles_and_toes, find_stance
 from .correct.take import CorrectedTake
 from .floor import floor_height, put_on_floor
-from .smooth import smooth
+from .planting import plant_feet
+from .smooth import smooth, smooth_by_speed
 
-__all__ = ["Target", "make_target"]
+__all__ = ["Feet", "Target", "make_target"]
 
 Array = NDArray[np.float64]
 
+Feet = Literal["auto", "always", "never"]
+"""When feet stand still."""
+
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother, against a measured one's 1
+_LEAST_FIRMNESS = 0.3  # of an invented joint where bones ask for a move: the same
+_PLANTED = 20.0  # of a foot that stands
+_BONES_CUTOFF = 2.0  # Hz; lengths are wrong for longer than joints tremble
 _CHUNK = 4096  # frames at a time: an hour's take fits a gigabyte
 
 
@@ -43,6 +52,8 @@ class Target:
     """World segment rotations, wxyz, continuous over time, shape (T, J, 4)."""
     floor: float
     """Height of the floor in the sensor's frame [m]."""
+    stands: NDArray[np.bool_]
+    """Whether each foot stands, left and right, shape (T, 2)."""
 
     def posed(self, body: Body) -> Array:
         """Return joint positions [m] that follow from the rotations, (T, J, 3)."""
@@ -54,7 +65,12 @@ class Target:
 
 
 def make_target(
-    time: Array, corrected: CorrectedTake, body: Body, *, cutoff: float
+    time: Array,
+    corrected: CorrectedTake,
+    body: Body,
+    *,
+    cutoff: float,
+    feet: Feet = "auto",
 ) -> Target:
     """Return the target of a corrected take.
 
@@ -63,16 +79,37 @@ def make_target(
         corrected: What correction found.
         body: The person.
         cutoff: Frequency [Hz] over which movement is smoothed away; 0: none is.
+        feet: When feet stand still: where they rest, always, or never.
     """
-    positions, trust = corrected.positions, corrected.trust
+    skeleton, trust = body.skeleton, corrected.trust
+    stands = find_stance(time, corrected.positions, trust, skeleton)
+    positions = corrected.positions
     if cutoff > 0.0:
         weights = np.maximum(trust, _LEAST_WEIGHT)
-        positions = smooth(time, positions, weights, cutoff=cutoff)
-    floor = floor_height(positions, trust, body)
-    positions = BoneLengths(body).project(positions - [0.0, floor, 0.0], trust)
-    positions = put_on_floor(positions, body)
+        positions = smooth_by_speed(time, positions, weights, cutoff=cutoff)
+    floor = floor_height(positions, trust, stands, body)
+    positions = positions - [0.0, floor, 0.0]
+    if feet != "auto":
+        stands = np.full_like(stands, feet == "always")
+    planted = plant_feet(time, positions, trust, stands, body)
+    firmness = np.maximum(trust, _LEAST_FIRMNESS)
+    for part in ankles_and_toes(skeleton):
+        firmness[:, part] = np.where(stands, _PLANTED, firmness[:, part])
+    positions = _on_bones(time, put_on_floor(planted, body), firmness, body)
     twist = _smooth_twist(time, corrected.rotations)
-    return Target(positions, _orient(positions, body, twist), floor)
+    return Target(positions, _orient(positions, body, twist), floor, stands)
+
+
+def _on_bones(time: Array, positions: Array, firmness: Array, body: Body) -> Array:
+    """Return positions with the body's bone lengths, as smooth as they were before.
+
+    What the lengths ask for trembles with the noise of neighbors, so it is smoothed,
+    and the lengths are restored once more by what little is then missing.
+    """
+    bones = BoneLengths(body)
+    moved = bones.project(positions, firmness) - positions
+    moved = smooth(time, moved, np.ones(firmness.shape), cutoff=_BONES_CUTOFF)
+    return put_on_floor(bones.project(positions + moved, firmness), body)
 
 
 def _smooth_twist(

@@ -1,0 +1,150 @@
+"""Feet that stand where they stand, and are lifted where they step."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body
+
+from .contacts import ankles_and_toes, runs
+from .smooth import smooth
+
+__all__ = ["plant_feet"]
+
+Array = NDArray[np.float64]
+
+_HEEL_ERROR = 0.10  # m: a standing ankle that is higher than this has left the floor
+_LIFT_TIME = 0.1  # s: to lift a foot that high, and to set it down
+_SLIDE_SPEED = 0.2  # m/s: a foot that is faster is lifted
+_CLEARANCE = 0.055  # m between the floor and a sole that moves. People walk with less,
+# but a viewer takes what is lower for sliding.
+_HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
+_CATCH_UP = 0.15  # s in which it joins the measured path then
+_FIRM = 1e4  # weight of a standing foot in the smoother, against a step's 1
+_CUTOFF = 6.0  # Hz: what rounds the corners of steps
+
+
+def plant_feet(
+    time: Array,
+    positions: Array,
+    trust: Array,
+    stands: NDArray[np.bool_],
+    body: Body,
+) -> Array:
+    """Return positions (T, J, 3) whose feet rest while they stand.
+
+    Ankle and toes of a standing foot stay in one place, that of their weighted median,
+    the sole on the floor; the heel rises only where the ankle is higher than Kinect's
+    errors lift it. A foot that steps follows the measurement, moved so that it leaves
+    and arrives where it stands, and lifted where it is fast.
+
+    Args:
+        time: Time stamps [s], strictly increasing, shape (T,).
+        positions: Joint positions [m], y up, floor at 0, shape (T, J, 3).
+        trust: Share of the measurement in each joint, in [0, 1], shape (T, J).
+        stands: Whether each foot stands, shape (T, 2).
+        body: Whose feet they are.
+    """
+    planted = positions.copy()
+    feet = zip(*ankles_and_toes(body.skeleton), strict=True)
+    for foot, (ankle, toe) in enumerate(feet):
+        stances = runs(stands[:, foot])
+        if not stances:
+            continue
+        path = positions[:, [ankle, toe]]
+        resting = [_resting(path[s], trust[s, ankle], body, toe) for s in stances]
+        path = _joined(time, path, resting, stances)
+        path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], stands[:, foot])
+        firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
+        planted[:, [ankle, toe]] = smooth(time, path, firm, cutoff=_CUTOFF)
+    return planted
+
+
+def _resting(path: Array, weights: Array, body: Body, toe: int) -> Array:
+    """Return ankle and toe of one stance [m], shape (T, 2, 3)."""
+    place = [_median(path[:, 0, axis], weights) for axis in (0, 2)]
+    ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    length, sole = body.lengths[toe], body.radii[toe]
+    flat = min(float(body.rest_positions[body.skeleton.parents[toe], 1]), sole + length)
+    reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
+    rest = np.zeros((len(path), 2, 3))
+    rest[:, 1, [0, 2]] = place + reach * ahead
+    rest[:, 1, 1] = sole
+    # The ankle turns about the toes.
+    rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
+    height = np.minimum(flat + rise, sole + length)
+    back = np.sqrt(np.maximum(length**2 - (height - sole) ** 2, 0.0))
+    rest[:, 0, [0, 2]] = rest[:, 1][:, [0, 2]] - back[:, None] * ahead
+    rest[:, 0, 1] = height
+    return rest
+
+
+def _joined(
+    time: Array, path: Array, resting: list[Array], stances: list[slice]
+) -> Array:
+    """Return stances and the steps between them [m], shape (T, 2, 3).
+
+    A step is the measured one, moved; while the foot is lifted and set down it stays
+    over the place where it stands.
+    """
+    joined = np.empty_like(path)
+    moves = [r - path[s] for r, s in zip(resting, stances, strict=True)]
+    for rest, stance in zip(resting, stances, strict=True):
+        joined[stance] = rest
+    # Before the first stance and after the last there is only one end to fit.
+    ends = [None, *range(len(stances)), None]
+    for before, after in zip(ends[:-1], ends[1:], strict=True):
+        first = 0 if before is None else stances[before].stop
+        last = len(path) if after is None else stances[after].start
+        if first == last:
+            continue
+        gap = slice(first, last)
+        leave = np.zeros((1, 2, 3)) if before is None else moves[before][-1]
+        arrive = leave if after is None else moves[after][0]
+        leave = arrive if before is None else leave
+        share = _ease(np.arange(1, last - first + 1) / (last - first + 1))
+        step = path[gap] + leave + share * (arrive - leave)
+        if before is not None:
+            free = _ease((time[gap] - time[first - 1] - _HOLD) / _CATCH_UP)
+            step = free * step + (1.0 - free) * joined[first - 1]
+        if after is not None:
+            free = _ease((time[last] - time[gap] - _HOLD) / _CATCH_UP)
+            step = free * step + (1.0 - free) * joined[last]
+        joined[gap] = step
+    return joined
+
+
+def _lift(time: Array, toe: Array, sole: float, stands: NDArray[np.bool_]) -> Array:
+    """Return by how much a foot is lifted in each frame [m], shape (T, 1)."""
+    steps = np.diff(time)
+    speed = np.linalg.norm(np.diff(toe[:, [0, 2]], axis=0), axis=1) / steps
+    fast = np.concatenate([[0.0], speed]), np.concatenate([speed, [0.0]])
+    needed = np.where(np.maximum(*fast) > _SLIDE_SPEED, _CLEARANCE, 0.0)
+    needed[stands] = 0.0
+    # Up and down at an even speed, which needs frames before and after.
+    slope = _CLEARANCE / _LIFT_TIME
+    edge = np.where(stands, 0.0, np.inf)
+    for k in range(1, len(time)):
+        edge[k] = min(edge[k], edge[k - 1] + slope * steps[k - 1])
+        needed[k] = max(needed[k], needed[k - 1] - slope * steps[k - 1])
+    for k in range(len(time) - 2, -1, -1):
+        edge[k] = min(edge[k], edge[k + 1] + slope * steps[k])
+        needed[k] = max(needed[k], needed[k + 1] - slope * steps[k])
+    needed = np.minimum(needed, edge)
+    lift = np.maximum(needed - (toe[:, 1] - sole), 0.0)
+    lift[stands] = 0.0
+    return lift[:, None]
+
+
+def _ease(share: Array) -> Array:
+    """Return a smooth step of shares in [0, 1], shape (T, 1, 1)."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray((share**2 * (3.0 - 2.0 * share))[:, None, None])
+
+
+def _median(values: Array, weights: Array) -> float:
+    order = np.argsort(values)
+    sums = np.cumsum(weights[order] + 1e-3)
+    return float(values[order][np.searchsorted(sums, 0.5 * sums[-1])])
