@@ -2,10 +2,11 @@
 
 from .anthropometry import STANDARD_HEIGHT, Body, random_body, standard_body
 from .errors import InputError, KinefilterError
-from .motion import Clip, Origin, State, Take
+from .motion import CONTACTS, Clip, Origin, State, Take
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
 
 __all__ = [
+    "CONTACTS",
     "KINECT_V1",
     "KINECT_V2",
     "SKELETONS",

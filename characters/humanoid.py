@@ -156,6 +156,17 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
             **collides,
         )
         parts[j].add_site(name=name, pos=offsets[j])
+        if name.startswith("Foot"):
+            # A capsule from ankle to toes touches the floor with the toes alone.
+            height = float(body.rest_positions[p, 1] - body.radii[j])
+            parts[j].add_geom(
+                name=name.replace("Foot", "Heel"),
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                pos=[0.0, 0.0, -height],
+                size=[body.radii[j], 0.0, 0.0],
+                mass=0.0,
+                **collides,
+            )
 
 
 def _add_forces(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:

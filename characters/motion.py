@@ -13,7 +13,11 @@ from .anthropometry import Body
 from .errors import InputError
 from .skeleton import Skeleton
 
-__all__ = ["Clip", "Origin", "State", "Take"]
+__all__ = ["CONTACTS", "Clip", "Origin", "State", "Take"]
+
+
+CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")
+"""Parts of the feet that stand on the floor, in the order of the arrays."""
 
 
 class State(IntEnum):
@@ -141,6 +145,11 @@ class Clip:
     measured, shape (T, J)."""
     moved_by_physics: NDArray[np.float64]
     """Distance from the corrected to the final joint [m], shape (T, J)."""
+    contacts: NDArray[np.bool_]
+    """Which parts of the feet stand on the floor (CONTACTS), shape (T, 4)."""
+    external_force: NDArray[np.float64]
+    """Force on the body that no muscle and no floor gives [body weights], shape (T,);
+    NaN where nothing was simulated."""
     source: str = "clip"
     """Where the motion came from, for messages."""
 
@@ -159,7 +168,14 @@ class Clip:
         )
         _check_shapes(
             self,
-            {"time": (t,), "positions": (t, j, 3), "rotations": (t, j, 4), **per_joint},
+            {
+                "time": (t,),
+                "positions": (t, j, 3),
+                "rotations": (t, j, 4),
+                **per_joint,
+                "contacts": (t, len(CONTACTS)),
+                "external_force": (t,),
+            },
         )
         _check_time(self)
         if self.body.skeleton != self.skeleton:

@@ -58,12 +58,27 @@ class CleanConfig:
     otherwise 0.5 or more."""
     physics: bool = True
     """Pull a simulated character through the motion, so that dynamics hold."""
+    feet: Literal["auto", "always", "never"] = "auto"
+    """When feet stand still on the floor: where they rest, always, or never."""
+    contacts: Path | None = None
+    """When feet stand still instead: a file of --save-contacts, edited or not, or a
+    clip (.npz)."""
+    floor: Literal["auto", "none"] | float = "auto"
+    """Where the floor is: found under the feet, none: the take's own y = 0, or its
+    height in the take [m]."""
     height: float | None = None
     """The person's stature [m]; default: from the take."""
     mass: float | None = None
     """The person's mass [kg]; default: from the stature."""
     seed: int = 0
     """Seed of the stochastic search: same seed, same bytes."""
+
+    @property
+    def floor_height(self) -> float | None:
+        """Height of the floor in the take [m]; None: it is to be found."""
+        if self.floor == "auto":
+            return None
+        return 0.0 if self.floor == "none" else self.floor
 
     def __post_init__(self) -> None:
         if self.cutoff != 0.0 and not 0.5 <= self.cutoff < float("inf"):

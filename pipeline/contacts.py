@@ -9,7 +9,7 @@ from kinefilter.characters import Skeleton
 
 from .smooth import smooth
 
-__all__ = ["SIDES", "ankles_and_toes", "find_stance"]
+__all__ = ["SIDES", "ankles_and_toes", "feet_of", "find_stance", "runs"]
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,9 @@ _LEAST_WEIGHT = 0.1  # of an invented ankle in the smoother, against a measured 
 _STANDS = 4.0
 _PER_SPEED = 5.0  # per m/s of the ankle, horizontally
 _PER_LIFT = 15.0  # per m that the ankle is higher than the other
-_PER_HEIGHT = 12.0  # per m that both are higher than Kinect's errors in squats lift them
+_PER_HEIGHT = (
+    12.0  # per m that both are higher than Kinect's errors in squats lift them
+)
 _LOWER, _HIGHER = -0.1, 0.3  # m: where more says no more
 _ERROR_OF_HEIGHT = 0.1  # m
 _STANDING = 20.0  # percentile of the ankles' heights that is taken for standing
@@ -64,6 +66,11 @@ def find_stance(
         for stance in runs(stands[:, foot]):
             _split(time, paths[:, foot][:, [0, 2]], stands[:, foot], stance)
     return _unloaded(time, stands)
+
+
+def feet_of(contacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether each foot stands, (T, 2), from its parts (CONTACTS), (T, 4)."""
+    return np.asarray(contacts.reshape(-1, 2, 2).any(axis=2))
 
 
 def runs(flags: NDArray[np.bool_]) -> list[slice]:
@@ -119,9 +126,7 @@ def _unloaded(time: Array, stands: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return shorter
 
 
-def _split(
-    time: Array, path: Array, stands: NDArray[np.bool_], stance: slice
-) -> None:
+def _split(time: Array, path: Array, stands: NDArray[np.bool_], stance: slice) -> None:
     """Part a stance (in place) whose foot is elsewhere at its end."""
     points = path[stance]
     away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
@@ -131,7 +136,9 @@ def _split(
     # Where two resting places fit best.
     sums = np.cumsum(points, axis=0)
     k = np.arange(1, count)[:, None]
-    gain = np.sum(sums[:-1] ** 2 / k + (sums[-1] - sums[:-1]) ** 2 / (count - k), axis=1)
+    gain = np.sum(
+        sums[:-1] ** 2 / k + (sums[-1] - sums[:-1]) ** 2 / (count - k), axis=1
+    )
     middle = stance.start + 1 + int(gain.argmax())
     first = int(np.searchsorted(time, time[middle] - 0.5 * _STEP))
     last = int(np.searchsorted(time, time[middle] + 0.5 * _STEP))

@@ -203,7 +203,9 @@ def _test(
             target = make_target(take.time, corrected, body, cutoff=CleanConfig.cutoff)
             positions = (
                 PhysicsFilter(body)
-                .run(take.time, target.positions, target.rotations)
+                .run(
+                    take.time, target.positions, target.rotations, stands=target.stands
+                )
                 .positions
             )
         tallies[name].add(pair, positions, seconds)

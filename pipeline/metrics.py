@@ -8,15 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
+from kinefilter.characters.humanoid import GRAVITY, joint_masses
+
+from .contacts import SIDES, ankles_and_toes, runs
 
 __all__ = [
     "Quality",
+    "acceleration_error",
     "amplitude",
     "bone_length_cv",
     "distances",
+    "flight_error",
+    "floating",
     "jitter",
     "lowest_point",
     "measure",
+    "peak_speed",
     "skate",
 ]
 
@@ -24,8 +31,11 @@ Array = NDArray[np.float64]
 
 SKATE_HEIGHT = 0.05
 """A foot joint lower than this over its standing height [m] should not slide."""
+
 SKATE_SPEED = 0.2
 """A foot on the floor that is faster than this [m/s] visibly skates."""
+
+_SHORTEST_FLIGHT = 5  # frames that a parabola is fitted to
 
 
 @dataclass(frozen=True)
@@ -40,12 +50,20 @@ class Quality:
     """Mean horizontal movement of feet on the floor [mm per frame]."""
     skate_share_over_0p2: float
     """Share of the frames of feet on the floor that move over 0.2 m/s."""
+    skate_max_m_per_s: float
+    """Fastest horizontal movement of a foot on the floor [m/s]."""
     penetration_mm: float
     """How far the lowest point of the body ever is under the floor [mm]."""
+    penetration_mean_mm: float
+    """The same, mean over frames [mm]."""
     float_mm: float
-    """How far the body's lowest point is over the floor, mean over frames [mm]."""
+    """How far the soles of standing feet are over the floor, mean [mm]."""
     amplitude_kept: float
     """Root mean square movement of the joints about their mean, over that of raw."""
+    peak_hand_speed: float
+    """Speed [m/s] that the hands exceed in a hundredth of the frames."""
+    flight_error: float
+    """How far the center of mass is from falling freely in flight [m/s^2]."""
     lowest_point_mm: float
     """Height of the lowest point of the body over the floor [mm]."""
     moved_cm: float
@@ -109,12 +127,13 @@ def lowest_point(positions: Array, body: Body) -> Array:
     return np.asarray(np.nanmin(np.concatenate([ends, starts], axis=1), axis=1))
 
 
-def skate(time: Array, positions: Array, body: Body) -> tuple[float, float]:
+def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, float]:
     """Return how feet slide while they should stand.
 
     A foot stands between two frames if its joint is under 5 cm over its standing height
-    in both. Returns the mean horizontal movement [mm per nominal frame] and the share
-    of those frames with more than 0.2 m/s; NaN where no foot ever stands.
+    in both. Returns the mean horizontal movement [mm per nominal frame], the share
+    of those frames with more than 0.2 m/s, and the highest speed [m/s]; NaN where no
+    foot ever stands.
     """
     steps = np.diff(time)
     steps = np.where(steps > 0, steps, np.nan)
@@ -129,8 +148,88 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float]:
     speed = np.concatenate(speeds)
     speed = speed[~np.isnan(speed)]
     if len(speed) == 0:
-        return float("nan"), float("nan")
-    return float(speed.mean() * nominal * 1e3), float(np.mean(speed > SKATE_SPEED))
+        return float("nan"), float("nan"), float("nan")
+    share = float(np.mean(speed > SKATE_SPEED))
+    return float(speed.mean() * nominal * 1e3), share, float(speed.max())
+
+
+def floating(positions: Array, stands: NDArray[np.bool_], body: Body) -> float:
+    """Return how far the soles of standing feet are over the floor, mean [m].
+
+    Args:
+        positions: Joint positions [m], floor at y = 0, shape (T, J, 3).
+        stands: Whether each foot (left, right) stands, shape (T, 2).
+        body: Whose soles they are.
+    """
+    _, toes = ankles_and_toes(body.skeleton)
+    over = np.maximum(positions[:, toes, 1] - body.radii[toes], 0.0)[stands]
+    over = over[~np.isnan(over)]
+    return float(over.mean()) if len(over) else float("nan")
+
+
+def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:
+    """Return the speed [m/s] that joints exceed in a hundredth of the frames.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+        joints: Which ones.
+    """
+    steps = np.diff(time)
+    moved = np.linalg.norm(np.diff(positions[:, joints], axis=0), axis=2)
+    speed = moved[steps > 0] / steps[steps > 0, None]
+    speed = speed[~np.isnan(speed)]
+    return float(np.percentile(speed, 99.0)) if len(speed) else float("nan")
+
+
+def acceleration_error(time: Array, positions: Array, truth: Array) -> float:
+    """Return the mean distance of accelerations from the true ones [m/s^2].
+
+    Second differences over dt^2 at the nominal rate, as Kanazawa et al. 2019 (CVPR,
+    Learning 3D human dynamics from video) define it; missing joints do not count.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], shape (T, J, 3).
+        truth: What they should be [m], shape (T, J, 3).
+    """
+    if len(time) < 3:
+        return float("nan")
+    nominal = float(np.median(np.diff(time)))
+    away = np.linalg.norm(np.diff(positions - truth, n=2, axis=0), axis=2)
+    away = away[~np.isnan(away)]
+    return float(away.mean() / nominal**2) if len(away) else float("nan")
+
+
+def flight_error(
+    time: Array, positions: Array, stands: NDArray[np.bool_], body: Body
+) -> float:
+    """Return how far the center of mass is from falling freely in flight [m/s^2].
+
+    In flight, no foot stands and nothing of the body is under 5 cm, for five frames or
+    more. Over each flight, the mean acceleration (that of the parabola which fits best)
+    is compared with gravity's; mean over flights by frames, NaN without any. Momentum
+    is consistent where this is zero.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], floor at y = 0, shape (T, J, 3).
+        stands: Whether each foot (left, right) stands, shape (T, 2).
+        body: Whose masses they are.
+    """
+    flying = ~stands.any(axis=1) & (lowest_point(positions, body) > SKATE_HEIGHT)
+    masses = joint_masses(body)
+    center = np.einsum("j,tjc->tc", masses / masses.sum(), positions)
+    errors, frames = [], []
+    for flight in runs(flying):
+        span = time[flight]
+        if len(span) >= _SHORTEST_FLIGHT and (np.diff(span) > 0).all():
+            fit = np.polynomial.polynomial.polyfit(
+                span - span.mean(), center[flight], 2
+            )
+            errors.append(float(np.linalg.norm(2.0 * fit[2] + [0.0, GRAVITY, 0.0])))
+            frames.append(len(span))
+    return float(np.average(errors, weights=frames)) if errors else float("nan")
 
 
 def amplitude(positions: Array, body: Body) -> Array:
@@ -156,7 +255,13 @@ def distances(positions: Array, raw: Array) -> Array:
     return np.stack(away, axis=1)
 
 
-def measure(time: Array, positions: Array, raw: Array, body: Body) -> Quality:
+def measure(
+    time: Array,
+    positions: Array,
+    raw: Array,
+    body: Body,
+    stands: NDArray[np.bool_],
+) -> Quality:
     """Return the quality of a motion beside the measurement it came from.
 
     Args:
@@ -164,8 +269,10 @@ def measure(time: Array, positions: Array, raw: Array, body: Body) -> Quality:
         positions: Joint positions [m], world frame, floor at 0, shape (T, J, 3).
         raw: The measurement in the same frame, NaN where missing, shape (T, J, 3).
         body: Whose capsules they are.
+        stands: Whether each foot (left, right) stands, shape (T, 2).
     """
-    slide, share = skate(time, positions, body)
+    hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]
+    slide, share, fastest = skate(time, positions, body)
     seen = ~np.isnan(raw[..., 0]).all(axis=1) if positions is raw else slice(None)
     low = lowest_point(positions[seen], body)
     moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
@@ -175,9 +282,13 @@ def measure(time: Array, positions: Array, raw: Array, body: Body) -> Quality:
         jitter=jitter(time, positions),
         skate_mm_per_frame=slide,
         skate_share_over_0p2=share,
+        skate_max_m_per_s=fastest,
         penetration_mm=float(max(-low.min(), 0.0) * 1e3),
-        float_mm=float(np.mean(np.maximum(low, 0.0)) * 1e3),
+        penetration_mean_mm=float(np.mean(np.maximum(-low, 0.0)) * 1e3),
+        float_mm=floating(positions, stands, body) * 1e3,
         amplitude_kept=float(np.mean(moves[both]) / np.mean(raw_moves[both])),
+        peak_hand_speed=peak_speed(time, positions, hands),
+        flight_error=flight_error(time, positions, stands, body),
         lowest_point_mm=float(low.min() * 1e3),
         moved_cm=float(np.nanmean(distances(positions, raw)) * 1e2),
     )

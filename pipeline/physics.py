@@ -20,8 +20,10 @@ from kinefilter.characters.humanoid import (
     Tracking,
     build_humanoid,
     from_mujoco,
+    joint_masses,
     to_mujoco,
 )
+from kinefilter.pipeline.contacts import ankles_and_toes
 from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.retarget.rotations import (
     inverse,
@@ -34,6 +36,11 @@ from kinefilter.retarget.rotations import (
 __all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace", "substeps_in"]
 
 Array = NDArray[np.float64]
+
+_UP = np.array([0.0, 0.0, 1.0])
+_UPDATES = 2  # of the targets in a frame: more changes nothing that one could see
+_LOADING_TIME = 0.2  # s from a foot's touching the floor to its bearing the body
+_HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
 
 SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
@@ -51,7 +58,7 @@ class PhysicsTrace:
     tracking_error: Array
     """Mean distance of the joints from their targets [m]."""
     external_force: Array
-    """Sum of the magnitudes of the pulling forces [body weights]."""
+    """Force on the body that no muscle and no floor gives [body weights]."""
     contacts: NDArray[np.int64]
     """Number of contact points with the floor."""
     reset: NDArray[np.bool_]
@@ -77,8 +84,8 @@ class PhysicsResult:
 
 
 def substeps_in(dt: float) -> int:
-    """Return into how many simulation steps a frame of ``dt`` [s] is divided."""
-    return max(1, int(np.ceil(dt / SUBSTEP - 1e-3)))
+    """Return into how many simulation steps an update in a frame of dt [s] is cut."""
+    return max(1, int(np.ceil(dt / (_UPDATES * SUBSTEP) - 1e-3)))
 
 
 class PhysicsFilter:
@@ -108,6 +115,11 @@ class PhysicsFilter:
         ]
         self._turned = np.array([joints.index(name) for name in turned])
         self._weight = float(body.mass * GRAVITY)
+        self._masses = joint_masses(body)
+        ankles, toes = ankles_and_toes(body.skeleton)
+        self._feet = np.stack([ankles, toes], axis=1)
+        self._soles = self._bodies[toes]
+        self._load = np.zeros(2)
         if mujoco.get_mju_user_warning() is None:
             # The engine's own handler writes a log into the user's working folder; a
             # diverging step is in the trace.
@@ -122,45 +134,93 @@ class PhysicsFilter:
         """
         mujoco.mj_resetData(self.model, self.data)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
+        self._velocity = np.zeros_like(self._target[0])
+        self._load[:] = 0.0
         self._place(*self._target)
 
-    def step(self, positions: Array, rotations: Array, dt: float) -> bool:
+    def step(
+        self,
+        positions: Array,
+        rotations: Array,
+        dt: float,
+        *,
+        acceleration: Array | None = None,
+        stands: NDArray[np.bool_] | None = None,
+    ) -> bool:
         """Advance by dt [s] towards a target; return False if it had to be reset.
 
         The posture is then in ``self.rotations`` and ``self.root``.
+
+        Args:
+            positions: Target joint positions [m], world frame, shape (J, 3).
+            rotations: Target world segment rotations, wxyz, shape (J, 4).
+            dt: Time since the last step [s].
+            acceleration: Of the targets [m/s^2], shape (J, 3); by default from the
+                last two steps, half a frame late.
+            stands: Whether each foot (left, right) bears weight, shape (2,); by
+                default none does and the pulls carry the body.
         """
         before_p, before_q = self._target
         after_p, after_q = to_mujoco(positions), to_mujoco(rotations)
         after_q = np.where(
             np.sum(before_q * after_q, axis=1, keepdims=True) < 0, -after_q, after_q
         )
-        self._target = (after_p, after_q)
-        substeps = substeps_in(dt)
-        self.model.opt.timestep = dt / substeps
+        velocity = (after_p - before_p) / dt
+        if acceleration is None:
+            gained = (velocity - self._velocity) / dt
+        else:
+            gained = to_mujoco(acceleration)
+        self._target, self._velocity = (after_p, after_q), velocity
+        needed = self._masses[:, None] * (gained + _UP * GRAVITY)
+        self._bear(after_p, needed.sum(axis=0), stands, dt)
         n = after_p.size
-        velocity = ((after_p - before_p) / dt).ravel()
         spin = rotation_vector(multiply(after_q, inverse(before_q))) / dt
         turning = rotate(inverse(after_q), spin)[self._turned]
-        feed_forward = self._damping * np.concatenate(
-            [velocity, np.sum(turning * self._turn_axes, axis=1)]
-        )
         ctrl, data = self.data.ctrl, self.data
-        ctrl[n:] = feed_forward[n:]
-        for k in range(substeps):
-            # The engine compares the target with the state at the step's beginning.
-            share = k / substeps
+        ctrl[n:] = self._damping[n:] * np.sum(turning * self._turn_axes, axis=1)
+        forward = self._damping[:n] * velocity.ravel() + needed.ravel()
+        substeps = substeps_in(dt)
+        self.model.opt.timestep = dt / (_UPDATES * substeps)
+        for k in range(_UPDATES):
+            share = (k + 0.5) / _UPDATES
             point = before_p + share * (after_p - before_p)
-            ctrl[:n] = self._stiffness[:n] * point.ravel() + feed_forward[:n]
+            ctrl[:n] = self._stiffness[:n] * point.ravel() + forward
             data.mocap_quat[:] = normalize(before_q + share * (after_q - before_q))
-            mujoco.mj_step(self.model, data)
-            if not np.abs(data.qvel).max() < _FASTEST:  # also true for NaN
-                break
+            mujoco.mj_step(self.model, data, nstep=substeps)
         mujoco.mj_kinematics(self.model, data)
         if self._astray(after_p):
             mujoco.mj_resetData(self.model, data)
             self._place(after_p, after_q)
             return False
         return True
+
+    def _bear(
+        self,
+        target: Array,
+        needed: Array,
+        stands: NDArray[np.bool_] | None,
+        dt: float,
+    ) -> None:
+        """Let standing feet press on the floor with what moves and carries the body.
+
+        Muscles pull between the body and the feet, so the weight that the pulls give to
+        the body the feet take from the floor: only the floor carries. How much each
+        foot bears depends on where the center of mass is.
+        """
+        wanted = np.zeros(2)
+        if stands is not None and stands.any():
+            left, right = (target[feet].mean(axis=0)[:2] for feet in self._feet)
+            center = self._masses @ target[:, :2] / self._masses.sum()
+            apart = left - right
+            share = (center - right) @ apart / max(float(apart @ apart), 1e-6)
+            wanted[:] = np.clip([share, 1.0 - share], 0.0, 1.0)
+            wanted = np.where(stands.all(), wanted, stands)
+        most = dt / _LOADING_TIME
+        self._load += np.clip(wanted - self._load, -most, most)
+        if stands is not None:
+            self._load[~stands] = 0.0
+        pressure = -np.clip(needed[2], 0.0, _HARDEST_STEP * self._weight)
+        self.data.xfrc_applied[self._soles, 2] = self._load * pressure
 
     def _astray(self, target: Array) -> bool:
         """Tell whether the character spins out of control or left its target."""
@@ -196,10 +256,15 @@ class PhysicsFilter:
 
     @property
     def external_force(self) -> float:
-        """Sum of the magnitudes of the forces that pull the parts [body weights]."""
+        """What pulls the body as a whole and comes from no floor [body weights].
+
+        The magnitude of the sum of all pulls and of what the feet take from the floor
+        for them: what no person could do by muscles.
+        """
         n = 3 * len(self._sites)
-        forces = self.data.actuator_force[:n].reshape(-1, 3)
-        return float(np.linalg.norm(forces, axis=1).sum() / self._weight)
+        pulls = self.data.actuator_force[:n].reshape(-1, 3).sum(axis=0)
+        pressed = self.data.xfrc_applied[self._soles, :3].sum(axis=0)
+        return float(np.linalg.norm(pulls + pressed) / self._weight)
 
     @property
     def tracking_error(self) -> float:
@@ -213,6 +278,7 @@ class PhysicsFilter:
         positions: Array,
         rotations: Array,
         *,
+        stands: NDArray[np.bool_] | None = None,
         frames: Iterable[int] | None = None,
     ) -> PhysicsResult:
         """Pull the character through a whole motion.
@@ -221,9 +287,11 @@ class PhysicsFilter:
             time: Time stamps [s], strictly increasing, shape (T,).
             positions: Target joint positions [m], world frame, shape (T, J, 3).
             rotations: Target world segment rotations, wxyz, shape (T, J, 4).
+            stands: Whether each foot (left, right) bears weight, shape (T, 2).
             frames: Yields 0 to T - 1, e.g. a progress bar's iterator.
         """
         count = len(time)
+        accelerations = _accelerations(time, positions)
         result = np.empty_like(rotations)
         joints = np.empty_like(positions)
         trace = PhysicsTrace(
@@ -235,10 +303,16 @@ class PhysicsFilter:
         for k in range(count) if frames is None else frames:
             if k == 0:
                 self.start(positions[0], rotations[0])
-                self._settle(float(time[1] - time[0]) if count > 1 else 1 / 30)
+                self._settle(None if stands is None else stands[0])
             else:
                 dt = float(time[k] - time[k - 1])
-                trace.reset[k] = not self.step(positions[k], rotations[k], dt)
+                trace.reset[k] = not self.step(
+                    positions[k],
+                    rotations[k],
+                    dt,
+                    acceleration=accelerations[k],
+                    stands=None if stands is None else stands[k],
+                )
             result[k] = self.rotations
             if k > 0:  # neighbors on one hemisphere
                 dots = np.sum(result[k] * result[k - 1], axis=1, keepdims=True)
@@ -249,8 +323,20 @@ class PhysicsFilter:
             trace.contacts[k] = self.data.ncon
         return PhysicsResult(result, joints, trace)
 
-    def _settle(self, dt: float) -> None:
+    def _settle(self, stands: NDArray[np.bool_] | None) -> None:
         """Hold the first target until the start-up transient is gone."""
         positions, rotations = (from_mujoco(value) for value in self._target)
-        for _ in range(int(np.ceil(0.5 / dt))):
-            self.step(positions, rotations, dt)
+        for _ in range(15):
+            self.step(positions, rotations, 1 / 30, stands=stands)
+
+
+def _accelerations(time: Array, positions: Array) -> Array:
+    """Return accelerations [m/s^2] of a motion, of which each step knows the next."""
+    found = np.zeros_like(positions)
+    if len(time) > 2:
+        steps = np.diff(time)
+        velocities = np.diff(positions, axis=0) / steps[:, None, None]
+        found[1:-1] = (velocities[1:] - velocities[:-1]) / (
+            0.5 * (steps[1:] + steps[:-1])
+        )[:, None, None]
+    return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +17,10 @@ __all__ = ["plant_feet"]
 Array = NDArray[np.float64]
 
 _HEEL_ERROR = 0.10  # m: a standing ankle that is higher than this has left the floor
+_HEEL_DOWN = 0.01  # m that a heel rises and still counts as down
 _LIFT_TIME = 0.1  # s: to lift a foot that high, and to set it down
-_SLIDE_SPEED = 0.2  # m/s: a foot that is faster is lifted
-_CLEARANCE = 0.055  # m between the floor and a sole that moves. People walk with less,
+_SLIDE_SPEED = 0.15  # m/s: a foot that is faster is lifted
+_CLEARANCE = 0.065  # m between the floor and a sole that moves. People walk with less,
 # but a viewer takes what is lower for sliding.
 _HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
 _CATCH_UP = 0.15  # s in which it joins the measured path then
@@ -31,13 +34,16 @@ def plant_feet(
     trust: Array,
     stands: NDArray[np.bool_],
     body: Body,
-) -> Array:
-    """Return positions (T, J, 3) whose feet rest while they stand.
+    heels: NDArray[np.bool_] | None = None,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return positions (T, J, 3) whose feet rest while they stand, and their heels.
 
     Ankle and toes of a standing foot stay in one place, that of their weighted median,
     the sole on the floor; the heel rises only where the ankle is higher than Kinect's
     errors lift it. A foot that steps follows the measurement, moved so that it leaves
     and arrives where it stands, and lifted where it is fast.
+
+    The second result says whether each heel is on the floor, shape (T, 2).
 
     Args:
         time: Time stamps [s], strictly increasing, shape (T,).
@@ -45,35 +51,48 @@ def plant_feet(
         trust: Share of the measurement in each joint, in [0, 1], shape (T, J).
         stands: Whether each foot stands, shape (T, 2).
         body: Whose feet they are.
+        heels: Where heels are down, shape (T, 2); by default as found.
     """
-    planted = positions.copy()
+    planted, down = positions.copy(), np.zeros_like(stands)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
     for foot, (ankle, toe) in enumerate(feet):
         stances = runs(stands[:, foot])
         if not stances:
             continue
         path = positions[:, [ankle, toe]]
-        resting = [_resting(path[s], trust[s, ankle], body, toe) for s in stances]
+        flat = _flat_height(body, toe)
+        rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
+        if heels is not None:
+            rise[heels[:, foot]] = 0.0
+        down[:, foot] = stands[:, foot] & (rise < _HEEL_DOWN)
+        resting = [
+            _resting(path[s], trust[s, ankle], rise[s], body, toe) for s in stances
+        ]
         path = _joined(time, path, resting, stances)
         path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], stands[:, foot])
         firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
         planted[:, [ankle, toe]] = smooth(time, path, firm, cutoff=_CUTOFF)
-    return planted
+    return planted, down
 
 
-def _resting(path: Array, weights: Array, body: Body, toe: int) -> Array:
+def _flat_height(body: Body, toe: int) -> float:
+    """Return the height [m] of the ankle of a foot that is flat on the floor."""
+    ankle = float(body.rest_positions[body.skeleton.parents[toe], 1])
+    return min(ankle, float(body.radii[toe] + body.lengths[toe]))
+
+
+def _resting(path: Array, weights: Array, rise: Array, body: Body, toe: int) -> Array:
     """Return ankle and toe of one stance [m], shape (T, 2, 3)."""
     place = [_median(path[:, 0, axis], weights) for axis in (0, 2)]
     ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     length, sole = body.lengths[toe], body.radii[toe]
-    flat = min(float(body.rest_positions[body.skeleton.parents[toe], 1]), sole + length)
+    flat = _flat_height(body, toe)
     reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
     rest = np.zeros((len(path), 2, 3))
     rest[:, 1, [0, 2]] = place + reach * ahead
     rest[:, 1, 1] = sole
     # The ankle turns about the toes.
-    rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
     height = np.minimum(flat + rise, sole + length)
     back = np.sqrt(np.maximum(length**2 - (height - sole) ** 2, 0.0))
     rest[:, 0, [0, 2]] = rest[:, 1][:, [0, 2]] - back[:, None] * ahead
@@ -95,7 +114,7 @@ def _joined(
         joined[stance] = rest
     # Before the first stance and after the last there is only one end to fit.
     ends = [None, *range(len(stances)), None]
-    for before, after in zip(ends[:-1], ends[1:], strict=True):
+    for before, after in pairwise(ends):
         first = 0 if before is None else stances[before].stop
         last = len(path) if after is None else stances[after].start
         if first == last:

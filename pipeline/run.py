@@ -17,6 +17,7 @@ from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
 from .default import default_corrector
 from .failures import Failure, distrust, find_failures, unmirrored
+from .formats.contacts import read_contacts
 from .library import embedded_database
 from .metrics import Quality, distances, measure
 from .models import Model, load_model
@@ -97,25 +98,39 @@ def clean(
     corrected = correct_take(standard, corrector, progress("correct", len(take)))
     del standard  # an hour's take is to fit a gigabyte
     body = corrected_body(take, corrected, height=config.height, mass=config.mass)
-    target = make_target(take.time, corrected, body, cutoff=config.cutoff)
+    contacts = None
+    if config.contacts is not None:
+        contacts = read_contacts(config.contacts, take.time)
+    target = make_target(
+        take.time,
+        corrected,
+        body,
+        cutoff=config.cutoff,
+        feet=config.feet,
+        contacts=contacts,
+        floor=config.floor_height,
+    )
     origin, coverage = corrected.origin(take), corrected.coverage
     del corrected
     raw = take.positions - [0.0, target.floor, 0.0]
     before = after = target.posed(body)
     stages = {
-        "raw": measure(take.time, raw, raw, body),
-        "corrected": measure(take.time, before, raw, body),
+        "raw": measure(take.time, raw, raw, body, target.stands),
+        "corrected": measure(take.time, before, raw, body, target.stands),
     }
     rotations, trace = target.rotations, None
+    force = np.full(len(take), np.nan)
     if config.physics:
         result = PhysicsFilter(body).run(
             take.time,
             target.positions,
             target.rotations,
+            stands=target.stands,
             frames=progress("physics", len(take)),
         )
         rotations, after, trace = result.rotations, result.positions, result.trace
-        stages["physics"] = measure(take.time, after, raw, body)
+        force = trace.external_force
+        stages["physics"] = measure(take.time, after, raw, body, target.stands)
     clip = Clip(
         time=source.time,
         positions=after[frames],
@@ -128,6 +143,8 @@ def clean(
         origin=origin[frames],
         moved_by_correction=distances(before, raw)[frames],
         moved_by_physics=distances(after, before)[frames],
+        contacts=target.contacts[frames],
+        external_force=force[frames],
         source=source.source,
     )
     notes = _notes(reference, trace)

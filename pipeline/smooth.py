@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 from scipy.linalg import solveh_banded
+from scipy.ndimage import uniform_filter1d
 
 __all__ = ["smooth", "smooth_by_speed"]
 

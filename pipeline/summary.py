@@ -24,6 +24,8 @@ _ROWS = (
     ("moved from raw, cm", "moved_cm", "{:.2f}"),
     ("amplitude kept", "amplitude_kept", "{:.3f}"),
     ("feet slide, mm/frame", "skate_mm_per_frame", "{:.1f}"),
+    ("feet slide over 0.2 m/s", "skate_share_over_0p2", "{:.1%}"),
+    ("standing soles float, mm", "float_mm", "{:.1f}"),
 )
 _WORST = 5
 

@@ -21,7 +21,7 @@ from kinefilter.retarget import (
 )
 from kinefilter.retarget.rotations import continuous, normalize
 
-from .contacts import ankles_and_toes, find_stance
+from .contacts import ankles_and_toes, feet_of, find_stance
 from .correct.take import CorrectedTake
 from .floor import floor_height, put_on_floor
 from .planting import plant_feet
@@ -52,8 +52,13 @@ class Target:
     """World segment rotations, wxyz, continuous over time, shape (T, J, 4)."""
     floor: float
     """Height of the floor in the sensor's frame [m]."""
-    stands: NDArray[np.bool_]
-    """Whether each foot stands, left and right, shape (T, 2)."""
+    contacts: NDArray[np.bool_]
+    """Which parts of the feet stand on the floor (CONTACTS), shape (T, 4)."""
+
+    @property
+    def stands(self) -> NDArray[np.bool_]:
+        """Whether each foot stands, left and right, shape (T, 2)."""
+        return feet_of(self.contacts)
 
     def posed(self, body: Body) -> Array:
         """Return joint positions [m] that follow from the rotations, (T, J, 3)."""
@@ -71,6 +76,8 @@ def make_target(
     *,
     cutoff: float,
     feet: Feet = "auto",
+    contacts: NDArray[np.bool_] | None = None,
+    floor: float | None = None,
 ) -> Target:
     """Return the target of a corrected take.
 
@@ -80,6 +87,8 @@ def make_target(
         body: The person.
         cutoff: Frequency [Hz] over which movement is smoothed away; 0: none is.
         feet: When feet stand still: where they rest, always, or never.
+        contacts: When they do instead (CONTACTS), shape (T, 4).
+        floor: Height of the floor in the sensor's frame [m]; by default as found.
     """
     skeleton, trust = body.skeleton, corrected.trust
     stands = find_stance(time, corrected.positions, trust, skeleton)
@@ -87,17 +96,26 @@ def make_target(
     if cutoff > 0.0:
         weights = np.maximum(trust, _LEAST_WEIGHT)
         positions = smooth_by_speed(time, positions, weights, cutoff=cutoff)
-    floor = floor_height(positions, trust, stands, body)
+    if floor is None:
+        floor = floor_height(positions, trust, stands, body)
     positions = positions - [0.0, floor, 0.0]
     if feet != "auto":
         stands = np.full_like(stands, feet == "always")
-    planted = plant_feet(time, positions, trust, stands, body)
+    heels = None
+    if contacts is not None:
+        stands, heels = feet_of(contacts), contacts[:, ::2]
+    planted, heels = plant_feet(time, positions, trust, stands, body, heels)
     firmness = np.maximum(trust, _LEAST_FIRMNESS)
     for part in ankles_and_toes(skeleton):
         firmness[:, part] = np.where(stands, _PLANTED, firmness[:, part])
     positions = _on_bones(time, put_on_floor(planted, body), firmness, body)
     twist = _smooth_twist(time, corrected.rotations)
-    return Target(positions, _orient(positions, body, twist), floor, stands)
+    return Target(
+        positions,
+        _orient(positions, body, twist),
+        floor,
+        np.stack([heels, stands], axis=2).reshape(-1, 4),
+    )
 
 
 def _on_bones(time: Array, positions: Array, firmness: Array, body: Body) -> Array:

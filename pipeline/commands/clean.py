@@ -28,6 +28,8 @@ class Clean:
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: Formats | None = None
     """Layout of the take; default: detected from its content."""
+    save_contacts: Path | None = None
+    """Write when which foot stands as a table (CSV), to edit and to use again."""
     json: Path | None = None
     """Write the printed figures to this file too."""
 
@@ -38,20 +40,31 @@ class Clean:
             check_writable,
             read_take,
             write_clip,
+            write_contacts,
         )
         from kinefilter.pipeline.run import clean
         from kinefilter.pipeline.summary import as_json, as_tables
 
         check_writable(self.out)
-        used = (self.take, self.config.database, self.config.model)
+        used = (
+            self.take,
+            self.config.database,
+            self.config.model,
+            self.config.contacts,
+        )
         keep(self.out, *used)
         if self.json is not None:
             check_folder(self.json)
             keep(self.json, *used, self.out)
+        if self.save_contacts is not None:
+            check_folder(self.save_contacts)
+            keep(self.save_contacts, *used, self.out, self.json)
         take = read_take(self.take, format=self.format)
         with progress_bars() as progress:
             result = clean(take, self.config, progress=progress)
         write_clip(result.clip, self.out)
+        if self.save_contacts is not None:
+            write_contacts(result.clip, self.save_contacts)
         if self.json is not None:
             write_json(as_json(result), self.json)
         out.print(as_tables(result))

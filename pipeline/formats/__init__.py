@@ -4,6 +4,7 @@ from .archive import read_clip
 from .bvh import Bvh
 from .bvh_reader import read_bvh
 from .clips import check_writable, write_clip
+from .contacts import read_contacts, write_contacts
 from .files import atomic_path, check_folder
 from .tables import write_take_csv
 from .takes import read_take
@@ -16,8 +17,10 @@ __all__ = [
     "check_writable",
     "read_bvh",
     "read_clip",
+    "read_contacts",
     "read_take",
     "read_usd_positions",
     "write_clip",
+    "write_contacts",
     "write_take_csv",
 ]

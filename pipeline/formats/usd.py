@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, InputError
+from kinefilter.characters import CONTACTS, Clip, InputError
 from kinefilter.retarget.rotations import continuous
 
 from .files import atomic_path
@@ -32,7 +32,9 @@ def write_usd(clip: Clip, path: str | os.PathLike[str]) -> None:
 
     The stage is in meters, y up; a frame's time code is its time since the first frame
     times ``timeCodesPerSecond``. Frames with the same time share a sample, the last
-    one's. ``/Character`` is the SkelRoot, with ``Skeleton`` and ``Animation`` in it.
+    one's. ``/Character`` is the SkelRoot, with ``Skeleton`` and ``Animation`` in it;
+    its attributes ``kinefilter:contacts`` and ``kinefilter:externalForce`` are the
+    clip's.
 
     Args:
         clip: The motion.
@@ -64,6 +66,7 @@ def _write_layer(clip: Clip, path: Path) -> None:
     _define_skeleton(stage, rig, clip)
     _define_animation(stage, rig)
     _write_samples(layer, rig, clip, codes)
+    _write_honesty(layer, clip, codes)
     layer.Save()
 
 
@@ -158,6 +161,34 @@ def _write_samples(
             layer.SetTimeSample(
                 rotations_path, code, Vt.QuatfArray.FromNumpy(rotations)
             )
+
+
+def _write_honesty(layer: Any, clip: Clip, codes: NDArray[np.float64]) -> None:
+    """Say in attributes of the character what held it: its feet, or no one."""
+    from pxr import Sdf, Vt
+
+    character = layer.GetPrimAtPath(_CHARACTER)
+    names = Sdf.AttributeSpec(
+        character, "kinefilter:contactNames", Sdf.ValueTypeNames.TokenArray
+    )
+    names.default = Vt.TokenArray(CONTACTS)
+    contacts = Sdf.AttributeSpec(
+        character, "kinefilter:contacts", Sdf.ValueTypeNames.BoolArray
+    )
+    force = Sdf.AttributeSpec(
+        character, "kinefilter:externalForce", Sdf.ValueTypeNames.Float
+    )
+    force.documentation = "Body weights that no muscle and no floor gives."
+    with Sdf.ChangeBlock():
+        for code, flags, value in zip(
+            codes.tolist(),
+            clip.contacts.tolist(),
+            clip.external_force.tolist(),
+            strict=True,
+        ):
+            layer.SetTimeSample(contacts.path, code, Vt.BoolArray(flags))
+            if np.isfinite(value):
+                layer.SetTimeSample(force.path, code, value)
 
 
 def _samples(
