@@ -38,7 +38,8 @@ __all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace", "substeps_in"]
 Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
-_UPDATES = 2  # of the targets in a frame: more changes nothing that one could see
+UPDATE = 1.0 / 60.0
+"""Longest time [s] between two updates of what the actuators pull to."""
 _LOADING_TIME = 0.2  # s from a foot's touching the floor to its bearing the body
 _HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
 
@@ -84,8 +85,16 @@ class PhysicsResult:
 
 
 def substeps_in(dt: float) -> int:
-    """Return into how many simulation steps an update in a frame of dt [s] is cut."""
-    return max(1, int(np.ceil(dt / (_UPDATES * SUBSTEP) - 1e-3)))
+    """Return into how many simulation steps a frame of ``dt`` [s] is divided."""
+    return _updates_in(dt) * _substeps_per_update(dt)
+
+
+def _updates_in(dt: float) -> int:
+    return max(1, int(np.ceil(dt / UPDATE - 1e-3)))
+
+
+def _substeps_per_update(dt: float) -> int:
+    return max(1, int(np.ceil(dt / (_updates_in(dt) * SUBSTEP) - 1e-3)))
 
 
 class PhysicsFilter:
@@ -179,10 +188,12 @@ class PhysicsFilter:
         ctrl, data = self.data.ctrl, self.data
         ctrl[n:] = self._damping[n:] * np.sum(turning * self._turn_axes, axis=1)
         forward = self._damping[:n] * velocity.ravel() + needed.ravel()
-        substeps = substeps_in(dt)
-        self.model.opt.timestep = dt / (_UPDATES * substeps)
-        for k in range(_UPDATES):
-            share = (k + 0.5) / _UPDATES
+        updates, substeps = _updates_in(dt), _substeps_per_update(dt)
+        self.model.opt.timestep = dt / (updates * substeps)
+        for k in range(updates):
+            # Midway between the first and the last step of this update: the engine
+            # compares the target with the state at a step's beginning.
+            share = (k + 0.5 - 0.5 / substeps) / updates
             point = before_p + share * (after_p - before_p)
             ctrl[:n] = self._stiffness[:n] * point.ravel() + forward
             data.mocap_quat[:] = normalize(before_q + share * (after_q - before_q))

@@ -7,11 +7,13 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body
 
-from .rotations import between, inverse, multiply, rotate, wxyz_from_matrix
+from .rotations import IDENTITY, between, cross, inverse, multiply, rotate
 
 __all__ = ["rotations_from_positions"]
 
 Array = NDArray[np.float64]
+
+_NO_PLANE = 1e-9  # m^2
 
 
 def rotations_from_positions(
@@ -56,20 +58,26 @@ def _pelvis(positions: Array, body: Body) -> Array:
     skeleton, root = body.skeleton, body.skeleton.root
     left, right = skeleton.index("HipLeft"), skeleton.index("HipRight")
     (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
-    rest = body.rest_positions
-    now, then = (
-        _frame(p[..., left, :] - p[..., right, :], p[..., spine, :] - p[..., root, :])
-        for p in (positions, rest)
-    )
-    return multiply(now, inverse(then))
+
+    def frame(p: Array) -> Array:
+        hips = p[..., left, :] - p[..., right, :]
+        return _frame(hips, p[..., spine, :] - p[..., root, :])
+
+    return multiply(frame(positions), inverse(frame(body.rest_positions)))
 
 
 def _frame(x: Array, up: Array) -> Array:
-    """Return the rotation whose x axis is along x and whose y axis is nearest to up."""
-    z = np.cross(x, up)
-    y = np.cross(z, x)
-    axes = np.stack([x, y, z], axis=-1)
-    norms = np.linalg.norm(axes, axis=-2, keepdims=True)
-    upright = np.all(norms > 1e-9, axis=(-2, -1), keepdims=True)
-    axes = np.where(upright, axes / np.where(norms > 1e-9, norms, 1.0), np.eye(3))
-    return wxyz_from_matrix(axes)
+    """Return the rotation whose x axis is along x and whose y axis is nearest to up.
+
+    The identity where the two span no plane.
+    """
+    turned = between(np.array([1.0, 0.0, 0.0]), x)
+    # What is left to turn about x is the angle from the turned y axis to up.
+    y, z = (rotate(turned, axis) for axis in np.eye(3)[1:])
+    ahead, aside = np.sum(up * y, axis=-1), np.sum(up * z, axis=-1)
+    half = 0.5 * np.arctan2(aside, ahead)
+    about_x = np.zeros((*half.shape, 4))
+    about_x[..., 0], about_x[..., 1] = np.cos(half), np.sin(half)
+    normal = cross(x, up)
+    plane = np.sum(normal * normal, axis=-1) > _NO_PLANE**2
+    return np.where(plane[..., None], multiply(turned, about_x), IDENTITY)

@@ -15,6 +15,7 @@ __all__ = [
     "about_y",
     "between",
     "continuous",
+    "cross",
     "inverse",
     "matrix_from_wxyz",
     "multiply",
@@ -35,15 +36,12 @@ def multiply(a: Array, b: Array) -> Array:
     a, b = np.asarray(a), np.asarray(b)
     aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0] = aw * bw - ax * bx - ay * by - az * bz
+    product[..., 1] = aw * bx + ax * bw + ay * bz - az * by
+    product[..., 2] = aw * by - ax * bz + ay * bw + az * bx
+    product[..., 3] = aw * bz + ax * by - ay * bx + az * bw
+    return product
 
 
 def inverse(q: Array) -> Array:
@@ -62,15 +60,22 @@ def rotate(q: Array, v: Array) -> Array:
     """Rotate vectors (..., 3) by unit quaternions (..., 4)."""
     q, v = np.asarray(q), np.asarray(v)
     w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * _cross(u, v)
-    return np.asarray(v + w * t + _cross(u, t))
+    t = 2.0 * cross(u, v)
+    return np.asarray(v + w * t + cross(u, t))
 
 
-def _cross(a: Array, b: Array) -> Array:
-    # np.cross spends ten times this on axis bookkeeping for a single frame.
+def cross(a: Array, b: Array) -> Array:
+    """Return the cross product of vectors (..., 3).
+
+    For a single frame, ``np.cross`` spends ten times this on bookkeeping of axes.
+    """
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0] = ay * bz - az * by
+    product[..., 1] = az * bx - ax * bz
+    product[..., 2] = ax * by - ay * bx
+    return product
 
 
 def between(a: Array, b: Array) -> Array:
@@ -82,12 +87,12 @@ def between(a: Array, b: Array) -> Array:
     a, b = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float))
     length = np.sqrt(np.sum(a * a, axis=-1) * np.sum(b * b, axis=-1))
     w = length + np.sum(a * b, axis=-1)
-    q = np.concatenate([w[..., None], _cross(a, b)], axis=-1)
+    q = np.concatenate([w[..., None], cross(a, b)], axis=-1)
     opposite = (w <= 1e-9 * length) & (length > 0.0)
     if np.any(opposite):
         # The axis of the smallest component is never along a.
         helper = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
-        across = np.concatenate([np.zeros((*a.shape[:-1], 1)), _cross(a, helper)], -1)
+        across = np.concatenate([np.zeros((*a.shape[:-1], 1)), cross(a, helper)], -1)
         q = np.where(opposite[..., None], across, q)
     return normalize(q)
 

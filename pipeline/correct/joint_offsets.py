@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Skeleton
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
+from kinefilter.retarget.rotations import cross
 
 from .hold import Hold
 from .interface import Correction, Observation
@@ -112,12 +113,12 @@ class JointOffsets:
         left, right = self._hips
         across = _unit(postures[..., left, :] - postures[..., right, :])
         spine = postures[..., self._girdle, :] - postures[..., self.skeleton.root, :]
-        ahead = _unit(np.cross(across, spine))
-        trunk = np.stack([across, np.cross(ahead, across), ahead], axis=-1)
+        ahead = _unit(cross(across, spine))
+        trunk = np.stack([across, cross(ahead, across), ahead], axis=-1)
         shape = (*ending.shape, 3)
         return np.concatenate(
             [
-                np.stack([ending, starting, np.cross(ending, starting)], axis=-1),
+                np.stack([ending, starting, cross(ending, starting)], axis=-1),
                 np.broadcast_to(trunk[..., None, :, :], shape),
             ],
             axis=-1,
