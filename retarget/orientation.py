@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body
+from kinefilter.characters import Body, Skeleton
 
 from .rotations import IDENTITY, between, cross, inverse, multiply, rotate
 
@@ -55,15 +57,20 @@ def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:
 
 def _pelvis(positions: Array, body: Body) -> Array:
     """Return the pelvis' rotation: x through the hips, y towards the spine."""
-    skeleton, root = body.skeleton, body.skeleton.root
+    return multiply(_pelvis_frame(positions, body.skeleton), _from_rest_pelvis(body))
+
+
+@lru_cache(maxsize=4)
+def _from_rest_pelvis(body: Body) -> Array:
+    """Return the inverse of the pelvis' frame in the rest posture."""
+    return inverse(_pelvis_frame(body.rest_positions, body.skeleton))
+
+
+def _pelvis_frame(positions: Array, skeleton: Skeleton) -> Array:
     left, right = skeleton.index("HipLeft"), skeleton.index("HipRight")
     (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
-
-    def frame(p: Array) -> Array:
-        hips = p[..., left, :] - p[..., right, :]
-        return _frame(hips, p[..., spine, :] - p[..., root, :])
-
-    return multiply(frame(positions), inverse(frame(body.rest_positions)))
+    across = positions[..., left, :] - positions[..., right, :]
+    return _frame(across, positions[..., spine, :] - positions[..., skeleton.root, :])
 
 
 def _frame(x: Array, up: Array) -> Array:
