@@ -77,7 +77,9 @@ def smooth_by_speed(
         for _ in range(_PASSES):
             path = _solve(_stiffness(rates, step), grid, values[:, j], weights[:, j])
             moved = np.sum(np.diff(path, axis=0) ** 2, axis=1)
-            speed = np.sqrt(uniform_filter1d(moved, _SPEED_FRAMES))[1:-1] / step
+            # A running mean of squares comes out under nothing by rounding.
+            mean = np.maximum(uniform_filter1d(moved, _SPEED_FRAMES), 0.0)[1:-1]
+            speed = np.sqrt(mean) / step
             rates = np.minimum(_SLOWEST_CUTOFF + _PER_SPEED * speed, highest)
         path = _solve(_stiffness(rates, step), grid, values[:, j], weights[:, j])
         smoothed[:, j] = path[grid]
