@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from .errors import InputError
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton
 
-__all__ = ["STANDARD_HEIGHT", "Body", "random_body", "standard_body"]
+__all__ = [
+    "STANDARD_HEIGHT",
+    "Body",
+    "joint_range",
+    "random_body",
+    "standard_body",
+]
 
 STANDARD_HEIGHT = 1.75
 """Stature [m] of the standard body that postures are compared on."""
@@ -71,6 +77,35 @@ _V2_HANDS: dict[str, _Row] = {
     "HandTip": (0.040, 0.0010, (1.0, 0.0, 0.0)),
     "Thumb": (0.030, 0.0010, (0.6, 0.0, 0.8)),
 }
+
+
+# How far [degrees] a segment turns against its parent from the T-pose at most, twist
+# included: range of motion (Norkin & White 2016, Measurement of Joint Motion, appendix
+# B) from where the T-pose has the joint, and room for where Kinect's joints lie in the
+# body: in marker mocap seen as Kinect joints, 1 % of the frames turn farther.
+_RANGES = {
+    "Spine": 80.0,
+    "SpineMid": 50.0,
+    "ShoulderCenter": 45.0,
+    "SpineShoulder": 45.0,
+    "Neck": 45.0,
+    "Head": 75.0,
+    "Shoulder": 50.0,
+    "Elbow": 160.0,
+    "Wrist": 165.0,
+    "Hand": 100.0,
+    "HandTip": 90.0,
+    "Thumb": 90.0,
+    "Hip": 60.0,
+    "Knee": 140.0,
+    "Ankle": 150.0,
+    "Foot": 80.0,
+}
+
+
+def joint_range(name: str) -> float:
+    """Return how far [rad] the segment that ends at a joint turns from the T-pose."""
+    return float(np.radians(_RANGES[name.removesuffix("Left").removesuffix("Right")]))
 
 
 def _table(skeleton: Skeleton) -> dict[str, _Row]:

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .anthropometry import Body
+from .anthropometry import Body, joint_range
 
 __all__ = ["Tracking", "build_humanoid", "from_mujoco", "to_mujoco"]
 
@@ -26,6 +26,9 @@ GRAVITY = 9.81
 
 # Time constant of two steps, the stiffest that MuJoCo allows, and next to no give.
 _HARD_FLOOR = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
+# Flesh gives way by some centimeters, and so must capsules where a tracker lets arms
+# touch the trunk: hard ones would shake.
+_SOFT_FLESH = ([0.05, 1.0], [0.1, 0.9, 0.03, 0.5, 2.0])
 # Thin capsules have next to no inertia about their axis, and a jumping target spins
 # them up: the inertia of a hand about the wrist, and a tissue damping that takes a
 # tenth of a second to stop a part. Both tried: without, failed takes diverge.
@@ -34,6 +37,28 @@ _PASSIVE_DAMPING = 10.0  # 1/s
 # Turning a segment about its axis turns what hangs on it, at an angle: the share of its
 # inertia across the axis that the torque's gains are made for.
 _TURNED_ALONG = 0.1
+
+# Parts by what they collide with, and which groups those are.
+_ARM, _LEG = ("Wrist", "Hand", "HandTip", "Thumb"), ("Ankle", "Foot")
+_TRUNK = (
+    "KneeLeft",
+    "KneeRight",
+    "Spine",
+    "SpineMid",
+    "ShoulderCenter",
+    "SpineShoulder",
+    "Neck",
+    "Head",
+)
+_GROUPS = {
+    "arm L": (_ARM, ("arm R",)),
+    "arm R": (_ARM, ()),
+    "leg L": (_LEG, ("arm L", "arm R", "leg R")),
+    "leg R": (_LEG, ("arm L", "arm R")),
+    "trunk": (_TRUNK, ("arm L", "arm R")),
+}
+_SIDES = {"L": "Left", "R": "Right"}
+_BITS = {group: bit for bit, group in enumerate(_GROUPS, start=1)}
 
 _TO_MUJOCO = [2, 0, 1]  # forward, left, up from left (x), up (y), forward (z)
 _FROM_MUJOCO = [1, 2, 0]
@@ -119,13 +144,11 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
     offsets = to_mujoco(body.rest_offsets)
     rest_root = to_mujoco(body.rest_positions[root])
     swing = _swing_inertias(body)
-    # Parts pass through each other and rest on the floor.
     collides = {
-        "contype": 0,
-        "conaffinity": 1,
         "condim": 3,
-        "solref": _HARD_FLOOR[0],
-        "solimp": _HARD_FLOOR[1],
+        "solref": _SOFT_FLESH[0],
+        "solimp": _SOFT_FLESH[1],
+        "solmix": 1e-3,  # against the floor or a prop, their hardness counts
     }
     parts = {root: spec.worldbody.add_body(name=skeleton.joints[root], pos=rest_root)}
     parts[root].add_freejoint(name=skeleton.joints[root])
@@ -134,6 +157,7 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[body.radii[root], 0.0, 0.0],
         mass=body.masses[root],
+        **_collisions(skeleton.joints[root]),
         **collides,
     )
     parts[root].add_site(name=skeleton.joints[root])
@@ -145,6 +169,7 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
             name=name,
             type=mujoco.mjtJoint.mjJNT_BALL,
             armature=_ARMATURE,
+            range=[0.0, np.degrees(joint_range(name))],
             damping=[_PASSIVE_DAMPING * swing[j], 0.0, 0.0],
         )
         parts[j].add_geom(
@@ -153,6 +178,7 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
             fromto=[0.0, 0.0, 0.0, *offsets[j]],
             size=[body.radii[j], 0.0, 0.0],
             mass=body.masses[j],
+            **_collisions(name),
             **collides,
         )
         parts[j].add_site(name=name, pos=offsets[j])
@@ -165,8 +191,25 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
                 pos=[0.0, 0.0, -height],
                 size=[body.radii[j], 0.0, 0.0],
                 mass=0.0,
+                **_collisions(""),
                 **collides,
             )
+
+
+def _collisions(name: str) -> dict[str, int]:
+    """Return what the part that ends at a joint collides with, as MuJoCo's bits.
+
+    Everything rests on the floor and on props. Hands and forearms meet each other, the
+    trunk, the head and the legs; a lower leg meets the other. Parts that hang together
+    at shoulders and hips overlap by nature.
+    """
+    for group, (parts, others) in _GROUPS.items():
+        if any(
+            name == part or name == part + _SIDES.get(group[-1], "") for part in parts
+        ):
+            bits = sum(1 << _BITS[other] for other in others)
+            return {"contype": 1 << _BITS[group], "conaffinity": 1 | bits}
+    return {"contype": 0, "conaffinity": 1}
 
 
 def _add_forces(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
