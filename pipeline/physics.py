@@ -266,6 +266,11 @@ class PhysicsFilter:
         return from_mujoco(self.data.qpos[:3])
 
     @property
+    def positions(self) -> Array:
+        """Joint positions of the present posture [m], world frame, shape (J, 3)."""
+        return from_mujoco(self.data.site_xpos[self._sites])
+
+    @property
     def external_force(self) -> float:
         """What pulls the body as a whole and comes from no floor [body weights].
 

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, Body, standard_body
-from kinefilter.characters.humanoid import Tracking, joint_masses
+from kinefilter.characters.anthropometry import joint_range
+from kinefilter.characters.humanoid import GRAVITY, Tracking, joint_masses
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.physics import PhysicsFilter, substeps_in
 from kinefilter.retarget import positions_from_rotations
@@ -33,11 +34,20 @@ def _standing(count: int, lift: float = 0.0) -> tuple[Array, Array, Array]:
     return time, positions, np.tile(IDENTITY, (count, len(KINECT_V1), 1))
 
 
-def test_in_the_air_the_pull_sags_by_gravity_over_frequency_squared() -> None:
+def test_in_the_air_the_pull_carries_the_weight_and_does_not_sag() -> None:
     time, positions, rotations = _standing(60, lift=1.0)
-    tracking = Tracking(natural_frequency=50.0)
-    result = PhysicsFilter(BODY, tracking).run(time, positions, rotations)
-    sag = positions[-1, :, 1] - result.positions[-1, :, 1]
+    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    np.testing.assert_allclose(result.positions[-1], positions[-1], atol=1e-4)
+
+
+def test_a_weight_more_than_expected_sags_by_gravity_over_frequency_squared() -> None:
+    _, positions, rotations = _standing(1, lift=1.0)
+    character = PhysicsFilter(BODY, Tracking(natural_frequency=50.0))
+    character.model.opt.gravity[2] *= 2.0
+    character.start(positions[0], rotations[0])
+    for _ in range(60):
+        character.step(positions[0], rotations[0], 1 / 30)
+    sag = positions[0, :, 1] - character.positions[:, 1]
     np.testing.assert_allclose(sag, 9.81 / 50.0**2, rtol=0.01)
 
 
@@ -54,6 +64,77 @@ def test_on_the_floor_the_floor_carries() -> None:
     result = PhysicsFilter(BODY).run(time, positions, rotations)
     assert result.trace.contacts[-1] >= 2
     assert lowest_point(result.positions, BODY).min() > -0.002
+
+
+def test_who_stands_is_carried_by_the_floor_alone() -> None:
+    time, positions, rotations = _standing(60)
+    stands = np.ones((60, 2), dtype=bool)
+    result = PhysicsFilter(BODY).run(time, positions, rotations, stands=stands)
+    assert result.trace.external_force[-1] < 0.06
+    assert result.trace.contacts[-1] >= 4  # heels and toes
+    np.testing.assert_allclose(result.positions, positions, atol=1e-3)
+
+
+def test_on_one_foot_the_other_does_not_press() -> None:
+    _, positions, rotations = _standing(1)
+    character = PhysicsFilter(BODY)
+    character.start(positions[0], rotations[0])
+    for _ in range(30):
+        character.step(
+            positions[0], rotations[0], 1 / 30, stands=np.array([True, False])
+        )
+    left, right = (
+        character.data.xfrc_applied[character.model.body(f"Foot{side}").id, 2]
+        for side in ("Left", "Right")
+    )
+    assert left == pytest.approx(-BODY.mass * GRAVITY, rel=0.01)
+    assert right == 0.0
+
+
+def test_quick_movement_is_followed_within_millimeters_and_without_lag() -> None:
+    time, positions, rotations = _standing(120, lift=1.0)
+    positions[..., 0] += 0.3 * np.sin(2.0 * np.pi * 1.5 * time)[:, None]
+    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    behind = (positions - result.positions)[10:, :, 0]
+    assert np.abs(behind).max() < 0.005
+
+
+def test_no_knee_folds_farther_than_people_can() -> None:
+    time, positions, rotations = _standing(60, lift=1.0)
+    hip, knee, ankle = (KINECT_V1.index(f"{j}Left") for j in ("Hip", "Knee", "Ankle"))
+    angle = np.radians(178.0) * np.minimum(time, 1.0)
+    shank = BODY.lengths[ankle]
+    positions[:, ankle] = positions[:, knee] + shank * np.stack(
+        [0.0 * angle, -np.cos(angle), -np.sin(angle)], axis=1
+    )
+    foot = KINECT_V1.index("FootLeft")
+    positions[:, foot] = positions[:, ankle] + [0.0, -0.1, 0.0]
+    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    thigh = result.positions[-1, knee] - result.positions[-1, hip]
+    lower = result.positions[-1, ankle] - result.positions[-1, knee]
+    cosine = thigh @ lower / (np.linalg.norm(thigh) * np.linalg.norm(lower))
+    folded = np.degrees(np.arccos(cosine))
+    assert 130.0 < folded < np.degrees(joint_range("AnkleLeft")) + 5.0
+
+
+def test_a_hand_pulled_into_the_trunk_stays_outside() -> None:
+    time, positions, rotations = _standing(60, lift=1.0)
+    spine, center = KINECT_V1.index("Spine"), KINECT_V1.index("ShoulderCenter")
+    inside = 0.5 * (positions[0, spine] + positions[0, center])
+    share = np.minimum(time / 1.0, 1.0)[:, None]
+    for joint in ("WristLeft", "HandLeft"):
+        j = KINECT_V1.index(joint)
+        positions[:, j] += share * (inside - positions[:, j])
+    elbow = KINECT_V1.index("ElbowLeft")
+    positions[:, elbow] += share * [-0.2, 0.0, 0.25]
+    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    hand = result.positions[-1, KINECT_V1.index("HandLeft")]
+    trunk = result.positions[-1, [spine, center]]
+    along = trunk[1] - trunk[0]
+    share = np.clip((hand - trunk[0]) @ along / (along @ along), 0.0, 1.0)
+    apart = np.linalg.norm(hand - trunk[0] - share * along)
+    touching = BODY.radii[KINECT_V1.index("HandLeft")] + BODY.radii[center]
+    assert apart > touching - 0.04  # flesh gives way
 
 
 def test_constant_velocity_is_followed_without_lag() -> None:
