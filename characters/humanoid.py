@@ -24,6 +24,9 @@ __all__ = ["Tracking", "build_humanoid", "from_mujoco", "to_mujoco"]
 GRAVITY = 9.81
 """Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
 
+PULLS = 30
+"""Actuator group of everything that pulls the character."""
+
 # Time constant of two steps, the stiffest that MuJoCo allows, and next to no give.
 _HARD_FLOOR = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
 # Flesh gives way by some centimeters, and so must capsules where a tracker lets arms
@@ -283,6 +286,7 @@ def _add_pd(
         target=site,
         refsite=reference,
         gear=gear,
+        group=PULLS,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         gainprm=[1.0] + [0.0] * 9,

@@ -9,7 +9,14 @@ from kinefilter.characters import Skeleton
 
 from .smooth import smooth
 
-__all__ = ["SIDES", "ankles_and_toes", "feet_of", "find_stance", "runs"]
+__all__ = [
+    "SIDES",
+    "StanceTracker",
+    "ankles_and_toes",
+    "feet_of",
+    "find_stance",
+    "runs",
+]
 
 Array = NDArray[np.float64]
 
@@ -30,6 +37,7 @@ _LOWER, _HIGHER = -0.1, 0.3  # m: where more says no more
 _ERROR_OF_HEIGHT = 0.1  # m
 _STANDING = 20.0  # percentile of the ankles' heights that is taken for standing
 _SWITCH = 4.0  # what a change costs, in the same unit: the hysteresis. A guess.
+_SPEED_TIME = 0.1  # s that a speed is a mean over where nobody looks ahead
 _DRIFT = 0.10  # m: an ankle that moved farther has made a step that nobody saw
 _UNLOADING = 0.15  # s: from the first rise of a foot to its leaving
 _STEP = 0.3  # s: how long such a step takes
@@ -84,11 +92,16 @@ def _log_odds(time: Array, paths: Array) -> Array:
     speed = np.zeros(paths.shape[:2])
     if len(time) > 1:
         velocity = np.gradient(paths[..., [0, 2]], time, axis=0)
-        speed = np.minimum(np.linalg.norm(velocity, axis=2), 1.0)
+        speed = np.linalg.norm(velocity, axis=2)
     height = paths[..., 1]
-    lift = np.clip(height - height[:, ::-1], _LOWER, _HIGHER)
     above = height - np.percentile(height, _STANDING) - _ERROR_OF_HEIGHT
+    return _odds(speed, height, above)
+
+
+def _odds(speed: Array, height: Array, above: Array) -> Array:
+    lift = np.clip(height - height[..., ::-1], _LOWER, _HIGHER)
     above = np.clip(above, 0.0, _HIGHER)
+    speed = np.minimum(speed, 1.0)
     return np.asarray(
         _STANDS - _PER_SPEED * speed - _PER_LIFT * lift - _PER_HEIGHT * above
     )
@@ -108,6 +121,46 @@ def _most_probable(log_odds: Array) -> NDArray[np.bool_]:
     for k in range(count - 2, -1, -1):
         stands[k] = np.where(stands[k + 1], lead[k] > -_SWITCH, lead[k] > _SWITCH)
     return stands
+
+
+class StanceTracker:
+    """Tells frame by frame, without looking ahead, whether each foot stands.
+
+    The same odds as ``find_stance``; a change has to gather as much evidence as it
+    costs there, and speeds are means over a tenth of a second.
+    """
+
+    def __init__(self) -> None:
+        self.start()
+
+    def start(self) -> None:
+        """Forget all frames."""
+        self._paths: Array | None = None
+        self._lead = np.full(2, _SWITCH)
+        self.stands = np.ones(2, dtype=np.bool_)
+        """Whether each foot stands, order of SIDES, shape (2,)."""
+
+    def step(self, ankles: Array, flat: float, dt: float) -> NDArray[np.bool_]:
+        """Take in the next frame and return whether each foot stands, shape (2,).
+
+        Args:
+            ankles: Positions of the ankles [m], floor at y = 0, shape (2, 3).
+            flat: Height of the ankle of a foot that is flat on the floor [m].
+            dt: Time since the last frame [s].
+        """
+        if self._paths is None:
+            self._paths = ankles.copy()
+        share = 1.0 - np.exp(-dt / _SPEED_TIME)
+        moved = share * (ankles - self._paths)
+        self._paths = self._paths + moved
+        speed = np.linalg.norm(moved[:, [0, 2]], axis=1) / dt
+        height = self._paths[:, 1]
+        odds = _odds(speed, height, height - flat - _ERROR_OF_HEIGHT)
+        self._lead = np.clip(self._lead + odds * dt * 30.0, -_SWITCH, _SWITCH)
+        self.stands = np.where(
+            self.stands, self._lead > -_SWITCH, self._lead >= _SWITCH
+        )
+        return self.stands
 
 
 def _unloaded(time: Array, stands: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Body
 from kinefilter.characters.humanoid import (
     GRAVITY,
+    PULLS,
     Tracking,
     build_humanoid,
     from_mujoco,
@@ -32,6 +34,7 @@ from kinefilter.retarget.rotations import (
     rotate,
     rotation_vector,
 )
+from kinefilter.scenes import load_scene
 
 __all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace", "substeps_in"]
 
@@ -61,7 +64,7 @@ class PhysicsTrace:
     external_force: Array
     """Force on the body that no muscle and no floor gives [body weights]."""
     contacts: NDArray[np.int64]
-    """Number of contact points with the floor."""
+    """Number of points in which the character touches itself or anything else."""
     reset: NDArray[np.bool_]
     """The step diverged; the character was put back onto its target."""
 
@@ -100,9 +103,19 @@ def _substeps_per_update(dt: float) -> int:
 class PhysicsFilter:
     """Steps the humanoid of one body, frame by frame."""
 
-    def __init__(self, body: Body, tracking: Tracking | None = None) -> None:
+    def __init__(
+        self,
+        body: Body,
+        tracking: Tracking | None = None,
+        *,
+        scene: str | Path | None = None,
+    ) -> None:
         self.body = body
-        self.model = build_humanoid(body, tracking).compile()
+        if scene is None:
+            spec = build_humanoid(body, tracking)
+        else:
+            spec = load_scene(scene, body, tracking=tracking)
+        self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         joints = body.skeleton.joints
         n = len(joints)
@@ -113,15 +126,16 @@ class PhysicsFilter:
         self._balls = np.array(
             [self.model.joint(joints[j]).qposadr[0] for j in self._segments]
         )
-        self._stiffness = -self.model.actuator_biasprm[:, 1]
-        self._damping = -self.model.actuator_biasprm[:, 2]
-        turns = slice(3 * n, None)
+        # The character's actuators come first: forces, then torques, of which the first
+        # three are the root's, then one a segment.
+        count = int(np.sum(self.model.actuator_group == PULLS))
+        self._stiffness = -self.model.actuator_biasprm[:count, 1]
+        self._damping = -self.model.actuator_biasprm[:count, 2]
+        turns = range(3 * n, count)
         self._turn_axes = self.model.actuator_gear[turns, 3:]
-        # The first three torques are the root's, then one a segment.
-        turned = [
-            self.model.actuator(i).name.split(":")[1]
-            for i in range(3 * n, self.model.nu)
-        ]
+        turned = [self.model.actuator(i).name.split(":")[1] for i in turns]
+        targets = [self.model.body(f"target:{name}").id for name in joints]
+        self._mocap = self.model.body_mocapid[targets]
         self._turned = np.array([joints.index(name) for name in turned])
         self._weight = float(body.mass * GRAVITY)
         self._masses = joint_masses(body)
@@ -129,6 +143,7 @@ class PhysicsFilter:
         self._feet = np.stack([ankles, toes], axis=1)
         self._soles = self._bodies[toes]
         self._load = np.zeros(2)
+        self._pushes: list[tuple[int, Array, float]] = []
         if mujoco.get_mju_user_warning() is None:
             # The engine's own handler writes a log into the user's working folder; a
             # diverging step is in the trace.
@@ -144,8 +159,35 @@ class PhysicsFilter:
         mujoco.mj_resetData(self.model, self.data)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
-        self._load[:] = 0.0
+        self._load[:], self._pressure = 0.0, 0.0
+        self._pushes.clear()
         self._place(*self._target)
+
+    def push(self, part: str, force: Array, seconds: float) -> None:
+        """Push a part of the body from outside for some time.
+
+        Args:
+            part: The joint that the part ends at.
+            force: The force at the part's center of mass [N], world frame, shape (3,).
+            seconds: How long from now on.
+
+        Raises:
+            InputError: There is no such joint.
+        """
+        body = int(self._bodies[self.body.skeleton.index(part)])
+        until = float(self.data.time) + seconds
+        self._pushes.append((body, to_mujoco(np.asarray(force, dtype=float)), until))
+
+    @property
+    def limp(self) -> bool:
+        """Whether nothing pulls the character, so that it falls; can be set."""
+        return bool(self.model.opt.disableactuator & (1 << PULLS))
+
+    @limp.setter
+    def limp(self, value: bool) -> None:
+        bit = 1 << PULLS
+        held = self.model.opt.disableactuator & ~bit
+        self.model.opt.disableactuator = held | (bit if value else 0)
 
     def step(
         self,
@@ -181,12 +223,16 @@ class PhysicsFilter:
             gained = to_mujoco(acceleration)
         self._target, self._velocity = (after_p, after_q), velocity
         needed = self._masses[:, None] * (gained + _UP * GRAVITY)
-        self._bear(after_p, needed.sum(axis=0), stands, dt)
-        n = after_p.size
+        self.data.xfrc_applied[self._bodies] = 0.0
+        self._bear(after_p, needed.sum(axis=0), None if self.limp else stands, dt)
+        self._pushes = [push for push in self._pushes if push[2] > self.data.time]
+        for part, force, _ in self._pushes:
+            self.data.xfrc_applied[part, :3] += force
+        n, nu = after_p.size, len(self._stiffness)
         spin = rotation_vector(multiply(after_q, inverse(before_q))) / dt
         turning = rotate(inverse(after_q), spin)[self._turned]
         ctrl, data = self.data.ctrl, self.data
-        ctrl[n:] = self._damping[n:] * np.sum(turning * self._turn_axes, axis=1)
+        ctrl[n:nu] = self._damping[n:] * np.sum(turning * self._turn_axes, axis=1)
         forward = self._damping[:n] * velocity.ravel() + needed.ravel()
         updates, substeps = _updates_in(dt), _substeps_per_update(dt)
         self.model.opt.timestep = dt / (updates * substeps)
@@ -196,7 +242,8 @@ class PhysicsFilter:
             share = (k + 0.5 - 0.5 / substeps) / updates
             point = before_p + share * (after_p - before_p)
             ctrl[:n] = self._stiffness[:n] * point.ravel() + forward
-            data.mocap_quat[:] = normalize(before_q + share * (after_q - before_q))
+            turned = before_q + share * (after_q - before_q)
+            data.mocap_quat[self._mocap] = normalize(turned)
             mujoco.mj_step(self.model, data, nstep=substeps)
         mujoco.mj_kinematics(self.model, data)
         if self._astray(after_p):
@@ -228,10 +275,10 @@ class PhysicsFilter:
             wanted = np.where(stands.all(), wanted, stands)
         most = dt / _LOADING_TIME
         self._load += np.clip(wanted - self._load, -most, most)
-        if stands is not None:
-            self._load[~stands] = 0.0
-        pressure = -np.clip(needed[2], 0.0, _HARDEST_STEP * self._weight)
-        self.data.xfrc_applied[self._soles, 2] = self._load * pressure
+        self._load[wanted == 0.0] = 0.0
+        pressures = self._load * np.clip(needed[2], 0.0, _HARDEST_STEP * self._weight)
+        self._pressure = float(pressures.sum())
+        self.data.xfrc_applied[self._soles, 2] = -pressures
 
     def _astray(self, target: Array) -> bool:
         """Tell whether the character spins out of control or left its target."""
@@ -240,6 +287,8 @@ class PhysicsFilter:
             return True
         if not np.abs(self.data.qvel).max() < _FASTEST:
             return True
+        if self.limp:
+            return False
         away = np.abs(self.data.site_xpos[self._sites] - target).max()
         return not away < LOST  # also true for NaN
 
@@ -252,7 +301,7 @@ class PhysicsFilter:
         )
         qpos[self._balls[:, None] + np.arange(4)] = relative
         self.data.qvel[:] = 0.0
-        self.data.mocap_quat[:] = rotations
+        self.data.mocap_quat[self._mocap] = rotations
         mujoco.mj_kinematics(self.model, self.data)
 
     @property
@@ -271,6 +320,12 @@ class PhysicsFilter:
         return from_mujoco(self.data.site_xpos[self._sites])
 
     @property
+    def contacts(self) -> int:
+        """Number of points in which the character touches itself or anything else."""
+        bodies = self.model.geom_bodyid[self.data.contact.geom]
+        return int(np.isin(bodies, self._bodies).any(axis=1).sum())
+
+    @property
     def external_force(self) -> float:
         """What pulls the body as a whole and comes from no floor [body weights].
 
@@ -279,8 +334,8 @@ class PhysicsFilter:
         """
         n = 3 * len(self._sites)
         pulls = self.data.actuator_force[:n].reshape(-1, 3).sum(axis=0)
-        pressed = self.data.xfrc_applied[self._soles, :3].sum(axis=0)
-        return float(np.linalg.norm(pulls + pressed) / self._weight)
+        pulls[2] -= self._pressure
+        return float(np.linalg.norm(pulls) / self._weight)
 
     @property
     def tracking_error(self) -> float:
@@ -336,7 +391,7 @@ class PhysicsFilter:
             joints[k] = positions_from_rotations(result[k], self.root, self.body)
             trace.tracking_error[k] = self.tracking_error
             trace.external_force[k] = self.external_force
-            trace.contacts[k] = self.data.ncon
+            trace.contacts[k] = self.contacts
         return PhysicsResult(result, joints, trace)
 
     def _settle(self, stands: NDArray[np.bool_] | None) -> None:
