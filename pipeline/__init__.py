@@ -9,11 +9,14 @@ from .database import PostureDatabase
 from .formats import read_clip, read_take, write_clip
 
 if TYPE_CHECKING:
+    from .avatar import Avatar, Pose
     from .run import CleanResult, clean
 
 __all__ = [
+    "Avatar",
     "CleanConfig",
     "CleanResult",
+    "Pose",
     "PostureDatabase",
     "clean",
     "read_clip",
@@ -24,8 +27,12 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Return what loads MuJoCo and scikit-learn only when it is asked for."""
-    if name not in ("CleanResult", "clean"):
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from . import run
+    if name in ("Avatar", "Pose"):
+        from . import avatar
 
-    return getattr(run, name)
+        return getattr(avatar, name)
+    if name in ("CleanResult", "clean"):
+        from . import run
+
+        return getattr(run, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

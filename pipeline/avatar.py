@@ -10,7 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinefilter.characters import Body, InputError, State, Take
 from kinefilter.characters.humanoid import Tracking
-from kinefilter.retarget import BoneLengths, Standardizer, rotations_from_positions
+from kinefilter.retarget import (
+    BoneLengths,
+    Standardizer,
+    View,
+    rotations_from_positions,
+)
 
 from .contacts import StanceTracker, ankles_and_toes
 from .correct import Corrector, Observation
@@ -19,6 +24,7 @@ from .default import default_corrector
 from .floor import put_on_floor
 from .library import embedded_database
 from .physics import PhysicsFilter
+from .placement import place_of
 from .reliability import ReliabilityScorer, measure_reference
 
 __all__ = ["Avatar", "Pose"]
@@ -56,8 +62,9 @@ class Avatar:
 
     Args:
         body: The person; ``standard_body(KINECT_V2, height=1.8)`` will do.
-        scene: One of the scenes, or an MJCF file, that the character stands in, with
-            the floor at 0 and the person's place in front of the sensor kept.
+        scene: One of the scenes, or an MJCF file, that the character is in. The person
+            begins at its origin, facing +z (MuJoCo's +x); without one, the character
+            stays where the sensor sees the person.
         floor: Height of the floor in the sensor's frame [m]; by default it is followed
             under the feet.
         tracking: How hard the character is pulled. Softer (15 rad/s) gives way when it
@@ -76,6 +83,7 @@ class Avatar:
     ) -> None:
         skeleton = body.skeleton
         self.body, self.floor = body, floor
+        self._in_scene = scene is not None
         self.physics = PhysicsFilter(body, tracking, scene=scene)
         self._corrector = corrector or default_corrector(embedded_database(skeleton))
         self._scorer = ReliabilityScorer(skeleton, measure_reference(_at_rest(body)))
@@ -94,6 +102,7 @@ class Avatar:
         self._stance.start()
         self._time: float | None = None
         self._height = self.floor
+        self._place = None if self._in_scene else View(np.zeros(3), np.zeros(()))
         self._moved = np.zeros((2, 2, 3))
         self._anchors = np.zeros((2, 2, 3))
         self._stood = np.zeros(2, dtype=np.bool_)
@@ -174,12 +183,15 @@ class Avatar:
         there = self._standardizer.undo(found.positions, view)
         there = self._smoother.step(replace(observation, positions=there)).positions
         there = self._on_floor(there)
+        if self._place is None:
+            self._place = place_of(there[None], self.body.skeleton)
+        there = self._place.remove(there)
         there, firmness = self._planted(there, found.trust, step)
         there = self._bones.project(there[None], firmness[None])[0]
         there = put_on_floor(there[None], self.body)[0]
         prior = found.rotations
         if prior is not None:
-            prior = view.restore_rotations(prior)
+            prior = self._place.remove_rotations(view.restore_rotations(prior))
         return there, rotations_from_positions(there, self.body, prior)
 
     def _on_floor(self, positions: Array) -> Array:

@@ -13,6 +13,7 @@ from kinefilter.characters import InputError
 
 from .commands import (
     Bench,
+    Character,
     Clean,
     Database,
     Evaluate,
@@ -31,6 +32,7 @@ Command = (
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Simulate, subcommand("simulate")]
     | Annotated[Reproduce, subcommand("reproduce")]
+    | Annotated[Character, subcommand("character")]
     | Annotated[Bench, subcommand("bench")]
 )
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, InputError, Skeleton, Take
+from kinefilter.characters import Body, Clip, InputError, Skeleton, Take
 from kinefilter.retarget import measured_body
 
 from .config import CleanConfig
@@ -22,12 +22,13 @@ from .library import embedded_database
 from .metrics import Quality, distances, measure
 from .models import Model, load_model
 from .person import corrected_body
-from .physics import PhysicsFilter, PhysicsTrace
+from .physics import PhysicsFilter, PhysicsResult, PhysicsTrace
+from .placement import place_of
 from .progress import Progress, silent
 from .reliability import Reference, measure_reference
 from .scoring import SCORERS
 from .standard import standardize_take
-from .target import make_target
+from .target import Target, make_target
 
 __all__ = ["CleanResult", "clean", "make_corrector"]
 
@@ -121,13 +122,7 @@ def clean(
     rotations, trace = target.rotations, None
     force = np.full(len(take), np.nan)
     if config.physics:
-        result = PhysicsFilter(body).run(
-            take.time,
-            target.positions,
-            target.rotations,
-            stands=target.stands,
-            frames=progress("physics", len(take)),
-        )
+        result = _simulated(take.time, target, body, config.scene, progress)
         rotations, after, trace = result.rotations, result.positions, result.trace
         force = trace.external_force
         stages["physics"] = measure(take.time, after, raw, body, target.stands)
@@ -149,6 +144,35 @@ def clean(
     )
     notes = _notes(reference, trace)
     return CleanResult(clip, stages, coverage[frames], trace, failures, notes)
+
+
+def _simulated(
+    time: Array, target: Target, body: Body, scene: str | None, progress: Progress
+) -> PhysicsResult:
+    """Pull the character through a target, in a scene if there is one."""
+    character = PhysicsFilter(body, scene=scene)
+    frames = progress("physics", len(time))
+    if scene is None:
+        return character.run(
+            time,
+            target.positions,
+            target.rotations,
+            stands=target.stands,
+            frames=frames,
+        )
+    place = place_of(target.positions, body.skeleton)
+    result = character.run(
+        time,
+        place.remove(target.positions),
+        place.remove_rotations(target.rotations),
+        stands=target.stands,
+        frames=frames,
+    )
+    return replace(
+        result,
+        positions=place.restore(result.positions),
+        rotations=place.restore_rotations(result.rotations),
+    )
 
 
 def _notes(reference: Reference, trace: PhysicsTrace | None) -> tuple[str, ...]:

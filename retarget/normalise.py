@@ -37,6 +37,10 @@ class View:
         turn = about_y(self.yaw)[..., None, :]
         return rotate(turn, positions) + self.root[..., None, :]
 
+    def remove_rotations(self, rotations: Array) -> Array:
+        """Return normalized rotations of world ones, wxyz, shape (..., J, 4)."""
+        return multiply(inverse(about_y(self.yaw))[..., None, :], rotations)
+
     def restore_rotations(self, rotations: Array) -> Array:
         """Return world rotations of normalized ones, wxyz, shape (..., J, 4)."""
         return multiply(about_y(self.yaw)[..., None, :], rotations)

@@ -1,6 +1,7 @@
 """The commands of the command line, one a file: they parse and print, nothing else."""
 
 from .bench import Bench
+from .character import Character
 from .clean import Clean
 from .database import Database
 from .evaluate import Evaluate
@@ -10,6 +11,7 @@ from .train import Train
 
 __all__ = [
     "Bench",
+    "Character",
     "Clean",
     "Database",
     "Evaluate",
