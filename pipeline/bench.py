@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import resources
 from pathlib import Path
 from time import perf_counter
@@ -16,6 +17,7 @@ from kinefilter.retarget.body_size import Standardizer, measured_body
 from kinefilter.retarget.bone_lengths import BoneLengths
 from kinefilter.retarget.orientation import rotations_from_positions
 
+from .batch import clean_takes, workers
 from .correct import Corrector, LocalPCA, Observation
 from .correct.posture_space import PostureSpace
 from .correct.search import solve, stochastic_search
@@ -29,6 +31,7 @@ from .reliability import ReliabilityScorer, measure_reference
 __all__ = ["as_table", "bench", "sample_path"]
 
 _STAGES = ("reliability", "correct", "orientation", "physics")
+_TAKES_PER_CORE = 6  # that are cleaned side by side
 _WARM_UP = 10  # frames that are run and not counted
 
 
@@ -50,7 +53,20 @@ def bench(path: Path | None = None) -> dict[str, Any]:
     return {
         **_time_stages(take, default_corrector(database)),
         "search": _compare_searches(take, LocalPCA(database)),
+        "offline": _time_offline(take),
     }
+
+
+def _time_offline(take: Take) -> dict[str, float]:
+    """Return how many frames a second whole takes are cleaned at, on all cores."""
+    cores = len(os.sched_getaffinity(0))
+    with workers(cores) as pool:
+        list(clean_takes([take] * 2 * cores, pool=pool))  # imports, database
+        start = perf_counter()
+        done = list(clean_takes([take] * _TAKES_PER_CORE * cores, pool=pool))
+        seconds = perf_counter() - start
+    frames = sum(len(result.clip) for result in done)
+    return {"cores": cores, "frames_per_second": frames / seconds}
 
 
 def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
@@ -156,6 +172,11 @@ def as_table(figures: dict[str, Any]) -> Table:
     search = figures["search"]
     table.add_row("search alone: solver", f"{search['solver_ms']:.3f}")
     table.add_row("search alone: stochastic", f"{search['stochastic_ms']:.3f}")
+    offline = figures["offline"]
+    table.add_row(
+        f"whole takes, {offline['cores']} cores",
+        f"{offline['frames_per_second']:.0f} frames/s",
+    )
     share = search["share_of_frames_lower_energy"]
     table.caption = f"the solver reaches the lower energy in {share:.1%} of the frames"
     return table

@@ -6,6 +6,7 @@ import hashlib
 import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import (
+    SKELETONS,
     Body,
     InputError,
     Skeleton,
@@ -60,8 +62,8 @@ def embedded_database(
 
     path = user_cache_path("kinefilter") / f"{skeleton.name}-{_fingerprint()}.npz"
     try:
-        return PostureDatabase.load(path)
-    except InputError:
+        return _loaded(path, path.stat().st_mtime_ns)
+    except (OSError, InputError):
         database = scripted_database(skeleton, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -71,6 +73,13 @@ def embedded_database(
     return database
 
 
+@lru_cache(maxsize=len(SKELETONS))
+def _loaded(path: Path, changed: int) -> PostureDatabase:  # noqa: ARG001 - a key
+    """Return a database that many takes share; ``changed`` tells files apart."""
+    return PostureDatabase.load(path)
+
+
+@cache
 def _fingerprint() -> str:
     """Return a hash of all the code that has a hand in the scripted database."""
     digest = hashlib.sha256()
