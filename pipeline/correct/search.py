@@ -13,7 +13,7 @@ __all__ = ["solve", "stochastic_search"]
 Array = NDArray[np.float64]
 
 _STEPS = 8
-_CONVERGED = 1e-5  # latent step [m] below which nothing visible changes
+_CONVERGED = 1e-4  # latent step [m] below which nothing visible changes
 
 
 def solve(space: PostureSpace, energy: PostureEnergy, start: Array) -> Array:
