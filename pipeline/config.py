@@ -66,6 +66,9 @@ class CleanConfig:
     floor: Literal["auto", "none"] | float = "auto"
     """Where the floor is: found under the feet, none: the take's own y = 0, or its
     height in the take [m]."""
+    tilt: float | None = None
+    """By how much the floor rises away along the sensor's z axis [degrees]; default:
+    found where somebody walks a meter or more."""
     scene: str | None = None
     """What is around the person, who begins at its origin: basic, box, flip_chart,
     basketball, chair, office, or an MJCF file (.xml); default: the floor alone."""

@@ -200,7 +200,10 @@ def _test(
         positions = corrected.positions
         if physics:
             body = corrected_body(take, corrected)
-            target = make_target(take.time, corrected, body, cutoff=CleanConfig.cutoff)
+            # The truth is in the sensor's frame, whatever that is.
+            target = make_target(
+                take.time, corrected, body, cutoff=CleanConfig.cutoff, tilt=0.0
+            )
             positions = (
                 PhysicsFilter(body)
                 .run(

@@ -17,6 +17,7 @@ from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
 from .default import default_corrector
 from .failures import Failure, distrust, find_failures, unmirrored
+from .floor import leveled
 from .formats.contacts import read_contacts
 from .library import embedded_database
 from .metrics import Quality, distances, measure
@@ -110,10 +111,11 @@ def clean(
         feet=config.feet,
         contacts=contacts,
         floor=config.floor_height,
+        tilt=None if config.tilt is None else float(np.radians(config.tilt)),
     )
     origin, coverage = corrected.origin(take), corrected.coverage
     del corrected
-    raw = take.positions - [0.0, target.floor, 0.0]
+    raw = leveled(take.positions, target.tilt) - [0.0, target.floor, 0.0]
     before = after = target.posed(body)
     stages = {
         "raw": measure(take.time, raw, raw, body, target.stands),
@@ -142,7 +144,7 @@ def clean(
         external_force=force[frames],
         source=source.source,
     )
-    notes = _notes(reference, trace)
+    notes = _notes(reference, trace, target)
     return CleanResult(clip, stages, coverage[frames], trace, failures, notes)
 
 
@@ -175,7 +177,9 @@ def _simulated(
     )
 
 
-def _notes(reference: Reference, trace: PhysicsTrace | None) -> tuple[str, ...]:
+def _notes(
+    reference: Reference, trace: PhysicsTrace | None, target: Target
+) -> tuple[str, ...]:
     """Return what the user should know about how a take was cleaned."""
     notes = []
     if not reference.from_reference_posture:
@@ -183,6 +187,8 @@ def _notes(reference: Reference, trace: PhysicsTrace | None) -> tuple[str, ...]:
             "no T-pose or standing frames with every joint tracked: segment lengths "
             "are medians over the take"
         )
+    if target.tilt != 0.0:
+        notes.append(f"the sensor was tilted by {np.degrees(target.tilt):+.1f} degrees")
     if trace is not None and trace.reset.any():
         notes.append(f"physics: {trace.status}")
     return tuple(notes)

@@ -23,7 +23,7 @@ from kinefilter.retarget.rotations import continuous, normalize
 
 from .contacts import ankles_and_toes, feet_of, find_stance
 from .correct.take import CorrectedTake
-from .floor import floor_height, put_on_floor
+from .floor import floor_height, leveled, put_on_floor, sensor_tilt
 from .planting import plant_feet
 from .smooth import smooth, smooth_by_speed
 
@@ -52,6 +52,8 @@ class Target:
     """World segment rotations, wxyz, continuous over time, shape (T, J, 4)."""
     floor: float
     """Height of the floor in the sensor's frame [m]."""
+    tilt: float
+    """Angle [rad] by which the sensor's frame was leveled (``floor.leveled``)."""
     contacts: NDArray[np.bool_]
     """Which parts of the feet stand on the floor (CONTACTS), shape (T, 4)."""
 
@@ -78,6 +80,7 @@ def make_target(
     feet: Feet = "auto",
     contacts: NDArray[np.bool_] | None = None,
     floor: float | None = None,
+    tilt: float | None = None,
 ) -> Target:
     """Return the target of a corrected take.
 
@@ -89,10 +92,13 @@ def make_target(
         feet: When feet stand still: where they rest, always, or never.
         contacts: When they do instead (CONTACTS), shape (T, 4).
         floor: Height of the floor in the sensor's frame [m]; by default as found.
+        tilt: Angle [rad] that levels the sensor's frame; by default as found.
     """
     skeleton, trust = body.skeleton, corrected.trust
     stands = find_stance(time, corrected.positions, trust, skeleton)
-    positions = corrected.positions
+    if tilt is None:
+        tilt = sensor_tilt(corrected.positions, trust, stands, body)
+    positions = leveled(corrected.positions, tilt)
     if cutoff > 0.0:
         weights = np.maximum(trust, _LEAST_WEIGHT)
         positions = smooth_by_speed(time, positions, weights, cutoff=cutoff)
@@ -114,6 +120,7 @@ def make_target(
         positions,
         _orient(positions, body, twist),
         floor,
+        tilt,
         np.stack([heels, stands], axis=2).reshape(-1, 4),
     )
 
