@@ -40,6 +40,10 @@ _PASSIVE_DAMPING = 10.0  # 1/s
 # Turning a segment about its axis turns what hangs on it, at an angle: the share of its
 # inertia across the axis that the torque's gains are made for.
 _TURNED_ALONG = 0.1
+# A hand presses on a thing between two hands about as hard as on a heavy shopping bag's
+# handle, and fingers reach around a corner. Both are guesses.
+_GRIP = 100.0  # N
+_REACH = 0.03  # m
 
 # Parts by what they collide with, and which groups those are.
 _ARM, _LEG = ("Wrist", "Hand", "HandTip", "Thumb"), ("Ankle", "Foot")
@@ -136,6 +140,7 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
     _add_bodies(spec, body)
     _add_forces(spec, body, tracking)
     _add_torques(spec, body, tracking)
+    _add_grips(spec)
     for joint in skeleton.joints:
         target = world.add_body(name=f"target:{joint}", mocap=True)
         target.add_site(name=f"target:{joint}")
@@ -262,6 +267,24 @@ def _add_torques(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
                 damping=2.0 * inertias[j] * omega,
                 bound=inertias[j] * tracking.largest_angular_acceleration,
             )
+
+
+def _add_grips(spec: mujoco.MjSpec) -> None:
+    """Add what lets a hand hold a thing: fingers, of which the capsule has none.
+
+    Adhesion presses a hand to whatever is within its reach while its control is 1.
+    """
+    for side in _SIDES.values():
+        spec.geom(f"Hand{side}").gap = _REACH
+        spec.add_actuator(
+            name=f"grip:Hand{side}",
+            trntype=mujoco.mjtTrn.mjTRN_BODY,
+            target=f"Hand{side}",
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            gainprm=[_GRIP] + [0.0] * 9,
+            ctrllimited=True,
+            ctrlrange=[0.0, 1.0],
+        )
 
 
 def _swing_inertias(body: Body) -> NDArray[np.float64]:

@@ -124,7 +124,8 @@ def lowest_point(positions: Array, body: Body) -> Array:
     heights = positions[..., 1]
     ends = heights[:, skeleton.segments] - radii
     starts = heights[:, skeleton.segment_parents] - radii
-    return np.asarray(np.nanmin(np.concatenate([ends, starts], axis=1), axis=1))
+    # fmin knows no joint in a frame without any, and says nothing.
+    return np.asarray(np.fmin.reduce(np.concatenate([ends, starts], axis=1), axis=1))
 
 
 def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, float]:

@@ -25,7 +25,7 @@ from kinefilter.characters.humanoid import (
     joint_masses,
     to_mujoco,
 )
-from kinefilter.pipeline.contacts import ankles_and_toes
+from kinefilter.pipeline.contacts import SIDES, ankles_and_toes
 from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.retarget.rotations import (
     inverse,
@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
 UPDATE = 1.0 / 60.0
 """Longest time [s] between two updates of what the actuators pull to."""
+_LETS_GO = 0.08  # m that hands are to be farther apart than what they hold is wide
 _LOADING_TIME = 0.2  # s from a foot's touching the floor to its bearing the body
 _HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
 
@@ -137,6 +138,16 @@ class PhysicsFilter:
         targets = [self.model.body(f"target:{name}").id for name in joints]
         self._mocap = self.model.body_mocapid[targets]
         self._turned = np.array([joints.index(name) for name in turned])
+        self._palms = [body.skeleton.index(f"Hand{side}") for side in SIDES]
+        self._hands = self._bodies[self._palms]
+        self._grips = [self.model.actuator(f"grip:Hand{side}").id for side in SIDES]
+        self._props = np.isin(
+            self.model.body_rootid,
+            self.model.jnt_bodyid[
+                (self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+                & (self.model.jnt_bodyid != self._bodies[body.skeleton.root])
+            ],
+        )
         self._weight = float(body.mass * GRAVITY)
         self._masses = joint_masses(body)
         ankles, toes = ankles_and_toes(body.skeleton)
@@ -234,6 +245,8 @@ class PhysicsFilter:
         ctrl, data = self.data.ctrl, self.data
         ctrl[n:nu] = self._damping[n:] * np.sum(turning * self._turn_axes, axis=1)
         forward = self._damping[:n] * velocity.ravel() + needed.ravel()
+        if self._props.any():
+            ctrl[self._grips] = float(self._holds() and not self.limp)
         updates, substeps = _updates_in(dt), _substeps_per_update(dt)
         self.model.opt.timestep = dt / (updates * substeps)
         for k in range(updates):
@@ -251,6 +264,23 @@ class PhysicsFilter:
             self._place(after_p, after_q)
             return False
         return True
+
+    def _holds(self) -> bool:
+        """Tell whether both hands are at one prop, and are not to part."""
+        wanted, there = (
+            float(np.linalg.norm(points[0] - points[1]))
+            for points in (
+                self._target[0][self._palms],
+                self.data.site_xpos[self._sites[self._palms]],
+            )
+        )
+        if wanted > there + _LETS_GO:
+            return False
+        pairs = self.model.geom_bodyid[self.data.contact.geom]
+        pairs = np.concatenate([pairs, pairs[:, ::-1]])
+        pairs = pairs[self._props[pairs[:, 1]]]
+        left, right = (set(pairs[pairs[:, 0] == hand, 1]) for hand in self._hands)
+        return bool(left & right)
 
     def _bear(
         self,

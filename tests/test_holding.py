@@ -1,0 +1,81 @@
+"""The character and things: sitting, holding, kicking, nothing passing through."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V1, standard_body
+from kinefilter.pipeline import CleanConfig, clean
+from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.simulate import simulate, truth_of
+from kinefilter.retarget import BoneLengths, rotations_from_positions
+
+Array = NDArray[np.float64]
+BODY = standard_body(KINECT_V1)
+PARCEL = """
+<mujoco model="parcel">
+  <worldbody>
+    <body name="stand" pos="0.42 0 0.45">
+      <geom name="stand" type="box" size="0.12 0.05 0.45"/>
+    </body>
+    <body name="parcel" pos="0.42 0 1.0">
+      <freejoint/><geom name="parcel" type="box" size="0.1 0.12 0.1" mass="2"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def reaching(apart: Array, height: Array) -> tuple[Array, Array]:
+    """Return a person with hands in front of the chest, (T, J, 3) and (T, J, 4)."""
+    positions = np.tile(BODY.rest_positions, (len(apart), 1, 1))
+    firm = np.ones(positions.shape[:2])
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        elbow, wrist, hand = (
+            KINECT_V1.index(part + side) for part in ("Elbow", "Wrist", "Hand")
+        )
+        x = sign * apart
+        positions[:, hand] = np.stack([x, height, 0.42 + 0.0 * x], axis=1)
+        positions[:, wrist] = np.stack([x, height, 0.34 + 0.0 * x], axis=1)
+        positions[:, elbow] = np.stack(
+            [x + sign * 0.12, height - 0.05, 0.10 + 0.0 * x], axis=1
+        )
+        firm[:, [wrist, hand]] = 50.0
+    positions = BoneLengths(BODY).project(positions, firm)
+    return positions, rotations_from_positions(positions, BODY)
+
+
+def test_two_hands_lift_a_parcel_and_let_it_go(tmp_path: Path) -> None:
+    scene = tmp_path / "parcel.xml"
+    scene.write_text(PARCEL)
+    time = np.arange(180) / 30.0
+    touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
+    apart = np.interp(time, [0.0, 1.0, 4.0, 4.5], [0.25, touch, touch, 0.3])
+    height = np.interp(time, [0.0, 1.5, 3.0], [1.0, 1.0, 1.35])
+    positions, rotations = reaching(apart, height)
+    character = PhysicsFilter(BODY, scene=scene)
+    character.start(positions[0], rotations[0])
+    stands = np.ones(2, dtype=bool)
+    heights = []
+    for k in range(1, len(time)):
+        character.step(positions[k], rotations[k], 1 / 30, stands=stands)
+        heights.append(character.data.body("parcel").xpos[2])
+    held = heights[int(3.5 * 30)]
+    assert held > 1.2, held
+    assert heights[-1] < 1.05  # dropped when the hands part
+
+
+def test_who_sits_rests_on_the_chair_and_goes_through_nothing() -> None:
+    take = truth_of(simulate("chair", "chair", seed=5))
+    clip = clean(take, CleanConfig(scene="chair", method="none")).clip
+    character = PhysicsFilter(clip.body, scene="chair")
+    model, data = character.model, character.data
+    hips = clip.positions[:, clip.skeleton.root, 1]
+    assert hips.min() > 0.43 + 0.02  # the seat's top is at 0.45 m
+    assert hips.min() < 0.75
+    assert mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "chair:seat") >= 0
+    assert np.isfinite(data.qpos).all()
