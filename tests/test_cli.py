@@ -223,7 +223,7 @@ def test_every_command_is_in_the_readme() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for command in (
         *("clean", "database build", "train", "evaluate"),
-        *("simulate", "reproduce", "bench"),
+        *("simulate", "reproduce", "bench", "character"),
     ):
         assert f"kinefilter {command}" in readme
 
@@ -271,8 +271,10 @@ def test_the_readmes_python_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    assert len(blocks) >= 2
     monkeypatch.chdir(tmp_path)
-    code = code.replace("scenes/", f"{ROOT.as_posix()}/scenes/")
-    exec(compile(code, "README.md", "exec"), {})
+    for block in blocks:
+        code = block.replace("scenes/", f"{ROOT.as_posix()}/scenes/")
+        exec(compile(code, "README.md", "exec"), {})
     assert any(tmp_path.iterdir())
