@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Literal
 
@@ -91,4 +92,8 @@ class CleanConfig:
             raise InputError(
                 f"--cutoff {self.cutoff:g} Hz: expected 0 (no smoothing) or 0.5 and "
                 "more; 6 keeps what people do"
+            )
+        if not isinstance(self.floor, str) and not isfinite(self.floor):
+            raise InputError(
+                f"--floor {self.floor:g}: expected auto, none or a height in meters"
             )

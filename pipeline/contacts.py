@@ -28,7 +28,7 @@ _LEAST_WEIGHT = 0.1  # of an invented ankle in the smoother, against a measured 
 # Log odds of standing, by logistic regression on simulated takes (51 motions, of people
 # and seeds of their own). On six recorded people the area under ROC is 0.99.
 _STANDS = 4.0
-_PER_SPEED = 5.0  # per m/s of the ankle, horizontally
+_PER_SPEED = 5.0  # per m/s of the ankle. Upwards too: who jumps lifts both at once.
 _PER_LIFT = 15.0  # per m that the ankle is higher than the other
 _PER_HEIGHT = (
     12.0  # per m that both are higher than Kinect's errors in squats lift them
@@ -38,6 +38,7 @@ _ERROR_OF_HEIGHT = 0.1  # m
 _STANDING = 20.0  # percentile of the ankles' heights that is taken for standing
 _SWITCH = 4.0  # what a change costs, in the same unit: the hysteresis. A guess.
 _SPEED_TIME = 0.1  # s that a speed is a mean over where nobody looks ahead
+_RATE = 30.0  # Hz of the takes it is for: more frames a second say no more
 _DRIFT = 0.10  # m: an ankle that moved farther has made a step that nobody saw
 _UNLOADING = 0.15  # s: from the first rise of a foot to its leaving
 _STEP = 0.3  # s: how long such a step takes
@@ -69,7 +70,8 @@ def find_stance(
     ankles, _ = ankles_and_toes(skeleton)
     weights = np.maximum(trust[:, ankles], _LEAST_WEIGHT)
     paths = smooth(time, positions[:, ankles], weights, cutoff=_CUTOFF)
-    stands = _most_probable(_log_odds(time, paths))
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0 / _RATE
+    stands = _most_probable(_RATE * step * _log_odds(time, paths))
     for foot in range(2):
         for stance in runs(stands[:, foot]):
             _split(time, paths[:, foot][:, [0, 2]], stands[:, foot], stance)
@@ -91,7 +93,7 @@ def _log_odds(time: Array, paths: Array) -> Array:
     """Return the log odds of standing from the ankles' paths, shape (T, 2)."""
     speed = np.zeros(paths.shape[:2])
     if len(time) > 1:
-        velocity = np.gradient(paths[..., [0, 2]], time, axis=0)
+        velocity = np.gradient(paths, time, axis=0)
         speed = np.linalg.norm(velocity, axis=2)
     height = paths[..., 1]
     above = height - np.percentile(height, _STANDING) - _ERROR_OF_HEIGHT
@@ -153,10 +155,10 @@ class StanceTracker:
         share = 1.0 - np.exp(-dt / _SPEED_TIME)
         moved = share * (ankles - self._paths)
         self._paths = self._paths + moved
-        speed = np.linalg.norm(moved[:, [0, 2]], axis=1) / dt
+        speed = np.linalg.norm(moved, axis=1) / dt
         height = self._paths[:, 1]
         odds = _odds(speed, height, height - flat - _ERROR_OF_HEIGHT)
-        self._lead = np.clip(self._lead + odds * dt * 30.0, -_SWITCH, _SWITCH)
+        self._lead = np.clip(self._lead + odds * dt * _RATE, -_SWITCH, _SWITCH)
         self.stands = np.where(
             self.stands, self._lead > -_SWITCH, self._lead >= _SWITCH
         )

@@ -99,8 +99,7 @@ def jitter(time: Array, positions: Array) -> float:
     """
     if len(time) < 4:
         return float("nan")
-    steps = np.diff(time)
-    nominal = float(np.median(steps[steps > 0]))
+    steps, nominal = np.diff(time), _nominal_step(time)
     even = np.abs(steps - nominal) < 0.5 * nominal
     runs = even[:-2] & even[1:-1] & even[2:]
     third = np.concatenate(
@@ -117,14 +116,13 @@ def lowest_point(positions: Array, body: Body) -> Array:
     """Return the height [m] of the body's lowest point in each frame, shape (T,).
 
     Segments are capsules, so their lowest point is under one of their ends; a missing
-    joint is nowhere.
+    joint is nowhere, a frame without joints NaN.
     """
     skeleton = body.skeleton
     radii = body.radii[skeleton.segments]
     heights = positions[..., 1]
     ends = heights[:, skeleton.segments] - radii
     starts = heights[:, skeleton.segment_parents] - radii
-    # fmin knows no joint in a frame without any, and says nothing.
     return np.asarray(np.fmin.reduce(np.concatenate([ends, starts], axis=1), axis=1))
 
 
@@ -138,7 +136,6 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     """
     steps = np.diff(time)
     steps = np.where(steps > 0, steps, np.nan)
-    nominal = float(np.nanmedian(steps))
     speeds = []
     for side in ("Left", "Right"):
         foot = body.skeleton.index(f"Foot{side}")
@@ -151,7 +148,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     if len(speed) == 0:
         return float("nan"), float("nan"), float("nan")
     share = float(np.mean(speed > SKATE_SPEED))
-    return float(speed.mean() * nominal * 1e3), share, float(speed.max())
+    return float(speed.mean() * _nominal_step(time) * 1e3), share, float(speed.max())
 
 
 def floating(positions: Array, stands: NDArray[np.bool_], body: Body) -> float:
@@ -196,10 +193,9 @@ def acceleration_error(time: Array, positions: Array, truth: Array) -> float:
     """
     if len(time) < 3:
         return float("nan")
-    nominal = float(np.median(np.diff(time)))
     away = np.linalg.norm(np.diff(positions - truth, n=2, axis=0), axis=2)
     away = away[~np.isnan(away)]
-    return float(away.mean() / nominal**2) if len(away) else float("nan")
+    return float(away.mean() / _nominal_step(time) ** 2) if len(away) else float("nan")
 
 
 def flight_error(
@@ -210,26 +206,26 @@ def flight_error(
     In flight, no foot stands and nothing of the body is under 5 cm, for five frames or
     more. Over each flight, the mean acceleration (that of the parabola which fits best)
     is compared with gravity's; mean over flights by frames, NaN without any. Momentum
-    is consistent where this is zero.
+    is consistent where this is zero. A joint that is missing in a flight has no mass.
 
     Args:
         time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], floor at y = 0, shape (T, J, 3).
+        positions: Joint positions [m], floor at y = 0, NaN where missing, (T, J, 3).
         stands: Whether each foot (left, right) stands, shape (T, 2).
         body: Whose masses they are.
     """
     flying = ~stands.any(axis=1) & (lowest_point(positions, body) > SKATE_HEIGHT)
     masses = joint_masses(body)
-    center = np.einsum("j,tjc->tc", masses / masses.sum(), positions)
     errors, frames = [], []
     for flight in runs(flying):
-        span = time[flight]
-        if len(span) >= _SHORTEST_FLIGHT and (np.diff(span) > 0).all():
-            fit = np.polynomial.polynomial.polyfit(
-                span - span.mean(), center[flight], 2
-            )
-            errors.append(float(np.linalg.norm(2.0 * fit[2] + [0.0, GRAVITY, 0.0])))
-            frames.append(len(span))
+        span, path = time[flight], positions[flight]
+        seen = ~np.isnan(path[..., 0]).any(axis=0)
+        if len(span) < _SHORTEST_FLIGHT or (np.diff(span) <= 0).any() or not seen.any():
+            continue
+        center = np.average(path[:, seen], axis=1, weights=masses[seen])
+        fit = np.polynomial.polynomial.polyfit(span - span.mean(), center, 2)
+        errors.append(float(np.linalg.norm(2.0 * fit[2] + [0.0, GRAVITY, 0.0])))
+        frames.append(len(span))
     return float(np.average(errors, weights=frames)) if errors else float("nan")
 
 
@@ -245,6 +241,13 @@ def amplitude(positions: Array, body: Body) -> Array:
         if len(path) > 1:
             moves[j] = np.sqrt(np.mean(np.sum((path - path.mean(axis=0)) ** 2, axis=1)))
     return moves
+
+
+def _nominal_step(time: Array) -> float:
+    """Return the median time between frames that differ in time [s], or NaN."""
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else float("nan")
 
 
 def distances(positions: Array, raw: Array) -> Array:
@@ -278,6 +281,7 @@ def measure(
     low = lowest_point(positions[seen], body)
     moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
     both = raw_moves > 1e-6
+    kept = moves[both].sum() / raw_moves[both].sum() if both.any() else np.nan
     return Quality(
         bone_length_cv=bone_length_cv(positions, body),
         jitter=jitter(time, positions),
@@ -287,7 +291,7 @@ def measure(
         penetration_mm=float(max(-low.min(), 0.0) * 1e3),
         penetration_mean_mm=float(np.mean(np.maximum(-low, 0.0)) * 1e3),
         float_mm=floating(positions, stands, body) * 1e3,
-        amplitude_kept=float(np.mean(moves[both]) / np.mean(raw_moves[both])),
+        amplitude_kept=float(kept),
         peak_hand_speed=peak_speed(time, positions, hands),
         flight_error=flight_error(time, positions, stands, body),
         lowest_point_mm=float(low.min() * 1e3),

@@ -123,8 +123,11 @@ def _joined(
         leave = np.zeros((1, 2, 3)) if before is None else moves[before][-1]
         arrive = leave if after is None else moves[after][0]
         leave = arrive if before is None else leave
-        share = _ease(np.arange(1, last - first + 1) / (last - first + 1))
-        step = path[gap] + leave + share * (arrive - leave)
+        step = path[gap] + leave
+        if before is not None and after is not None:
+            over = time[gap] - time[first - 1]
+            share = _ease(over / (time[last] - time[first - 1]))
+            step = step + share * (arrive - leave)
         if before is not None:
             free = _ease((time[gap] - time[first - 1] - _HOLD) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[first - 1]
@@ -164,6 +167,9 @@ def _ease(share: Array) -> Array:
 
 
 def _median(values: Array, weights: Array) -> float:
-    order = np.argsort(values)
+    """Return the weighted median, between two values where both are in the middle."""
+    order = np.argsort(values, kind="stable")
     sums = np.cumsum(weights[order] + 1e-3)
-    return float(values[order][np.searchsorted(sums, 0.5 * sums[-1])])
+    half, rounding = 0.5 * sums[-1], 1e-9 * sums[-1]
+    middle = np.searchsorted(sums, [half - rounding, half + rounding])
+    return float(values[order][middle].mean())

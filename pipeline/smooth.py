@@ -24,7 +24,12 @@ _SLOWEST_CUTOFF = 0.7  # Hz, of a joint at rest
 _PER_SPEED = 2.5  # Hz per m/s
 _FIRST_CUTOFF = 3.0  # Hz, to estimate the speed
 _PASSES = 2  # estimates of the speed
-_SPEED_FRAMES = 7  # that a speed is averaged over
+_SPEED_TIME = 7 / 30  # s that a speed is averaged over
+# Small quick movement, which the speed alone takes for trembling; simulated takes.
+_QUICK = 0.2  # of the frame rate: what is faster is taken for noise
+_MOVES = (4.0, 8.0)  # times the noise: from where it is perhaps, and surely, movement
+_LEAST_NOISE = 0.003  # m, of a good sensor
+_MOVE_TIME = 0.5  # s that both are averaged over
 _NYQUIST = 0.49  # of the frame rate: where the stiffness is not nothing yet
 _LONGEST_GAP = 30  # missing frames that a gap is bridged with; a longer one shrinks
 
@@ -58,7 +63,9 @@ def smooth_by_speed(
 
     What trembles while a joint rests is noise, what is quick while it moves may be
     movement: the cutoff grows with the speed of what is left, as in the 1 euro filter
-    (Casiez, Roussel & Vogel 2012, CHI), but without its lag.
+    (Casiez, Roussel & Vogel 2012, CHI), but without its lag. Where that would take away
+    far more than the sensor trembles, hands clap or shake: there the cutoff is the
+    highest.
 
     Args:
         time: Time stamps [s], strictly increasing, shape (T,).
@@ -70,20 +77,60 @@ def smooth_by_speed(
     if len(time) <= _ORDER:
         return values.copy()
     step = float(np.median(np.diff(time)))
-    highest = min(cutoff, _NYQUIST / step)
+    highest = np.full(length - _ORDER, min(cutoff, _NYQUIST / step))
     smoothed = np.empty_like(values)
     for j in range(values.shape[1]):
-        rates = np.full(length - _ORDER, min(_FIRST_CUTOFF, highest))
-        for _ in range(_PASSES):
-            path = _solve(_stiffness(rates, step), grid, values[:, j], weights[:, j])
-            moved = np.sum(np.diff(path, axis=0) ** 2, axis=1)
-            # A running mean of squares comes out under nothing by rounding.
-            mean = np.maximum(uniform_filter1d(moved, _SPEED_FRAMES), 0.0)[1:-1]
-            speed = np.sqrt(mean) / step
-            rates = np.minimum(_SLOWEST_CUTOFF + _PER_SPEED * speed, highest)
-        path = _solve(_stiffness(rates, step), grid, values[:, j], weights[:, j])
-        smoothed[:, j] = path[grid]
+        measured = grid, values[:, j], weights[:, j]
+        rates = _rates_by_speed(step, highest, *measured)
+        rates += _moves(step, rates, highest, *measured) * (highest - rates)
+        smoothed[:, j] = _solve(_stiffness(rates, step), *measured)[grid]
     return smoothed
+
+
+def _rates_by_speed(
+    step: float,
+    highest: Array,
+    grid: NDArray[np.intp],
+    values: Array,
+    weights: Array,
+) -> Array:
+    """Return the cutoff [Hz] at each third difference by the speed of what is left."""
+    rates = np.minimum(_FIRST_CUTOFF, highest)
+    for _ in range(_PASSES):
+        path = _solve(_stiffness(rates, step), grid, values, weights)
+        moved = _root_mean_square(np.diff(path, axis=0), _SPEED_TIME / step)
+        rates = np.minimum(_SLOWEST_CUTOFF + _PER_SPEED * moved[1:-1] / step, highest)
+    return rates
+
+
+def _moves(
+    step: float,
+    rates: Array,
+    highest: Array,
+    grid: NDArray[np.intp],
+    values: Array,
+    weights: Array,
+) -> Array:
+    """Return how surely each third difference has movement that rates take away."""
+    quick = _stiffness(np.minimum(_QUICK / step, highest), step)
+    quick = _solve(quick, grid, values, weights)
+    noise = np.zeros_like(quick)
+    noise[grid] = values - quick[grid]
+    lost = quick - _solve(_stiffness(rates, step), grid, values, weights)
+    lost, noise = (_root_mean_square(x, _MOVE_TIME / step) for x in (lost, noise))
+    perhaps, surely = _MOVES
+    ratio = lost / np.maximum(noise, _LEAST_NOISE)
+    share = np.clip((ratio - perhaps) / (surely - perhaps), 0.0, 1.0)
+    # Of the two frames in the middle of the difference's four.
+    return np.asarray(0.5 * (share[1:-2] + share[2:-1]))
+
+
+def _root_mean_square(vectors: Array, frames: float) -> Array:
+    """Return the moving root mean square length over about as many frames, (T,)."""
+    odd = 2 * round(0.5 * (frames - 1.0)) + 1  # an even number would shift time
+    mean = uniform_filter1d(np.sum(vectors**2, axis=1), max(odd, 1))
+    # The filter keeps a running sum, which rounding takes below zero.
+    return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
 
 def _grid(time: Array) -> tuple[NDArray[np.intp], int]:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.pipeline.contacts import find_stance
 from kinefilter.pipeline.floor import floor_height, put_on_floor
 from kinefilter.pipeline.metrics import lowest_point
 from kinefilter.retarget import positions_from_rotations
@@ -24,6 +25,10 @@ every_skeleton = pytest.mark.parametrize(
 
 def standing(frames: int, skeleton: Skeleton = KINECT_V1) -> Array:
     return np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1))
+
+
+def no_stance(frames: int) -> NDArray[np.bool_]:
+    return np.zeros((frames, 2), dtype=np.bool_)
 
 
 def feet_of(skeleton: Skeleton) -> list[int]:
@@ -46,16 +51,20 @@ def test_the_floor_is_under_a_standing_person_at_any_height(
         [1.0, lift, 2.0]
     )
     trust = np.ones(positions.shape[:2])
-    found = floor_height(positions, trust, standard_body(skeleton))
-    assert found == pytest.approx(lift, abs=1e-9)
+    for stands in (no_stance(10), ~no_stance(10)):
+        found = floor_height(positions, trust, stands, standard_body(skeleton))
+        assert found == pytest.approx(lift, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["walk", "wave", "squat", "punch"])
 def test_the_floor_of_a_performance_is_where_it_is(name: str) -> None:
     act = perform(name, standard_body(KINECT_V1), seed=0)
     trust = np.ones(act.positions.shape[:2])
-    found = floor_height(act.positions - [0.0, 0.9, 0.0], trust, act.body)
-    assert found == pytest.approx(-0.9, abs=0.02)
+    sunken = act.positions - [0.0, 0.9, 0.0]
+    stands = find_stance(act.time, sunken, trust, KINECT_V1)
+    for known in (no_stance(len(act)), stands):
+        found = floor_height(sunken, trust, known, act.body)
+        assert found == pytest.approx(-0.9, abs=0.02)
 
 
 def test_one_foot_on_the_floor_is_enough_even_where_only_its_ankle_is_seen() -> None:
@@ -63,17 +72,19 @@ def test_one_foot_on_the_floor_is_enough_even_where_only_its_ankle_is_seen() -> 
     positions, trust = standing(10) + np.array([0.0, 0.2, 0.0]), np.ones((10, 20))
     right = [j for j in feet if KINECT_V1.joints[j].endswith("Right")]
     positions[:, right, 1] += 0.3
-    assert floor_height(positions, trust, body) == pytest.approx(0.2)
+    assert floor_height(positions, trust, no_stance(10), body) == pytest.approx(0.2)
     trust[:, KINECT_V1.index("FootLeft")] = 0.4
     positions[:, KINECT_V1.index("FootLeft"), 1] -= 9.0
-    assert floor_height(positions, trust, body) == pytest.approx(0.2)
+    assert floor_height(positions, trust, no_stance(10), body) == pytest.approx(0.2)
 
 
 def test_jumps_and_sunken_frames_do_not_move_the_floor() -> None:
     body, positions = standard_body(KINECT_V1), standing(100)
     positions[:30] += [0.0, 0.4, 0.0]
     positions[50:58] -= [0.0, 0.2, 0.0]
-    assert floor_height(positions, np.ones((100, 20)), body) == pytest.approx(0.0)
+    assert floor_height(
+        positions, np.ones((100, 20)), no_stance(100), body
+    ) == pytest.approx(0.0)
 
 
 def test_invented_and_missing_feet_have_no_say() -> None:
@@ -81,10 +92,10 @@ def test_invented_and_missing_feet_have_no_say() -> None:
     positions, trust = standing(20) + np.array([0.0, -0.5, 0.0]), np.ones((20, 20))
     positions[:12, feet, 1] -= 1.0
     trust[:12, feet] = 0.0
-    assert floor_height(positions, trust, body) == pytest.approx(-0.5)
+    assert floor_height(positions, trust, no_stance(20), body) == pytest.approx(-0.5)
     positions[:12, feet] = np.nan
     trust[:12, feet] = 1.0
-    assert floor_height(positions, trust, body) == pytest.approx(-0.5)
+    assert floor_height(positions, trust, no_stance(20), body) == pytest.approx(-0.5)
 
 
 @every_skeleton
@@ -95,7 +106,38 @@ def test_without_any_measured_foot_the_lowest_joint_serves(skeleton: Skeleton) -
     )
     trust = np.ones(positions.shape[:2])
     trust[:, feet_of(skeleton)] = 0.0
-    assert floor_height(positions, trust, body) == pytest.approx(0.7)
+    assert floor_height(positions, trust, no_stance(20), body) == pytest.approx(0.7)
+
+
+def test_the_floor_is_the_median_under_the_ankles_that_stand_and_were_measured() -> (
+    None
+):
+    body, stands = standard_body(KINECT_V1), no_stance(30)
+    positions, trust = standing(30), np.ones((30, 20))
+    left, right = (KINECT_V1.index(f"Ankle{side}") for side in ("Left", "Right"))
+    stands[:20, 0], stands[10:, 1] = True, True
+    positions[:20, left, 1] += np.linspace(0.1, 0.3, 20)
+    positions[10:, right, 1] += 0.2
+    # What the feet do while they do not stand has no say.
+    positions[20:, left, 1] -= 5.0
+    positions[:10, right, 1] += 5.0
+    assert floor_height(positions, trust, stands, body) == pytest.approx(0.2)
+    trust[10:, right] = 0.4
+    positions[10:, right, 1] += 3.0
+    positions[15:, KINECT_V1.index("FootLeft"), 1] -= 3.0
+    assert floor_height(positions, trust, stands, body) == pytest.approx(0.2)
+
+
+def test_stances_nobody_saw_leave_the_floor_to_the_rest_of_the_feet() -> None:
+    body, positions, trust = standard_body(KINECT_V1), standing(20), np.ones((20, 20))
+    ankles = [KINECT_V1.index(f"Ankle{side}") for side in ("Left", "Right")]
+    trust[:, ankles] = 0.0
+    positions[:, ankles, 1] += 0.5
+    everything = ~no_stance(20)
+    assert floor_height(positions, trust, everything, body) == pytest.approx(0.0)
+    positions[:, ankles] = np.nan
+    trust[:, ankles] = 1.0
+    assert floor_height(positions, trust, everything, body) == pytest.approx(0.0)
 
 
 @given(skeleton=st.sampled_from([KINECT_V1, KINECT_V2]), seed=st.integers(0, 2**32 - 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict
 
 import numpy as np
@@ -11,16 +12,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters.humanoid import joint_masses
 from kinefilter.pipeline import metrics
 from kinefilter.pipeline.metrics import (
     SKATE_HEIGHT,
     SKATE_SPEED,
+    acceleration_error,
     amplitude,
     bone_length_cv,
     distances,
+    flight_error,
+    floating,
     jitter,
     lowest_point,
     measure,
+    peak_speed,
     skate,
 )
 from kinefilter.retarget import positions_from_rotations
@@ -149,17 +155,19 @@ def test_feet_that_slide_at_a_known_speed_skate_by_it(
 ) -> None:
     time = stamps(30, fps)
     path = polynomial(time, [0, 0, 0], [0.6 * speed, 0.0, 0.8 * speed])
-    slide, over = skate(time, path, BODY)
+    slide, over, fastest = skate(time, path, BODY)
     assert slide == pytest.approx(1e3 * speed / fps)
     assert over == share
+    assert fastest == pytest.approx(speed)
 
 
 def test_one_foot_of_two_makes_half_of_the_mean() -> None:
     time, path = stamps(30), standing(30)
     path[:, FEET[0], 2] += 0.3 * time
-    slide, over = skate(time, path, BODY)
+    slide, over, fastest = skate(time, path, BODY)
     assert slide == pytest.approx(1e3 * 0.15 / 30.0)
     assert over == 0.5
+    assert fastest == pytest.approx(0.3)
 
 
 def test_lifted_feet_and_vertical_movement_do_not_skate() -> None:
@@ -167,7 +175,7 @@ def test_lifted_feet_and_vertical_movement_do_not_skate() -> None:
     path[:, FEET[0], 0] += time
     path[:, FEET[0], 1] += SKATE_HEIGHT + 0.001
     path[:, FEET[1], 1] += 0.04 * np.abs(np.sin(9.0 * time))
-    assert skate(time, path, BODY) == (0.0, 0.0)
+    assert skate(time, path, BODY) == (0.0, 0.0, 0.0)
     path[:, FEET[0], 1] -= 0.002
     assert skate(time, path, BODY)[1] == 0.5
 
@@ -178,9 +186,10 @@ def test_a_foot_counts_only_between_two_frames_on_the_floor() -> None:
     path[2, FEET[0], 1] += 1.0
     path[1:, FEET[0], 0] += 0.01
     path[2:, FEET[0], 0] += 5.0
-    slide, over = skate(time, path, BODY)
+    slide, over, fastest = skate(time, path, BODY)
     assert slide == pytest.approx(10.0)
     assert over == float(SKATE_SPEED < 0.3)
+    assert fastest == pytest.approx(0.3)
 
 
 def test_skating_over_a_dropped_frame_is_a_speed_and_not_a_step() -> None:
@@ -237,6 +246,160 @@ def test_a_lifted_person_floats_by_the_lift(lift: float) -> None:
     np.testing.assert_allclose(lowest_point(path, BODY), lift, atol=1e-12)
 
 
+def test_a_frame_without_joints_has_no_lowest_point_and_no_warning() -> None:
+    path = standing(3)
+    path[1] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        low = lowest_point(path, BODY)
+    np.testing.assert_array_equal(np.isnan(low), [False, True, False])
+
+
+# Standing soles
+
+
+@pytest.mark.parametrize("lift", [-0.03, 0.0, 0.02, 0.4])
+def test_standing_soles_float_by_what_the_body_is_lifted(lift: float) -> None:
+    path = standing(8) + np.array([0.0, lift, 0.0])
+    stands = np.ones((8, 2), dtype=np.bool_)
+    assert floating(path, stands, BODY) == pytest.approx(max(lift, 0.0), abs=1e-12)
+
+
+def test_only_feet_that_stand_and_are_seen_float() -> None:
+    path, stands = standing(10), np.zeros((10, 2), dtype=np.bool_)
+    path[:, FEET[0], 1] += 0.04
+    path[:, FEET[1], 1] += 0.3
+    assert np.isnan(floating(path, stands, BODY))
+    stands[:5, 0] = True
+    assert floating(path, stands, BODY) == pytest.approx(0.04)
+    stands[5:, 1] = True
+    assert floating(path, stands, BODY) == pytest.approx(0.17)
+    path[5:, FEET[1]] = np.nan
+    assert floating(path, stands, BODY) == pytest.approx(0.04)
+
+
+# Speed and acceleration
+
+
+@pytest.mark.parametrize("fps", [15.0, 30.0, 120.0])
+def test_the_peak_speed_of_a_sine_is_that_of_its_fastest_hundredth(fps: float) -> None:
+    time = stamps(4000, fps)
+    path = standing(len(time))
+    path[:, 7, 0] += 0.2 * np.sin(1.7 * time)
+    expected = 0.2 * 1.7 * np.cos(np.pi / 2.0 * 0.01)
+    assert peak_speed(time, path, [7]) == pytest.approx(expected, rel=2e-3)
+    assert peak_speed(time, path, [8]) == 0.0
+
+
+def test_one_leap_among_hundreds_of_frames_is_no_peak_but_gaps_and_repeats_count() -> (
+    None
+):
+    time = np.delete(stamps(500), [100, 101, 300])
+    time = np.insert(time, 50, time[50])
+    path = polynomial(time, [0, 0, 0], [0.3, 0.0, 0.4])
+    path[200, 7] += 9.0
+    path[400, 7] = np.nan
+    assert peak_speed(time, path, [7]) == pytest.approx(0.5)
+    assert np.isnan(peak_speed(time, np.full_like(path, np.nan), [7]))
+    assert np.isnan(peak_speed(time[:1], path[:1], [7]))
+
+
+@pytest.mark.parametrize("fps", [15.0, 30.0, 120.0])
+def test_the_error_of_an_acceleration_is_how_much_it_is_off(fps: float) -> None:
+    time = stamps(20, fps)
+    truth = polynomial(time, [1, 2, 3], [4, 5, 6], [0.0, -4.9, 0.0])
+    found = polynomial(time, [0, 0, 0], [0, 1, 0], [0.3, -4.9, 0.4])
+    assert acceleration_error(time, truth, truth) == 0.0
+    assert acceleration_error(time, found, truth) == pytest.approx(1.0)
+    found[:, 3] = np.nan
+    assert acceleration_error(time, found, truth) == pytest.approx(1.0)
+
+
+def test_the_error_of_accelerations_is_unknown_without_three_frames_or_a_rate() -> None:
+    path = standing(9)
+    assert np.isnan(acceleration_error(stamps(2), path[:2], path[:2]))
+    assert np.isnan(acceleration_error(stamps(9), np.full_like(path, np.nan), path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isnan(acceleration_error(np.full(9, 7.0), path, path))
+        assert np.isnan(skate(stamps(1), path[:1], BODY)).all()
+
+
+def test_repeated_stamps_do_not_change_the_rate_that_accelerations_go_by() -> None:
+    time = np.repeat(stamps(12), 3)
+    truth, found = standing(36), standing(36)
+    found[18, 5, 1] += 0.01
+    expected = 0.01 * 4.0 * 30.0**2 / (34 * 20)
+    assert acceleration_error(time, found, truth) == pytest.approx(expected)
+
+
+# Flight
+
+
+def leap(frames: int, acceleration: float, fps: float = 30.0) -> tuple[Array, Array]:
+    """Return stamps and the path of a body a meter up with this acceleration."""
+    time = stamps(frames, fps)
+    path = polynomial(time, [0, 1, 0], [0.5, 2.0, -1.0], [0, 0.5 * acceleration, 0])
+    return time, path
+
+
+@pytest.mark.parametrize("fps", [15.0, 30.0, 120.0])
+@pytest.mark.parametrize(
+    ("acceleration", "error"), [(-9.81, 0.0), (0.0, 9.81), (-4.0, 5.81), (2.0, 11.81)]
+)
+def test_flight_is_off_by_the_acceleration_that_gravity_does_not_give(
+    acceleration: float, error: float, fps: float
+) -> None:
+    time, path = leap(10, acceleration, fps)
+    nowhere = np.zeros((10, 2), dtype=np.bool_)
+    assert flight_error(time, path, nowhere, BODY) == pytest.approx(error, abs=1e-6)
+
+
+def test_turning_limbs_about_the_center_of_mass_leaves_a_flight_free() -> None:
+    time, path = leap(10, -9.81)
+    masses = joint_masses(BODY)
+    hand, foot = KINECT_V1.index("HandLeft"), KINECT_V1.index("KneeRight")
+    swing = np.random.default_rng(0).normal(0.0, 0.2, (10, 3))
+    path[:, hand] += swing / masses[hand]
+    path[:, foot] -= swing / masses[foot]
+    path[:, :, 1] += 3.0
+    nowhere = np.zeros((10, 2), dtype=np.bool_)
+    assert flight_error(time, path, nowhere, BODY) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_only_flights_of_five_frames_off_the_floor_without_a_stance_count() -> None:
+    time, path = leap(10, 0.0)
+    nowhere = np.zeros((10, 2), dtype=np.bool_)
+    assert np.isnan(flight_error(time[:4], path[:4], nowhere[:4], BODY))
+    standing_on_one = nowhere.copy()
+    standing_on_one[[2, 6], [0, 1]] = True
+    assert np.isnan(flight_error(time, path, standing_on_one, BODY))
+    assert np.isnan(flight_error(time, path - [0.0, 1.6, 0.0], nowhere, BODY))
+    repeated = time.copy()
+    repeated[4] = repeated[3]
+    assert np.isnan(flight_error(repeated, path, nowhere, BODY))
+
+
+def test_longer_flights_weigh_more() -> None:
+    falling, hovering = leap(10, -9.81), leap(20, 0.0)
+    time = stamps(31)
+    stands = np.zeros((31, 2), dtype=np.bool_)
+    stands[10] = True
+    path = np.concatenate([falling[1], standing(1), hovering[1]])
+    assert flight_error(time, path, stands, BODY) == pytest.approx(9.81 * 2.0 / 3.0)
+
+
+def test_joints_that_are_missing_in_a_flight_have_no_mass() -> None:
+    time, path = leap(10, -5.81)
+    nowhere = np.zeros((10, 2), dtype=np.bool_)
+    path[:, 7] = np.nan
+    path[4, 3] = np.nan
+    assert flight_error(time, path, nowhere, BODY) == pytest.approx(4.0)
+    path[2] = np.nan
+    assert flight_error(time, path, nowhere, BODY) == pytest.approx(4.0)
+    assert np.isnan(flight_error(time, np.full_like(path, np.nan), nowhere, BODY))
+
+
 # Amplitude, distances, all together
 
 
@@ -279,21 +442,31 @@ def test_measuring_collects_the_figures_with_their_units() -> None:
     clean = raw.copy()
     clean[:, hand, 1] = standing(60)[:, hand, 1] + 0.1 * np.sin(2.0 * np.pi * time)
     clean += [0.0, -0.03, 0.04]
-    quality = measure(time, clean, raw, BODY)
+    stands = np.ones((60, 2), dtype=np.bool_)
+    quality = measure(time, clean, raw, BODY, stands)
     assert quality.jitter == pytest.approx(jitter(time, clean))
     assert quality.bone_length_cv == pytest.approx(bone_length_cv(clean, BODY))
     assert quality.skate_mm_per_frame == pytest.approx(10.0)
     assert quality.skate_share_over_0p2 == 1.0
+    assert quality.skate_max_m_per_s == pytest.approx(0.3)
     assert quality.penetration_mm == pytest.approx(30.0)
+    assert quality.penetration_mean_mm == pytest.approx(30.0)
     assert quality.lowest_point_mm == pytest.approx(-30.0)
     assert quality.float_mm == 0.0
     assert quality.amplitude_kept == pytest.approx(0.5)
     off = distances(clean, raw)
     assert quality.moved_cm == pytest.approx(100.0 * off.mean())
     assert np.delete(off, hand, axis=1).mean() == pytest.approx(0.05)
-    floating = measure(time, clean + np.array([0.0, 0.08, 0.0]), raw, BODY)
-    assert floating.penetration_mm == 0.0
-    assert floating.float_mm == pytest.approx(50.0)
+    assert quality.peak_hand_speed == pytest.approx(0.3)
+    assert np.isnan(quality.flight_error)
+    higher = measure(time, clean + np.array([0.0, 0.08, 0.0]), raw, BODY, stands)
+    assert higher.penetration_mm == higher.penetration_mean_mm == 0.0
+    assert higher.float_mm == pytest.approx(50.0)
+    flying = measure(time, clean + np.array([0.0, 0.5, 0.0]), raw, BODY, ~stands)
+    assert np.isnan(flying.float_mm)
+    assert flying.flight_error == pytest.approx(
+        flight_error(time, clean + np.array([0.0, 0.5, 0.0]), ~stands, BODY)
+    )
 
 
 def test_raw_beside_itself_keeps_all_and_empty_frames_do_not_count() -> None:
@@ -301,11 +474,13 @@ def test_raw_beside_itself_keeps_all_and_empty_frames_do_not_count() -> None:
     raw[:, :4, 0] += 0.1 * np.sin(7.0 * time)[:, None]
     raw[20:25] = np.nan
     raw[:, 7] = np.nan
-    quality = measure(time, raw, raw, BODY)
+    quality = measure(time, raw, raw, BODY, np.ones((60, 2), dtype=np.bool_))
     assert quality.amplitude_kept == pytest.approx(1.0)
     assert quality.moved_cm == 0.0
     assert quality.penetration_mm == pytest.approx(0.0, abs=1e-9)
-    assert all(np.isfinite(value) for value in asdict(quality).values())
+    figures = asdict(quality)
+    assert np.isnan(figures.pop("flight_error"))  # no foot ever left the floor
+    assert all(np.isfinite(value) for value in figures.values())
 
 
 def test_all_names_are_sorted_and_there() -> None:

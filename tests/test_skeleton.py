@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kinefilter.characters import (
+    CONTACTS,
     KINECT_V1,
     KINECT_V2,
     SKELETONS,
@@ -194,6 +195,8 @@ def clip_fields(frames: int = 4, skeleton: Skeleton = KINECT_V1) -> dict[str, An
         "rotations": np.tile([1.0, 0.0, 0.0, 0.0], (*shape, 1)),
         "body": standard_body(skeleton),
         **{name: np.zeros(shape) for name in per_joint},
+        "contacts": np.zeros((frames, len(CONTACTS)), dtype=np.bool_),
+        "external_force": np.zeros(frames),
     }
 
 
@@ -204,7 +207,7 @@ def arrays_of(motion: Take | Clip) -> dict[str, Array]:
 
 @pytest.mark.parametrize(
     ("motion", "count"),
-    [(Take(**take_fields()), 3), (Clip(**clip_fields()), 9)],
+    [(Take(**take_fields()), 3), (Clip(**clip_fields()), 11)],
     ids=["take", "clip"],
 )
 def test_arrays_of_a_motion_are_read_only(motion: Take | Clip, count: int) -> None:
@@ -255,6 +258,7 @@ def test_a_take_of_the_wrong_shape_is_refused(skeleton: Skeleton, name: str) -> 
         "origin",
         "moved_by_correction",
         "moved_by_physics",
+        "contacts",
     ],
 )
 def test_a_clip_of_the_wrong_shape_is_refused(name: str) -> None:
@@ -262,6 +266,13 @@ def test_a_clip_of_the_wrong_shape_is_refused(name: str) -> None:
     for wrong in (arguments[name][1:], arguments[name][:, 1:], arguments[name][..., 0]):
         with pytest.raises(InputError, match=f"a.csv: {name} has shape"):
             Clip(**{**arguments, name: wrong})
+
+
+def test_a_force_per_joint_is_refused() -> None:
+    arguments = clip_fields()
+    for wrong in (arguments["external_force"][1:], np.zeros((4, 3))):
+        with pytest.raises(InputError, match=r"a\.csv: external_force"):
+            Clip(**{**arguments, "external_force": wrong})
 
 
 def test_time_that_goes_backwards_is_refused_naming_the_frame() -> None:

@@ -17,6 +17,7 @@ from .rows import RowReader
 __all__ = ["read_contacts", "write_contacts"]
 
 _HEADER = ("time", *CONTACTS)
+_ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 
 
 def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -49,15 +50,20 @@ def read_contacts(
         time: Time stamps [s], shape (T,).
 
     Raises:
-        InputError: The file is missing or is no such table.
+        InputError: The file is missing, is no such table, or is of another time.
     """
     if Path(path).suffix.lower() == ".npz":
         clip = read_clip(path)
         stamps, flags = clip.time, clip.contacts
     else:
         stamps, flags = _table(path)
-    # Half a millisecond: stamps that were rounded in a spreadsheet are the same.
-    rows = np.searchsorted(stamps, time + 5e-4, side="right") - 1
+    if stamps[0] > time[-1] + _ROUNDED or (len(stamps) > 1 and stamps[-1] < time[0]):
+        raise InputError(
+            f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, lie "
+            f"outside of the take's, {time[0]:.3f} to {time[-1]:.3f} s; give the "
+            "contacts of this take"
+        )
+    rows = np.searchsorted(stamps, time + _ROUNDED, side="right") - 1
     return np.asarray(flags[np.maximum(rows, 0)])
 
 
