@@ -44,12 +44,12 @@ class CleanConfig:
     """How joints are corrected; default: by the model where one is given, otherwise
     by the offsets of the sensor's joints, then local-pca. none fills gaps only."""
     model: Path | None = None
-    """Model (.npz) of 'kinefilter train'."""
+    """Model (.npz) of 'kinefilter train'; with --method local-pca, that follows it."""
     adapt: bool = False
     """Let a model of local-gp learn on from the take, where it is sure."""
-    scoring: Literal["shum", "chiang", "noise"] = "shum"
-    """How reliability is scored: after Shum 2013, after Chiang 2017, or by noise and
-    segment lengths."""
+    scoring: Literal["shum", "chiang", "noise", "learned"] = "shum"
+    """How reliability is scored: after Shum 2013, after Chiang 2017, by noise and
+    segment lengths, or as learned on simulated people."""
     search: Literal["solver", "stochastic"] = "solver"
     """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
     database: Path | None = None

@@ -91,11 +91,8 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         """
         elapsed = self._elapsed(time)
         share = 1.0 - np.exp(-elapsed / MEMORY)
-        self._remember(positions)
-        noise = self._noise.add(self._square_noise(), share)
+        noise, lengths = self._square_errors(positions, share)
         noise = ERROR_PER_NOISE**2 * np.maximum(noise, 0.0)
-        lengths = self._length_error.add(self._square_length_error(positions), share)
-        lengths = self._touch @ lengths
         lost = (state != State.TRACKED) | np.isnan(positions[:, 0])
         tracked = self._track(lost, elapsed)
         trust = np.exp(-(noise + lengths) / DOUBTFUL_ERROR**2)
@@ -103,6 +100,18 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         term = np.where(tracked < trust, Term.TRACKING_STATE, term)
         geometry = np.where(lost, trust, np.exp(-lengths / DOUBTFUL_ERROR**2))
         return tracked * trust, term.astype(np.uint8), geometry
+
+    def _square_errors(self, positions: Array, share: float) -> tuple[Array, Array]:
+        """Return means of squared noise along an axis and length errors [m^2], (J,).
+
+        Args:
+            positions: Of the next frame [m], shape (J, 3).
+            share: What it weighs in the means.
+        """
+        self._remember(positions)
+        noise = self._noise.add(self._square_noise(), share)
+        lengths = self._length_error.add(self._square_length_error(positions), share)
+        return noise, self._touch @ lengths
 
     def _elapsed(self, time: float | None) -> float:
         """Return the time since the last frame [s], and take this one's down."""

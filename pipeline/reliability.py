@@ -31,11 +31,13 @@ RATE_FRAMES = 6
 
 
 class Term(IntEnum):
-    """The reliability term that was the smallest of the three, and so decided."""
+    """The reliability term that was the smallest, and so decided."""
 
     BEHAVIOR = 0
     KINEMATICS = 1
     TRACKING_STATE = 2
+    POSTURE = 3
+    """Where in the body this kind of sensor sees the joint: of ``learned`` alone."""
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,29 @@ from .formats import atomic_path
 from .progress import Progress, silent
 from .training import PairedTake
 
-__all__ = ["simulate", "simulated_pairs", "truth_of", "write_pairs"]
+__all__ = [
+    "furnished_pairs",
+    "simulate",
+    "simulated_pairs",
+    "truth_of",
+    "write_pairs",
+]
 
 _SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
+_OWN_SENSOR = {"kinect_v1": "v1", "kinect_v2": "v2"}
+_IN_THE_WAY = ("office", "flip_chart", "box")
+"""Scenes with a thing before a person who does something else."""
+_HANDLED = (
+    ("box", "lift_box"),
+    ("flip_chart", "flip_chart"),
+    ("basketball", "basketball"),
+    ("chair", "chair"),
+    ("chair", "sit_to_stand"),
+    ("office", "office"),
+)
+"""Scenes and what people do with the thing in them."""
+_ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
+"""Motions that go through things, or need one."""
 
 
 def simulate(
@@ -93,6 +113,36 @@ def simulated_pairs(
         simulate("basic", MOTIONS[k % len(MOTIONS)], skeleton=skeleton, seed=100 + k)
         for k in progress("simulate", min(people, 900))
     ]
+
+
+def furnished_pairs(
+    skeleton: str, *, people: int = 600, progress: Progress = silent
+) -> list[PairedTake]:
+    """Return takes to learn from in which things hide people as well.
+
+    Of ten people four move on a bare floor, three behind a thing, and three do
+    something with one. They are people of ``simulated_pairs``, seen by the sensor whose
+    skeleton it is.
+
+    Args:
+        skeleton: Name of the takes' skeleton.
+        people: How many, at most 900.
+        progress: Wraps the loop over the takes, for a progress bar.
+    """
+    rng = np.random.default_rng(0)
+    standing = [motion for motion in MOTIONS if motion not in _ELSEWHERE]
+    pairs = []
+    for k in progress("simulate", min(people, 900)):
+        turn = k % 10
+        if turn < 4:
+            scene, motion = "basic", str(rng.choice(MOTIONS))
+        elif turn < 7:
+            scene, motion = _IN_THE_WAY[turn - 4], str(rng.choice(standing))
+        else:
+            scene, motion = _HANDLED[rng.integers(len(_HANDLED))]
+        sensor = _OWN_SENSOR[skeleton]
+        pairs.append(simulate(scene, motion, sensor=sensor, seed=100 + k))
+    return pairs
 
 
 def truth_of(pair: PairedTake) -> Take:

@@ -4,7 +4,7 @@
 
 Takes: every recording under takes/, then a simulated one of every motion, cleaned
 with the defaults. Paired: every fifth
-clip of the people that nothing was chosen on, against marker mocap; E and E_var in cm
+clip of people on whom little was chosen, against marker mocap; E and E_var in cm
 as the data's README defines them (mean over joints and frames; without each joint's
 constant offset per clip).
 """

@@ -279,7 +279,7 @@ def test_every_recorded_take_is_cleaned(path: Path, tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize("person", ["s03", "s06", "s07", "s08"])
 def test_correction_does_no_harm_to_real_people(person: str) -> None:
-    """Offset-free error against marker mocap, on people nothing was chosen on."""
+    """Offset-free error against marker mocap; trust was chosen on s03 and s07."""
     limbs = [
         KINECT_V1.index(part + side)
         for part in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
@@ -311,4 +311,4 @@ def test_correction_does_no_harm_to_real_people(person: str) -> None:
     mean = {name: np.nanmean(np.concatenate(e)) for name, e in errors.items()}
     assert mean["local-pca"] < mean["raw"]
     # Filling in what is hidden costs a little where nothing is.
-    assert mean["local-pca"] < 1.02 * mean["none"]
+    assert mean["local-pca"] < 1.01 * mean["none"]

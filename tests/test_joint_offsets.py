@@ -21,7 +21,10 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
+from kinefilter.pipeline import CleanConfig, clean
+from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.config import Method
 from kinefilter.pipeline.correct import Correction, Hold, Observation
 from kinefilter.pipeline.correct.in_turn import InTurn
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
@@ -184,3 +187,45 @@ def test_train_wants_either_files_or_simulated_people(
     assert main(["train", *more, "-o", str(model)]) == 2
     assert "--simulated" in capsys.readouterr().err
     assert not model.exists()
+
+
+def test_furnished_rooms_need_simulated_people(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "model.npz"
+    assert main(["train", "pairs.npz", "--furnished", "-o", str(model)]) == 2
+    assert "--furnished needs --simulated" in capsys.readouterr().err
+    assert not model.exists()
+
+
+def test_what_a_model_made_of_a_guess_counts_for_something() -> None:
+    class Watch(Hold):
+        def step(self, observation: Observation) -> Correction:
+            self.saw = observation
+            return super().step(observation)
+
+    posture = _postures(KINECT_V1)[0].copy()
+    hand, wrist = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
+    posture[hand] = np.nan
+    rate = np.ones(len(posture))
+    rate[[hand, wrist]] = 0.0
+    watch = Watch(KINECT_V1)
+    methods = InTurn([_shipped(KINECT_V1), watch], least_rate=0.65)
+    methods.step(Observation(posture, rate, rate))
+    expected = np.where(np.arange(len(rate)) == wrist, 0.65, rate)
+    np.testing.assert_array_equal(watch.saw.rate, expected)
+    np.testing.assert_array_equal(watch.saw.geometry, expected)
+
+
+def test_local_pca_follows_a_model_where_it_is_asked_to() -> None:
+    """What a model leaves of a hidden arm, natural postures repair."""
+    folder = resources.files("kinefilter.pipeline") / "embedded"
+    pair = simulate("office", "office", sensor="v1", seed=1301)
+    accuracy, error = Accuracy(KINECT_V1), {}
+    methods: tuple[Method | None, ...] = (None, "local-pca")
+    with resources.as_file(folder / "kinect_v1.npz") as path:
+        for method in methods:
+            config = CleanConfig(model=path, method=method, physics=False)
+            positions = clean(pair.take, config).clip.positions
+            error[method] = np.nanmean(accuracy.distances(positions, pair.truth))
+    assert error["local-pca"] < 0.95 * error[None]

@@ -11,7 +11,7 @@ from sklearn.decomposition import PCA
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, Take, standard_body
 from kinefilter.pipeline.correct import Hold, LocalPCA, Observation
-from kinefilter.pipeline.correct.blend import Blend, measurement_trust
+from kinefilter.pipeline.correct.blend import RELIABLE, Blend, measurement_trust
 from kinefilter.pipeline.correct.posture_space import (
     EnergyWeights,
     PostureEnergy,
@@ -305,7 +305,7 @@ def test_trust_is_full_for_the_reliable_none_for_the_missing_and_monotonic() -> 
     outside = measurement_trust(rate, np.ones(101), missing, 0.0)
     assert np.all(np.diff(covered) >= 0)
     assert covered[0] == 0.0
-    assert np.all(covered[rate >= 0.85] == 1.0)
+    assert np.all(covered[rate >= RELIABLE] == 1.0)
     assert np.all(outside == 1.0)
     assert np.all(measurement_trust(rate, rate, ~missing, 0.5) == 0.0)
 

@@ -49,8 +49,8 @@ recorded = pytest.mark.skipif(
 
 JOINTS = len(KINECT_V1)
 HAND, WRIST = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
-RELIABLE = 0.85  # correction leaves such joints where they were measured
-UNRELIABLE = 0.6  # correction replaces such joints
+RELIABLE = 0.85  # correction moves such joints little
+UNRELIABLE = 0.6  # correction moves such joints much
 
 
 def still_take(

@@ -205,7 +205,7 @@ def test_the_command_writes_and_says_which_bars_held(
     assert "bars held" in printed
     with (tmp_path / "reliability.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [row["scoring"] for row in rows] == ["shum", "chiang", "noise"]
+    assert [row["scoring"] for row in rows] == ["shum", "chiang", "noise", "learned"]
     assert all(0.5 < float(row["all"]) < 1.0 for row in rows)
     assert all(row["scoring"] in printed for row in rows)
     assert (tmp_path / "reliability.png").is_file()

@@ -26,6 +26,8 @@ class Train:
     """Pairs files (.npz)."""
     simulated: Skeletons | None = None
     """Learn from simulated pairs of this skeleton, in place of files."""
+    furnished: bool = False
+    """Simulate people with things before them and in their hands, not alone."""
     method: LearnedMethod = "best"
     """What to teach."""
 
@@ -34,7 +36,7 @@ class Train:
         from kinefilter.pipeline.correct.methods import LEARNED
         from kinefilter.pipeline.formats import check_folder
         from kinefilter.pipeline.models import Model, save_model
-        from kinefilter.pipeline.simulate import simulated_pairs
+        from kinefilter.pipeline.simulate import furnished_pairs, simulated_pairs
         from kinefilter.pipeline.training import training_set
 
         if self.out.suffix != ".npz":
@@ -43,10 +45,13 @@ class Train:
         keep(self.out, *self.pairs)
         if bool(self.pairs) == (self.simulated is not None):
             raise InputError("give pairs files or --simulated SKELETON, not both")
+        if self.furnished and self.simulated is None:
+            raise InputError("--furnished needs --simulated SKELETON")
         pairs = read_all(self.pairs)
         with progress_bars() as progress:
             if self.simulated is not None:
-                pairs = simulated_pairs(self.simulated, progress=progress)
+                simulated = furnished_pairs if self.furnished else simulated_pairs
+                pairs = simulated(self.simulated, progress=progress)
             lessons = training_set(pairs, progress=progress)
             learner = LEARNED[self.method](lessons.skeleton)
             learner.fit(lessons, progress=progress)

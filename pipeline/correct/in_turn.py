@@ -20,10 +20,16 @@ class InTurn:
 
     Args:
         methods: The methods, in their order.
+        least_rate: What reliability a measured joint has at least in the eyes of the
+            last method, for methods before it that know what the sensor's guesses
+            mean.
     """
 
-    def __init__(self, methods: Sequence[Corrector]) -> None:
+    def __init__(
+        self, methods: Sequence[Corrector], *, least_rate: float = 0.0
+    ) -> None:
         self.methods = tuple(methods)
+        self.least_rate = least_rate
 
     def start(self) -> None:
         """Forget all frames."""
@@ -39,4 +45,10 @@ class InTurn:
             observation = replace(
                 observation, positions=np.where(missing, np.nan, made)
             )
+        least = np.where(missing[:, 0], 0.0, self.least_rate)
+        observation = replace(
+            observation,
+            rate=np.maximum(observation.rate, least),
+            geometry=np.maximum(observation.geometry, least),
+        )
         return last.step(observation)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, Take, random_body
-from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.config import CleanConfig, Method
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.library import embedded_database
 from kinefilter.pipeline.progress import Progress, silent
@@ -126,7 +129,11 @@ def _reconstructed(postures: Array, rate: Array, method: LocalPCA) -> Array:
 
 
 def shum_table_4(
-    *, seed: int = 0, takes: int = 12, progress: Progress = silent
+    *,
+    seed: int = 0,
+    takes: int = 12,
+    models: Mapping[str, Path] | None = None,
+    progress: Progress = silent,
 ) -> Study:
     """Clean takes of three classes of movement, and compare them with the truth.
 
@@ -137,17 +144,20 @@ def shum_table_4(
     Args:
         seed: Draws people, performances and the sensor's errors.
         takes: How many takes of each class.
+        models: Clean with these models, local PCA after them, in place of the default:
+            a file of 'kinefilter train' for each skeleton, by name.
         progress: Wraps the loops, for a progress bar.
     """
     rows = []
+    how = "cleaned by trained models" if models else "cleaned"
     for kind in CLASSES:
         pairs = study_takes(kind, seed=seed, count=takes, progress=progress)
-        rows.append(_cleaned(kind, pairs, progress))
+        rows.append(_cleaned(kind, pairs, models or {}, progress))
     kinds = [f"({kind})" for kind in CLASSES]
     before, after = zip(*_PAPER_ERRORS.values(), strict=True)
     return Study(
         name="shum-table-4",
-        title="Takes cleaned, against the truth (Shum 2013, Table IV)",
+        title=f"Takes {how}, against the truth (Shum 2013, Table IV)",
         columns=(
             *("class", "time_s", "raw_cm", "no_physics_cm", "clean_cm", "cut_percent"),
             *("paper_raw_cm", "paper_clean_cm", "paper_cut_percent"),
@@ -173,13 +183,18 @@ def shum_table_4(
 
 
 def _cleaned(
-    kind: Kind, pairs: list[PairedTake], progress: Progress
+    kind: Kind,
+    pairs: list[PairedTake],
+    models: Mapping[str, Path],
+    progress: Progress,
 ) -> tuple[str, float, float, float, float, float, float, float, float]:
     """Return the row of a class: means over the frames and parts of all its takes."""
     errors: tuple[list[Array], ...] = ([], [], [])
     for k in progress(f"clean ({kind})", len(pairs)):
         take, truth = pairs[k].take, pairs[k].truth
-        motions = (take.positions, _clean(take, physics=False), _clean(take))
+        model = models.get(take.skeleton.name)
+        made = [_clean(take, model, physics=physics) for physics in (False, True)]
+        motions = (take.positions, *made)
         parts = [bone_errors(one, truth, take.skeleton) for one in motions]
         for found, part in zip(errors, parts, strict=True):
             found.append(part[~np.isnan(parts[0])])
@@ -199,9 +214,11 @@ def _cleaned(
     )
 
 
-def _clean(take: Take, *, physics: bool = True) -> Array:
-    """Return what ``clean`` makes of a take without options [m], (T, J, 3)."""
-    return clean(take, CleanConfig(physics=physics)).clip.positions
+def _clean(take: Take, model: Path | None, *, physics: bool) -> Array:
+    """Return what ``clean`` makes of a take [m], (T, J, 3)."""
+    method: Method | None = None if model is None else "local-pca"
+    config = CleanConfig(method=method, model=model, physics=physics)
+    return clean(take, config).clip.positions
 
 
 def _cut(before: float, after: float) -> float:

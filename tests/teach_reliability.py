@@ -1,0 +1,26 @@
+"""Teach ``--scoring learned`` what goes with joints that are far off.
+
+    python tests/teach_reliability.py
+
+Writes ``pipeline/embedded/*_doubt.npz``, in some five minutes, from simulated people
+who are in no study.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kinefilter.characters import SKELETONS
+from kinefilter.pipeline.reliability_lessons import learned_weights
+from kinefilter.pipeline.simulate import furnished_pairs
+
+FOLDER = Path(__file__).parents[1] / "pipeline" / "embedded"
+
+
+def main() -> None:
+    for name in SKELETONS:
+        learned_weights(furnished_pairs(name)).save(FOLDER / f"{name}_doubt.npz")
+
+
+if __name__ == "__main__":
+    main()
