@@ -28,6 +28,7 @@ from kinefilter.characters.humanoid import (
 from kinefilter.pipeline.contacts import SIDES, ankles_and_toes
 from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.retarget.rotations import (
+    continuous,
     inverse,
     multiply,
     normalize,
@@ -53,6 +54,7 @@ in six recorded takes of punches and kicks diverged somewhere."""
 LOST = 3.0
 """A joint this far [m] from its target means that the simulation went astray: more than
 the longest jump of a tracker that the bounded forces are still catching up with."""
+_CHUNK = 4096  # frames at a time, to bound the memory
 _FASTEST = 1e3  # rad/s or m/s: nothing on a body is ever that fast
 
 
@@ -186,8 +188,7 @@ class PhysicsFilter:
             InputError: There is no such joint.
         """
         body = int(self._bodies[self.body.skeleton.index(part)])
-        until = float(self.data.time) + seconds
-        self._pushes.append((body, to_mujoco(np.asarray(force, dtype=float)), until))
+        self._pushes.append((body, to_mujoco(np.asarray(force, dtype=float)), seconds))
 
     @property
     def limp(self) -> bool:
@@ -236,13 +237,13 @@ class PhysicsFilter:
         needed = self._masses[:, None] * (gained + _UP * GRAVITY)
         self.data.xfrc_applied[self._bodies] = 0.0
         self._bear(after_p, needed.sum(axis=0), None if self.limp else stands, dt)
-        self._pushes = [push for push in self._pushes if push[2] > self.data.time]
         for part, force, _ in self._pushes:
             self.data.xfrc_applied[part, :3] += force
+        self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n, nu = after_p.size, len(self._stiffness)
         spin = rotation_vector(multiply(after_q, inverse(before_q))) / dt
         turning = rotate(inverse(after_q), spin)[self._turned]
-        ctrl, data = self.data.ctrl, self.data
+        ctrl, data, began = self.data.ctrl, self.data, self.data.time
         ctrl[n:nu] = self._damping[n:] * np.sum(turning * self._turn_axes, axis=1)
         forward = self._damping[:n] * velocity.ravel() + needed.ravel()
         if self._props.any():
@@ -259,7 +260,7 @@ class PhysicsFilter:
             data.mocap_quat[self._mocap] = normalize(turned)
             mujoco.mj_step(self.model, data, nstep=substeps)
         mujoco.mj_kinematics(self.model, data)
-        if self._astray(after_p):
+        if self._astray(after_p, began):
             mujoco.mj_resetData(self.model, data)
             self._place(after_p, after_q)
             return False
@@ -310,12 +311,10 @@ class PhysicsFilter:
         self._pressure = float(pressures.sum())
         self.data.xfrc_applied[self._soles, 2] = -pressures
 
-    def _astray(self, target: Array) -> bool:
+    def _astray(self, target: Array, before: float) -> bool:
         """Tell whether the character spins out of control or left its target."""
-        bad = (mujoco.mjtWarning.mjWARN_BADQACC, mujoco.mjtWarning.mjWARN_BADQVEL)
-        if any(self.data.warning[kind].number for kind in bad):
-            return True
-        if not np.abs(self.data.qvel).max() < _FASTEST:
+        # The engine begins anew at time 0 when its numbers run away.
+        if not self.data.time > before or not np.abs(self.data.qvel).max() < _FASTEST:
             return True
         if self.limp:
             return False
@@ -394,7 +393,7 @@ class PhysicsFilter:
         count = len(time)
         accelerations = _accelerations(time, positions)
         result = np.empty_like(rotations)
-        joints = np.empty_like(positions)
+        roots = np.empty((count, 3))
         trace = PhysicsTrace(
             np.zeros(count),
             np.zeros(count),
@@ -415,13 +414,17 @@ class PhysicsFilter:
                     stands=None if stands is None else stands[k],
                 )
             result[k] = self.rotations
-            if k > 0:  # neighbors on one hemisphere
-                dots = np.sum(result[k] * result[k - 1], axis=1, keepdims=True)
-                result[k] *= np.where(dots < 0.0, -1.0, 1.0)
-            joints[k] = positions_from_rotations(result[k], self.root, self.body)
+            roots[k] = self.root
             trace.tracking_error[k] = self.tracking_error
             trace.external_force[k] = self.external_force
             trace.contacts[k] = self.contacts
+        result = continuous(result)
+        joints = np.empty_like(positions)
+        for k in range(0, count, _CHUNK):
+            some = slice(k, k + _CHUNK)
+            joints[some] = positions_from_rotations(
+                result[some], roots[some], self.body
+            )
         return PhysicsResult(result, joints, trace)
 
     def _settle(self, stands: NDArray[np.bool_] | None) -> None:
