@@ -23,8 +23,8 @@ from .correct.filters import OneEuro
 from .default import default_corrector
 from .floor import put_on_floor
 from .library import embedded_database
-from .physics import PhysicsFilter
 from .placement import place_of
+from .pulled_character import PulledCharacter
 from .reliability import ReliabilityScorer, measure_reference
 
 __all__ = ["Avatar", "Pose"]
@@ -84,7 +84,7 @@ class Avatar:
         skeleton = body.skeleton
         self.body, self.floor = body, floor
         self._in_scene = scene is not None
-        self.physics = PhysicsFilter(body, tracking, scene=scene)
+        self.physics = PulledCharacter(body, tracking, scene=scene)
         self._corrector = corrector or default_corrector(embedded_database(skeleton))
         self._scorer = ReliabilityScorer(skeleton, measure_reference(_at_rest(body)))
         self._standardizer = Standardizer(body)
@@ -161,7 +161,7 @@ class Avatar:
         )
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
-        """Push a part of the body for some time; see ``PhysicsFilter.push``."""
+        """Push a part of the body for some time; see ``PulledCharacter.push``."""
         self.physics.push(part, np.asarray(force, dtype=float), seconds)
 
     def let_go(self) -> None:

@@ -25,7 +25,7 @@ from .default import default_corrector
 from .floor import floor_height, put_on_floor
 from .formats import read_take
 from .library import embedded_database
-from .physics import PhysicsFilter, substeps_in
+from .pulled_character import PulledCharacter, substeps_in
 from .reliability import ReliabilityScorer, measure_reference
 
 __all__ = ["as_table", "bench", "sample_path"]
@@ -107,7 +107,7 @@ def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
     body = measured_body(take.skeleton, reference.lengths, reference.directions)
     scorer = ReliabilityScorer(take.skeleton, reference)
     standardizer, lengths = Standardizer(body), BoneLengths(body)
-    character = PhysicsFilter(body)
+    character = PulledCharacter(body)
     present = (~np.isnan(take.positions[..., 0])).astype(float)
     stands = np.zeros((len(take), 2), dtype=np.bool_)
     floor = np.array([0.0, floor_height(take.positions, present, stands, body), 0.0])
@@ -150,7 +150,7 @@ def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
     }
 
 
-def _bare_physics(character: PhysicsFilter, frames: int, dt: float) -> float:
+def _bare_physics(character: PulledCharacter, frames: int, dt: float) -> float:
     """Return milliseconds a frame of nothing but the engine's substeps."""
     substeps = substeps_in(dt)
     character.model.opt.timestep = dt / substeps

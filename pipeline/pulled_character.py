@@ -1,0 +1,346 @@
+"""The character in MuJoCo's world, pulled to one target posture after another.
+
+MuJoCo takes the place of the papers' ODE (Shum 2013, section VII): bounded PD forces
+pull every joint to its target while the engine keeps segment lengths, ball joints,
+gravity and the floor, so the result obeys them whatever the target does.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body
+from kinefilter.characters.humanoid import (
+    GRAVITY,
+    PULLS,
+    Tracking,
+    build_humanoid,
+    from_mujoco,
+    joint_masses,
+    to_mujoco,
+)
+from kinefilter.retarget.rotations import (
+    inverse,
+    multiply,
+    normalize,
+    rotate,
+    rotation_vector,
+)
+from kinefilter.scenes import load_scene
+
+from .contacts import SIDES, ankles_and_toes
+
+__all__ = ["PulledCharacter", "substeps_in"]
+
+Array = NDArray[np.float64]
+
+_UP = np.array([0.0, 0.0, 1.0])
+UPDATE = 1.0 / 60.0
+"""Longest time [s] between two updates of what the actuators pull to."""
+_LETS_GO = 0.08  # m that hands are to be farther apart than what they hold is wide
+_LOADING_TIME = 0.2  # s from a foot's touching the floor to its bearing the body
+_HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
+
+SUBSTEP = 1.0 / 240.0
+"""Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
+in six recorded takes of punches and kicks diverged somewhere."""
+LOST = 3.0
+"""A joint this far [m] from its target means that the simulation went astray: more than
+the longest jump of a tracker that the bounded forces are still catching up with."""
+_FASTEST = 1e3  # rad/s or m/s: nothing on a body is ever that fast
+
+
+def substeps_in(dt: float) -> int:
+    """Return into how many simulation steps a frame of ``dt`` [s] is divided."""
+    return _updates_in(dt) * _substeps_per_update(dt)
+
+
+def _updates_in(dt: float) -> int:
+    return max(1, int(np.ceil(dt / UPDATE - 1e-3)))
+
+
+def _substeps_per_update(dt: float) -> int:
+    return max(1, int(np.ceil(dt / (_updates_in(dt) * SUBSTEP) - 1e-3)))
+
+
+class PulledCharacter:
+    """Steps the humanoid of one body, frame by frame.
+
+    Args:
+        body: The person.
+        tracking: How hard the character is pulled.
+        scene: What is around it, one of SCENES or an MJCF file; by default the floor.
+
+    Raises:
+        InputError: As ``load_scene``.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        tracking: Tracking | None = None,
+        *,
+        scene: str | Path | None = None,
+    ) -> None:
+        self.body = body
+        if scene is None:
+            spec = build_humanoid(body, tracking)
+        else:
+            spec = load_scene(scene, body, tracking=tracking)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        joints = body.skeleton.joints
+        n = len(joints)
+        self._sites = np.array([self.model.site(name).id for name in joints])
+        self._bodies = np.array([self.model.body(name).id for name in joints])
+        self._segments = body.skeleton.segments
+        self._parents = body.skeleton.segment_parents
+        self._balls = np.array(
+            [self.model.joint(joints[j]).qposadr[0] for j in self._segments]
+        )
+        # The character's actuators come first: forces, then torques, of which the first
+        # three are the root's, then one a segment.
+        count = int(np.sum(self.model.actuator_group == PULLS))
+        self._stiffness = -self.model.actuator_biasprm[:count, 1]
+        self._damping = -self.model.actuator_biasprm[:count, 2]
+        turns = range(3 * n, count)
+        self._turn_axes = self.model.actuator_gear[turns, 3:]
+        turned = [self.model.actuator(i).name.split(":")[1] for i in turns]
+        targets = [self.model.body(f"target:{name}").id for name in joints]
+        self._mocap = self.model.body_mocapid[targets]
+        self._turned = np.array([joints.index(name) for name in turned])
+        self._palms = [body.skeleton.index(f"Hand{side}") for side in SIDES]
+        self._hands = self._bodies[self._palms]
+        self._grips = [self.model.actuator(f"grip:Hand{side}").id for side in SIDES]
+        self._props = np.isin(
+            self.model.body_rootid,
+            self.model.jnt_bodyid[
+                (self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+                & (self.model.jnt_bodyid != self._bodies[body.skeleton.root])
+            ],
+        )
+        self._weight = float(body.mass * GRAVITY)
+        self._masses = joint_masses(body)
+        ankles, toes = ankles_and_toes(body.skeleton)
+        self._feet = np.stack([ankles, toes], axis=1)
+        self._soles = self._bodies[toes]
+        self._load = np.zeros(2)
+        self._pushes: list[tuple[int, Array, float]] = []
+        if mujoco.get_mju_user_warning() is None:
+            # The engine's own handler writes a log into the user's working folder; a
+            # diverging step is in the trace.
+            mujoco.set_mju_user_warning(lambda _: None)
+
+    def start(self, positions: Array, rotations: Array) -> None:
+        """Put the character at rest onto a target posture.
+
+        Args:
+            positions: Target joint positions [m], world frame, shape (J, 3).
+            rotations: Target world segment rotations, wxyz, shape (J, 4).
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        self._target = (to_mujoco(positions), to_mujoco(rotations))
+        self._velocity = np.zeros_like(self._target[0])
+        self._load[:], self._pressure = 0.0, 0.0
+        self._pushes.clear()
+        self._place(*self._target)
+
+    def push(self, part: str, force: Array, seconds: float) -> None:
+        """Push a part of the body from outside for some time.
+
+        Args:
+            part: The joint that the part ends at.
+            force: The force at the part's center of mass [N], world frame, shape (3,).
+            seconds: How long from now on.
+
+        Raises:
+            InputError: There is no such joint.
+        """
+        body = int(self._bodies[self.body.skeleton.index(part)])
+        self._pushes.append((body, to_mujoco(np.asarray(force, dtype=float)), seconds))
+
+    @property
+    def limp(self) -> bool:
+        """Whether nothing pulls the character, so that it falls; can be set."""
+        return bool(self.model.opt.disableactuator & (1 << PULLS))
+
+    @limp.setter
+    def limp(self, value: bool) -> None:
+        bit = 1 << PULLS
+        held = self.model.opt.disableactuator & ~bit
+        self.model.opt.disableactuator = held | (bit if value else 0)
+
+    def step(
+        self,
+        positions: Array,
+        rotations: Array,
+        dt: float,
+        *,
+        acceleration: Array | None = None,
+        stands: NDArray[np.bool_] | None = None,
+    ) -> bool:
+        """Advance by dt [s] towards a target; return False if it had to be reset.
+
+        The posture is then in ``self.rotations`` and ``self.root``.
+
+        Args:
+            positions: Target joint positions [m], world frame, shape (J, 3).
+            rotations: Target world segment rotations, wxyz, shape (J, 4).
+            dt: Time since the last step [s].
+            acceleration: Of the targets [m/s^2], shape (J, 3); by default from the
+                last two steps, half a frame late.
+            stands: Whether each foot (left, right) bears weight, shape (2,); by
+                default none does and the pulls carry the body.
+        """
+        before_p, before_q = self._target
+        after_p, after_q = to_mujoco(positions), to_mujoco(rotations)
+        after_q = np.where(
+            np.sum(before_q * after_q, axis=1, keepdims=True) < 0, -after_q, after_q
+        )
+        velocity = (after_p - before_p) / dt
+        if acceleration is None:
+            gained = (velocity - self._velocity) / dt
+        else:
+            gained = to_mujoco(acceleration)
+        self._target, self._velocity = (after_p, after_q), velocity
+        needed = self._masses[:, None] * (gained + _UP * GRAVITY)
+        self.data.xfrc_applied[self._bodies] = 0.0
+        self._bear(after_p, needed.sum(axis=0), None if self.limp else stands, dt)
+        for part, force, _ in self._pushes:
+            self.data.xfrc_applied[part, :3] += force
+        self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
+        n, nu = after_p.size, len(self._stiffness)
+        spin = rotation_vector(multiply(after_q, inverse(before_q))) / dt
+        turning = rotate(inverse(after_q), spin)[self._turned]
+        ctrl, data, began = self.data.ctrl, self.data, self.data.time
+        ctrl[n:nu] = self._damping[n:] * np.sum(turning * self._turn_axes, axis=1)
+        forward = self._damping[:n] * velocity.ravel() + needed.ravel()
+        if self._props.any():
+            ctrl[self._grips] = float(self._holds() and not self.limp)
+        updates, substeps = _updates_in(dt), _substeps_per_update(dt)
+        self.model.opt.timestep = dt / (updates * substeps)
+        for k in range(updates):
+            # Midway between the first and the last step of this update: the engine
+            # compares the target with the state at a step's beginning.
+            share = (k + 0.5 - 0.5 / substeps) / updates
+            point = before_p + share * (after_p - before_p)
+            ctrl[:n] = self._stiffness[:n] * point.ravel() + forward
+            turned = before_q + share * (after_q - before_q)
+            data.mocap_quat[self._mocap] = normalize(turned)
+            mujoco.mj_step(self.model, data, nstep=substeps)
+        mujoco.mj_kinematics(self.model, data)
+        if self._astray(after_p, began):
+            mujoco.mj_resetData(self.model, data)
+            self._place(after_p, after_q)
+            return False
+        return True
+
+    def _holds(self) -> bool:
+        """Tell whether both hands are at one prop, and are not to part."""
+        wanted, there = (
+            float(np.linalg.norm(points[0] - points[1]))
+            for points in (
+                self._target[0][self._palms],
+                self.data.site_xpos[self._sites[self._palms]],
+            )
+        )
+        if wanted > there + _LETS_GO:
+            return False
+        pairs = self.model.geom_bodyid[self.data.contact.geom]
+        pairs = np.concatenate([pairs, pairs[:, ::-1]])
+        pairs = pairs[self._props[pairs[:, 1]]]
+        left, right = (set(pairs[pairs[:, 0] == hand, 1]) for hand in self._hands)
+        return bool(left & right)
+
+    def _bear(
+        self,
+        target: Array,
+        needed: Array,
+        stands: NDArray[np.bool_] | None,
+        dt: float,
+    ) -> None:
+        """Let standing feet press on the floor with what moves and carries the body.
+
+        Muscles pull between the body and the feet, so the weight that the pulls give to
+        the body the feet take from the floor: only the floor carries. How much each
+        foot bears depends on where the center of mass is.
+        """
+        wanted = np.zeros(2)
+        if stands is not None and stands.any():
+            left, right = (target[feet].mean(axis=0)[:2] for feet in self._feet)
+            center = self._masses @ target[:, :2] / self._masses.sum()
+            apart = left - right
+            share = (center - right) @ apart / max(float(apart @ apart), 1e-6)
+            wanted[:] = np.clip([share, 1.0 - share], 0.0, 1.0)
+            wanted = np.where(stands.all(), wanted, stands)
+        most = dt / _LOADING_TIME
+        self._load += np.clip(wanted - self._load, -most, most)
+        self._load[wanted == 0.0] = 0.0
+        pressures = self._load * np.clip(needed[2], 0.0, _HARDEST_STEP * self._weight)
+        self._pressure = float(pressures.sum())
+        self.data.xfrc_applied[self._soles, 2] = -pressures
+
+    def _astray(self, target: Array, before: float) -> bool:
+        """Tell whether the character spins out of control or left its target."""
+        # The engine begins anew at time 0 when its numbers run away.
+        if not self.data.time > before or not np.abs(self.data.qvel).max() < _FASTEST:
+            return True
+        if self.limp:
+            return False
+        away = np.abs(self.data.site_xpos[self._sites] - target).max()
+        return not away < LOST  # also true for NaN
+
+    def _place(self, positions: Array, rotations: Array) -> None:
+        root = self.body.skeleton.root
+        qpos = self.data.qpos
+        qpos[:3], qpos[3:7] = positions[root], rotations[root]
+        relative = multiply(
+            inverse(rotations[self._parents]), rotations[self._segments]
+        )
+        qpos[self._balls[:, None] + np.arange(4)] = relative
+        self.data.qvel[:] = 0.0
+        self.data.mocap_quat[self._mocap] = rotations
+        mujoco.mj_kinematics(self.model, self.data)
+
+    @property
+    def rotations(self) -> Array:
+        """World segment rotations of the present posture, wxyz, shape (J, 4)."""
+        return from_mujoco(self.data.xquat[self._bodies])
+
+    @property
+    def root(self) -> Array:
+        """Position of the root joint [m], world frame, shape (3,)."""
+        return from_mujoco(self.data.qpos[:3])
+
+    @property
+    def positions(self) -> Array:
+        """Joint positions of the present posture [m], world frame, shape (J, 3)."""
+        return from_mujoco(self.data.site_xpos[self._sites])
+
+    @property
+    def contacts(self) -> int:
+        """Number of points in which the character touches itself or anything else."""
+        bodies = self.model.geom_bodyid[self.data.contact.geom]
+        return int(np.isin(bodies, self._bodies).any(axis=1).sum())
+
+    @property
+    def external_force(self) -> float:
+        """What pulls the body as a whole and comes from no floor [body weights].
+
+        The magnitude of the sum of all pulls and of what the feet take from the floor
+        for them: what no person could do by muscles.
+        """
+        n = 3 * len(self._sites)
+        pulls = self.data.actuator_force[:n].reshape(-1, 3).sum(axis=0)
+        pulls[2] -= self._pressure
+        return float(np.linalg.norm(pulls) / self._weight)
+
+    @property
+    def tracking_error(self) -> float:
+        """Mean distance of the joints from their targets [m]."""
+        away = self.data.site_xpos[self._sites] - self._target[0]
+        return float(np.linalg.norm(away, axis=1).mean())
