@@ -21,6 +21,7 @@ from kinefilter.pipeline.studies.study import as_table
 
 def main() -> None:
     models = {name: Path(sys.argv[1]) / f"{name}.npz" for name in SKELETONS}
+    Path(sys.argv[1]).mkdir(parents=True, exist_ok=True)
     for name, path in models.items():
         if not path.is_file():
             simulated = ["--simulated", name, "--furnished"]

@@ -22,11 +22,10 @@ __all__ = ["LocalPCA"]
 Array = NDArray[np.float64]
 
 _SENSOR_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, sizes standardized
-_NEIGHBORS = 7
+_NEIGHBORS = 5
 """Postures that span a posture space. Shum's 30 leave room for postures that nobody
 takes where few joints are reliable: behind a box or a desk, 10 take 38 % of the error
-of simulated takes, 7 take 40 %, 5 take 41 %; of four recorded people, 5 add 1.1 % to
-the error that varies in one against smoothing alone, 7 add 0.5 %."""
+of simulated takes, 7 take 40 % and 5 take 41 %."""
 _MEMORY = 0.05  # weight of the last posture in the query, against a rate of 1
 _AS_MEASURED = 0.001  # m: what a joint may be moved and still count as measured
 _TRUST = 0.9  # of a measurement that is moved more: the smoother may move it too
