@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 
 UNRELIABLE, RELIABLE = 0.3, 0.95
 """Reliability rates below which a measurement counts for nothing and from which it is
-taken as it is. Wide apart, as rates tell little: with 0.6 and 0.85 less of the error of
-simulated takes goes, and with 0.4 and 0.95 too more harm is done to recorded people. Chiang's 0.7 in the
-place of both misses most of what helps."""
+taken as it is. Wide apart, as rates tell little: with 0.6 and 0.85 less of the error
+of simulated takes goes; with these and with 0.4 and 0.95 more harm is done to recorded
+people. Chiang's 0.7 in the place of both misses most of what helps."""
 
 _FIRMEST = 1e3  # weight of a fully trusted joint against one bone's pull
 
