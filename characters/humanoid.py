@@ -178,7 +178,6 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
             type=mujoco.mjtJoint.mjJNT_BALL,
             armature=_ARMATURE,
             range=[0.0, np.degrees(joint_range(name))],
-            solref_limit=_HARD_FLOOR[0],
             damping=[_PASSIVE_DAMPING * swing[j], 0.0, 0.0],
         )
         parts[j].add_geom(
