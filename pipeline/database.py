@@ -81,8 +81,9 @@ class PostureDatabase:
                 shape (J, 3).
             weights: Reliability of each joint, shape (J,).
         """
-        weighted = np.where(weights[:, None] > 0.0, posture * weights[:, None], 0.0)
-        constant = float(np.nansum(weighted * posture))
+        seen = np.where(weights[:, None] > 0.0, posture, 0.0)
+        weighted = seen * weights[:, None]
+        constant = float(np.vdot(weighted, seen))
         query = np.concatenate([weights, weighted.ravel()]).astype(np.float32)
         return np.asarray(self._products @ query + constant, dtype=np.float64)
 

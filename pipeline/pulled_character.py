@@ -27,7 +27,6 @@ from kinefilter.retarget.rotations import (
     inverse,
     multiply,
     normalize,
-    rotate,
     rotation_vector,
 )
 from kinefilter.scenes import load_scene
@@ -124,7 +123,8 @@ class PulledCharacter:
             ],
         )
         self._weight = float(body.mass * GRAVITY)
-        self._masses = joint_masses(body)
+        self._masses = joint_masses(body)[:, None]
+        self._shares = self._masses[:, 0] / self._masses.sum()
         ankles, toes = ankles_and_toes(body.skeleton)
         self._feet = np.stack([ankles, toes], axis=1)
         self._soles = self._bodies[toes]
@@ -198,26 +198,27 @@ class PulledCharacter:
         """
         before_p, before_q = self._target
         after_p, after_q = to_mujoco(positions), to_mujoco(rotations)
-        after_q = np.where(
-            np.sum(before_q * after_q, axis=1, keepdims=True) < 0, -after_q, after_q
-        )
+        flipped = np.einsum("jk,jk->j", before_q, after_q) < 0.0
+        after_q[flipped] *= -1.0
         velocity = (after_p - before_p) / dt
         if acceleration is None:
             gained = (velocity - self._velocity) / dt
         else:
             gained = to_mujoco(acceleration)
         self._target, self._velocity = (after_p, after_q), velocity
-        needed = self._masses[:, None] * (gained + _UP * GRAVITY)
+        needed = self._masses * (gained + _UP * GRAVITY)
         self.data.xfrc_applied[self._bodies] = 0.0
         self._bear(after_p, needed.sum(axis=0), None if self.limp else stands, dt)
         for part, force, _ in self._pushes:
             self.data.xfrc_applied[part, :3] += force
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n, nu = after_p.size, len(self._stiffness)
-        spin = rotation_vector(multiply(after_q, inverse(before_q))) / dt
-        turning = rotate(inverse(after_q), spin)[self._turned]
+        # In the segment's own frame, as the torques' axes are.
+        turning = rotation_vector(multiply(inverse(before_q), after_q)) / dt
         ctrl, data, began = self.data.ctrl, self.data, self.data.time
-        ctrl[n:nu] = self._damping[n:] * np.sum(turning * self._turn_axes, axis=1)
+        ctrl[n:nu] = self._damping[n:] * np.einsum(
+            "ak,ak->a", turning[self._turned], self._turn_axes
+        )
         forward = self._damping[:n] * velocity.ravel() + needed.ravel()
         if self._props.any():
             ctrl[self._grips] = float(self._holds() and not self.limp)
@@ -270,19 +271,20 @@ class PulledCharacter:
         foot bears depends on where the center of mass is.
         """
         wanted = np.zeros(2)
-        if stands is not None and stands.any():
-            left, right = (target[feet].mean(axis=0)[:2] for feet in self._feet)
-            center = self._masses @ target[:, :2] / self._masses.sum()
+        if stands is not None and stands.all():
+            left, right = 0.5 * target[self._feet, :2].sum(axis=1)
             apart = left - right
-            share = (center - right) @ apart / max(float(apart @ apart), 1e-6)
-            wanted[:] = np.clip([share, 1.0 - share], 0.0, 1.0)
-            wanted = np.where(stands.all(), wanted, stands)
+            share = (self._shares @ target[:, :2] - right) @ apart
+            share = min(max(float(share / max(apart @ apart, 1e-6)), 0.0), 1.0)
+            wanted[:] = share, 1.0 - share
+        elif stands is not None:
+            wanted[:] = stands
         most = dt / _LOADING_TIME
-        self._load += np.clip(wanted - self._load, -most, most)
+        self._load += np.minimum(np.maximum(wanted - self._load, -most), most)
         self._load[wanted == 0.0] = 0.0
-        pressures = self._load * np.clip(needed[2], 0.0, _HARDEST_STEP * self._weight)
-        self._pressure = float(pressures.sum())
-        self.data.xfrc_applied[self._soles, 2] = -pressures
+        upward = min(max(float(needed[2]), 0.0), _HARDEST_STEP * self._weight)
+        self._pressure = float(self._load.sum()) * upward
+        self.data.xfrc_applied[self._soles, 2] = -self._load * upward
 
     def _astray(self, target: Array, before: float) -> bool:
         """Tell whether the character spins out of control or left its target."""

@@ -34,7 +34,9 @@ class BoneLengths:
         skeleton = body.skeleton
         self._ends, self._starts = skeleton.segments, skeleton.segment_parents
         self._lengths = body.lengths[self._ends]
+        self._longest = 0.5 * self._lengths
         self._rest = body.directions[self._ends]
+        self._ridge = 1e-9 * np.eye(len(self._ends))
         self._incidence = np.zeros((len(self._ends), len(skeleton)))
         rows = np.arange(len(self._ends))
         self._incidence[rows, self._ends] = 1.0
@@ -58,6 +60,7 @@ class BoneLengths:
     def _project(self, points: Array, mobility: Array) -> Array:
         moves = self._incidence * mobility[:, None, :]
         coupling = moves @ self._incidence.T
+        moves = moves.transpose(0, 2, 1)
         share = np.ones((len(points), 1, 1))
         directions, errors = self._bones(points)
         worst = np.abs(errors).max(axis=1)
@@ -65,22 +68,24 @@ class BoneLengths:
             if worst.max() < _EXACT:
                 break
             system = coupling * (directions @ directions.transpose(0, 2, 1))
-            system += 1e-9 * np.eye(len(self._ends))
+            system += self._ridge
             # A step half as long as a bone keeps a folded limb from flipping over.
-            wanted = np.clip(errors, -0.5 * self._lengths, 0.5 * self._lengths)
+            wanted = np.maximum(np.minimum(errors, self._longest), -self._longest)
             pull = np.linalg.solve(system, wanted[..., None]) * directions
-            tried = points - share * (moves.transpose(0, 2, 1) @ pull)
+            tried = points - share * (moves @ pull)
             found, wrong = self._bones(tried)
-            better = np.abs(wrong).max(axis=1) < worst
+            left = np.abs(wrong).max(axis=1)
             # What does not come nearer is tried again with half the step.
-            share = np.where(better[:, None, None], np.minimum(2 * share, 1), share / 2)
-            points = np.where(better[:, None, None], tried, points)
-            directions = np.where(better[:, None, None], found, directions)
-            errors = np.where(better[:, None], wrong, errors)
-            worst = np.abs(errors).max(axis=1)
-        return np.where(
-            (worst < _EXACT)[:, None, None], points, self._walk(points, directions)
-        )
+            better = (left < worst)[:, None, None]
+            share = np.where(better, np.minimum(2 * share, 1), share / 2)
+            points = np.where(better, tried, points)
+            directions = np.where(better, found, directions)
+            errors = np.where(better[..., 0], wrong, errors)
+            worst = np.minimum(left, worst)
+        exact = worst < _EXACT
+        if exact.all():
+            return points
+        return np.where(exact[:, None, None], points, self._walk(points, directions))
 
     def _bones(self, points: Array) -> tuple[Array, Array]:
         """Return unit directions (T, S, 3) and length errors [m] (T, S) of the bones.
@@ -88,7 +93,7 @@ class BoneLengths:
         A bone without a length points as it does at rest.
         """
         bones = points[:, self._ends] - points[:, self._starts]
-        lengths = np.sqrt(np.sum(bones * bones, axis=2))
+        lengths = np.sqrt(np.einsum("tsk,tsk->ts", bones, bones))
         there = (lengths > 1e-6)[..., None]
         directions = bones / np.where(there, lengths[..., None], 1.0)
         return np.where(there, directions, self._rest), lengths - self._lengths

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton
 
-from .rotations import IDENTITY, between, cross, inverse, multiply, rotate
+from .rotations import IDENTITY, between, inverse, multiply, rotate
 
 __all__ = ["rotations_from_positions"]
 
 Array = NDArray[np.float64]
 
 _NO_PLANE = 1e-9  # m^2
+_X = np.array([1.0, 0.0, 0.0])
 
 
 def rotations_from_positions(
@@ -78,13 +79,15 @@ def _frame(x: Array, up: Array) -> Array:
 
     The identity where the two span no plane.
     """
-    turned = between(np.array([1.0, 0.0, 0.0]), x)
-    # What is left to turn about x is the angle from the turned y axis to up.
-    y, z = (rotate(turned, axis) for axis in np.eye(3)[1:])
-    ahead, aside = np.sum(up * y, axis=-1), np.sum(up * z, axis=-1)
+    turned = between(_X, x)
+    # What is left is the angle about x from the turned y axis to up.
+    seen = rotate(inverse(turned), up)
+    ahead, aside = seen[..., 1], seen[..., 2]
     half = 0.5 * np.arctan2(aside, ahead)
     about_x = np.zeros((*half.shape, 4))
     about_x[..., 0], about_x[..., 1] = np.cos(half), np.sin(half)
-    normal = cross(x, up)
-    plane = np.sum(normal * normal, axis=-1) > _NO_PLANE**2
-    return np.where(plane[..., None], multiply(turned, about_x), IDENTITY)
+    frame = multiply(turned, about_x)
+    plane = np.sum(x * x, axis=-1) * (ahead**2 + aside**2) > _NO_PLANE**2
+    if np.all(plane):
+        return frame
+    return np.where(plane[..., None], frame, IDENTITY)

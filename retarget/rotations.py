@@ -30,38 +30,48 @@ Array = NDArray[np.float64]
 IDENTITY: Array = np.array([1.0, 0.0, 0.0, 0.0])
 IDENTITY.flags.writeable = False
 
+# The matrix that multiplies from the left, by components of the quaternion.
+_HAMILTON = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_HAMILTON_SIGNS = np.array(
+    [[1.0, -1.0, -1.0, -1.0], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]]
+)
+# The matrix that takes the cross product with the quaternion's axis, likewise.
+_CROSS = np.array([[0, 3, 2], [3, 0, 1], [2, 1, 0]])
+_CROSS_SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+
 
 def multiply(a: Array, b: Array) -> Array:
     """Return the Hamilton product ``a * b`` (first b, then a), shape (..., 4)."""
-    a, b = np.asarray(a), np.asarray(b)
-    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
-    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    product[..., 0] = aw * bw - ax * bx - ay * by - az * bz
-    product[..., 1] = aw * bx + ax * bw + ay * bz - az * by
-    product[..., 2] = aw * by - ax * bz + ay * bw + az * bx
-    product[..., 3] = aw * bz + ax * by - ay * bx + az * bw
-    return product
+    left = np.asarray(a)[..., _HAMILTON] * _HAMILTON_SIGNS
+    return np.asarray((left @ np.asarray(b)[..., None])[..., 0])
 
 
 def inverse(q: Array) -> Array:
     """Return the inverse of unit quaternions, shape (..., 4)."""
-    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
+    return np.asarray(q * _CONJUGATE)
 
 
 def normalize(q: Array) -> Array:
     """Scale quaternions to unit length; a zero quaternion becomes the identity."""
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    unit = np.asarray(q) / np.where(norm > 0.0, norm, 1.0)
+    q = np.asarray(q)
+    norm = np.sqrt(_dot(q, q))[..., None]
+    if np.all(norm > 0.0):
+        return np.asarray(q / norm)
+    unit = q / np.where(norm > 0.0, norm, 1.0)
     return np.asarray(np.where(norm > 0.0, unit, IDENTITY))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("...k,...k->...", a, b))
 
 
 def rotate(q: Array, v: Array) -> Array:
     """Rotate vectors (..., 3) by unit quaternions (..., 4)."""
-    q, v = np.asarray(q), np.asarray(v)
-    w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * cross(u, v)
-    return np.asarray(v + w * t + cross(u, t))
+    q, v = np.asarray(q), np.asarray(v)[..., None]
+    across = q[..., _CROSS] * _CROSS_SIGNS
+    t = 2.0 * (across @ v)
+    return np.asarray((v + q[..., :1, None] * t + across @ t)[..., 0])
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -84,15 +94,17 @@ def between(a: Array, b: Array) -> Array:
     Vectors (..., 3) need not be unit; a zero vector gives the identity. Opposite
     vectors turn about an arbitrary axis across them.
     """
-    a, b = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float))
-    length = np.sqrt(np.sum(a * a, axis=-1) * np.sum(b * b, axis=-1))
-    w = length + np.sum(a * b, axis=-1)
-    q = np.concatenate([w[..., None], cross(a, b)], axis=-1)
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    length = np.sqrt(_dot(a, a) * _dot(b, b))
+    w = length + _dot(a, b)
+    q = np.empty((*w.shape, 4))
+    q[..., 0], q[..., 1:] = w, cross(a, b)
     opposite = (w <= 1e-9 * length) & (length > 0.0)
     if np.any(opposite):
         # The axis of the smallest component is never along a.
         helper = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
-        across = np.concatenate([np.zeros((*a.shape[:-1], 1)), cross(a, helper)], -1)
+        across = np.zeros_like(q)
+        across[..., 1:] = cross(a, helper)
         q = np.where(opposite[..., None], across, q)
     return normalize(q)
 
@@ -107,10 +119,11 @@ def about_y(angle: float | Array) -> Array:
 def rotation_vector(q: Array) -> Array:
     """Return axis times angle [rad], angle in [0, pi], shape (..., 3)."""
     q = np.asarray(q)
-    q = np.where(q[..., :1] < 0.0, -q, q)
-    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, q[..., :1])
-    return q[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
+    w, u = q[..., :1], q[..., 1:]
+    sine = np.sqrt(_dot(u, u))[..., None]
+    angle = 2.0 * np.arctan2(sine, np.abs(w))
+    ratio = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
+    return np.asarray(u * np.where(w < 0.0, -ratio, ratio))
 
 
 def matrix_from_wxyz(q: Array) -> Array:
@@ -132,7 +145,6 @@ def continuous(q: Array) -> Array:
     """Flip signs along axis 0 so that neighbours lie on one hemisphere, (T, ..., 4)."""
     signed = q.copy()
     if len(q) > 1:
-        dots = np.einsum("...k,...k->...", q[1:], q[:-1])
-        flips = np.cumprod(np.where(dots < 0.0, -1.0, 1.0), axis=0)
+        flips = np.cumprod(np.where(_dot(q[1:], q[:-1]) < 0.0, -1.0, 1.0), axis=0)
         signed[1:] *= flips[..., None]
     return signed

@@ -67,9 +67,12 @@ class Blend:
             measured: Joint positions [m], NaN only where the trust is 0, (J, 3).
             trust: Share of the measurement, in [0, 1], shape (J,).
         """
+        if trust.min() >= 1.0:
+            return measured.copy()
         residual = np.where(trust[:, None] > 0.0, measured - prior, 0.0)
         weights = trust / np.maximum(1.0 - trust, 1.0 / _FIRMEST)
-        matrix = self._laplacian + np.diag(weights + 1e-6)
+        matrix = self._laplacian.copy()
+        matrix.flat[:: len(trust) + 1] += weights + 1e-6
         spread = np.linalg.solve(matrix, weights[:, None] * residual)
         blended = prior + spread
         # What is trusted fully is not moved by a thousandth either.

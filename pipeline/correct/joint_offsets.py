@@ -49,19 +49,16 @@ class JointOffsets:
         self.skeleton = skeleton
         self.samples = samples
         self.seed = seed
-        index = skeleton.index
-        self._hips = index("HipLeft"), index("HipRight")
+        index, root = skeleton.index, skeleton.root
         self._girdle = skeleton.parents[index("ShoulderLeft")]
-        joints = range(len(skeleton))
-        first = [next(iter(skeleton.children[j]), j) for j in joints]
-        self._starting = np.array(first), np.array(joints)
-        self._ending = np.array(joints), np.array(skeleton.parents)
-        # A leaf has one segment only, and so has the root.
-        for j in joints:
-            if not skeleton.children[j]:
-                self._starting[1][j] = skeleton.parents[j]
-        root = skeleton.root
-        self._ending[0][root], self._ending[1][root] = first[root], root
+        first = [next(iter(skeleton.children[j]), j) for j in range(len(skeleton))]
+        # The segment that starts at a joint; a leaf has one segment only.
+        self._starting = np.array(first)
+        # The segment that ends at each joint, the root's being one that starts there,
+        # and the line through the hips.
+        self._ends = np.array([*range(len(skeleton)), index("HipLeft")])
+        self._starts = np.array([*skeleton.parents, index("HipRight")])
+        self._ends[root], self._starts[root] = first[root], root
         self._hold = Hold(skeleton)
 
     def start(self) -> None:
@@ -98,31 +95,26 @@ class JointOffsets:
             float("nan"),
         )
 
-    def offsets(self, posture: Array) -> Array:
-        """Return the learned joints' offsets in a posture [m], shape (M, 3)."""
-        vectors = self._vectors(posture)[self.joints_]
-        return np.asarray(np.einsum("jab,jb->ja", vectors, self.shares_))
+    def offsets(self, postures: Array) -> Array:
+        """Return the learned joints' offsets in postures [m], shape (..., M, 3)."""
+        vectors = self._vectors(postures)[..., self.joints_, :, :]
+        return np.asarray((vectors @ self.shares_[..., None])[..., 0])
 
     def _vectors(self, postures: Array) -> Array:
         """Return six vectors a joint that turn with the body, shape (..., J, 3, 6)."""
-
-        def along(ends: NDArray[np.intp], starts: NDArray[np.intp]) -> Array:
-            return _unit(postures[..., ends, :] - postures[..., starts, :])
-
-        ending, starting = along(*self._ending), along(*self._starting)
-        left, right = self._hips
-        across = _unit(postures[..., left, :] - postures[..., right, :])
+        along = _unit(postures[..., self._ends, :] - postures[..., self._starts, :])
+        ending, across = along[..., :-1, :], along[..., -1:, :]
+        starting = ending[..., self._starting, :]
         spine = postures[..., self._girdle, :] - postures[..., self.skeleton.root, :]
-        ahead = _unit(cross(across, spine))
-        trunk = np.stack([across, cross(ahead, across), ahead], axis=-1)
-        shape = (*ending.shape, 3)
-        return np.concatenate(
-            [
-                np.stack([ending, starting, cross(ending, starting)], axis=-1),
-                np.broadcast_to(trunk[..., None, :, :], shape),
-            ],
-            axis=-1,
-        )
+        ahead = _unit(cross(across, spine[..., None, :]))
+        vectors = np.empty((*postures.shape, 6))
+        vectors[..., 0] = ending
+        vectors[..., 1] = starting
+        vectors[..., 2] = cross(ending, starting)
+        vectors[..., 3] = across
+        vectors[..., 4] = cross(ahead, across)
+        vectors[..., 5] = ahead
+        return vectors
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the fitted state as named arrays, for a model file."""
@@ -137,5 +129,5 @@ class JointOffsets:
 
 
 def _unit(vectors: Array) -> Array:
-    norms = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(norms, 1e-6))
+    norms = np.sqrt(np.einsum("...k,...k->...", vectors, vectors))
+    return np.asarray(vectors / np.maximum(norms, 1e-6)[..., None])

@@ -37,20 +37,24 @@ class PostureSpace:
 
     def __init__(self, postures: Array, dimensions: int) -> None:
         """Fit the space to postures (K, 3 J), keeping at most ``dimensions``."""
-        self.mean = postures.mean(axis=0)
+        count = len(postures)
+        self.mean = postures.sum(axis=0) / count
         centered = postures - self.mean
-        # The Gram matrix is K x K with K = 30: half the time of a decomposition of
-        # the K x 60 postures.
-        values, vectors = np.linalg.eigh(centered @ centered.T)
-        kept = slice(None, -min(dimensions, len(postures) - 1) - 1, -1)
+        # The Gram matrix is as small as the neighbors are few.
+        gram = centered @ centered.T
+        values, vectors = np.linalg.eigh(gram)
+        least = 1e-12 * max(float(values[-1]), 1e-12)
+        solid = int(np.count_nonzero(values > least))
+        kept = slice(None, -min(dimensions, count - 1, solid) - 1, -1)
         values, vectors = values[kept], vectors[:, kept]
-        solid = values > 1e-12 * max(float(values[0]), 1e-12)
-        values, vectors = values[solid], vectors[:, solid]
-        self.basis = (centered.T @ vectors) / np.sqrt(values)
+        roots = np.sqrt(values)
+        self.basis = (centered.T @ vectors) / roots
         """Orthonormal columns, largest variance first, shape (3 J, d)."""
-        self.latent = vectors * np.sqrt(values)
+        self.latent = vectors * roots
         """The postures in the space, shape (K, d)."""
-        self.deviations = np.sqrt(values / len(postures))
+        self.squares = gram.diagonal()
+        """Their squared distances from the mean, in and out of the space [m^2], (K,)."""
+        self.deviations = roots / np.sqrt(count)
         """Standard deviation of the postures along each axis [m], shape (d,)."""
 
     def project(self, posture: Array) -> Array:

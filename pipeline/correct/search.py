@@ -29,46 +29,84 @@ def solve(space: PostureSpace, energy: PostureEnergy, start: Array) -> Array:
         energy: The energy, with the frame observed.
         start: Latent point to start from, shape (d,).
     """
-    w, joints = energy.weights, energy.joints
-    basis = space.basis
-    identity = np.eye(basis.shape[1])
-    hessian = w.control * (basis.T * energy.rate) @ basis
-    fixed = w.control * (energy.rate * (energy.measured - space.mean)) @ basis
-    hessian += w.style / joints * identity  # the basis is orthonormal
-    if energy.steady is not None:
-        hessian += w.continuity / joints * identity
-        fixed += w.continuity / joints * space.project(energy.steady)
-    per_neighbor = w.style / joints * space.latent
-    bone_basis = _bone_basis(basis, energy)
+    inside = _EnergyInside(space, energy)
     latent = start
-    best = float(energy(space.posture(latent[None]))[0][0])
+    energies, bones, lengths = inside(latent[None])
+    best, bones, lengths = float(energies[0]), bones[0], lengths[0]
     for _ in range(_STEPS):
-        errors, bones, lengths = energy.segment_errors(space.posture(latent[None]))
-        directions = bones[0] / np.maximum(lengths[0], 1e-9)[:, None]
-        slope = (directions[:, None] @ bone_basis)[:, 0]
-        stiff = w.kinematics / len(slope)
-        curvature = hessian + stiff * slope.T @ slope
-        pull = fixed + stiff * slope.T @ (slope @ latent - errors[0])
-        # LAPACK itself: the wrappers' checks take as long as the 20 x 20 solution.
-        points = dposv(curvature, (pull + per_neighbor).T)[1].T
-        energies = energy(space.posture(points))[0]
-        k = int(np.argmin(energies))
+        points = inside.minima(latent, bones, lengths)
+        energies, tried_bones, tried_lengths = inside(points)
+        k = int(energies.argmin())
         step, lowered = points[k] - latent, float(energies[k])
         while lowered > best and np.abs(step).max() > _CONVERGED:
-            step = step / 2.0
-            lowered = float(energy(space.posture((latent + step)[None]))[0][0])
+            step, k = step / 2.0, 0
+            energies, tried_bones, tried_lengths = inside((latent + step)[None])
+            lowered = float(energies[0])
         if lowered > best:
             break
         latent, best = latent + step, lowered
+        bones, lengths = tried_bones[k], tried_lengths[k]
         if np.abs(step).max() <= _CONVERGED:
             break
     return latent
 
 
-def _bone_basis(basis: Array, energy: PostureEnergy) -> Array:
-    """Return the change of every bone vector along the latent axes, (S, 3, d)."""
-    points = basis.reshape(energy.joints, 3, -1)
-    return points[energy.ends] - points[energy.starts]
+class _EnergyInside:
+    """The energy as a function of the latent point, up to a constant.
+
+    The basis is orthonormal, so distances between postures of the space are those of
+    their latent points, and nothing but the bones has to leave the space.
+    """
+
+    def __init__(self, space: PostureSpace, energy: PostureEnergy) -> None:
+        w, joints = energy.weights, energy.joints
+        basis, axes = space.basis, space.basis.shape[1]
+        pulled = (w.control * energy.rate)[:, None] * basis
+        self.hessian = pulled.T @ basis
+        self.fixed = (energy.measured - space.mean) @ pulled
+        eased = w.style / joints
+        if energy.steady is not None:
+            eased += w.continuity / joints
+            self.fixed += w.continuity / joints * space.project(energy.steady)
+        self.hessian.flat[:: axes + 1] += eased
+        self.to_neighbors = w.style / joints * space.latent
+        self.from_neighbors = w.style / joints * space.squares
+        points = space.mean.reshape(-1, 3)
+        self.bones = points[energy.ends] - points[energy.starts]
+        points = basis.reshape(joints, 3, axes)
+        self.bone_basis = points[energy.ends] - points[energy.starts]
+        self._flat_basis = self.bone_basis.reshape(-1, axes).T
+        self.lengths = energy.lengths
+        self.stiff = w.kinematics / len(self.lengths)
+
+    def __call__(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return energies (N,) of points (N, d), bones (N, S, 3) and lengths (N, S)."""
+        bones = self.bones + (points @ self._flat_basis).reshape(-1, *self.bones.shape)
+        lengths = np.sqrt(np.einsum("nsk,nsk->ns", bones, bones))
+        errors = lengths - self.lengths
+        energies = np.einsum(
+            "nd,nd->n", points @ self.hessian - 2.0 * self.fixed, points
+        )
+        style = self.from_neighbors - 2.0 * (points @ self.to_neighbors.T)
+        energies += style.min(axis=1)
+        energies += self.stiff * np.einsum("ns,ns->n", errors, errors)
+        return energies, bones, lengths
+
+    def minima(self, latent: Array, bones: Array, lengths: Array) -> Array:
+        """Return where each neighbor's energy, linearized at a point, is least, (K, d).
+
+        Args:
+            latent: The point, shape (d,).
+            bones: The bones there, shape (S, 3).
+            lengths: Their lengths, shape (S,).
+        """
+        directions = bones / np.maximum(lengths, 1e-9)[:, None]
+        slope = np.einsum("sk,skd->sd", directions, self.bone_basis)
+        curvature = self.hessian + self.stiff * (slope.T @ slope)
+        wanted = slope @ latent - (lengths - self.lengths)
+        pull = self.fixed + self.stiff * (wanted @ slope)
+        # LAPACK itself: the wrappers' checks take longer than so small a solution.
+        return np.asarray(dposv(curvature, (pull + self.to_neighbors).T)[1].T)
 
 
 def stochastic_search(
