@@ -95,7 +95,7 @@ class PostureDatabase:
         count = min(count, len(self))
         nearest = np.argpartition(distances, count - 1)[:count]
         away = np.where(weights[:, None] > 0.0, self.positions[nearest] - posture, 0.0)
-        exact = np.sum(away * away, axis=2) @ weights
+        exact = np.vecdot(away, away) @ weights
         order = np.argsort(exact, kind="stable")
         return nearest[order], exact[order]
 

@@ -220,7 +220,7 @@ def observed(pair: PairedTake) -> StandardTake:
     reference = measure_reference(take)
     body = measured_body(take.skeleton, reference.lengths, reference.directions)
     reliability = ReliabilityScorer(take.skeleton, reference).score(take)
-    return standardize_take(take, body, reliability, range(len(take)))
+    return standardize_take(take, body, reliability)
 
 
 def reliability_auc(

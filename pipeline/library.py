@@ -24,7 +24,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.retarget.body_size import Standardizer, measured_body
-from kinefilter.retarget.normalise import View, find_yaw
+from kinefilter.retarget.normalise import find_yaw
 from kinefilter.retarget.orientation import rotations_from_positions
 from kinefilter.retarget.rotations import IDENTITY, about_y, inverse, multiply, rotate
 from kinefilter.scenes import MOTIONS, perform
@@ -228,17 +228,10 @@ def _standardized(
     Joints that the source has not hang on their parent as they do at rest.
     """
     skeleton, standard = body.skeleton, standard_body(body.skeleton)
-    weights = np.ones(len(skeleton))
-    standardizer = Standardizer(body)
-    yaw = find_yaw(positions, weights, skeleton)
-    if np.isnan(positions).any():
-        steps = [standardizer.step(frame, weights)[0] for frame in positions]
-        postures = np.array(steps)
-    else:
-        view = View(positions[:, skeleton.root], yaw)
-        postures = standardizer.standardize(positions, view)
+    weights = np.ones(positions.shape[:2])
+    postures, view = Standardizer(body).steps(positions, weights)
     if rotations is not None:
-        rotations = multiply(inverse(about_y(yaw))[:, None], rotations)
+        rotations = multiply(inverse(about_y(view.yaw))[:, None], rotations)
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         if np.isnan(postures[:, j]).all():
             turns = rotations_from_positions(postures, standard)[:, p]

@@ -18,6 +18,7 @@ __all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace"]
 
 Array = NDArray[np.float64]
 
+_SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory
 
 
@@ -114,7 +115,7 @@ class PhysicsFilter(PulledCharacter):
     def _settle(self, stands: NDArray[np.bool_] | None) -> None:
         """Hold the first target until the start-up transient is gone."""
         positions, rotations = (from_mujoco(value) for value in self._target)
-        for _ in range(15):
+        for _ in range(_SETTLING):
             self.step(positions, rotations, 1 / 30, stands=stands)
 
 

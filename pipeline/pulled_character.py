@@ -26,7 +26,6 @@ from kinefilter.characters.humanoid import (
 from kinefilter.retarget.rotations import (
     inverse,
     multiply,
-    normalize,
     rotation_vector,
 )
 from kinefilter.scenes import load_scene
@@ -115,6 +114,7 @@ class PulledCharacter:
         self._palms = [body.skeleton.index(f"Hand{side}") for side in SIDES]
         self._hands = self._bodies[self._palms]
         self._grips = [self.model.actuator(f"grip:Hand{side}").id for side in SIDES]
+        self._own = np.isin(self.model.geom_bodyid, self._bodies)
         self._props = np.isin(
             self.model.body_rootid,
             self.model.jnt_bodyid[
@@ -198,7 +198,7 @@ class PulledCharacter:
         """
         before_p, before_q = self._target
         after_p, after_q = to_mujoco(positions), to_mujoco(rotations)
-        flipped = np.einsum("jk,jk->j", before_q, after_q) < 0.0
+        flipped = np.vecdot(before_q, after_q) < 0.0
         after_q[flipped] *= -1.0
         velocity = (after_p - before_p) / dt
         if acceleration is None:
@@ -216,8 +216,8 @@ class PulledCharacter:
         # In the segment's own frame, as the torques' axes are.
         turning = rotation_vector(multiply(inverse(before_q), after_q)) / dt
         ctrl, data, began = self.data.ctrl, self.data, self.data.time
-        ctrl[n:nu] = self._damping[n:] * np.einsum(
-            "ak,ak->a", turning[self._turned], self._turn_axes
+        ctrl[n:nu] = self._damping[n:] * np.vecdot(
+            turning[self._turned], self._turn_axes
         )
         forward = self._damping[:n] * velocity.ravel() + needed.ravel()
         if self._props.any():
@@ -230,8 +230,8 @@ class PulledCharacter:
             share = (k + 0.5 - 0.5 / substeps) / updates
             point = before_p + share * (after_p - before_p)
             ctrl[:n] = self._stiffness[:n] * point.ravel() + forward
-            turned = before_q + share * (after_q - before_q)
-            data.mocap_quat[self._mocap] = normalize(turned)
+            # The engine makes them unit quaternions.
+            data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
             mujoco.mj_step(self.model, data, nstep=substeps)
         mujoco.mj_kinematics(self.model, data)
         if self._astray(after_p, began):
@@ -326,8 +326,7 @@ class PulledCharacter:
     @property
     def contacts(self) -> int:
         """Number of points in which the character touches itself or anything else."""
-        bodies = self.model.geom_bodyid[self.data.contact.geom]
-        return int(np.isin(bodies, self._bodies).any(axis=1).sum())
+        return int(self._own[self.data.contact.geom].any(axis=1).sum())
 
     @property
     def external_force(self) -> float:
@@ -345,4 +344,4 @@ class PulledCharacter:
     def tracking_error(self) -> float:
         """Mean distance of the joints from their targets [m]."""
         away = self.data.site_xpos[self._sites] - self._target[0]
-        return float(np.linalg.norm(away, axis=1).mean())
+        return float(np.sqrt(np.vecdot(away, away)).sum() / len(away))

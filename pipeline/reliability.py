@@ -203,15 +203,19 @@ class ReliabilityScorer:
         age = np.arange(RATE_FRAMES)
         # The paper leaves the width open: the oldest frame is at two sigma.
         weights = np.exp(-0.5 * (2.0 * age / (RATE_FRAMES - 1)) ** 2)
-        self._weights = weights / weights.sum()
+        # Row k: over the k + 1 frames that there are.
+        weights = np.tril(np.tile(weights, (RATE_FRAMES, 1)))
+        self._weights = weights / weights.sum(axis=1, keepdims=True)
         self.start()
 
     def start(self) -> None:
         """Forget all frames."""
         n = len(self.skeleton)
-        self._before: list[Array] = []
+        self._frames = 0
+        self._last = np.full((n, 3), np.nan)
+        self._moved, self._distance = np.zeros((n, 3)), np.zeros(n)
         self._angles = np.zeros((VIBRATION_FRAMES, n))
-        self._scores: list[Array] = []
+        self._scores = np.zeros((RATE_FRAMES, 2, n))
 
     def step(
         self,
@@ -232,16 +236,16 @@ class ReliabilityScorer:
         """
         behavior = self._behavior(positions)
         kinematics = self._kinematics(positions)
-        tracked = np.where(state == State.TRACKED, 1.0, 0.0)  # eq. 7
-        terms = np.stack([behavior, kinematics, tracked])
-        term = np.argmin(terms, axis=0).astype(np.uint8)
+        tracked = (state == State.TRACKED).astype(float)  # eq. 7
+        terms = np.array([behavior, kinematics, tracked])
+        term = terms.argmin(axis=0).astype(np.uint8)
         geometry = np.minimum(behavior, kinematics)
-        scores = np.stack([np.minimum(geometry, tracked), geometry])
-        self._scores = [scores, *self._scores[: RATE_FRAMES - 1]]
+        self._scores[1:] = self._scores[:-1]
+        self._scores[0] = np.minimum(geometry, tracked), geometry
         # Eq. 8, the weights normalized over the frames there are.
-        weights = self._weights[: len(self._scores)]
-        weights = weights / weights.sum()
-        rate, shape = np.tensordot(weights, self._scores, axes=1)
+        weights = self._weights[min(self._frames, RATE_FRAMES - 1)]
+        self._frames += 1
+        rate, shape = np.einsum("f,fkj->kj", weights, self._scores)
         return rate, term, shape
 
     def score(self, take: Take) -> Reliability:
@@ -258,21 +262,20 @@ class ReliabilityScorer:
 
     def _behavior(self, positions: Array) -> Array:
         """Return the vibration term: trust falls with sharp turns (eq. 1-4)."""
-        self._before.append(positions.copy())
-        angle = np.zeros(len(positions))
-        if len(self._before) == 3:
-            oldest, middle, newest = self._before
-            d0, d1 = middle - oldest, newest - middle
-            l0 = np.sqrt(np.sum(d0 * d0, axis=1))
-            l1 = np.sqrt(np.sum(d1 * d1, axis=1))
-            # False where a position is missing: no displacement, no angle.
-            moved = (l0 > SMALLEST_DISPLACEMENT) & (l1 > SMALLEST_DISPLACEMENT)
-            cosine = np.sum(d0[moved] * d1[moved], axis=1) / (l0[moved] * l1[moved])
-            # Eq. 3 prints the cosine; its thresholds are angles.
-            angle[moved] = np.arccos(np.clip(cosine, -1.0, 1.0))
-            del self._before[0]
-        self._angles = np.concatenate([self._angles[1:], angle[None]])
-        mean = self._angles.mean(axis=0)
+        moved = positions - self._last
+        distance = np.sqrt(np.vecdot(moved, moved))
+        # False where a position is missing: no displacement, no angle.
+        turned = (self._distance > SMALLEST_DISPLACEMENT) & (
+            distance > SMALLEST_DISPLACEMENT
+        )
+        both = np.where(turned, self._distance * distance, 1.0)
+        cosine = np.vecdot(self._moved, moved) / both
+        # Eq. 3 prints the cosine; its thresholds are angles.
+        angle = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
+        self._angles[:-1] = self._angles[1:]
+        self._angles[-1] = np.where(turned, angle, 0.0)
+        self._last, self._moved, self._distance = positions.copy(), moved, distance
+        mean = self._angles.sum(axis=0) / VIBRATION_FRAMES
         excess = np.maximum(np.minimum(mean, ANGLE_ROOF) - ANGLE_FLOOR, 0.0)
         return np.asarray(1.0 - excess / (ANGLE_ROOF - ANGLE_FLOOR))
 
@@ -280,7 +283,7 @@ class ReliabilityScorer:
         """Return the segment-length term (eq. 5-6); a missing end counts as wrong."""
         ends, starts = self.skeleton.segments, self.skeleton.segment_parents
         bones = positions[ends] - positions[starts]
-        lengths = np.sqrt(np.sum(bones * bones, axis=1))
+        lengths = np.sqrt(np.vecdot(bones, bones))
         ratio = np.abs(lengths - self._lengths) / self._lengths
-        ratio = np.minimum(np.where(np.isnan(ratio), 1.0, ratio), 1.0)
-        return 1.0 - self._touch @ ratio
+        ratio = np.fmin(ratio, 1.0)  # 1 where it is NaN
+        return np.asarray(1.0 - self._touch @ ratio)

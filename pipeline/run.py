@@ -99,9 +99,7 @@ def clean(
     )
     reliability = SCORERS[config.scoring](take.skeleton, reference).score(take)
     reliability = distrust(reliability, failures, take.skeleton)
-    standard = standardize_take(
-        take, body, reliability, progress("standardize", len(take))
-    )
+    standard = standardize_take(take, body, reliability)
     corrected = correct_take(standard, corrector, progress("correct", len(take)))
     del standard  # an hour's take is to fit a gigabyte
     body = corrected_body(take, corrected, height=config.height, mass=config.mass)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,21 +49,14 @@ class StandardTake:
         return np.where(np.isnan(positions), np.nan, standard)
 
 
-def standardize_take(
-    take: Take, body: Body, reliability: Reliability, frames: Iterable[int]
-) -> StandardTake:
+def standardize_take(take: Take, body: Body, reliability: Reliability) -> StandardTake:
     """Bring a take to the standard body and view.
 
     Args:
         take: The recording, time stamps strictly increasing.
         body: The person.
         reliability: Of every joint and frame of the take.
-        frames: Yields 0 to T - 1, e.g. a progress bar's iterator.
     """
-    positions = np.empty_like(take.positions)
-    root, yaw = np.empty((len(take), 3)), np.empty(len(take))
     standardizer = Standardizer(body)
-    for k in frames:
-        positions[k], view = standardizer.step(take.positions[k], reliability.rate[k])
-        root[k], yaw[k] = view.root, view.yaw
-    return StandardTake(take.time, positions, reliability, View(root, yaw), body)
+    positions, views = standardizer.steps(take.positions, reliability.rate)
+    return StandardTake(take.time, positions, reliability, views, body)

@@ -164,7 +164,7 @@ def _standardized(pair: PairedTake) -> tuple[Array, Array, Array, Array]:
     reference = measure_reference(take)
     body = measured_body(skeleton, reference.lengths, reference.directions)
     reliability = ReliabilityScorer(skeleton, reference).score(take)
-    standard = standardize_take(take, body, reliability, range(len(take)))
+    standard = standardize_take(take, body, reliability)
     hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
     # E is relative to the hips' middle, so that is what the two sides share.
     shift = take.positions[:, hips].mean(axis=1) - pair.truth[:, hips].mean(axis=1)

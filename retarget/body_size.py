@@ -119,7 +119,7 @@ class Standardizer:
     def start(self) -> None:
         """Forget where the character stood, which way it faced, and its bones."""
         self._root = np.zeros(3)
-        self._yaw = 0.0
+        self._yaw = np.array(0.0)
         self._bones = self.body.rest_offsets.copy()
 
     def step(self, positions: Array, weights: Array) -> tuple[Array, View]:
@@ -135,21 +135,36 @@ class Standardizer:
         Returns:
             Positions [m], NaN where missing, shape (J, 3), and the view taken out.
         """
+        standard, view = self.steps(positions[None], weights[None])
+        return standard[0], View(view.root[0], view.yaw[0])
+
+    def steps(self, positions: Array, weights: Array) -> tuple[Array, View]:
+        """Return the next frames of a motion as ``step`` gives them, all at once.
+
+        Args:
+            positions: Joint positions [m], world frame, NaN where missing, (T, J, 3).
+            weights: Trust in each joint, shape (T, J).
+
+        Returns:
+            Positions [m], NaN where missing, shape (T, J, 3), and the views, (T,).
+        """
         skeleton = self.body.skeleton
-        missing = np.isnan(positions[:, 0])
-        yaw = float(find_yaw(positions, weights, skeleton))
-        self._yaw = self._yaw if np.isnan(yaw) else yaw
-        if not missing[skeleton.root]:
-            self._root = positions[skeleton.root].copy()
-        view = View(self._root, np.array(self._yaw))
+        missing = np.isnan(positions[..., 0])
+        root = _held(positions[:, skeleton.root], self._root)
+        yaw = _held(find_yaw(positions, weights, skeleton), self._yaw)
+        view = View(root, yaw)
         seen = view.remove(positions)
         if missing.any():
-            seen[skeleton.root] = 0.0
+            seen[:, skeleton.root] = 0.0
             for j in skeleton.order[1:]:
-                if missing[j]:
-                    seen[j] = seen[skeleton.parents[j]] + self._bones[j]
-        self._bones = self._bones_of(seen)
-        standard = self._chain @ _apply(self._to_standard, self._bones)
+                bone = seen[:, j] - seen[:, skeleton.parents[j]]
+                bone = _held(
+                    np.where(missing[:, j, None], np.nan, bone), self._bones[j]
+                )
+                seen[:, j] = seen[:, skeleton.parents[j]] + bone
+        bones = self._bones_of(seen)
+        self._root, self._yaw, self._bones = root[-1], yaw[-1], bones[-1]
+        standard = self._chain @ _apply(self._to_standard, bones)
         standard[missing] = np.nan
         return standard, view
 
@@ -180,6 +195,15 @@ class Standardizer:
 
 def _apply(matrices: Array, bones: Array) -> Array:
     return np.asarray((matrices @ bones[..., None])[..., 0])
+
+
+def _held(values: Array, before: Array) -> Array:
+    """Return values (T, ...) with what came before in the place of NaN."""
+    there = ~np.isnan(values).reshape(len(values), -1)[:, 0]
+    if there.all():
+        return values
+    last = np.maximum.accumulate(np.where(there, np.arange(1, len(values) + 1), 0))
+    return np.concatenate([before[None], values])[last]
 
 
 def _chain_matrix(skeleton: Skeleton) -> Array:

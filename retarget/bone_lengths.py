@@ -93,7 +93,7 @@ class BoneLengths:
         A bone without a length points as it does at rest.
         """
         bones = points[:, self._ends] - points[:, self._starts]
-        lengths = np.sqrt(np.einsum("tsk,tsk->ts", bones, bones))
+        lengths = np.sqrt(np.vecdot(bones, bones))
         there = (lengths > 1e-6)[..., None]
         directions = bones / np.where(there, lengths[..., None], 1.0)
         return np.where(there, directions, self._rest), lengths - self._lengths

@@ -55,15 +55,11 @@ def inverse(q: Array) -> Array:
 def normalize(q: Array) -> Array:
     """Scale quaternions to unit length; a zero quaternion becomes the identity."""
     q = np.asarray(q)
-    norm = np.sqrt(_dot(q, q))[..., None]
+    norm = np.sqrt(np.vecdot(q, q))[..., None]
     if np.all(norm > 0.0):
         return np.asarray(q / norm)
     unit = q / np.where(norm > 0.0, norm, 1.0)
     return np.asarray(np.where(norm > 0.0, unit, IDENTITY))
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("...k,...k->...", a, b))
 
 
 def rotate(q: Array, v: Array) -> Array:
@@ -95,8 +91,8 @@ def between(a: Array, b: Array) -> Array:
     vectors turn about an arbitrary axis across them.
     """
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    length = np.sqrt(_dot(a, a) * _dot(b, b))
-    w = length + _dot(a, b)
+    length = np.sqrt(np.vecdot(a, a) * np.vecdot(b, b))
+    w = length + np.vecdot(a, b)
     q = np.empty((*w.shape, 4))
     q[..., 0], q[..., 1:] = w, cross(a, b)
     opposite = (w <= 1e-9 * length) & (length > 0.0)
@@ -120,7 +116,7 @@ def rotation_vector(q: Array) -> Array:
     """Return axis times angle [rad], angle in [0, pi], shape (..., 3)."""
     q = np.asarray(q)
     w, u = q[..., :1], q[..., 1:]
-    sine = np.sqrt(_dot(u, u))[..., None]
+    sine = np.sqrt(np.vecdot(u, u))[..., None]
     angle = 2.0 * np.arctan2(sine, np.abs(w))
     ratio = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
     return np.asarray(u * np.where(w < 0.0, -ratio, ratio))
@@ -145,6 +141,6 @@ def continuous(q: Array) -> Array:
     """Flip signs along axis 0 so that neighbours lie on one hemisphere, (T, ..., 4)."""
     signed = q.copy()
     if len(q) > 1:
-        flips = np.cumprod(np.where(_dot(q[1:], q[:-1]) < 0.0, -1.0, 1.0), axis=0)
+        flips = np.cumprod(np.where(np.vecdot(q[1:], q[:-1]) < 0.0, -1.0, 1.0), axis=0)
         signed[1:] *= flips[..., None]
     return signed

@@ -110,8 +110,8 @@ def standardized(positions: Array) -> Array:
     take = Take(time, positions, state.astype(np.uint8), KINECT_V1, "mocap")
     reference = measure_reference(take)
     body = measured_body(KINECT_V1, reference.lengths, reference.directions)
-    standardizer, weights = Standardizer(body), np.ones(len(KINECT_V1))
-    return np.array([standardizer.step(frame, weights)[0] for frame in positions])
+    weights = np.ones(positions.shape[:2])
+    return Standardizer(body).steps(positions, weights)[0]
 
 
 def read_ui_prmd(folder: Path, every: int) -> list[PairedTake]:

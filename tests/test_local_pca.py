@@ -55,9 +55,7 @@ def _performed(name: str, seed: int) -> Array:
     """Return a motion, normalized; from seed 5 on one that no database has seen."""
     body = standard_body(KINECT_V1)
     act = perform(name, body, seed=seed)
-    standardizer = Standardizer(body)
-    weights = np.ones(JOINTS)
-    return np.array([standardizer.step(p, weights)[0] for p in act.positions])
+    return Standardizer(body).steps(act.positions, np.ones((len(act.time), JOINTS)))[0]
 
 
 def test_the_posture_space_is_scikit_learns(database: PostureDatabase) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, standard_body
 
@@ -10,6 +11,8 @@ from .blend import Blend
 from .interface import Correction, Observation
 
 __all__ = ["Hold"]
+
+Array = NDArray[np.float64]
 
 
 class Hold:
@@ -24,6 +27,20 @@ class Hold:
     def start(self) -> None:
         """Forget all frames."""
         self._last = self._rest
+
+    def fill(self, positions: Array) -> Array:
+        """Return the next frames filled as ``step`` does it, all at once, (T, J, 3).
+
+        Args:
+            positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+        """
+        filled = positions.copy()
+        missing = np.isnan(positions[..., 0])
+        for k in np.flatnonzero(missing.any(axis=1)):
+            last = filled[k - 1] if k else self._last
+            filled[k] = self._blend(last, positions[k], np.where(missing[k], 0.0, 1.0))
+        self._last = filled[-1]
+        return filled
 
     def step(self, observation: Observation) -> Correction:
         """Fill the next frame."""

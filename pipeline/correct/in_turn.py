@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .interface import Correction, Corrector, Observation
+from .interface import Correction, Corrector, Mover, Observation
 
 __all__ = ["InTurn"]
+
+Array = NDArray[np.float64]
 
 
 class InTurn:
@@ -36,6 +39,20 @@ class InTurn:
         for method in self.methods:
             method.start()
 
+    def ahead(self, positions: Array) -> tuple[Array, InTurn]:
+        """Let the first methods move a whole take, as far as they can, at once.
+
+        Args:
+            positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+
+        Returns:
+            The positions that they leave, and the methods that are left for them.
+        """
+        methods = self.methods
+        while len(methods) > 1 and isinstance(methods[0], Mover):
+            positions, methods = methods[0].move(positions), methods[1:]
+        return positions, InTurn(methods, least_rate=self.least_rate)
+
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
         *before, last = self.methods
@@ -45,10 +62,11 @@ class InTurn:
             observation = replace(
                 observation, positions=np.where(missing, np.nan, made)
             )
-        least = np.where(missing[:, 0], 0.0, self.least_rate)
-        observation = replace(
-            observation,
-            rate=np.maximum(observation.rate, least),
-            geometry=np.maximum(observation.geometry, least),
-        )
+        if self.least_rate > 0.0:
+            least = np.where(missing[:, 0], 0.0, self.least_rate)
+            observation = replace(
+                observation,
+                rate=np.maximum(observation.rate, least),
+                geometry=np.maximum(observation.geometry, least),
+            )
         return last.step(observation)

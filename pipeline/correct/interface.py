@@ -16,6 +16,7 @@ __all__ = [
     "Correction",
     "Corrector",
     "LearnedCorrector",
+    "Mover",
     "Observation",
     "ObservedTake",
     "WholeTakeCorrector",
@@ -83,6 +84,14 @@ class Corrector(Protocol):
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
+
+
+@runtime_checkable
+class Mover(Protocol):
+    """A correction method that does a whole take as it does its frames, but faster."""
+
+    def move(self, positions: Array) -> Array:
+        """Return joint positions [m] of a take, NaN where missing, (T, J, 3)."""
 
 
 class LearnedCorrector(Corrector, Protocol):

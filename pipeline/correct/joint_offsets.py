@@ -95,6 +95,20 @@ class JointOffsets:
             float("nan"),
         )
 
+    def move(self, positions: Array) -> Array:
+        """Return the measured joints of a whole take, moved as ``step`` moves them.
+
+        Args:
+            positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+
+        Returns:
+            Joint positions [m], NaN where missing, shape (T, J, 3).
+        """
+        self.start()
+        moved = positions.copy()
+        moved[:, self.joints_] += self.offsets(self._hold.fill(positions))
+        return moved
+
     def offsets(self, postures: Array) -> Array:
         """Return the learned joints' offsets in postures [m], shape (..., M, 3)."""
         vectors = self._vectors(postures)[..., self.joints_, :, :]
@@ -129,5 +143,5 @@ class JointOffsets:
 
 
 def _unit(vectors: Array) -> Array:
-    norms = np.sqrt(np.einsum("...k,...k->...", vectors, vectors))
+    norms = np.sqrt(np.vecdot(vectors, vectors))
     return np.asarray(vectors / np.maximum(norms, 1e-6)[..., None])

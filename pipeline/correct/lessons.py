@@ -115,7 +115,7 @@ def add_offsets(
     """
     corrected = posture.copy()
     corrected[learned] += np.where(missing[learned, None], 0.0, offsets)
-    for j in skeleton.order[1:]:
+    for j in skeleton.order[1:] if missing.any() else ():
         if missing[j]:
             parent = skeleton.parents[j]
             corrected[j] = corrected[parent] + posture[j] - posture[parent]

@@ -94,7 +94,7 @@ class LocalPCA:
         if self._spaces is not None:
             shift = self._spaces.shift(posture)
             posture = posture + shift
-            moved = np.sum(shift * shift, axis=1) > _AS_MEASURED**2
+            moved = np.vecdot(shift, shift) > _AS_MEASURED**2
             trust = np.where(moved, np.minimum(trust, _TRUST), trust)
         return Correction(
             posture, self.orientation(prior, nearest, rate), trust, coverage
@@ -161,7 +161,7 @@ class LocalPCA:
         if total > 1e-9:
             seen = np.where(rate[:, None] > 0.0, measured, 0.0)
             apart = self.database.positions[nearest] - seen
-            squares = np.sum(apart * apart, axis=2) @ rate
+            squares = np.vecdot(apart, apart) @ rate
             away = float(np.sqrt(squares.min() / total))
         near = np.hypot(self.database.spacing, _SENSOR_ERROR)
         now = float(np.clip(2.0 - away / near, 0.0, 1.0))
@@ -174,9 +174,12 @@ class LocalPCA:
     ) -> Array:
         """Return the neighbors' rotations, weighted by inverse difference (VII.B)."""
         away = self.database.positions[nearest] - posture
-        difference = np.sum(away * away, axis=2) @ rate
+        difference = np.vecdot(away, away) @ rate
         weights = 1.0 / (difference + 1e-4)
         rotations = self.database.rotations[nearest]
-        same = np.sum(rotations * rotations[:1], axis=2, keepdims=True)
-        signed = np.where(same < 0.0, -rotations, rotations)
-        return normalize(np.tensordot(weights, signed, axes=1))
+        signed = np.where(
+            np.vecdot(rotations, rotations[0]) < 0.0,
+            -weights[:, None],
+            weights[:, None],
+        )
+        return normalize((signed[..., None] * rotations).sum(axis=0))

@@ -53,7 +53,7 @@ class PostureSpace:
         self.latent = vectors * roots
         """The postures in the space, shape (K, d)."""
         self.squares = gram.diagonal()
-        """Their squared distances from the mean, in and out of the space [m^2], (K,)."""
+        """Their squared distances from the mean [m^2], shape (K,)."""
         self.deviations = roots / np.sqrt(count)
         """Standard deviation of the postures along each axis [m], shape (d,)."""
 

@@ -13,6 +13,7 @@ from kinefilter.pipeline.standard import StandardTake
 from kinefilter.retarget.rotations import about_y, multiply
 
 from .hold import Hold
+from .in_turn import InTurn
 from .interface import Corrector, Observation, ObservedTake, WholeTakeCorrector
 
 __all__ = ["CorrectedTake", "correct_take"]
@@ -59,6 +60,8 @@ def correct_take(
         seen = corrector.correct(observed)
         # What it leaves open is filled as if nothing else were wrong.
         corrector = Hold(standard.body.skeleton)
+    if isinstance(corrector, InTurn):
+        seen, corrector = corrector.ahead(seen)
     positions, trust = np.empty_like(seen), np.empty(seen.shape[:2])
     coverage = np.empty(len(seen))
     rotations: NDArray[np.float32] | None = None
