@@ -31,7 +31,7 @@ PULLS = 30
 _HARD_FLOOR = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
 # Flesh gives way by some centimeters, and so must capsules where a tracker lets arms
 # touch the trunk: hard ones would shake.
-_SOFT_FLESH = ([0.05, 1.0], [0.1, 0.9, 0.03, 0.5, 2.0])
+_SOFT_FLESH = ([0.1, 1.0], [0.1, 0.9, 0.03, 0.5, 2.0])
 # Thin capsules have next to no inertia about their axis, and a jumping target spins
 # them up: the inertia of a hand about the wrist, and a tissue damping that takes a
 # tenth of a second to stop a part. Both tried: without, failed takes diverge.

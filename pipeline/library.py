@@ -36,6 +36,7 @@ from .reliability import column_medians, measure_reference, segment_lengths
 from .training import PairedTake
 
 __all__ = [
+    "SHIPPED_POSTURES",
     "database_from_bvh",
     "database_from_pairs",
     "embedded_database",
@@ -44,6 +45,10 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+SHIPPED_POSTURES = 5000
+"""About how many the embedded database holds: twice Shum's, so that half of the real
+postures are within 8 cm of one."""
 
 _SEEDS = range(6)
 _POSTURES_PER_SECOND = 30.0
@@ -99,7 +104,7 @@ def scripted_database(
 ) -> PostureDatabase:
     """Perform every scripted motion and keep what differs."""
     parts = scripted_postures(skeleton, progress)
-    return _filtered(parts, skeleton, "embedded", recorded=False)
+    return _filtered(parts, skeleton, "embedded", SHIPPED_POSTURES, recorded=False)
 
 
 def scripted_postures(

@@ -10,8 +10,8 @@ over joints of the Euclidean distance, `rms` the root of the mean of its square.
 Sources: CMU's mocap and the marker mocap of ui-prmd, each brought to the standard body
 by its own bones. And `paired`: the latter by the bones of the person's Kinect skeleton,
 as training does; where a Kinect measures short legs, those of the mocap come out too
-long there, by 17 cm at the ankles. Libraries: the filtered one that ships, one of 5,000
-postures, and all postures.
+long there, by 17 cm at the ankles. Libraries: the filtered one that ships, one of the
+size of Shum's, and all postures.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ from rich.console import Console
 from kinefilter.characters import KINECT_V1, State, Take
 from kinefilter.pipeline.database import FILTERED_POSTURES, filter_to_count
 from kinefilter.pipeline.formats import read_bvh
-from kinefilter.pipeline.library import _postures_of, scripted_postures
+from kinefilter.pipeline.library import (
+    SHIPPED_POSTURES,
+    _postures_of,
+    scripted_postures,
+)
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.pipeline.training import PairedTake, read_pairs, training_set
 from kinefilter.retarget import Standardizer, measured_body
@@ -195,7 +199,7 @@ def read_libraries() -> tuple[dict[str, Array], NDArray[np.str_]]:
     parts = scripted_postures(KINECT_V1)
     postures = np.concatenate([p for _, p, _ in parts])
     labels = np.concatenate([np.full(len(p), name) for name, p, _ in parts])
-    kept = filter_to_count(postures, FILTERED_POSTURES)
+    kept = filter_to_count(postures, SHIPPED_POSTURES)
     seconds = time.perf_counter() - start
     print_line(
         f"{len(set(labels.tolist()))} motions, {len(postures)} postures, "
@@ -203,7 +207,7 @@ def read_libraries() -> tuple[dict[str, Array], NDArray[np.str_]]:
     )
     libraries = {
         "shipped": postures[kept],
-        "5,000": postures[filter_to_count(postures, 5000)],
+        "Shum's size": postures[filter_to_count(postures, FILTERED_POSTURES)],
         "all": postures,
     }
     return libraries, labels[kept]
