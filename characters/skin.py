@@ -7,6 +7,7 @@ where two meet, the mesh goes smoothly from one to the other.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from scipy import sparse
 
 from .anthropometry import Body
 from .flesh import Box, Flesh, flesh_of, nearest_on_line
+from .props import freeze
 from .skeleton import Skeleton
 from .surface import quads_of
 
@@ -50,9 +52,13 @@ class Skin:
     """How far the skin of each segment reaches from its bone [m], shape (J,): in any
     posture all of it lies that near to the line between the segment's joints."""
 
+    def __post_init__(self) -> None:
+        freeze(self)
 
+
+@lru_cache(maxsize=4)
 def skin_of(body: Body) -> Skin:
-    """Return the skin of a body."""
+    """Return the skin of a body, the same again for the same body."""
     flesh, cell = flesh_of(body), _CELL * body.height
     points, quads = _mesh(flesh, cell)
     segments, weights = _weights(flesh, body.skeleton, points, quads)
@@ -76,8 +82,8 @@ def _mesh(flesh: Flesh, cell: float) -> tuple[Array, NDArray[np.int64]]:
     grid = (np.moveaxis(np.indices(count), 0, -1) + first) * cell
     points, quads = quads_of(flesh.field(grid, _boxes(low - first, high - first)))
     points = (points + first) * cell
+    slope = flesh.slope(points, 0.1 * cell)
     for _ in range(3):
-        slope = flesh.slope(points, 0.1 * cell)
         # Not farther than half a cell, also where the field is flat.
         step = flesh.field(points) / np.maximum(np.sum(slope * slope, axis=-1), 0.1)
         points = points - np.clip(step, -0.5 * cell, 0.5 * cell)[:, None] * slope

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, Clip, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, SKELETONS, Clip, Skeleton, standard_body
 from kinefilter.retarget.kinematics import positions_from_rotations
 
 MakeClip = Callable[..., Clip]
+
+BODIES = {skeleton.name: standard_body(skeleton) for skeleton in SKELETONS.values()}
 
 
 def _smooth_rotations(
@@ -51,7 +53,7 @@ def make_clip() -> MakeClip:
         rng = np.random.default_rng(seed)
         if time is None:
             time = np.arange(frames) / 30.0
-        joints, body = len(skeleton), standard_body(skeleton)
+        joints, body = len(skeleton), BODIES[skeleton.name]
         if wild:
             rotations = _wild_rotations(len(time), joints, rng)
         else:

@@ -40,7 +40,7 @@ TAKES = Path(__file__).parents[2] / "shared" / "data" / "takes"
 recorded = pytest.mark.skipif(
     not TAKES.is_dir(), reason="no recorded takes in ../shared/data"
 )
-EXTENSIONS = [".usda", ".usdc", ".usd", ".bvh", ".csv", ".npz"]
+EXTENSIONS = [".usda", ".usdc", ".usd", ".usdz", ".bvh", ".csv", ".npz"]
 
 # Two joints are enough for most complaints.
 HEADER = "time,Head.x,Head.y,Head.z,Head.state,HandLeft.x,HandLeft.y,HandLeft.z\n"
@@ -398,7 +398,7 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
 ) -> None:
     (tmp_path / "folder.csv").mkdir()
     for name, words in {
-        "clip.fbx": r"'\.fbx'.*\.usda, \.usdc, \.usd, \.bvh, \.csv, \.npz",
+        "clip.fbx": r"'\.fbx'.*\.usda, \.usdc, \.usd, \.usdz, \.bvh, \.csv, \.npz",
         "clip": "unknown extension ''",
         "none/clip.csv": "does not exist",
         "folder.csv": "is a folder",

@@ -33,7 +33,6 @@ def narrow(body: Body) -> Body:
     return replace(body, lengths=lengths)
 
 
-SKINS: dict[int, Skin] = {}
 BODIES = {
     "v1": standard_body(KINECT_V1),
     "v2": standard_body(KINECT_V2),
@@ -46,13 +45,6 @@ BODIES = {
     },
 }
 all_bodies = pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
-
-
-def skin_on(body: Body) -> Skin:
-    """Return the skin of one of BODIES, made once."""
-    if id(body) not in SKINS:
-        SKINS[id(body)] = skin_of(body)
-    return SKINS[id(body)]
 
 
 def turn(axis: list[float], degrees: float) -> Array:
@@ -79,7 +71,7 @@ def edges(skin: Skin) -> NDArray[np.int64]:
 
 @all_bodies
 def test_the_skin_is_one_closed_mesh_with_its_outside_outside(body: Body) -> None:
-    skin = skin_on(body)
+    skin = skin_of(body)
     triangles = np.concatenate([skin.quads[:, [0, 1, 2]], skin.quads[:, [0, 2, 3]]])
     mesh = trimesh.Trimesh(skin.points, triangles, process=False)
     assert mesh.is_watertight
@@ -93,7 +85,7 @@ def test_the_skin_is_one_closed_mesh_with_its_outside_outside(body: Body) -> Non
 
 @all_bodies
 def test_it_is_as_tall_as_the_person_and_stands_on_the_floor(body: Body) -> None:
-    skin = skin_on(body)
+    skin = skin_of(body)
     top = body.rest_positions[body.skeleton.index("Head"), 1]
     assert skin.points[:, 1].min() == pytest.approx(0.0, abs=0.004)
     assert top < skin.points[:, 1].max() < top + 0.15 * body.height
@@ -101,7 +93,7 @@ def test_it_is_as_tall_as_the_person_and_stands_on_the_floor(body: Body) -> None
 
 @all_bodies
 def test_shares_sum_to_one_and_left_is_as_right(body: Body) -> None:
-    skin = skin_on(body)
+    skin = skin_of(body)
     assert skin.weights.shape == skin.segments.shape == (len(skin.points), INFLUENCES)
     assert (skin.weights >= 0.0).all()
     np.testing.assert_allclose(skin.weights.sum(axis=1), 1.0, atol=1e-12)
@@ -114,7 +106,7 @@ def test_shares_sum_to_one_and_left_is_as_right(body: Body) -> None:
 
 @all_bodies
 def test_neighbors_move_nearly_together(body: Body) -> None:
-    skin = skin_on(body)
+    skin = skin_of(body)
     dense = np.zeros((len(skin.points), len(body.skeleton)))
     np.put_along_axis(dense, skin.segments, skin.weights, axis=1)
     a, b = edges(skin).T
@@ -133,7 +125,7 @@ def test_elbows_and_knees_bend_without_a_gap(
     joints: list[str], axis: list[float], degrees: float
 ) -> None:
     body = BODIES["v2"]
-    skin = skin_on(body)
+    skin = skin_of(body)
     rotations = np.tile(IDENTITY, (len(body.skeleton), 1))
     for joint in joints:
         rotations[body.skeleton.index(joint)] = turn(axis, degrees)
@@ -145,7 +137,7 @@ def test_elbows_and_knees_bend_without_a_gap(
 
 def test_in_any_posture_the_skin_stays_within_its_margins() -> None:
     body, rng = BODIES["v2"], np.random.default_rng(1)
-    skin, parents = skin_on(body), np.array(body.skeleton.parents)
+    skin, parents = skin_of(body), np.array(body.skeleton.parents)
     for _ in range(10):
         rotations = rng.normal(size=(len(body.skeleton), 4))
         rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
@@ -162,7 +154,7 @@ def test_in_any_posture_the_skin_stays_within_its_margins() -> None:
 
 def test_a_turned_body_turns_its_skin() -> None:
     body, quarter = BODIES["v1"], turn([0.0, 1.0, 0.0], 90.0)
-    skin = skin_on(body)
+    skin = skin_of(body)
     rotations = multiply(quarter, np.tile(IDENTITY, (len(body.skeleton), 1)))
     root = body.rest_positions[body.skeleton.root]
     np.testing.assert_allclose(

@@ -5,13 +5,21 @@ from __future__ import annotations
 import os
 import zipfile
 import zlib
+from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
-from kinefilter.characters import Body, Clip, InputError, skeleton_named
+from kinefilter.characters import (
+    Body,
+    Clip,
+    InputError,
+    Prop,
+    Shape,
+    skeleton_named,
+)
 
 from .files import atomic_path
 
@@ -20,18 +28,18 @@ __all__ = ["read_clip", "write_npz"]
 _ARRAYS = tuple(
     field.name
     for field in fields(Clip)
-    if field.name not in ("skeleton", "body", "source")
+    if field.name not in ("skeleton", "body", "source", "props")
 )
-
-
+_SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
 
 def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write every array of a clip and every measure of its body under its own name.
 
-    Besides them there are ``skeleton``, ``joints`` and ``source``. Equal clips give
-    equal bytes.
+    Besides them there are ``skeleton``, ``joints`` and ``source``, and for each prop
+    ``prop:K:name``, ``positions``, ``rotations``, ``kinds`` and, for each of its
+    shapes, ``prop:K:L:size`` and so on. Equal clips give equal bytes.
 
     Raises:
         InputError: The file cannot be written.
@@ -44,6 +52,7 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
             file,
             **arrays,
             **measures,
+            **_props_as_arrays(clip.props),
             skeleton=np.array(clip.skeleton.name),
             joints=np.array(clip.skeleton.joints),
             source=np.array(clip.source),
@@ -87,4 +96,34 @@ def _clip(archive: Any) -> Clip:
         skeleton=skeleton,
         body=Body(skeleton=skeleton, **measures),
         source=str(archive["source"]),
+        props=tuple(_props(archive)),
     )
+
+
+def _props_as_arrays(props: tuple[Prop, ...]) -> dict[str, Any]:
+    arrays: dict[str, Any] = {}
+    for k, prop in enumerate(props):
+        arrays[f"prop:{k}:name"] = np.array(prop.name)
+        arrays[f"prop:{k}:positions"] = prop.positions
+        arrays[f"prop:{k}:rotations"] = prop.rotations
+        arrays[f"prop:{k}:kinds"] = np.array([shape.kind for shape in prop.shapes])
+        for n, shape in enumerate(prop.shapes):
+            for name in _SHAPE:
+                arrays[f"prop:{k}:{n}:{name}"] = getattr(shape, name)
+    return arrays
+
+
+def _props(archive: Any) -> Iterator[Prop]:
+    k = 0
+    while f"prop:{k}:name" in archive:
+        shapes = [
+            Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
+            for n, kind in enumerate(archive[f"prop:{k}:kinds"].tolist())
+        ]
+        yield Prop(
+            str(archive[f"prop:{k}:name"]),
+            tuple(shapes),
+            archive[f"prop:{k}:positions"],
+            archive[f"prop:{k}:rotations"],
+        )
+        k += 1
