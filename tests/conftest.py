@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, SKELETONS, Clip, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    SKELETONS,
+    Body,
+    Clip,
+    Skeleton,
+    standard_body,
+)
 from kinefilter.retarget.kinematics import positions_from_rotations
 
 MakeClip = Callable[..., Clip]
@@ -49,11 +56,12 @@ def make_clip() -> MakeClip:
         seed: int = 0,
         wild: bool = False,
         time: NDArray[np.float64] | None = None,
+        body: Body | None = None,
     ) -> Clip:
         rng = np.random.default_rng(seed)
         if time is None:
             time = np.arange(frames) / 30.0
-        joints, body = len(skeleton), BODIES[skeleton.name]
+        joints, body = len(skeleton), body or BODIES[skeleton.name]
         if wild:
             rotations = _wild_rotations(len(time), joints, rng)
         else:
