@@ -83,8 +83,8 @@ def somebody(skeleton: Skeleton, seed: int) -> Body:
     rng = np.random.default_rng(seed)
     body = random_body(skeleton, rng)
     directions = body.directions + 0.2 * rng.normal(size=body.directions.shape)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     directions[skeleton.root] = 0.0
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
     return replace(body, directions=directions)
 
 
