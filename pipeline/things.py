@@ -16,12 +16,12 @@ __all__ = ["Things"]
 Array = NDArray[np.float64]
 
 _KINDS: dict[int, ShapeKind] = {
-    mujoco.mjtGeom.mjGEOM_BOX: "box",
-    mujoco.mjtGeom.mjGEOM_SPHERE: "ellipsoid",
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
-    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
-    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
-    mujoco.mjtGeom.mjGEOM_MESH: "mesh",
+    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): "ellipsoid",
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
+    int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
 }
 _LAST_SHOWN = 2  # group of geoms that MuJoCo's own viewer shows
 _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
@@ -80,7 +80,7 @@ class Things:
 
     def _shape(self, geom: int) -> Shape:
         model = self._model
-        kind = _KINDS[model.geom_type[geom]]
+        kind = _KINDS[int(model.geom_type[geom])]
         points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
         if kind == "mesh":
             mesh = model.mesh(model.geom_dataid[geom])
@@ -101,7 +101,7 @@ class Things:
 
 def _is_shown(model: mujoco.MjModel, geom: int) -> bool:
     return (
-        model.geom_type[geom] in _KINDS
+        int(model.geom_type[geom]) in _KINDS
         and model.geom_group[geom] <= _LAST_SHOWN
         and model.geom_rgba[geom, 3] > 0.0
     )
@@ -112,7 +112,7 @@ def _half_extents(model: mujoco.MjModel, geom: int) -> Array:
     a, b, c = model.geom_size[geom].tolist()
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
         return np.array([a, a, a])
-    if _KINDS[model.geom_type[geom]] in ("cylinder", "capsule"):
+    if _KINDS[int(model.geom_type[geom])] in ("cylinder", "capsule"):
         return np.array([a, a, b])
     return np.array([a, b, c])
 

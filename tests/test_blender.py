@@ -19,9 +19,6 @@ from kinefilter.characters import (
     KINECT_V2,
     Body,
     Clip,
-    Prop,
-    Shape,
-    ShapeKind,
     Skeleton,
     random_body,
 )
@@ -42,35 +39,6 @@ pytestmark = pytest.mark.skipif(
     reason="no Blender: python3.11 -m venv ../blender && ../blender/bin/pip install "
     "bpy==5.0.1, then KINEFILTER_BLENDER=../blender/bin/python pytest",
 )
-
-
-def thing(kind: ShapeKind, name: str, positions: Array, rotations: Array) -> Prop:
-    points = np.array([[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3], [-0.1, -0.2, -0.3]])
-    shape = Shape(
-        kind,
-        np.array([0.1, 0.2, 0.1]),
-        np.array([0.0, 0.1, 0.0]),
-        np.array([1.0, 0.0, 0.0, 0.0]),
-        np.array([0.8, 0.4, 0.1]),
-        points if kind == "mesh" else np.empty((0, 3)),
-        np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])[: 4 * (kind == "mesh")],
-    )
-    return Prop(name, (shape, shape), positions, rotations)
-
-
-def furnished(clip: Clip) -> Clip:
-    """Return a clip with one prop of each kind, the first two moving."""
-    time = clip.time - clip.time[0]
-    path = np.stack([time, 1.0 + np.sin(time), -time], axis=1)
-    turns = np.stack([np.cos(time), np.sin(time), 0 * time, 0 * time], axis=1)
-    kinds: tuple[ShapeKind, ...] = ("box", "ellipsoid", "cylinder", "capsule", "mesh")
-    props = [
-        thing(kind, f"the {kind}", path + n, turns)
-        if n < 2
-        else thing(kind, f"the {kind}", path[:1] + n, turns[:1])
-        for n, kind in enumerate(kinds)
-    ]
-    return replace(clip, props=tuple(props))
 
 
 def in_blender(points: Array) -> Array:
@@ -108,7 +76,11 @@ Seen = dict[str, tuple[Clip, dict[str, Array]]]
 
 
 @pytest.fixture(scope="module")
-def seen(make_clip: MakeClip, tmp_path_factory: pytest.TempPathFactory) -> Seen:
+def seen(
+    make_clip: MakeClip,
+    furnish: Callable[[Clip], Clip],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Seen:
     """Return, for each variant, the clip as it was written and what Blender saw."""
     folder, clips = tmp_path_factory.mktemp("blender"), {}
     for seed, (name, export) in enumerate(VARIANTS.items()):
@@ -116,7 +88,7 @@ def seen(make_clip: MakeClip, tmp_path_factory: pytest.TempPathFactory) -> Seen:
         # Stamps as sensors give them: late, and now and then one is missing.
         steps = np.random.default_rng(seed).choice([1 / 30, 1 / 29.9, 2 / 30], 20)
         body, time = somebody(skeleton, seed), 3.0 + np.cumsum(steps)
-        clip = furnished(make_clip(skeleton=skeleton, seed=seed, time=time, body=body))
+        clip = furnish(make_clip(skeleton=skeleton, seed=seed, time=time, body=body))
         if export.character is not None:
             export = replace(export, character=folder / export.character)
         write_clip(clip, folder / name, export)

@@ -21,6 +21,7 @@ from kinefilter.characters import (
     Clip,
     InputError,
     Origin,
+    Shape,
     State,
     Take,
 )
@@ -314,7 +315,7 @@ def test_npz_keeps_every_field(
     write_clip(clip, tmp_path / "clip.npz")
     again = read_clip(tmp_path / "clip.npz")
     for field in fields(Clip):
-        if field.name != "body":
+        if field.name not in ("body", "props"):
             np.testing.assert_array_equal(
                 getattr(again, field.name), getattr(clip, field.name)
             )
@@ -322,6 +323,23 @@ def test_npz_keeps_every_field(
         np.testing.assert_array_equal(
             getattr(again.body, field.name), getattr(clip.body, field.name)
         )
+
+
+def test_npz_keeps_props(
+    make_clip: MakeClip, furnish: Callable[[Clip], Clip], tmp_path: Path
+) -> None:
+    clip = furnish(make_clip(5))
+    write_clip(clip, tmp_path / "clip.npz")
+    again = read_clip(tmp_path / "clip.npz")
+    for prop, found in zip(clip.props, again.props, strict=True):
+        assert found.name == prop.name
+        np.testing.assert_array_equal(found.positions, prop.positions)
+        np.testing.assert_array_equal(found.rotations, prop.rotations)
+        for shape, other in zip(prop.shapes, found.shapes, strict=True):
+            for field in fields(Shape):
+                np.testing.assert_array_equal(
+                    getattr(other, field.name), getattr(shape, field.name)
+                )
 
 
 def test_bone_lengths_in_csv_vary_less_than_one_in_ten_million(

@@ -32,6 +32,7 @@ from .usd_props import define_props
 __all__ = ["write_usd"]
 
 _RATE_TOLERANCE = 0.005  # stamps jitter; a rate this near to a whole number is one
+_STAMP = 315619200  # s: 2 January 1980, for equal packages; zip knows no earlier year
 _CODE_DECIMALS = 6  # of a frame: takes rounding errors off whole frames, nothing else
 
 
@@ -63,7 +64,9 @@ def write_usd(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
                 _write_package(clip, temporary, Path(path).stem, export)
                 return
             reference = _character_reference(clip, Path(path), export, files)
-            _write_layer(clip, temporary, export, reference)
+            text = temporary.suffix.lower() == ".usda"
+            write = _write_text if text else _write_layer
+            write(clip, temporary, export, reference)
     except Tf.ErrorException as error:
         raise InputError(
             f"{path}: cannot be written ({error}); write elsewhere or make room"
@@ -76,9 +79,20 @@ def _write_package(clip: Clip, path: Path, name: str, export: Export) -> None:
     with tempfile.TemporaryDirectory() as folder:
         layer = Path(folder) / "clip.usdc"
         _write_layer(clip, layer, export, None)
+        os.utime(layer, (_STAMP, _STAMP))
         package = Sdf.ZipFileWriter.CreateNew(str(path))
         package.AddFile(str(layer), f"{name}.usdc")
         package.Save()
+
+
+def _write_text(clip: Clip, path: Path, export: Export, reference: str | None) -> None:
+    """Write a text layer by way of a binary one, which needs less memory."""
+    from pxr import Sdf
+
+    with tempfile.TemporaryDirectory() as folder:
+        layer = Path(folder) / "clip.usdc"
+        _write_layer(clip, layer, export, reference)
+        Sdf.Layer.FindOrOpen(str(layer)).Export(str(path))
 
 
 def _character_reference(

@@ -55,7 +55,11 @@ def write_animation(stage: Any, clip: Clip, export: Export, codes: Array) -> Non
     _define(stage, rig_of(clip.body))
     layer = stage.GetRootLayer()
     _write_samples(layer, clip, export, codes)
+    # A binary layer reads back from its file what has been saved: an hour's samples
+    # would not fit into memory beside the clip.
+    layer.Save()
     _write_extents(layer, clip, export, codes)
+    layer.Save()
     _write_honesty(layer, clip, codes)
 
 
@@ -164,16 +168,14 @@ def _write_honesty(layer: Any, clip: Clip, codes: Array) -> None:
     }
     for name, values in names.items():
         _attribute(layer, name, types.TokenArray).default = Vt.TokenArray(values)
-    moved = {
-        name: np.where(np.isnan(values), _UNMEASURED, values).astype(np.float16)
-        for name, values in (
-            ("movedByCorrection", clip.moved_by_correction),
-            ("movedByPhysics", clip.moved_by_physics),
-        )
-    }
-    halves = {"reliability": clip.reliability.astype(np.float16), **moved}
-    for name, array in halves.items():
-        _sample(layer, _attribute(layer, name, types.HalfArray), codes, array)
+    for name, numbers in (
+        ("reliability", clip.reliability),
+        ("movedByCorrection", clip.moved_by_correction),
+        ("movedByPhysics", clip.moved_by_physics),
+    ):
+        halves = np.where(np.isnan(numbers), _UNMEASURED, numbers).astype(np.float16)
+        _sample(layer, _attribute(layer, name, types.HalfArray), codes, halves)
+        layer.Save()
     for name, flags in (
         ("decidingTerm", clip.deciding_term),
         ("origin", clip.origin),
