@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .errors import InputError
 
 __all__ = ["Prop", "Shape", "ShapeKind", "freeze"]
 
@@ -21,6 +23,14 @@ def freeze(value: Any) -> None:
             view = array.view()
             view.flags.writeable = False
             object.__setattr__(value, field.name, view)
+
+
+def _check(value: Any, **expected: int | tuple[int, int]) -> None:
+    for name, shape in expected.items():
+        wanted = (shape,) if isinstance(shape, int) else shape
+        found = np.shape(getattr(value, name))
+        if found != wanted:
+            raise InputError(f"{name} of a prop has shape {found}, expected {wanted}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +53,12 @@ class Shape:
     """Indices of points, counter-clockwise from outside, shape (F, 3)."""
 
     def __post_init__(self) -> None:
+        _check(self, size=3, position=3, rotation=4, color=3)
+        if self.kind not in get_args(ShapeKind):
+            raise InputError(
+                f"unknown kind of shape {self.kind!r}; known: "
+                + ", ".join(get_args(ShapeKind))
+            )
         freeze(self)
 
     @property
@@ -68,6 +84,8 @@ class Prop:
     """Rotation, unit quaternions wxyz, shape (T, 4) or (1, 4)."""
 
     def __post_init__(self) -> None:
+        count = len(self.positions)
+        _check(self, positions=(count, 3), rotations=(count, 4))
         freeze(self)
 
     @property

@@ -145,6 +145,7 @@ def test_each_frame_has_the_nearest_of_the_equivalent_angles(
     assert ((steps**2).sum(axis=-1) <= (turned**2).sum(axis=-1) + 1e-9).all()
 
 
+@settings(deadline=None)
 @given(
     axes=st.sampled_from(["ZYX", "ZXY", "YXZ", "XYZ", "YZX", "XZY", "X", "ZY"]),
     seed=st.integers(0, 2**32 - 1),
@@ -197,6 +198,11 @@ def test_a_zipped_bvh_is_the_same_bvh(tmp_path: Path) -> None:
         ("Frames: 2", "Frames: 3", "line 19 ends the motion after 2 frames"),
         ("1 2 3 0", "1 2 3", "row 18 has 9 columns, expected 10"),
         ("1 2 3", "1 b 3", "row 18, column Hips.Yposition is 'b'"),
+        ("1 2 3", "1 nan 3", "row 18, column Hips.Yposition is no number"),
+        ("Frames: 2", "Frames: 1", "line 19 ends the motion after 2 frames"),
+        ("Frames: 2", "Frames: 1e18", "expected 1e+18"),
+        ("OFFSET 1 0 0", f"OFFSET {'1' * 2_000_000}", "line 7 is longer"),
+        ("JOINT Left Leg {", "JOINT a {\n" * 20_000, "line 10005 has one more joint"),
     ],
 )
 def test_bad_bvh_is_refused_naming_file_and_line(
@@ -208,6 +214,47 @@ def test_bad_bvh_is_refused_naming_file_and_line(
         read_bvh(path)
     assert str(path) in str(caught.value)
     assert words in str(caught.value)
+
+
+@settings(
+    max_examples=150,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    edits=st.lists(
+        st.tuples(
+            st.integers(0, len(SMALL)),
+            st.integers(0, 12),
+            st.binary(max_size=6)
+            | st.sampled_from([b"{", b"}", b"\n", b"1e400", b"nan", b"-1", b"JOINT "]),
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_a_damaged_bvh_is_read_or_refused(
+    tmp_path: Path, edits: list[tuple[int, int, bytes]]
+) -> None:
+    data = SMALL.encode()
+    for start, length, piece in edits:
+        data = data[:start] + piece + data[start + length :]
+    (tmp_path / "damaged.bvh").write_bytes(data)
+    try:
+        bvh = read_bvh(tmp_path / "damaged.bvh")
+    except InputError:
+        return
+    assert np.isfinite(bvh.motion).all()
+    assert bvh.positions.shape == (len(bvh), len(bvh.names), 3)
+
+
+def test_a_gzip_bomb_ends_at_its_first_wrong_frame(tmp_path: Path) -> None:
+    with gzip.open(tmp_path / "bomb.bvh.gz", "wt", compresslevel=1) as file:
+        file.write(SMALL)
+        for _ in range(200):
+            file.write("0 0 0 0 0 0 0 0 0 0\n" * 5_000)
+    with pytest.raises(InputError, match="ends the motion after"):
+        read_bvh(tmp_path / "bomb.bvh.gz")
 
 
 @recorded

@@ -25,6 +25,7 @@ from .files import atomic_path
 
 __all__ = ["read_clip", "write_npz"]
 
+_LARGEST = 4_000_000_000  # bytes unpacked: twenty hours of a person
 _ARRAYS = tuple(
     field.name
     for field in fields(Clip)
@@ -71,6 +72,7 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
         if not isinstance(archive, NpzFile):
             raise ValueError("a single array")
         with archive:
+            _check_size(archive)
             return _clip(archive)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
@@ -81,10 +83,26 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
             f"{name}: holds no clip ({error.args[0]}); expected an npz that kinefilter "
             "wrote"
         ) from None
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error):
+    except (
+        OSError,
+        EOFError,
+        MemoryError,
+        ValueError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ):
         raise InputError(
             f"{name}: cannot be read as npz; expected a clip that kinefilter wrote"
         ) from None
+
+
+def _check_size(archive: Any) -> None:
+    size = sum(part.file_size for part in archive.zip.infolist())
+    if size > _LARGEST:
+        raise InputError(
+            f"unpacks to {size / 1e9:.0f} GB, expected a clip of at most "
+            f"{_LARGEST / 1e9:.0f} GB"
+        )
 
 
 def _clip(archive: Any) -> Clip:

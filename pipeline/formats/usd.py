@@ -44,7 +44,7 @@ def write_usd(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
 
     ``/Character`` is the SkelRoot, with ``Skeleton``, ``Skin`` (the mesh),
     ``Animation`` and, in a scene, ``Props`` in it. Its attributes ``kinefilter:...``
-    say where the motion came from; see ``usd_animation``.
+    say where the motion came from; see ``usd_provenance``.
 
     Args:
         clip: The motion.

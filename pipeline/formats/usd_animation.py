@@ -1,21 +1,4 @@
-"""The animation of a USD character, its extents, and how far it can be trusted.
-
-Per frame, ``/Character`` has these attributes. Arrays are in the order of
-``kinefilter:joints``, lengths in meters whatever the stage's unit:
-
-``kinefilter:reliability``
-    Rate in [0, 1] of each joint's measurement.
-``kinefilter:decidingTerm``
-    Which term decided it, an index of ``kinefilter:decidingTermNames``.
-``kinefilter:origin``
-    Where each joint came from, an index of ``kinefilter:originNames``.
-``kinefilter:movedByCorrection``, ``kinefilter:movedByPhysics``
-    How far each joint was moved, -1 where nothing was measured.
-``kinefilter:contacts``
-    Which of ``kinefilter:contactNames`` stand on the floor.
-``kinefilter:externalForce``
-    Body weights that no muscle and no floor gives; no sample without physics.
-"""
+"""The animation of a USD character and its extents."""
 
 from __future__ import annotations
 
@@ -25,22 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import CONTACTS, Clip, Origin
+from kinefilter.characters import Clip
 from kinefilter.characters.skin import skin_of
-from kinefilter.pipeline.reliability import Term
 from kinefilter.retarget.rotations import continuous
 
 from .export import Export
 from .rig import Rig, rig_of
 from .usd_character import ANIMATION, CHARACTER, SKELETON, SKIN, joint_paths
 from .usd_props import props_extent
+from .usd_provenance import write_provenance
 
 __all__ = ["write_animation"]
 
 Array = NDArray[np.float64]
 
 _FRAMES_AT_ONCE = 1000  # bounds the memory of the conversion
-_UNMEASURED = -1.0
 
 
 def write_animation(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
@@ -60,7 +42,7 @@ def write_animation(stage: Any, clip: Clip, export: Export, codes: Array) -> Non
     layer.Save()
     _write_extents(layer, clip, export, codes)
     layer.Save()
-    _write_honesty(layer, clip, codes)
+    write_provenance(layer, clip, codes)
 
 
 def _define(stage: Any, rig: Rig) -> None:
@@ -153,60 +135,3 @@ def _margins(clip: Clip) -> Array:
     segments, parents = clip.skeleton.segments, clip.skeleton.segment_parents
     np.maximum.at(own, parents, margins[segments])
     return own
-
-
-def _write_honesty(layer: Any, clip: Clip, codes: Array) -> None:
-    """Say in attributes of the character where its motion came from."""
-    from pxr import Sdf, Vt
-
-    types = Sdf.ValueTypeNames
-    names = {
-        "joints": clip.skeleton.joints,
-        "decidingTermNames": [term.name.lower() for term in Term],
-        "originNames": [origin.name.lower() for origin in Origin],
-        "contactNames": CONTACTS,
-    }
-    for name, values in names.items():
-        _attribute(layer, name, types.TokenArray).default = Vt.TokenArray(values)
-    for name, numbers in (
-        ("reliability", clip.reliability),
-        ("movedByCorrection", clip.moved_by_correction),
-        ("movedByPhysics", clip.moved_by_physics),
-    ):
-        halves = np.where(np.isnan(numbers), _UNMEASURED, numbers).astype(np.float16)
-        _sample(layer, _attribute(layer, name, types.HalfArray), codes, halves)
-        layer.Save()
-    for name, flags in (
-        ("decidingTerm", clip.deciding_term),
-        ("origin", clip.origin),
-    ):
-        _sample(layer, _attribute(layer, name, types.UCharArray), codes, flags)
-    contacts = _attribute(layer, "contacts", types.BoolArray)
-    _sample(layer, contacts, codes, clip.contacts)
-    force = _attribute(layer, "externalForce", types.Float)
-    simulated = np.isfinite(clip.external_force)
-    with Sdf.ChangeBlock():
-        for code, value in zip(
-            codes[simulated].tolist(),
-            clip.external_force[simulated].tolist(),
-            strict=True,
-        ):
-            layer.SetTimeSample(force.path, code, value)
-
-
-def _attribute(layer: Any, name: str, kind: Any) -> Any:
-    from pxr import Sdf
-
-    character = layer.GetPrimAtPath(CHARACTER)
-    return Sdf.AttributeSpec(character, f"kinefilter:{name}", kind, declaresCustom=True)
-
-
-def _sample(layer: Any, attribute: Any, codes: Array, rows: NDArray[Any]) -> None:
-    """Set one sample a frame, an array of a type as wide as numpy's."""
-    from pxr import Sdf, Vt
-
-    arrays = {"half[]": Vt.HalfArray, "uchar[]": Vt.UCharArray, "bool[]": Vt.BoolArray}
-    convert = arrays[str(attribute.typeName)].FromNumpy
-    with Sdf.ChangeBlock():
-        for code, row in zip(codes.tolist(), np.ascontiguousarray(rows), strict=True):
-            layer.SetTimeSample(attribute.path, code, convert(row))
