@@ -3,6 +3,7 @@
 from .anthropometry import STANDARD_HEIGHT, Body, random_body, standard_body
 from .errors import InputError, KinefilterError
 from .motion import CONTACTS, Clip, Origin, State, Take
+from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
 
 __all__ = [
@@ -16,6 +17,9 @@ __all__ = [
     "InputError",
     "KinefilterError",
     "Origin",
+    "Prop",
+    "Shape",
+    "ShapeKind",
     "Skeleton",
     "State",
     "Take",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .anthropometry import Body
 from .errors import InputError
+from .props import Prop, freeze
 from .skeleton import Skeleton
 
 __all__ = ["CONTACTS", "Clip", "Origin", "State", "Take"]
@@ -37,16 +38,6 @@ class Origin(IntEnum):
     """A measurement that the correction method overruled, in part or whole."""
     FILLED = 2
     """Nothing was measured: the posture is invented."""
-
-
-def _freeze(motion: Any) -> None:
-    """Make every array field of a frozen dataclass a read-only view of itself."""
-    for field in fields(motion):
-        value = getattr(motion, field.name)
-        if isinstance(value, np.ndarray):
-            view = value.view()
-            view.flags.writeable = False
-            object.__setattr__(motion, field.name, view)
 
 
 def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:
@@ -102,7 +93,7 @@ class Take:
         t, j = len(self.time), len(self.skeleton)
         _check_shapes(self, {"time": (t,), "positions": (t, j, 3), "state": (t, j)})
         _check_time(self)
-        _freeze(self)
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -152,6 +143,8 @@ class Clip:
     NaN where nothing was simulated."""
     source: str = "clip"
     """Where the motion came from, for messages."""
+    props: tuple[Prop, ...] = ()
+    """What was around the character in the simulation."""
 
     def __post_init__(self) -> None:
         t, j = len(self.time), len(self.skeleton)
@@ -177,13 +170,19 @@ class Clip:
                 "external_force": (t,),
             },
         )
+        for prop in self.props:
+            if len(prop.positions) not in (1, t):
+                raise InputError(
+                    f"{self.source}: prop {prop.name} has {len(prop.positions)} "
+                    f"places, expected 1 or {t}, one a frame"
+                )
         _check_time(self)
         if self.body.skeleton != self.skeleton:
             raise InputError(
                 f"{self.source}: the body is {self.body.skeleton.name}, the clip "
                 f"{self.skeleton.name}"
             )
-        _freeze(self)
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.time)

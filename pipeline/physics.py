@@ -13,6 +13,7 @@ from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.retarget.rotations import continuous
 
 from .pulled_character import PulledCharacter
+from .things import Things
 
 __all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace"]
 
@@ -52,6 +53,8 @@ class PhysicsResult:
     """Joint positions [m], world frame, shape (T, J, 3)."""
     trace: PhysicsTrace
     """What happened in each frame."""
+    things: Things
+    """What else was in the scene, in the frame of the targets."""
 
 
 class PhysicsFilter(PulledCharacter):
@@ -85,6 +88,8 @@ class PhysicsFilter(PulledCharacter):
             np.zeros(count, dtype=np.int64),
             np.zeros(count, dtype=np.bool_),
         )
+        character = int(self._bodies[self.body.skeleton.root])
+        things = Things(self.model, self.data, character, count)
         for k in range(count) if frames is None else frames:
             if k == 0:
                 self.start(positions[0], rotations[0])
@@ -103,6 +108,7 @@ class PhysicsFilter(PulledCharacter):
             trace.tracking_error[k] = self.tracking_error
             trace.external_force[k] = self.external_force
             trace.contacts[k] = self.contacts
+            things.record(k)
         result = continuous(result)
         joints = np.empty_like(positions)
         for k in range(0, count, _CHUNK):
@@ -110,7 +116,7 @@ class PhysicsFilter(PulledCharacter):
             joints[some] = positions_from_rotations(
                 result[some], roots[some], self.body
             )
-        return PhysicsResult(result, joints, trace)
+        return PhysicsResult(result, joints, trace, things)
 
     def _settle(self, stands: NDArray[np.bool_] | None) -> None:
         """Hold the first target until the start-up transient is gone."""

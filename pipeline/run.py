@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Clip, InputError, Skeleton, Take
+from kinefilter.characters import Body, Clip, InputError, Prop, Skeleton, Take
 from kinefilter.retarget import measured_body
 
 from .config import CleanConfig
@@ -126,8 +126,9 @@ def clean(
     }
     rotations, trace = target.rotations, None
     force = np.full(len(take), np.nan)
+    props: tuple[Prop, ...] = ()
     if config.physics:
-        result = _simulated(take.time, target, body, config.scene, progress)
+        result, props = _simulated(take.time, target, body, config.scene, progress)
         rotations, after, trace = result.rotations, result.positions, result.trace
         force = trace.external_force
         stages["physics"] = measure(take.time, after, raw, body, target.stands)
@@ -145,6 +146,7 @@ def clean(
         moved_by_physics=distances(after, before)[frames],
         contacts=target.contacts[frames],
         external_force=force[frames],
+        props=tuple(prop.at(frames) for prop in props),
         source=source.source,
     )
     notes = _notes(reference, trace, target)
@@ -153,18 +155,19 @@ def clean(
 
 def _simulated(
     time: Array, target: Target, body: Body, scene: str | None, progress: Progress
-) -> PhysicsResult:
-    """Pull the character through a target, in a scene if there is one."""
+) -> tuple[PhysicsResult, tuple[Prop, ...]]:
+    """Pull the character through a target, in a scene if there is one, with props."""
     character = PhysicsFilter(body, scene=scene)
     frames = progress("physics", len(time))
     if scene is None:
-        return character.run(
+        result = character.run(
             time,
             target.positions,
             target.rotations,
             stands=target.stands,
             frames=frames,
         )
+        return result, ()
     place = place_of(target.positions, body.skeleton)
     result = character.run(
         time,
@@ -173,11 +176,12 @@ def _simulated(
         stands=target.stands,
         frames=frames,
     )
-    return replace(
+    placed = replace(
         result,
         positions=place.restore(result.positions),
         rotations=place.restore_rotations(result.rotations),
     )
+    return placed, result.things.props(place)
 
 
 def _notes(

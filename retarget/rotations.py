@@ -22,6 +22,7 @@ __all__ = [
     "normalize",
     "rotate",
     "rotation_vector",
+    "slerp",
     "wxyz_from_matrix",
 ]
 
@@ -120,6 +121,25 @@ def rotation_vector(q: Array) -> Array:
     angle = 2.0 * np.arctan2(sine, np.abs(w))
     ratio = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
     return np.asarray(u * np.where(w < 0.0, -ratio, ratio))
+
+
+def slerp(a: Array, b: Array, share: Array) -> Array:
+    """Return rotations on the shortest arc from a to b, shape (..., 4).
+
+    Args:
+        a: Unit quaternions (..., 4).
+        b: Unit quaternions (..., 4).
+        share: 0 at a, 1 at b, shape (...).
+    """
+    share = np.asarray(share)[..., None]
+    cosine = np.sum(a * b, axis=-1, keepdims=True)
+    b = np.where(cosine < 0.0, -b, b)
+    angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
+    small = angle < 1e-6  # there the arc is as straight as the numbers are exact
+    sine = np.where(small, 1.0, np.sin(angle))
+    near = np.where(small, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
+    far = np.where(small, share, np.sin(share * angle) / sine)
+    return normalize(near * a + far * b)
 
 
 def matrix_from_wxyz(q: Array) -> Array:

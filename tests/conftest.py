@@ -1,16 +1,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
+from typing import get_args
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, Clip, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    SKELETONS,
+    Body,
+    Clip,
+    Prop,
+    Shape,
+    ShapeKind,
+    Skeleton,
+    standard_body,
+)
 from kinefilter.retarget.kinematics import positions_from_rotations
 
 MakeClip = Callable[..., Clip]
+
+BODIES = {skeleton.name: standard_body(skeleton) for skeleton in SKELETONS.values()}
 
 
 def _smooth_rotations(
@@ -36,6 +50,47 @@ def _wild_rotations(
     return quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
 
 
+def _thing(
+    kind: ShapeKind, positions: NDArray[np.float64], rotations: NDArray[np.float64]
+) -> Prop:
+    """Return a prop called after the kind of its two shapes."""
+    mesh = kind == "mesh"
+    points = np.array([[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3], [-0.1, -0.2, -0.3]])
+    triangles = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
+    shapes = [
+        Shape(
+            kind,
+            np.array([0.1, 0.2, 0.1]),
+            np.array([0.0, height, 0.0]),
+            np.array([0.6, 0.0, 0.8, 0.0]),
+            np.array([0.8, 0.4, 0.1]),
+            points if mesh else np.empty((0, 3)),
+            triangles if mesh else np.empty((0, 3), dtype=np.int64),
+        )
+        for height in (0.0, 0.5)
+    ]
+    return Prop(f"the {kind}", tuple(shapes), positions, rotations)
+
+
+@pytest.fixture(scope="session")
+def furnish() -> Callable[[Clip], Clip]:
+    """Return what puts a prop of each kind beside a clip, the first two moving."""
+
+    def furnished(clip: Clip) -> Clip:
+        time = clip.time - clip.time[0]
+        path = np.stack([time, 1.0 + np.sin(time), -time], axis=1)
+        zero = np.zeros_like(time)
+        turns = np.stack([np.cos(time), np.sin(time), zero, zero], axis=1)
+        props = [
+            _thing(kind, path[frames] + n, turns[frames])
+            for n, kind in enumerate(get_args(ShapeKind))
+            for frames in [slice(None if n < 2 else 1)]
+        ]
+        return replace(clip, props=tuple(props))
+
+    return furnished
+
+
 @pytest.fixture(scope="session")
 def make_clip() -> MakeClip:
     """Return a maker of clips whose positions follow from random rotations."""
@@ -47,11 +102,12 @@ def make_clip() -> MakeClip:
         seed: int = 0,
         wild: bool = False,
         time: NDArray[np.float64] | None = None,
+        body: Body | None = None,
     ) -> Clip:
         rng = np.random.default_rng(seed)
         if time is None:
             time = np.arange(frames) / 30.0
-        joints, body = len(skeleton), standard_body(skeleton)
+        joints, body = len(skeleton), body or BODIES[skeleton.name]
         if wild:
             rotations = _wild_rotations(len(time), joints, rng)
         else:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.pipeline.formats import Bvh, read_bvh, write_clip
-from kinefilter.pipeline.formats.euler import continuous_zyx, wxyz_from_euler
+from kinefilter.pipeline.formats.euler import continuous_euler, wxyz_from_euler
 
 MakeClip = Callable[..., Clip]
 
@@ -111,7 +111,7 @@ def test_two_full_turns_about_an_axis_are_720_degrees_without_a_jump(
     axis: str, step: float
 ) -> None:
     turns = np.radians(np.arange(0.0, np.copysign(721.0, step), step))[:, None]
-    angles = continuous_zyx(wxyz_from_euler(turns, axis))
+    angles = continuous_euler(wxyz_from_euler(turns, axis), "ZYX")
     expected = np.zeros((len(turns), 3))
     expected[:, "ZYX".index(axis)] = turns[:, 0]
     np.testing.assert_allclose(angles, expected, atol=1e-7)
@@ -129,7 +129,7 @@ def test_angles_give_the_rotation_back_even_where_two_axes_meet(
     triples = rng.uniform(-np.pi, np.pi, (20, 3))
     triples[5:15, 1] = np.radians(lock)
     rotations = wxyz_from_euler(triples, "ZYX")
-    again = wxyz_from_euler(continuous_zyx(rotations), "ZYX")
+    again = wxyz_from_euler(continuous_euler(rotations, "ZYX"), "ZYX")
     dots = np.abs(np.sum(rotations * again, axis=-1))
     np.testing.assert_allclose(dots, 1.0, atol=1e-12)
 
@@ -137,7 +137,7 @@ def test_angles_give_the_rotation_back_even_where_two_axes_meet(
 def test_each_frame_has_the_nearest_of_the_equivalent_angles(
     make_clip: MakeClip,
 ) -> None:
-    angles = continuous_zyx(make_clip(400).rotations[:, 3])
+    angles = continuous_euler(make_clip(400).rotations[:, 3], "ZYX")
     steps = np.abs(np.diff(angles, axis=0))
     other = angles[1:] * [1, -1, 1] + np.pi - angles[:-1]
     turned = np.abs((other + np.pi) % (2 * np.pi) - np.pi)
@@ -145,6 +145,7 @@ def test_each_frame_has_the_nearest_of_the_equivalent_angles(
     assert ((steps**2).sum(axis=-1) <= (turned**2).sum(axis=-1) + 1e-9).all()
 
 
+@settings(deadline=None)
 @given(
     axes=st.sampled_from(["ZYX", "ZXY", "YXZ", "XYZ", "YZX", "XZY", "X", "ZY"]),
     seed=st.integers(0, 2**32 - 1),
@@ -197,6 +198,11 @@ def test_a_zipped_bvh_is_the_same_bvh(tmp_path: Path) -> None:
         ("Frames: 2", "Frames: 3", "line 19 ends the motion after 2 frames"),
         ("1 2 3 0", "1 2 3", "row 18 has 9 columns, expected 10"),
         ("1 2 3", "1 b 3", "row 18, column Hips.Yposition is 'b'"),
+        ("1 2 3", "1 nan 3", "row 18, column Hips.Yposition is no number"),
+        ("Frames: 2", "Frames: 1", "line 19 ends the motion after 2 frames"),
+        ("Frames: 2", "Frames: 1e18", "expected 1e+18"),
+        ("OFFSET 1 0 0", f"OFFSET {'1' * 2_000_000}", "line 7 is longer"),
+        ("JOINT Left Leg {", "JOINT a {\n" * 20_000, "line 10005 has one more joint"),
     ],
 )
 def test_bad_bvh_is_refused_naming_file_and_line(
@@ -208,6 +214,47 @@ def test_bad_bvh_is_refused_naming_file_and_line(
         read_bvh(path)
     assert str(path) in str(caught.value)
     assert words in str(caught.value)
+
+
+@settings(
+    max_examples=150,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    edits=st.lists(
+        st.tuples(
+            st.integers(0, len(SMALL)),
+            st.integers(0, 12),
+            st.binary(max_size=6)
+            | st.sampled_from([b"{", b"}", b"\n", b"1e400", b"nan", b"-1", b"JOINT "]),
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_a_damaged_bvh_is_read_or_refused(
+    tmp_path: Path, edits: list[tuple[int, int, bytes]]
+) -> None:
+    data = SMALL.encode()
+    for start, length, piece in edits:
+        data = data[:start] + piece + data[start + length :]
+    (tmp_path / "damaged.bvh").write_bytes(data)
+    try:
+        bvh = read_bvh(tmp_path / "damaged.bvh")
+    except InputError:
+        return
+    assert np.isfinite(bvh.motion).all()
+    assert bvh.positions.shape == (len(bvh), len(bvh.names), 3)
+
+
+def test_a_gzip_bomb_ends_at_its_first_wrong_frame(tmp_path: Path) -> None:
+    with gzip.open(tmp_path / "bomb.bvh.gz", "wt", compresslevel=1) as file:
+        file.write(SMALL)
+        for _ in range(200):
+            file.write("0 0 0 0 0 0 0 0 0 0\n" * 5_000)
+    with pytest.raises(InputError, match="ends the motion after"):
+        read_bvh(tmp_path / "bomb.bvh.gz")
 
 
 @recorded

@@ -179,6 +179,41 @@ def test_an_impossible_cutoff_is_refused(
     assert "cutoff" in _refused([*arguments, f"--cutoff={cutoff}"], tmp_path, capsys)
 
 
+@pytest.mark.parametrize(
+    ("name", "flags", "words"),
+    [
+        ("clip.usda", ["--fps", "0"], "--fps 0"),
+        ("clip.usda", ["--fps", "1e9"], "--fps 1e+09"),
+        ("clip.csv", ["--up", "z"], "--up"),
+        ("clip.bvh", ["--character", "sam.usda"], "--character"),
+        ("clip.usda", ["--character", "none/sam.usda"], "does not exist"),
+        ("clip.usda", ["--character", "clip.usda"], "would overwrite"),
+    ],
+)
+def test_an_impossible_export_is_refused_before_any_work(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    flags: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    error = _refused(["clean", str(SAMPLE), "-o", name, *flags], tmp_path, capsys)
+    assert words in error
+
+
+def test_flags_of_the_export_reach_the_files(tmp_path: Path) -> None:
+    out, sam = tmp_path / "clip.usda", tmp_path / "sam.usdc"
+    quick = ["--method", "none", "--no-physics", "--fps", "24"]
+    flags = ["--up", "z", "--units", "cm", "--rest", "t", "--character", str(sam)]
+    assert main(["clean", str(SAMPLE), "-o", str(out), *quick, *flags]) == 0
+    text = out.read_text(encoding="utf-8")
+    for words in ('upAxis = "Z"', "metersPerUnit = 0.01", "= 24\n", "@./sam.usdc@"):
+        assert words in text
+    assert sam.stat().st_size > 0
+
+
 def test_an_unknown_flag_ends_with_code_2(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh"), "--colour", "red"])

@@ -5,6 +5,7 @@ import gzip
 import os
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -21,6 +22,7 @@ from kinefilter.characters import (
     Clip,
     InputError,
     Origin,
+    Shape,
     State,
     Take,
 )
@@ -40,7 +42,7 @@ TAKES = Path(__file__).parents[2] / "shared" / "data" / "takes"
 recorded = pytest.mark.skipif(
     not TAKES.is_dir(), reason="no recorded takes in ../shared/data"
 )
-EXTENSIONS = [".usda", ".usdc", ".usd", ".bvh", ".csv", ".npz"]
+EXTENSIONS = [".usda", ".usdc", ".usd", ".usdz", ".bvh", ".csv", ".npz"]
 
 # Two joints are enough for most complaints.
 HEADER = "time,Head.x,Head.y,Head.z,Head.state,HandLeft.x,HandLeft.y,HandLeft.z\n"
@@ -314,7 +316,7 @@ def test_npz_keeps_every_field(
     write_clip(clip, tmp_path / "clip.npz")
     again = read_clip(tmp_path / "clip.npz")
     for field in fields(Clip):
-        if field.name != "body":
+        if field.name not in ("body", "props"):
             np.testing.assert_array_equal(
                 getattr(again, field.name), getattr(clip, field.name)
             )
@@ -322,6 +324,60 @@ def test_npz_keeps_every_field(
         np.testing.assert_array_equal(
             getattr(again.body, field.name), getattr(clip.body, field.name)
         )
+
+
+def test_npz_keeps_props(
+    make_clip: MakeClip, furnish: Callable[[Clip], Clip], tmp_path: Path
+) -> None:
+    clip = furnish(make_clip(5))
+    write_clip(clip, tmp_path / "clip.npz")
+    again = read_clip(tmp_path / "clip.npz")
+    for prop, found in zip(clip.props, again.props, strict=True):
+        assert found.name == prop.name
+        np.testing.assert_array_equal(found.positions, prop.positions)
+        np.testing.assert_array_equal(found.rotations, prop.rotations)
+        for shape, other in zip(prop.shapes, found.shapes, strict=True):
+            for field in fields(Shape):
+                np.testing.assert_array_equal(
+                    getattr(other, field.name), getattr(shape, field.name)
+                )
+
+
+def test_an_npz_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as bomb:
+        with bomb.open("time.npy", "w", force_zip64=True) as part:
+            header = {"descr": "<f8", "fortran_order": False, "shape": (625_000_000,)}
+            np.lib.format.write_array_header_1_0(part, header)
+            for _ in range(5):
+                part.write(bytes(1_000_000))
+        bomb.getinfo("time.npy").file_size = 5_000_000_000
+    with pytest.raises(InputError, match=r"bomb\.npz: unpacks to 5 GB"):
+        read_clip(tmp_path / "bomb.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("prop:0:kinds", np.array(["box", "cone"]), "unknown kind of shape 'cone'"),
+        ("prop:0:positions", np.zeros((5, 2)), "positions of a prop"),
+        ("prop:1:positions", np.zeros((4, 3)), "rotations of a prop"),
+        ("prop:0:1:size", np.zeros(2), "size of a prop"),
+    ],
+)
+def test_an_npz_with_impossible_props_is_refused(
+    make_clip: MakeClip,
+    furnish: Callable[[Clip], Clip],
+    tmp_path: Path,
+    name: str,
+    value: object,
+    words: str,
+) -> None:
+    write_clip(furnish(make_clip(5)), tmp_path / "clip.npz")
+    with np.load(tmp_path / "clip.npz") as archive:
+        assert name in archive
+        np.savez(tmp_path / "odd.npz", **{**archive, name: value})
+    with pytest.raises(InputError, match=rf"odd\.npz: .*{words}"):
+        read_clip(tmp_path / "odd.npz")
 
 
 def test_bone_lengths_in_csv_vary_less_than_one_in_ten_million(
@@ -398,7 +454,7 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
 ) -> None:
     (tmp_path / "folder.csv").mkdir()
     for name, words in {
-        "clip.fbx": r"'\.fbx'.*\.usda, \.usdc, \.usd, \.bvh, \.csv, \.npz",
+        "clip.fbx": r"'\.fbx'.*\.usda, \.usdc, \.usd, \.usdz, \.bvh, \.csv, \.npz",
         "clip": "unknown extension ''",
         "none/clip.csv": "does not exist",
         "folder.csv": "is a folder",

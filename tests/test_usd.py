@@ -1,18 +1,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel, UsdValidation
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
-from kinefilter.pipeline.formats import read_usd_positions, write_clip
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Clip,
+    InputError,
+    Origin,
+    Skeleton,
+)
+from kinefilter.characters.skin import INFLUENCES, skin_of
+from kinefilter.pipeline.formats import Export, read_usd_positions, write_clip
+from kinefilter.pipeline.reliability import Term
+from kinefilter.retarget.rotations import rotate
 
 MakeClip = Callable[..., Clip]
+Furnish = Callable[[Clip], Clip]
 
 both_skeletons = pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
 TENTH_OF_A_MILLIMETER = 1e-4
@@ -59,17 +72,36 @@ def test_usd_skel_puts_every_joint_where_the_clip_has_it(
 
 
 @both_skeletons
-@pytest.mark.parametrize("extension", [".usda", ".usdc"])
+@pytest.mark.parametrize("scene", [False, True])
+@pytest.mark.parametrize(
+    ("extension", "export"),
+    [
+        (".usda", Export()),
+        (".usdc", Export(up="z", units="cm")),
+        (".usdz", Export(fps=24.0, rest="t")),
+        (".usda", Export(character=Path("sam.usda"), units="cm")),
+        (".usdc", Export(character=Path("sam.usdc"))),
+    ],
+)
 def test_usd_validation_has_nothing_to_say(
-    make_clip: MakeClip, tmp_path: Path, skeleton: Skeleton, extension: str
+    make_clip: MakeClip,
+    furnish: Furnish,
+    tmp_path: Path,
+    skeleton: Skeleton,
+    extension: str,
+    export: Export,
+    scene: bool,
 ) -> None:
-    path = tmp_path / f"clip{extension}"
-    write_clip(make_clip(4, skeleton), path)
-    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    assert len(validators) > 10
-    context = UsdValidation.ValidationContext(validators)
-    errors = context.Validate(Usd.Stage.Open(str(path)))
-    assert [error.GetErrorAsString() for error in errors] == []
+    clip = make_clip(4, skeleton)
+    if export.character is not None:
+        export = replace(export, character=tmp_path / export.character)
+    write_clip(furnish(clip) if scene else clip, tmp_path / f"clip{extension}", export)
+    for path in tmp_path.iterdir():
+        validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+        assert len(validators) > 10
+        context = UsdValidation.ValidationContext(validators)
+        errors = context.Validate(Usd.Stage.Open(str(path)))
+        assert [error.GetErrorAsString() for error in errors] == []
 
 
 @pytest.mark.parametrize(
@@ -145,6 +177,124 @@ def test_the_extent_holds_the_whole_motion(make_clip: MakeClip, tmp_path: Path) 
     )
     assert (low < clip.positions.min(axis=(0, 1))).all()
     assert (high > clip.positions.max(axis=(0, 1))).all()
+
+
+# The skin
+
+
+def skinned(stage: Usd.Stage, code: float) -> NDArray[np.float64]:
+    """Return the points of the skin as OpenUSD itself moves them, shape (P, 3)."""
+    cache, mesh = UsdSkel.Cache(), UsdGeom.Mesh(stage.GetPrimAtPath("/Character/Skin"))
+    root = UsdSkel.Root(stage.GetDefaultPrim())
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath("/Character/Skeleton"))
+    query = cache.GetSkinningQuery(mesh.GetPrim())
+    points = mesh.GetPointsAttr().Get()
+    transforms = cache.GetSkelQuery(skeleton).ComputeSkinningTransforms(code)
+    assert query.ComputeSkinnedPoints(transforms, points, code)
+    return np.array(points)
+
+
+@both_skeletons
+def test_openusd_skins_the_mesh_as_the_segments_move(
+    make_clip: MakeClip, tmp_path: Path, skeleton: Skeleton
+) -> None:
+    clip = make_clip(5, skeleton)
+    write_clip(clip, tmp_path / "clip.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usdc"))
+    skin, rest = skin_of(clip.body), clip.body.rest_positions
+    starts = np.array([j if p < 0 else p for j, p in enumerate(skeleton.parents)])
+    for k in range(len(clip)):
+        moved = np.zeros_like(skin.points)
+        for segments, weights in zip(skin.segments.T, skin.weights.T, strict=True):
+            arms = skin.points - rest[starts[segments]]
+            turned = rotate(clip.rotations[k, segments], arms)
+            places = clip.positions[k, starts[segments]]
+            moved += weights[:, None] * (places + turned)
+        np.testing.assert_allclose(
+            skinned(stage, k), moved, rtol=0, atol=TENTH_OF_A_MILLIMETER
+        )
+
+
+def test_the_skin_is_one_mesh_bound_to_the_skeleton(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    write_clip(make_clip(2), tmp_path / "clip.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usda"))
+    meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    assert [str(mesh.GetPath()) for mesh in meshes] == ["/Character/Skin"]
+    binding = UsdSkel.BindingAPI(meshes[0])
+    assert meshes[0].HasAPI(UsdSkel.BindingAPI)
+    assert binding.GetSkeleton().GetPrim() == stage.GetPrimAtPath("/Character/Skeleton")
+    indices = binding.GetJointIndicesPrimvar()
+    weights = binding.GetJointWeightsPrimvar()
+    assert indices.GetElementSize() == weights.GetElementSize() == INFLUENCES
+    shares = np.array(weights.Get()).reshape(-1, INFLUENCES)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=1e-6)
+    joints = binding.GetSkeleton().GetJointsAttr().Get()
+    assert 0 <= min(indices.Get()) <= max(indices.Get()) < len(joints)
+
+
+@pytest.mark.parametrize("export", [Export(), Export(up="z", units="cm")])
+def test_extents_hold_joints_skin_and_props_in_every_frame(
+    make_clip: MakeClip, furnish: Furnish, tmp_path: Path, export: Export
+) -> None:
+    clip = furnish(make_clip(8, KINECT_V2, wild=True))
+    write_clip(clip, tmp_path / "clip.usdc", export)
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usdc"))
+
+    def box(path: str, code: Usd.TimeCode | float) -> NDArray[np.float64]:
+        return np.array(UsdGeom.Boundable.Get(stage, path).GetExtentAttr().Get(code))
+
+    character, tiny = "/Character", 1e-6 / export.meters_per_unit
+    for k in range(len(clip)):
+        joints, points = export.points(clip.positions[k]), skinned(stage, k)
+        low, high = box("/Character/Skeleton", k)
+        np.testing.assert_allclose(low, joints.min(axis=0), rtol=1e-6, atol=tiny)
+        np.testing.assert_allclose(high, joints.max(axis=0), rtol=1e-6, atol=tiny)
+        low, high = box("/Character/Skin", k)
+        assert (low < points.min(axis=0)).all()
+        assert (high > points.max(axis=0)).all()
+        outer = box(character, k)
+        assert (outer[0] <= low).all()
+        assert (outer[1] >= high).all()
+        cache = UsdGeom.BBoxCache(k, ["default"])
+        props = cache.ComputeWorldBound(stage.GetPrimAtPath("/Character/Props"))
+        bounds = props.ComputeAlignedBox()
+        assert (outer[0] <= np.array(bounds.GetMin()) + tiny).all()
+        assert (outer[1] >= np.array(bounds.GetMax()) - tiny).all()
+        whole = box(character, Usd.TimeCode.Default())
+        assert (whole[0] <= outer[0]).all()
+        assert (whole[1] >= outer[1]).all()
+
+
+# Where the motion came from
+
+
+def test_reliability_and_provenance_are_there_for_every_joint_and_frame(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip = make_clip(5)
+    write_clip(clip, tmp_path / "clip.usdc", Export(units="cm"))
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usdc"))
+
+    def attribute(name: str) -> Usd.Attribute:
+        return stage.GetDefaultPrim().GetAttribute(f"kinefilter:{name}")
+
+    assert tuple(attribute("joints").Get()) == clip.skeleton.joints
+    assert list(attribute("originNames").Get()) == [o.name.lower() for o in Origin]
+    assert list(attribute("decidingTermNames").Get()) == [t.name.lower() for t in Term]
+    for name, expected in (
+        ("reliability", clip.reliability),
+        ("decidingTerm", clip.deciding_term),
+        ("origin", clip.origin),
+        ("movedByCorrection", np.nan_to_num(clip.moved_by_correction, nan=-1.0)),
+        ("movedByPhysics", clip.moved_by_physics),
+    ):
+        assert attribute(name).IsCustom()
+        samples = attribute(name).GetTimeSamples()
+        found = np.array([attribute(name).Get(code) for code in samples], dtype=float)
+        np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
 def test_positions_are_read_in_world_meters(

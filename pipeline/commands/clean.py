@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.formats.export import Export
 
 from .terminal import keep, out, progress_bars, write_json
 
@@ -24,8 +25,10 @@ class Clean:
     take: Positional[Path]
     """Recording: kinefilter CSV, Kinect v2 CSV or Kinect v1 text; .gz too."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """Clip to write; the extension decides: .usda .usdc .usd .bvh .csv .npz."""
+    """Clip to write; the extension decides: .usda .usdc .usd .usdz .bvh .csv
+    .npz."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
+    export: OmitArgPrefixes[Export] = field(default_factory=Export)
     format: Formats | None = None
     """Layout of the take; default: detected from its content."""
     save_contacts: Path | None = None
@@ -45,12 +48,13 @@ class Clean:
         from kinefilter.pipeline.run import clean
         from kinefilter.pipeline.summary import as_json, as_tables
 
-        check_writable(self.out)
+        check_writable(self.out, self.export)
         used = (
             self.take,
             self.config.database,
             self.config.model,
             self.config.contacts,
+            self.export.character,
         )
         keep(self.out, *used)
         if self.json is not None:
@@ -62,7 +66,7 @@ class Clean:
         take = read_take(self.take, format=self.format)
         with progress_bars() as progress:
             result = clean(take, self.config, progress=progress)
-        write_clip(result.clip, self.out)
+        write_clip(result.clip, self.out, self.export)
         if self.save_contacts is not None:
             write_contacts(result.clip, self.save_contacts)
         if self.json is not None:

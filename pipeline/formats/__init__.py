@@ -5,13 +5,15 @@ from .bvh import Bvh
 from .bvh_reader import read_bvh
 from .clips import check_writable, write_clip
 from .contacts import read_contacts, write_contacts
+from .export import Export
 from .files import atomic_path, check_folder
 from .tables import write_take_csv
 from .takes import read_take
-from .usd import read_usd_positions
+from .usd_reader import read_usd_positions
 
 __all__ = [
     "Bvh",
+    "Export",
     "atomic_path",
     "check_folder",
     "check_writable",

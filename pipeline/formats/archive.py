@@ -5,33 +5,42 @@ from __future__ import annotations
 import os
 import zipfile
 import zlib
+from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
-from kinefilter.characters import Body, Clip, InputError, skeleton_named
+from kinefilter.characters import (
+    Body,
+    Clip,
+    InputError,
+    Prop,
+    Shape,
+    skeleton_named,
+)
 
 from .files import atomic_path
 
 __all__ = ["read_clip", "write_npz"]
 
+_LARGEST = 4_000_000_000  # bytes unpacked: twenty hours of a person
 _ARRAYS = tuple(
     field.name
     for field in fields(Clip)
-    if field.name not in ("skeleton", "body", "source")
+    if field.name not in ("skeleton", "body", "source", "props")
 )
-
-
+_SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
 
 def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write every array of a clip and every measure of its body under its own name.
 
-    Besides them there are ``skeleton``, ``joints`` and ``source``. Equal clips give
-    equal bytes.
+    Besides them there are ``skeleton``, ``joints`` and ``source``, and for each prop
+    ``prop:K:name``, ``positions``, ``rotations``, ``kinds`` and, for each of its
+    shapes, ``prop:K:L:size`` and so on. Equal clips give equal bytes.
 
     Raises:
         InputError: The file cannot be written.
@@ -44,6 +53,7 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
             file,
             **arrays,
             **measures,
+            **_props_as_arrays(clip.props),
             skeleton=np.array(clip.skeleton.name),
             joints=np.array(clip.skeleton.joints),
             source=np.array(clip.source),
@@ -62,6 +72,7 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
         if not isinstance(archive, NpzFile):
             raise ValueError("a single array")
         with archive:
+            _check_size(archive)
             return _clip(archive)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
@@ -72,10 +83,26 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
             f"{name}: holds no clip ({error.args[0]}); expected an npz that kinefilter "
             "wrote"
         ) from None
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error):
+    except (
+        OSError,
+        EOFError,
+        MemoryError,
+        ValueError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ):
         raise InputError(
             f"{name}: cannot be read as npz; expected a clip that kinefilter wrote"
         ) from None
+
+
+def _check_size(archive: Any) -> None:
+    size = sum(part.file_size for part in archive.zip.infolist())
+    if size > _LARGEST:
+        raise InputError(
+            f"unpacks to {size / 1e9:.0f} GB, expected a clip of at most "
+            f"{_LARGEST / 1e9:.0f} GB"
+        )
 
 
 def _clip(archive: Any) -> Clip:
@@ -87,4 +114,34 @@ def _clip(archive: Any) -> Clip:
         skeleton=skeleton,
         body=Body(skeleton=skeleton, **measures),
         source=str(archive["source"]),
+        props=tuple(_props(archive)),
     )
+
+
+def _props_as_arrays(props: tuple[Prop, ...]) -> dict[str, Any]:
+    arrays: dict[str, Any] = {}
+    for k, prop in enumerate(props):
+        arrays[f"prop:{k}:name"] = np.array(prop.name)
+        arrays[f"prop:{k}:positions"] = prop.positions
+        arrays[f"prop:{k}:rotations"] = prop.rotations
+        arrays[f"prop:{k}:kinds"] = np.array([shape.kind for shape in prop.shapes])
+        for n, shape in enumerate(prop.shapes):
+            for name in _SHAPE:
+                arrays[f"prop:{k}:{n}:{name}"] = getattr(shape, name)
+    return arrays
+
+
+def _props(archive: Any) -> Iterator[Prop]:
+    k = 0
+    while f"prop:{k}:name" in archive:
+        shapes = [
+            Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
+            for n, kind in enumerate(archive[f"prop:{k}:kinds"].tolist())
+        ]
+        yield Prop(
+            str(archive[f"prop:{k}:name"]),
+            tuple(shapes),
+            archive[f"prop:{k}:positions"],
+            archive[f"prop:{k}:rotations"],
+        )
+        k += 1

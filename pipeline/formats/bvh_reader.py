@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ __all__ = ["read_bvh"]
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
+_MOST_JOINTS = 10_000  # a person with every hair rigged has fewer
+_LONGEST_LINE = 1_000_000  # characters: 10,000 joints of three angles and a position
+
 _Lines = Iterator[tuple[int, str]]
 
 
@@ -31,27 +34,12 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
     """
     source = os.fspath(path)
     with open_text(path) as file:
-        lines = enumerate(file, start=1)
+        lines = _lines(file, source)
         tree = _Hierarchy(source)
         tree.read(lines)
         frames = _header_number(lines, "Frames:", source)
         frame_time = _header_number(lines, "Frame Time:", source)
-        columns = tuple(
-            f"{name}.{channel}"
-            for name, channels in zip(tree.names, tree.channels, strict=True)
-            for channel in channels
-        )
-        reader = RowReader(source, columns, lambda line: ",".join(line.split()))
-        blocks = list(reader.blocks((line for _, line in lines), tree.row + 3))
-    motion = np.concatenate(
-        [np.empty((0, len(columns))), *(block.values for block in blocks)]
-    )
-    if len(motion) != frames:
-        last = int(blocks[-1].rows[-1]) if blocks else tree.row + 2
-        raise InputError(
-            f"{source}: line {last} ends the motion after {len(motion)} frames, "
-            f"expected {frames:g}; the file may be cut off, or correct 'Frames:'"
-        )
+        motion = _motion(lines, tree, frames)
     return Bvh(
         tuple(tree.names),
         tuple(tree.parents),
@@ -60,6 +48,46 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         frame_time,
         motion,
     )
+
+
+def _lines(file: TextIO, source: str) -> _Lines:
+    """Yield the lines with their numbers, none longer than a line can be."""
+    row = 0
+    while line := file.readline(_LONGEST_LINE):
+        row += 1
+        if len(line) == _LONGEST_LINE:
+            raise InputError(
+                f"{source}: line {row} is longer than {_LONGEST_LINE} characters; "
+                "is it a BVH file?"
+            )
+        yield row, line
+
+
+def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> NDArray[np.float64]:
+    """Return the rows after the motion's header, as many as it says."""
+    columns = tuple(
+        f"{name}.{channel}"
+        for name, channels in zip(tree.names, tree.channels, strict=True)
+        for channel in channels
+    )
+    reader = RowReader(tree.source, columns, lambda line: ",".join(line.split()))
+    motion, last = [np.empty((0, len(columns)))], tree.row + 2
+    count = 0
+    for block in reader.blocks((line for _, line in lines), tree.row + 3):
+        unknown = np.argwhere(np.isnan(block.values))
+        if len(unknown):
+            row, column = unknown[0]
+            reader.fail(block.rows[row], column, "is no number; expected one")
+        motion.append(block.values)
+        count, last = count + len(block.values), int(block.rows[-1])
+        if count > frames:
+            break  # whatever follows, the header is wrong
+    if count != frames:
+        raise InputError(
+            f"{tree.source}: line {last} ends the motion after {count} frames, "
+            f"expected {frames:g}; the file may be cut off, or correct 'Frames:'"
+        )
+    return np.concatenate(motion)
 
 
 def _header_number(lines: _Lines, key: str, source: str) -> float:
@@ -121,6 +149,8 @@ class _Hierarchy:
             )
 
     def _add(self, name: str) -> None:
+        if len(self.names) == _MOST_JOINTS:
+            self._fail(f"has one more joint than {_MOST_JOINTS}; is it a BVH file?")
         self.parents.append(self.open[-1] if self.open else -1)
         self.open.append(len(self.names))
         self.names.append(name)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Clip
 
-from .euler import continuous_zyx
+from .euler import continuous_euler
+from .export import Export
 from .files import atomic_path
 from .rig import Rig, rig_of
 
@@ -20,27 +21,36 @@ _FRAMES_AT_ONCE = 1000  # about a megabyte of text
 _END_SHARE = 0.3  # an end site goes on by this share of its bone, enough to be seen
 
 
-def write_bvh(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write_bvh(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
     """Write a clip's rotations and the root's path.
 
-    Positions and offsets are in METERS, y up, as in every other file that kinefilter
-    writes; the format itself has no unit. Angles are in degrees, order Z Y X, and
+    The format itself has neither axes nor a unit; by default they are those of every
+    other file that kinefilter writes, y up and METERS. Angles are in degrees and
     continuous over time: they pass 360 rather than jump. Every frame of the clip is
     one frame of the file, at the mean frame time, as the format knows no other.
+
+    Args:
+        clip: The motion.
+        path: The file.
+        export: Axes, unit, rotation order, and the frame rate if the clip has been
+            brought to one.
 
     Raises:
         InputError: The file cannot be written.
     """
     rig = rig_of(clip.body)
-    motion = _motion(clip, rig)
+    motion = _motion(clip, rig, export)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     with (
         atomic_path(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
         file.write("HIERARCHY\n")
-        file.writelines(f"{line}\n" for line in _hierarchy(rig, 0, 0))
-        file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {_frame_time(clip)!r}\n")
+        offsets = export.points(rig.offsets)
+        order = [f"{axis}rotation" for axis in export.rotation_order.upper()]
+        file.writelines(f"{line}\n" for line in _hierarchy(rig, offsets, order, 0, 0))
+        frame_time = 1.0 / export.fps if export.fps else _frame_time(clip)
+        file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
         for start in range(0, len(motion), _FRAMES_AT_ONCE):
             numbers = motion[start : start + _FRAMES_AT_ONCE]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
@@ -52,36 +62,35 @@ def _frame_time(clip: Clip) -> float:
     return duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
 
 
-def _motion(clip: Clip, rig: Rig) -> NDArray[np.float64]:
-    """Return root position [m] and angles [deg] of each frame, shape (T, 3 + 3 N)."""
+def _motion(clip: Clip, rig: Rig, export: Export) -> NDArray[np.float64]:
+    """Return root position and angles [deg] of each frame, shape (T, 3 + 3 N)."""
     motion = np.empty((len(clip), 3 + 3 * len(rig)))
-    motion[:, :3] = clip.positions[:, clip.skeleton.root]
+    motion[:, :3] = export.points(clip.positions[:, clip.skeleton.root])
+    axes = export.rotation_order.upper()
     # Node by node: the angles need the whole time, and all at once would be gigabytes.
     for n in range(len(rig)):
-        local = rig.local_rotation(clip.rotations, n)
-        motion[:, 3 + 3 * n : 6 + 3 * n] = np.degrees(continuous_zyx(local))
+        local = export.axes(rig.local_rotation(clip.rotations, n))
+        motion[:, 3 + 3 * n : 6 + 3 * n] = np.degrees(continuous_euler(local, axes))
     return motion
 
 
-def _hierarchy(rig: Rig, node: int, depth: int) -> Iterator[str]:
+def _hierarchy(
+    rig: Rig, offsets: NDArray[np.float64], order: list[str], node: int, depth: int
+) -> Iterator[str]:
     """Yield the lines of a node and all below it."""
     pad, inner = "\t" * depth, "\t" * (depth + 1)
-    channels = "CHANNELS 3 Zrotation Yrotation Xrotation"
-    if depth == 0:
-        channels = (
-            "CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation"
-        )
+    channels = order if depth else ["Xposition", "Yposition", "Zposition", *order]
     yield f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}"
     yield f"{pad}{{"
-    yield f"{inner}{_offset(rig.offsets[node])}"
-    yield f"{inner}{channels}"
+    yield f"{inner}{_offset(offsets[node])}"
+    yield f"{inner}CHANNELS {len(channels)} {' '.join(channels)}"
     for child, parent in enumerate(rig.parents):
         if parent == node:
-            yield from _hierarchy(rig, child, depth + 1)
+            yield from _hierarchy(rig, offsets, order, child, depth + 1)
     if node in rig.leaves:
         yield f"{inner}End Site"
         yield f"{inner}{{"
-        yield f"{inner}\t{_offset(_END_SHARE * rig.offsets[node])}"
+        yield f"{inner}\t{_offset(_END_SHARE * offsets[node])}"
         yield f"{inner}}}"
     yield f"{pad}}}"
 

@@ -3,57 +3,80 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 from kinefilter.characters import Clip, InputError
 
 from .archive import write_npz
 from .bvh_writer import write_bvh
+from .export import Export
 from .files import check_folder
+from .resample import in_strict_t, resampled
 from .tables import write_take_csv
 from .usd import write_usd
 
 __all__ = ["check_writable", "write_clip"]
 
-_WRITERS: dict[str, Callable[[Clip, Path], None]] = {
-    ".usda": write_usd,
-    ".usdc": write_usd,
-    ".usd": write_usd,
-    ".bvh": write_bvh,
-    ".csv": write_take_csv,
-    ".npz": write_npz,
-}
+_EXTENSIONS = (".usda", ".usdc", ".usd", ".usdz", ".bvh", ".csv", ".npz")
 
 
-def check_writable(path: str | os.PathLike[str]) -> None:
+def check_writable(path: str | os.PathLike[str], export: Export | None = None) -> None:
     """Raise, before any work is done, what write_clip would raise after it.
 
     Raises:
-        InputError: The extension is unknown, or nothing can be written there.
+        InputError: The extension is unknown, what was chosen does not go with it, or
+            nothing can be written there.
     """
     suffix = Path(path).suffix
-    if suffix.lower() not in _WRITERS:
+    if suffix.lower() not in _EXTENSIONS:
         raise InputError(
             f"{os.fspath(path)}: unknown extension {suffix!r}; "
-            f"known: {', '.join(_WRITERS)}"
+            f"known: {', '.join(_EXTENSIONS)}"
         )
+    check_folder(path)
+    if export is not None:
+        export.check(suffix.lower())
+        if export.character is not None:
+            _check_character(export.character)
+
+
+def _check_character(path: Path) -> None:
+    if path.suffix.lower() not in (".usda", ".usdc", ".usd"):
+        raise InputError(f"--character {path}: expected .usda, .usdc or .usd")
     check_folder(path)
 
 
-def write_clip(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write_clip(
+    clip: Clip, path: str | os.PathLike[str], export: Export | None = None
+) -> None:
     """Write a clip as USD, BVH, CSV or npz.
 
-    All are in meters with y up. USD and BVH hold a skeleton in T-pose and rotations;
-    CSV joint positions and the sensor's states; npz the whole clip.
+    USD holds a skinned character in T-pose, rotations and props; BVH the skeleton and
+    rotations; CSV joint positions and the sensor's states; npz the whole clip.
 
     Args:
         clip: The motion.
         path: The file; its extension is one of ``.usda``, ``.usdc``, ``.usd``,
-            ``.bvh``, ``.csv`` and ``.npz``. It appears whole or not at all.
+            ``.usdz``, ``.bvh``, ``.csv`` and ``.npz``. It appears whole or not at all.
+        export: Axes, unit, frame rate and so on; by default meters, y up, and the
+            frames of the clip.
 
     Raises:
-        InputError: The extension is unknown, or nothing can be written there.
+        InputError: The extension is unknown, what was chosen does not go with it, or
+            nothing can be written there.
     """
-    check_writable(path)
-    _WRITERS[Path(path).suffix.lower()](clip, Path(path))
+    export = export or Export()
+    check_writable(path, export)
+    if export.fps is not None:
+        clip = resampled(clip, export.fps)
+    if export.rest == "t":
+        clip = in_strict_t(clip)
+    suffix, path = Path(path).suffix.lower(), Path(path)
+    if suffix == ".bvh":
+        write_bvh(clip, path, export)
+    elif suffix == ".csv":
+        write_take_csv(clip, path)
+    elif suffix == ".npz":
+        write_npz(clip, path)
+    else:
+        write_usd(clip, path, export)

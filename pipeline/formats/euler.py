@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinefilter.retarget.rotations import multiply
 
-__all__ = ["continuous_zyx", "wxyz_from_euler"]
+__all__ = ["continuous_euler", "wxyz_from_euler"]
 
 Array = NDArray[np.float64]
 
@@ -37,18 +37,28 @@ def wxyz_from_euler(angles: Array, axes: str) -> Array:
     return rotation
 
 
-def continuous_zyx(rotations: Array) -> Array:
-    """Return the angles about z, the turned y and the twice turned x over time.
+def continuous_euler(rotations: Array, axes: str) -> Array:
+    """Return angles about an axis, the turned second and the twice turned third.
 
     Of the two triples that give the same rotation, and of all their full turns, each
     frame gets the one nearest to the frame before.
 
     Args:
-        rotations: Unit quaternions wxyz, shape (T, 4).
+        rotations: Unit quaternions wxyz over time, shape (T, 4).
+        axes: The three axes in their order, such as ``ZYX``.
 
     Returns:
         Angles [rad], unbounded, shape (T, 3).
     """
+    # The axes renamed to z, y, x: half of the orders are its mirror images, in which
+    # every turn goes the other way.
+    sign = 1.0 if axes in "ZYXZYX" else -1.0
+    x, y, z = (rotations[:, 1 + "XYZ".index(axis)] for axis in reversed(axes))
+    renamed = np.stack([rotations[:, 0], sign * x, sign * y, sign * z], axis=-1)
+    return sign * _continuous_zyx(renamed)
+
+
+def _continuous_zyx(rotations: Array) -> Array:
     angles = _zyx(rotations)
     other = np.stack(
         [angles[:, 0] + np.pi, np.pi - angles[:, 1], angles[:, 2] + np.pi], axis=-1

@@ -52,6 +52,12 @@ class Rig:
             positions[n] = start + self.offsets[n]
         return positions
 
+    @cached_property
+    def starts(self) -> NDArray[np.intp]:
+        """Index of the node at each segment's start, which turns it, shape (J,)."""
+        segments = self.segments.tolist()
+        return np.array([segments.index(j) for j in range(max(segments) + 1)])
+
     def local_rotation(
         self, rotations: NDArray[np.float64], node: int
     ) -> NDArray[np.float64]:

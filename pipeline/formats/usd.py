@@ -1,4 +1,4 @@
-"""Clips as USD skeletons (UsdSkel), and their joint positions back.
+"""Clips as USD: a skinned character (UsdSkel), its animation, and what is around it.
 
 pxr is imported where it is used: loading it takes longer than most commands run.
 """
@@ -6,68 +6,138 @@ pxr is imported where it is used: loading it takes longer than most commands run
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import CONTACTS, Clip, InputError
-from kinefilter.retarget.rotations import continuous
+from kinefilter.characters import Clip, InputError
 
+from .export import Export
 from .files import atomic_path
-from .rig import Rig, rig_of
+from .rig import rig_of
+from .usd_animation import write_animation
+from .usd_character import (
+    CHARACTER,
+    check_character,
+    define_character,
+    set_axes,
+    write_character,
+)
+from .usd_props import define_props
 
-__all__ = ["read_usd_positions", "write_usd"]
+__all__ = ["write_usd"]
 
-_CHARACTER = "/Character"
-_FRAMES_AT_ONCE = 1000  # bounds the memory of the conversion
 _RATE_TOLERANCE = 0.005  # stamps jitter; a rate this near to a whole number is one
+_STAMP = 315619200  # s: 2 January 1980, for equal packages; zip knows no earlier year
 _CODE_DECIMALS = 6  # of a frame: takes rounding errors off whole frames, nothing else
 
 
-def write_usd(clip: Clip, path: str | os.PathLike[str]) -> None:
-    """Write a clip as a UsdSkel character in T-pose and its animation.
+def write_usd(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
+    """Write a clip as a UsdSkel character in T-pose, its animation and its props.
 
-    The stage is in meters, y up; a frame's time code is its time since the first frame
-    times ``timeCodesPerSecond``. Frames with the same time share a sample, the last
-    one's. ``/Character`` is the SkelRoot, with ``Skeleton`` and ``Animation`` in it;
-    its attributes ``kinefilter:contacts`` and ``kinefilter:externalForce`` are the
-    clip's.
+    A frame's time code is its time since the first frame times
+    ``timeCodesPerSecond``. Frames with the same time share a sample, the last one's.
+
+    ``/Character`` is the SkelRoot, with ``Skeleton``, ``Skin`` (the mesh),
+    ``Animation`` and, in a scene, ``Props`` in it. Its attributes ``kinefilter:...``
+    say where the motion came from; see ``usd_provenance``.
 
     Args:
         clip: The motion.
-        path: The file; ``.usda`` is text, ``.usdc`` and ``.usd`` are binary.
+        path: The file; ``.usda`` is text, ``.usdc`` and ``.usd`` are binary, ``.usdz``
+            is a package of one binary layer.
+        export: Axes, unit, frame rate and, perhaps, the character's own layer.
 
     Raises:
-        InputError: The file cannot be written.
+        InputError: The file cannot be written, or the character does not fit.
     """
     from pxr import Tf
 
     try:
-        with atomic_path(path) as temporary:
-            _write_layer(clip, temporary)
+        with ExitStack() as files:
+            temporary = files.enter_context(atomic_path(path))
+            if Path(path).suffix.lower() == ".usdz":
+                _write_package(clip, temporary, Path(path).stem, export)
+                return
+            reference = _character_reference(clip, Path(path), export, files)
+            text = temporary.suffix.lower() == ".usda"
+            write = _write_text if text else _write_layer
+            write(clip, temporary, export, reference)
     except Tf.ErrorException as error:
         raise InputError(
             f"{path}: cannot be written ({error}); write elsewhere or make room"
         ) from error
 
 
-def _write_layer(clip: Clip, path: Path) -> None:
-    from pxr import Sdf, Usd
+def _write_package(clip: Clip, path: Path, name: str, export: Export) -> None:
+    from pxr import Sdf
 
-    rig = rig_of(clip.body)
-    rate = _time_codes_per_second(clip.fps)
-    codes = np.round((clip.time - clip.time[0]) * rate, _CODE_DECIMALS)
+    with tempfile.TemporaryDirectory() as folder:
+        layer = Path(folder) / "clip.usdc"
+        _write_layer(clip, layer, export, None)
+        os.utime(layer, (_STAMP, _STAMP))
+        package = Sdf.ZipFileWriter.CreateNew(str(path))
+        package.AddFile(str(layer), f"{name}.usdc")
+        package.Save()
+
+
+def _write_text(clip: Clip, path: Path, export: Export, reference: str | None) -> None:
+    """Write a text layer by way of a binary one, which needs less memory."""
+    from pxr import Sdf
+
+    with tempfile.TemporaryDirectory() as folder:
+        layer = Path(folder) / "clip.usdc"
+        _write_layer(clip, layer, export, reference)
+        Sdf.Layer.FindOrOpen(str(layer)).Export(str(path))
+
+
+def _character_reference(
+    clip: Clip, path: Path, export: Export, files: ExitStack
+) -> str | None:
+    """Return how the clip calls its character's layer, which is there then."""
+    if export.character is None:
+        return None
+    if export.character.exists():
+        check_character(export.character, rig_of(clip.body), export)
+    else:
+        temporary = files.enter_context(atomic_path(export.character))
+        write_character(clip.body, temporary, export)
+    relative = os.path.relpath(export.character.resolve(), path.parent.resolve())
+    return f"./{Path(relative).as_posix()}"
+
+
+def _write_layer(clip: Clip, path: Path, export: Export, reference: str | None) -> None:
+    from pxr import Sdf
+
     layer = Sdf.Layer.CreateNew(str(path))
-    stage = Usd.Stage.Open(layer)
-    _set_metadata(stage, rate, float(codes[-1]))
-    _define_skeleton(stage, rig, clip)
-    _define_animation(stage, rig)
-    _write_samples(layer, rig, clip, codes)
-    _write_honesty(layer, clip, codes)
+    _fill(layer, clip, export, alone=reference is None)
+    if reference is not None:
+        # Last, when no stage looks for its layer, which may not be in its place yet.
+        references = layer.GetPrimAtPath(CHARACTER).referenceList
+        references.Prepend(Sdf.Reference(reference))
     layer.Save()
+
+
+def _fill(layer: Any, clip: Clip, export: Export, *, alone: bool) -> None:
+    """Write a clip into a layer, with its character if it is to stand alone."""
+    from pxr import Kind, Usd, UsdSkel
+
+    rate = export.fps or _time_codes_per_second(clip.fps)
+    codes = np.round((clip.time - clip.time[0]) * rate, _CODE_DECIMALS)
+    stage = Usd.Stage.Open(layer)
+    set_axes(stage, export)
+    _set_times(stage, rate, codes)
+    if alone:
+        define_character(stage, clip.body, export)
+    root = UsdSkel.Root.Define(stage, CHARACTER)
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    define_props(stage, clip, export, codes)
+    write_animation(stage, clip, export, codes)
 
 
 def _time_codes_per_second(fps: float) -> float:
@@ -75,193 +145,8 @@ def _time_codes_per_second(fps: float) -> float:
     return float(whole) if abs(fps - whole) <= _RATE_TOLERANCE * fps else fps
 
 
-def _set_metadata(stage: Any, rate: float, end: float) -> None:
-    from pxr import UsdGeom
-
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+def _set_times(stage: Any, rate: float, codes: NDArray[np.float64]) -> None:
     stage.SetTimeCodesPerSecond(rate)
     stage.SetFramesPerSecond(rate)
     stage.SetStartTimeCode(0.0)
-    stage.SetEndTimeCode(end)
-
-
-def _joint_paths(rig: Rig) -> list[str]:
-    paths: list[str] = []
-    for name, parent in zip(rig.names, rig.parents, strict=True):
-        paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
-    return paths
-
-
-def _define_skeleton(stage: Any, rig: Rig, clip: Clip) -> None:
-    from pxr import Kind, Usd, UsdSkel
-
-    root = UsdSkel.Root.Define(stage, _CHARACTER)
-    stage.SetDefaultPrim(root.GetPrim())
-    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-    skeleton = UsdSkel.Skeleton.Define(stage, f"{_CHARACTER}/Skeleton")
-    skeleton.CreateJointsAttr(_joint_paths(rig))
-    local = rig.offsets.copy()
-    local[0] = rig.root
-    skeleton.CreateRestTransformsAttr(_translations(local))
-    skeleton.CreateBindTransformsAttr(_translations(rig.rest_positions))
-    extent = _extent(clip)
-    root.CreateExtentAttr(extent)
-    skeleton.CreateExtentAttr(extent)
-    binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
-    binding.CreateAnimationSourceRel().SetTargets([f"{_CHARACTER}/Animation"])
-
-
-def _translations(vectors: NDArray[np.float64]) -> Any:
-    """Return the matrices that translate by each vector (N, 3)."""
-    from pxr import Gf, Vt
-
-    return Vt.Matrix4dArray(
-        [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*vector)) for vector in vectors]
-    )
-
-
-def _extent(clip: Clip) -> Any:
-    """Return the box around the body in all frames, capsules included."""
-    from pxr import Vt
-
-    margin = clip.body.radii.max()
-    low = clip.positions.min(axis=(0, 1)) - margin
-    high = clip.positions.max(axis=(0, 1)) + margin
-    return Vt.Vec3fArray.FromNumpy(np.array([low, high], dtype=np.float32))
-
-
-def _define_animation(stage: Any, rig: Rig) -> None:
-    from pxr import UsdSkel, Vt
-
-    animation = UsdSkel.Animation.Define(stage, f"{_CHARACTER}/Animation")
-    animation.CreateJointsAttr(_joint_paths(rig))
-    animation.CreateScalesAttr(
-        Vt.Vec3hArray.FromNumpy(np.ones((len(rig), 3), dtype=np.float16))
-    )
-    animation.CreateTranslationsAttr()
-    animation.CreateRotationsAttr()
-
-
-def _write_samples(
-    layer: Any, rig: Rig, clip: Clip, codes: NDArray[np.float64]
-) -> None:
-    """Set the time samples straight in the layer: a stage looks each one up again."""
-    from pxr import Sdf, Vt
-
-    translations_path = Sdf.Path(f"{_CHARACTER}/Animation.translations")
-    rotations_path = Sdf.Path(f"{_CHARACTER}/Animation.rotations")
-    with Sdf.ChangeBlock():
-        for code, (translations, rotations) in zip(
-            codes.tolist(), _samples(rig, clip), strict=True
-        ):
-            layer.SetTimeSample(
-                translations_path, code, Vt.Vec3fArray.FromNumpy(translations)
-            )
-            layer.SetTimeSample(
-                rotations_path, code, Vt.QuatfArray.FromNumpy(rotations)
-            )
-
-
-def _write_honesty(layer: Any, clip: Clip, codes: NDArray[np.float64]) -> None:
-    """Say in attributes of the character what held it: its feet, or no one."""
-    from pxr import Sdf, Vt
-
-    character = layer.GetPrimAtPath(_CHARACTER)
-    names = Sdf.AttributeSpec(
-        character, "kinefilter:contactNames", Sdf.ValueTypeNames.TokenArray
-    )
-    names.default = Vt.TokenArray(CONTACTS)
-    contacts = Sdf.AttributeSpec(
-        character, "kinefilter:contacts", Sdf.ValueTypeNames.BoolArray
-    )
-    force = Sdf.AttributeSpec(
-        character, "kinefilter:externalForce", Sdf.ValueTypeNames.Float
-    )
-    force.documentation = "Body weights that no muscle and no floor gives."
-    with Sdf.ChangeBlock():
-        for code, flags, value in zip(
-            codes.tolist(),
-            clip.contacts.tolist(),
-            clip.external_force.tolist(),
-            strict=True,
-        ):
-            layer.SetTimeSample(contacts.path, code, Vt.BoolArray(flags))
-            if np.isfinite(value):
-                layer.SetTimeSample(force.path, code, value)
-
-
-def _samples(
-    rig: Rig, clip: Clip
-) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Yield translations (N, 3) and rotations (N, 4) of each frame.
-
-    The rotations are xyzw, as Gf keeps quaternions in memory, and do not change sign
-    from frame to frame, for readers that interpolate them number by number.
-    """
-    translations = rig.offsets.astype(np.float32)
-    roots = clip.positions[:, clip.skeleton.root]
-    last = rig.local_rotations(clip.rotations[:1])
-    for start in range(0, len(clip), _FRAMES_AT_ONCE):
-        frames = slice(start, start + _FRAMES_AT_ONCE)
-        local = rig.local_rotations(clip.rotations[frames])
-        wxyz = continuous(np.concatenate([last, local]))[1:]
-        last = wxyz[-1:]
-        xyzw = np.roll(wxyz, -1, axis=-1).astype(np.float32)
-        for root, rotations in zip(roots[frames], xyzw, strict=True):
-            translations[0] = root
-            yield translations, rotations
-
-
-def read_usd_positions(
-    path: str | os.PathLike[str],
-) -> tuple[NDArray[np.float64], tuple[str, ...], NDArray[np.float64]]:
-    """Return where UsdSkel puts the joints of the first animated skeleton.
-
-    Args:
-        path: A USD file.
-
-    Returns:
-        Time of each sample since time code 0 [s], shape (T,); joint names, shape (N,);
-        world positions [m], stage axes, shape (T, N, 3).
-
-    Raises:
-        InputError: The file cannot be opened or has no animated skeleton.
-    """
-    from pxr import Tf, Usd, UsdGeom, UsdSkel
-
-    if not Path(path).is_file():
-        raise InputError(f"{path}: there is no such file; check the name")
-    try:
-        stage = Usd.Stage.Open(os.fspath(path))
-    except Tf.ErrorException:
-        raise InputError(
-            f"{path}: cannot be read as USD; expected .usda, .usdc or .usd"
-        ) from None
-    cache = UsdSkel.Cache()
-    for prim in stage.Traverse():
-        if prim.IsA(UsdSkel.Root):
-            cache.Populate(UsdSkel.Root(prim), Usd.PrimDefaultPredicate)
-        if prim.IsA(UsdSkel.Skeleton):
-            query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
-            if query and query.GetAnimQuery():
-                meters = UsdGeom.GetStageMetersPerUnit(stage)
-                return _skeleton_positions(stage, prim, query, meters)
-    raise InputError(f"{path}: has no animated skeleton; expected a UsdSkel animation")
-
-
-def _skeleton_positions(
-    stage: Any, prim: Any, query: Any, meters: float
-) -> tuple[NDArray[np.float64], tuple[str, ...], NDArray[np.float64]]:
-    from pxr import Gf, UsdGeom
-
-    names = tuple(str(joint).rpartition("/")[2] for joint in query.GetJointOrder())
-    codes = query.GetAnimQuery().GetJointTransformTimeSamples()
-    positions = np.empty((len(codes), len(names), 3))
-    for frame, code in enumerate(codes):
-        world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code)
-        matrices = np.array(query.ComputeJointSkelTransforms(code))
-        places = matrices[:, 3, :3] @ np.array(world)[:3, :3]
-        positions[frame] = places + np.array(Gf.Matrix4d(world).ExtractTranslation())
-    time = np.array(codes) / stage.GetTimeCodesPerSecond()
-    return time, names, positions * meters
+    stage.SetEndTimeCode(float(codes[-1]))

@@ -1,0 +1,102 @@
+"""Things beside a character: solids and where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+
+__all__ = ["Prop", "Shape", "ShapeKind", "freeze"]
+
+ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
+
+
+def freeze(value: Any) -> None:
+    """Make every array field of a frozen dataclass a read-only view of itself."""
+    for field in fields(value):
+        array = getattr(value, field.name)
+        if isinstance(array, np.ndarray):
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(value, field.name, view)
+
+
+def _check(value: Any, **expected: int | tuple[int, int]) -> None:
+    for name, shape in expected.items():
+        wanted = (shape,) if isinstance(shape, int) else shape
+        found = np.shape(getattr(value, name))
+        if found != wanted:
+            raise InputError(f"{name} of a prop has shape {found}, expected {wanted}")
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A solid in the frame of the prop that it is part of."""
+
+    kind: ShapeKind
+    """What it is; cylinders and capsules are round about their own y axis."""
+    size: NDArray[np.float64]
+    """Half extents along its own axes [m], shape (3,); caps of a capsule not in y."""
+    position: NDArray[np.float64]
+    """Center in the prop's frame [m], shape (3,)."""
+    rotation: NDArray[np.float64]
+    """Rotation in the prop's frame, unit quaternion wxyz, shape (4,)."""
+    color: NDArray[np.float64]
+    """Red, green and blue as a screen gets them, 0 to 1, shape (3,)."""
+    points: NDArray[np.float64]
+    """Points of a mesh [m], shape (P, 3); of other kinds none."""
+    triangles: NDArray[np.int64]
+    """Indices of points, counter-clockwise from outside, shape (F, 3)."""
+
+    def __post_init__(self) -> None:
+        _check(self, size=3, position=3, rotation=4, color=3)
+        if self.kind not in get_args(ShapeKind):
+            raise InputError(
+                f"unknown kind of shape {self.kind!r}; known: "
+                + ", ".join(get_args(ShapeKind))
+            )
+        freeze(self)
+
+    @property
+    def half_extents(self) -> NDArray[np.float64]:
+        """Half of the box around it along its own axes [m], shape (3,)."""
+        if self.kind == "mesh":
+            return np.asarray(np.abs(self.points).max(axis=0))
+        cap = [0.0, float(self.size[0]) if self.kind == "capsule" else 0.0, 0.0]
+        return np.asarray(self.size + np.array(cap))
+
+
+@dataclass(frozen=True, eq=False)
+class Prop:
+    """A thing of several shapes, and its motion."""
+
+    name: str
+    """What it is called, unique in a clip."""
+    shapes: tuple[Shape, ...]
+    """Its parts, one or more."""
+    positions: NDArray[np.float64]
+    """Position [m], world frame, shape (T, 3), or (1, 3) for what never moves."""
+    rotations: NDArray[np.float64]
+    """Rotation, unit quaternions wxyz, shape (T, 4) or (1, 4)."""
+
+    def __post_init__(self) -> None:
+        count = len(self.positions)
+        _check(self, positions=(count, 3), rotations=(count, 4))
+        freeze(self)
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a place of its own in every frame."""
+        return len(self.positions) > 1
+
+    def at(self, frames: Any) -> Prop:
+        """Return the prop in some frames of the clip, in their order."""
+        if not self.moves:
+            return self
+        return Prop(
+            self.name, self.shapes, self.positions[frames], self.rotations[frames]
+        )

@@ -1,0 +1,162 @@
+"""The skin of a body: one mesh around its capsules, and which segment moves what.
+
+Every segment is a capsule that tapers from joint to joint, as thick as the humanoid's;
+where two meet, the mesh goes smoothly from one to the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from .anthropometry import Body
+from .flesh import Box, Flesh, flesh_of, nearest_on_line
+from .props import freeze
+from .skeleton import Skeleton
+from .surface import quads_of
+
+__all__ = ["INFLUENCES", "Skin", "skin_of"]
+
+Array = NDArray[np.float64]
+
+INFLUENCES = 4
+"""Segments that move one point at most: what every engine can do."""
+
+_CELL = 1.0 / 112.0  # of stature: 16 mm, so that a thumb still has a shape
+_SHARING = 0.6  # of the radius: how far under the skin two segments share, a guess
+_AVERAGED = 6  # times, so that shares change over some cells also where legs meet
+_LEAST = 0.02  # shares below this are none
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """A closed mesh in the T-pose, as smooth as its capsules allow."""
+
+    points: Array
+    """Points [m], where the body's T-pose has them, shape (P, 3)."""
+    normals: Array
+    """Unit vectors out of the body, shape (P, 3)."""
+    quads: NDArray[np.int64]
+    """Indices of the points around each face, counter-clockwise from outside, shape
+    (Q, 4)."""
+    segments: NDArray[np.int64]
+    """Indices of the segments (by the joint they end at, the root: the pelvis) that
+    move each point, the first the most, shape (P, INFLUENCES)."""
+    weights: Array
+    """Share of each of them, sums are 1, shape (P, INFLUENCES)."""
+    margins: Array
+    """How far the skin of each segment reaches from its bone [m], shape (J,): in any
+    posture all of it lies that near to the line between the segment's joints."""
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@lru_cache(maxsize=4)
+def skin_of(body: Body) -> Skin:
+    """Return the skin of a body, the same again for the same body."""
+    flesh, cell = flesh_of(body), _CELL * body.height
+    points, quads = _mesh(flesh, cell)
+    segments, weights = _weights(flesh, body.skeleton, points, quads)
+    return Skin(
+        points=points,
+        normals=_normals(points, quads),
+        quads=quads,
+        segments=segments,
+        weights=weights,
+        margins=_margins(body, points, segments, weights),
+    )
+
+
+def _mesh(flesh: Flesh, cell: float) -> tuple[Array, NDArray[np.int64]]:
+    """Return points on the flesh [m] and quads between them."""
+    reach = flesh.radii.max(axis=1)[:, None] + 3.0 * cell
+    low = np.floor((np.minimum(flesh.starts, flesh.ends) - reach) / cell).astype(int)
+    high = np.ceil((np.maximum(flesh.starts, flesh.ends) + reach) / cell).astype(int)
+    # Whole cells from the origin: the plane between the legs keeps them apart.
+    first, count = low.min(axis=0), high.max(axis=0) - low.min(axis=0) + 1
+    grid = (np.moveaxis(np.indices(count), 0, -1) + first) * cell
+    points, quads = quads_of(flesh.field(grid, _boxes(low - first, high - first)))
+    points = (points + first) * cell
+    slope = flesh.slope(points, 0.1 * cell)
+    for _ in range(3):
+        # Not farther than half a cell, also where the field is flat.
+        step = flesh.field(points) / np.maximum(np.sum(slope * slope, axis=-1), 0.1)
+        points = points - np.clip(step, -0.5 * cell, 0.5 * cell)[:, None] * slope
+    return points, quads
+
+
+def _normals(points: Array, quads: NDArray[np.int64]) -> Array:
+    """Return the mean direction of the faces around each point, shape (P, 3)."""
+    import trimesh  # takes as long to load as the rest of this takes to run
+
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    mesh = trimesh.Trimesh(points, triangles, process=False)
+    return np.asarray(mesh.vertex_normals, dtype=np.float64)
+
+
+def _boxes(low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Box]:
+    return [
+        tuple(slice(a, b + 1) for a, b in zip(*corners, strict=True))
+        for corners in zip(low.tolist(), high.tolist(), strict=True)
+    ]
+
+
+def _weights(
+    flesh: Flesh, skeleton: Skeleton, points: Array, quads: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Array]:
+    """Return which segments move each point, and their shares, shape (P, 4)."""
+    deep = np.full((len(points), len(skeleton)), np.inf)
+    thick = np.zeros_like(deep)
+    for c, j in enumerate(flesh.segments):
+        distance, radius = flesh.distances(points, c)
+        thick[:, j] = np.where(distance < deep[:, j], radius, thick[:, j])
+        deep[:, j] = np.minimum(distance, deep[:, j])
+    rows, nearest = np.arange(len(points)), np.argmin(deep, axis=1)
+    beyond = deep - deep[rows, nearest][:, None]
+    share = np.maximum(1.0 - beyond / (_SHARING * thick[rows, nearest][:, None]), 0.0)
+    share = np.where(_related(skeleton)[nearest], share * share, 0.0)
+    share /= share.sum(axis=1, keepdims=True)
+    around = _averaging(quads, len(points))
+    for _ in range(_AVERAGED):
+        share = around @ share
+    order = np.argsort(-share, axis=1, kind="stable")[:, :INFLUENCES]
+    chosen = np.maximum(np.take_along_axis(share, order, axis=1) - _LEAST, 0.0)
+    return order, chosen / chosen.sum(axis=1, keepdims=True)
+
+
+def _averaging(quads: NDArray[np.int64], count: int) -> sparse.csr_array:
+    """Return the matrix that gives each point the mean of itself and its neighbors."""
+    a, b = np.concatenate([quads[:, [k, k - 1]] for k in range(4)]).T
+    own = np.arange(count)
+    rows, columns = np.concatenate([a, b, own]), np.concatenate([b, a, own])
+    ones = sparse.csr_array((np.ones(len(rows)), (rows, columns)), (count, count))
+    ones.data[:] = 1.0  # an edge is an edge, however many faces have it
+    return sparse.csr_array(ones.multiply(1.0 / ones.sum(axis=1)[:, None]))
+
+
+def _related(skeleton: Skeleton) -> NDArray[np.bool_]:
+    """Tell which segments meet, or both meet a third one, shape (J, J)."""
+    parents = np.array(skeleton.parents)
+    own = np.arange(len(skeleton))
+    meets = (parents[:, None] == parents) | (parents[:, None] == own)
+    meets |= meets.T
+    return np.asarray((meets.astype(int) @ meets.astype(int)) > 0)
+
+
+def _margins(
+    body: Body, points: Array, segments: NDArray[np.int64], weights: Array
+) -> Array:
+    skeleton, rest = body.skeleton, body.rest_positions
+    margins = np.zeros(len(skeleton))
+    for j, p in enumerate(skeleton.parents):
+        mine = points[((segments == j) & (weights > 0.0)).any(axis=1)]
+        start = rest[j] if p < 0 else rest[p]
+        share = nearest_on_line(mine, start, rest[j])[:, None]
+        away = np.linalg.norm(mine - start - share * (rest[j] - start), axis=-1)
+        margins[j] = away.max(initial=0.0)
+    return margins

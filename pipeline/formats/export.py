@@ -1,0 +1,91 @@
+"""How clips are written: the axes, unit, rate and rest pose that others expect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError
+
+__all__ = ["Export", "RotationOrder"]
+
+Array = NDArray[np.float64]
+RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+
+_SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
+_USD = ("up", "units", "fps", "rest")
+# What each kind of file can follow; kinefilter's own are in meters, y up.
+_FOLLOWED = {
+    ".usda": (*_USD, "character"),
+    ".usdc": (*_USD, "character"),
+    ".usd": (*_USD, "character"),
+    ".usdz": _USD,
+    ".bvh": ("up", "units", "fps", "rest", "rotation_order"),
+    ".csv": ("fps",),
+    ".npz": ("fps",),
+}
+
+
+@dataclass(frozen=True)
+class Export:
+    """How a clip is written; each field's docstring is also its flag's help."""
+
+    up: Literal["y", "z"] = "y"
+    """Axis of USD and BVH that points up. The T-pose faces +z, with z up it faces -y;
+    its left is +x."""
+    units: Literal["m", "cm"] = "m"
+    """Unit of length of USD and BVH."""
+    fps: float | None = None
+    """Frames a second of the clip, between the take's; default: the take's own frames,
+    where they are."""
+    rest: Literal["own", "t"] = "own"
+    """Rest pose of USD and BVH: a T-pose with trunk, shoulders and hips as this person
+    has them, or a strict T, upright and square."""
+    rotation_order: RotationOrder = "zyx"
+    """Order of BVH's angles: about the first axis, then the turned second, then the
+    twice turned third."""
+    character: Path | None = None
+    """USD layer with skeleton and mesh that the USD clip refers to; made if it is not
+    there. Default: the clip holds both itself."""
+
+    def __post_init__(self) -> None:
+        if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
+            raise InputError(
+                f"--fps {self.fps:g}: expected {_SLOWEST:g} to {_FASTEST:g} frames a "
+                "second"
+            )
+
+    @property
+    def meters_per_unit(self) -> float:
+        """Length of the unit [m]."""
+        return 0.01 if self.units == "cm" else 1.0
+
+    def check(self, suffix: str) -> None:
+        """Raise an InputError for what was chosen in vain for a kind of file.
+
+        Args:
+            suffix: The file's extension in lower case, such as ``.usda``.
+        """
+        for field in fields(self):
+            chosen = getattr(self, field.name) != field.default
+            if chosen and field.name not in _FOLLOWED[suffix]:
+                known = [s for s, names in _FOLLOWED.items() if field.name in names]
+                raise InputError(
+                    f"--{field.name.replace('_', '-')} means nothing to a {suffix} "
+                    f"file; leave it out, or write {', '.join(known)}"
+                )
+
+    def points(self, meters: Array) -> Array:
+        """Return positions or vectors [m], y up, in the file's axes and unit."""
+        return self.axes(meters) / self.meters_per_unit
+
+    def axes(self, values: Array) -> Array:
+        """Return directions (..., 3) or rotations wxyz (..., 4) in the file's axes."""
+        if self.up == "y":
+            return values
+        x, y, z = np.moveaxis(values[..., -3:], -1, 0)
+        return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, -z, y], axis=-1)

@@ -1,0 +1,106 @@
+"""Clips over a character's layer, and the props of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+
+from kinefilter.characters import KINECT_V2, Clip, InputError
+from kinefilter.pipeline.formats import Export, read_usd_positions, write_clip
+from kinefilter.retarget.rotations import rotate
+
+MakeClip = Callable[..., Clip]
+Furnish = Callable[[Clip], Clip]
+
+TENTH_OF_A_MILLIMETER = 1e-4
+
+# Layers
+
+
+def test_many_clips_refer_to_one_character(make_clip: MakeClip, tmp_path: Path) -> None:
+    (tmp_path / "shots").mkdir()
+    character = tmp_path / "sam.usdc"
+    export = Export(character=character)
+    for seed in (1, 2):
+        path, clip = tmp_path / "shots" / f"{seed}.usda", make_clip(6, seed=seed)
+        write_clip(clip, path, export)
+        if seed == 1:
+            before = character.read_bytes()
+        _, names, positions = read_usd_positions(path)
+        columns = [names.index(joint) for joint in clip.skeleton.joints]
+        np.testing.assert_allclose(
+            positions[:, columns], clip.positions, rtol=0, atol=TENTH_OF_A_MILLIMETER
+        )
+        text = path.read_text(encoding="utf-8")
+        assert "@./../sam.usdc@" in text
+        assert str(tmp_path) not in text
+        assert "points" not in text
+        assert "restTransforms" not in text
+    assert character.read_bytes() == before
+    moved = (tmp_path / "shots").rename(tmp_path / "elsewhere")
+    stage = Usd.Stage.Open(str(moved / "2.usda"))
+    assert len(stage.GetAttributeAtPath("/Character/Skin.points").Get()) > 1000
+    _, _, again = read_usd_positions(moved / "2.usda")
+    np.testing.assert_array_equal(again, positions)
+
+
+def test_a_character_that_does_not_fit_is_refused_and_left(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    sam = tmp_path / "sam.usda"
+    write_clip(make_clip(2), tmp_path / "a.usda", Export(character=sam))
+    before = sam.read_bytes()
+    for clip, export, words in (
+        (make_clip(2, KINECT_V2), Export(character=sam), "joints"),
+        (make_clip(2), Export(character=sam, up="z"), "y up"),
+        (make_clip(2), Export(character=sam, units="cm"), "--units"),
+    ):
+        with pytest.raises(InputError, match=rf"sam\.usda: .*{words}"):
+            write_clip(clip, tmp_path / "b.usda", export)
+    (tmp_path / "text.usda").write_text("text")
+    text = Export(character=tmp_path / "text.usda")
+    with pytest.raises(InputError, match="cannot be read as USD"):
+        write_clip(make_clip(2), tmp_path / "b.usda", text)
+    assert not (tmp_path / "b.usda").exists()
+    assert sam.read_bytes() == before
+
+
+# Props
+
+
+@pytest.mark.parametrize("export", [Export(), Export(up="z", units="cm")])
+def test_props_have_their_shape_place_and_motion(
+    make_clip: MakeClip, furnish: Furnish, tmp_path: Path, export: Export
+) -> None:
+    clip = furnish(make_clip(4))
+    write_clip(clip, tmp_path / "clip.usda", export)
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usda"))
+    folder = stage.GetPrimAtPath("/Character/Props")
+    kinds = [child.GetChild("Shape0").GetTypeName() for child in folder.GetChildren()]
+    tolerance = TENTH_OF_A_MILLIMETER / export.meters_per_unit
+    assert kinds == ["Cube", "Sphere", "Cylinder", "Capsule", "Mesh"]
+    for k in range(len(clip)):
+        cache = UsdGeom.BBoxCache(k, ["default"])
+        for prim, prop in zip(folder.GetChildren(), clip.props, strict=True):
+            frame = k if prop.moves else 0
+            assert prim.GetName() == prop.name.replace(" ", "_")
+            shape = prop.shapes[1]
+            place = prop.positions[frame] + rotate(
+                prop.rotations[frame], shape.position
+            )
+            # A mesh is not the same on both sides of its origin.
+            if shape.kind == "mesh":
+                continue
+            bound = cache.ComputeWorldBound(prim.GetChild("Shape1"))
+            center = np.array(bound.ComputeCentroid())
+            np.testing.assert_allclose(
+                center, export.points(place), rtol=1e-6, atol=tolerance
+            )
+            size = np.abs(export.points(shape.half_extents))
+            matrix = np.array(bound.GetMatrix())[:3, :3]
+            own = np.array(bound.GetBox().GetSize()) * np.linalg.norm(matrix, axis=1)
+            np.testing.assert_allclose(own, 2.0 * size, rtol=1e-5)
