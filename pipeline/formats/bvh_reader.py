@@ -14,10 +14,15 @@ from kinefilter.characters import InputError
 
 from .bvh import Bvh
 from .files import open_text
-from .rows import RowReader
+from .rows import Block, RowReader
 
 __all__ = ["read_bvh"]
 
+MOST_CELLS = 20_000_000
+"""Joints times frames at most: an hour of 75 joints at 60 frames a second."""
+_MOST_JOINTS = 1000
+_MOST_CHANNELS = 6
+_FRAME_TIMES = (1e-4, 60.0)  # s, what any recorder could mean
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 _Lines = Iterator[tuple[int, str]]
@@ -36,13 +41,15 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         tree.read(lines)
         frames = _header_number(lines, "Frames:", source)
         frame_time = _header_number(lines, "Frame Time:", source)
+        _check_size(frames, frame_time, tree)
         columns = tuple(
             f"{name}.{channel}"
             for name, channels in zip(tree.names, tree.channels, strict=True)
             for channel in channels
         )
         reader = RowReader(source, columns, lambda line: ",".join(line.split()))
-        blocks = list(reader.blocks((line for _, line in lines), tree.row + 3))
+        rows = (line for _, line in lines)
+        blocks = list(_up_to(frames, reader.blocks(rows, tree.row + 3)))
     motion = np.concatenate(
         [np.empty((0, len(columns))), *(block.values for block in blocks)]
     )
@@ -60,6 +67,31 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         frame_time,
         motion,
     )
+
+
+def _check_size(frames: float, frame_time: float, tree: _Hierarchy) -> None:
+    """Raise InputError for a motion that nobody records, before it is read."""
+    if frames * len(tree.names) > MOST_CELLS:
+        raise InputError(
+            f"{tree.source}: {frames:g} frames of {len(tree.names)} joints are more "
+            "than any recording has; correct 'Frames:' or cut it into shorter files"
+        )
+    shortest, longest = _FRAME_TIMES
+    if not shortest <= frame_time <= longest:
+        raise InputError(
+            f"{tree.source}: frame time is {frame_time:g} s, expected one between two "
+            f"frames of a recording, such as 0.0333; correct 'Frame Time:'"
+        )
+
+
+def _up_to(frames: float, blocks: Iterator[Block]) -> Iterator[Block]:
+    """Yield blocks until there are more rows than frames."""
+    count = 0
+    for block in blocks:
+        yield block
+        count += len(block.rows)
+        if count > frames:
+            return
 
 
 def _header_number(lines: _Lines, key: str, source: str) -> float:
@@ -121,6 +153,8 @@ class _Hierarchy:
             )
 
     def _add(self, name: str) -> None:
+        if len(self.names) == _MOST_JOINTS:
+            self._fail(f"is joint number {_MOST_JOINTS + 1}, more than any body has")
         self.parents.append(self.open[-1] if self.open else -1)
         self.open.append(len(self.names))
         self.names.append(name)
@@ -138,7 +172,11 @@ class _Hierarchy:
 
     def _channel_names(self, words: list[str]) -> tuple[str, ...]:
         names = tuple(words[1:])
-        if words[:1] != [str(len(names))] or not _CHANNELS.issuperset(names):
+        if (
+            words[:1] != [str(len(names))]
+            or not _CHANNELS.issuperset(names)
+            or len(names) > _MOST_CHANNELS
+        ):
             self._fail(
                 f"has channels {' '.join(words)[:60]!r}, expected their number and "
                 f"names out of {', '.join(sorted(_CHANNELS))}"
