@@ -177,7 +177,7 @@ def test_damaged_amc_files_are_refused_naming_the_line(
 def standing(skeleton: Skeleton, rig: str) -> Mocap:
     """Return a T-pose under a rig's names [cm], z up, whose left arm moves forward."""
     body, source = standard_body(skeleton), load_rig(rig, skeleton)
-    rest = np.zeros((len(skeleton), 3)) + [0.3, 1.0, 0.2]
+    rest = np.tile([0.3, 1.0, 0.2], (len(skeleton), 1))
     for j in skeleton.order[1:]:
         rest[j] = rest[skeleton.parents[j]] + body.rest_offsets[j]
     places = dict.fromkeys(source.needed, rest[skeleton.root])

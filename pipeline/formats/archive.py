@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 
 from kinefilter.characters import Body, Clip, InputError, skeleton_named
 
 from .files import atomic_path
+from .npz import read_arrays
 
 __all__ = ["read_clip", "write_npz"]
 
@@ -57,28 +55,23 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
         InputError: There is no such file, or it holds no clip.
     """
     name = os.fspath(path)
+    arrays = read_arrays(path, "a clip that kinefilter wrote")
     try:
-        archive = np.load(path, allow_pickle=False)
-        if not isinstance(archive, NpzFile):
-            raise ValueError("a single array")
-        with archive:
-            return _clip(archive)
+        return _clip(arrays)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-    except FileNotFoundError:
-        raise InputError(f"{name}: there is no such file; check the name") from None
     except KeyError as error:
         raise InputError(
-            f"{name}: holds no clip ({error.args[0]}); expected an npz that kinefilter "
-            "wrote"
+            f"{name}: holds no clip (no array {error.args[0]}); expected an npz that "
+            "kinefilter wrote"
         ) from None
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error):
+    except (ValueError, TypeError, IndexError):
         raise InputError(
-            f"{name}: cannot be read as npz; expected a clip that kinefilter wrote"
+            f"{name}: its arrays are no clip; expected an npz that kinefilter wrote"
         ) from None
 
 
-def _clip(archive: Any) -> Clip:
+def _clip(archive: dict[str, Any]) -> Clip:
     skeleton = skeleton_named(str(archive["skeleton"]))
     # [()] makes a number of an array without axes and leaves the others.
     measures = {name: archive[name][()] for name in _BODY}
