@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from .config import CleanConfig
 from .database import PostureDatabase
-from .formats import Export, read_clip, read_take, write_clip
+from .formats import Export, read_clip, read_take, read_takes, write_clip
 
 if TYPE_CHECKING:
     from .avatar import Avatar, Pose
@@ -22,6 +22,7 @@ __all__ = [
     "clean",
     "read_clip",
     "read_take",
+    "read_takes",
     "write_clip",
 ]
 

@@ -17,6 +17,7 @@ from .commands import (
     Clean,
     Database,
     Evaluate,
+    Info,
     Reproduce,
     Simulate,
     Train,
@@ -27,6 +28,7 @@ __all__ = ["main"]
 
 Command = (
     Annotated[Clean, subcommand("clean")]
+    | Annotated[Info, subcommand("info")]
     | Annotated[Database, subcommand("database")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Evaluate, subcommand("evaluate")]

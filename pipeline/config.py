@@ -9,7 +9,7 @@ from typing import Literal
 
 from kinefilter.characters import InputError
 
-__all__ = ["CleanConfig", "LearnedMethod", "Method"]
+__all__ = ["CleanConfig", "LearnedMethod", "Method", "TakeFormat"]
 
 LearnedMethod = Literal[
     "best", "local-gp", "clustered-gp", "full-gp", "exemplar", "joint-offsets"
@@ -34,6 +34,18 @@ Method = Literal[
     "no-reliability",
 ]
 """Correction methods by name (see ``correct/methods.py``)."""
+
+TakeFormat = Literal[
+    "kinefilter",
+    "kinect-v2",
+    "kinect-v1",
+    "msrc-12",
+    "msr-action3d",
+    "ntu",
+    "azure",
+    "bvh",
+]
+"""Layouts of takes by name (see ``formats/takes.py``)."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, skeleton_named
 
+from .formats.npz import read_arrays
+
 __all__ = ["FILTERED_POSTURES", "PostureDatabase", "filter_postures", "filter_to_count"]
 
 Array = NDArray[np.float64]
@@ -145,9 +147,8 @@ class PostureDatabase:
             raise InputError(
                 f"{path}: no such database; make one with 'kinefilter database build'"
             )
+        arrays = read_arrays(path, "a motion database of 'kinefilter database build'")
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
             skeleton = skeleton_named(str(arrays["skeleton"]))
             shape = (len(arrays["labels"]), len(skeleton))
             sound = (

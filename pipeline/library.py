@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
@@ -26,18 +25,19 @@ from kinefilter.characters import (
 from kinefilter.retarget.body_size import Standardizer, measured_body
 from kinefilter.retarget.normalise import find_yaw
 from kinefilter.retarget.orientation import rotations_from_positions
-from kinefilter.retarget.rotations import IDENTITY, about_y, inverse, multiply, rotate
+from kinefilter.retarget.rotations import about_y, inverse, multiply, rotate
 from kinefilter.scenes import MOTIONS, perform
 
 from .database import FILTERED_POSTURES, PostureDatabase, filter_to_count
-from .formats import Bvh, read_bvh
+from .formats.mocap import Mocap, kinect_motion
+from .formats.mocap_files import RIGS, read_mocap, sorted_mocap
 from .progress import Progress, silent
 from .reliability import column_medians, measure_reference, segment_lengths
 from .training import PairedTake
 
 __all__ = [
     "SHIPPED_POSTURES",
-    "database_from_bvh",
+    "database_from_mocap",
     "database_from_pairs",
     "embedded_database",
     "scripted_database",
@@ -125,37 +125,37 @@ def scripted_postures(
     return parts
 
 
-def database_from_bvh(
+def database_from_mocap(
     files: Sequence[Path],
     skeleton: Skeleton,
     *,
     count: int = FILTERED_POSTURES,
     progress: Progress = silent,
 ) -> PostureDatabase:
-    """Build a database from BVH mocap.
+    """Build a database from mocap.
 
     Args:
-        files: BVH files with the joint names of ``retarget/rigs/cmu.toml``; their unit
-            of length does not matter.
+        files: BVH, AMC with its ASF, or C3D files, with the joint names of
+            ``retarget/source_rigs``; their unit of length does not matter.
         skeleton: The skeleton of the takes to clean.
         count: About how many postures the threshold rule keeps.
         progress: Wraps the loop over the files, for a progress bar.
 
     Raises:
-        InputError: A file is no BVH, or lacks a joint; no files.
+        InputError: A file is no mocap, or lacks a joint; no files.
     """
-    if not files:
-        raise InputError("no BVH files given; name one or more")
+    motions, skeletons = sorted_mocap(files)
     parts = []
-    for k in progress("read", len(files)):
-        bvh = read_bvh(files[k])
-        stem = files[k].name.split(".")[0]
-        parts.append((stem, *_postures_of(bvh, skeleton, files[k])))
+    for k in progress("read", len(motions)):
+        mocap = read_mocap(motions[k], skeletons)
+        stem = motions[k].name.split(".")[0]
+        parts.append((stem, *_postures_of(mocap, skeleton)))
     if sum(len(postures) for _, postures, _ in parts) < 2:
         raise InputError(
-            f"{files[0]}: one posture makes no database; give files with motion in them"
+            f"{motions[0]}: one posture makes no database; give files with motion in "
+            "them"
         )
-    return _filtered(parts, skeleton, f"{len(files)} BVH files", count)
+    return _filtered(parts, skeleton, f"{len(motions)} mocap files", count)
 
 
 def database_from_pairs(
@@ -244,38 +244,27 @@ def _standardized(
     return postures, rotations_from_positions(postures, standard, rotations)
 
 
-def _postures_of(bvh: Bvh, skeleton: Skeleton, file: Path) -> tuple[Array, Array]:
-    """Return the normalized postures of a BVH motion, 30 a second."""
-    rig = tomllib.loads(
-        resources.files("kinefilter.retarget")
-        .joinpath("rigs", "cmu.toml")
-        .read_text(encoding="utf-8")
-    )
-    joints = {**rig["limbs"], **rig[skeleton.name]}
-    needed = {
-        name for row in joints.values() for name in (*row["at"], row["turned_by"])
-    }
-    missing = sorted(needed - set(bvh.names))
-    if missing:
+def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
+    """Return the normalized postures of mocap, 30 a second."""
+    motion = kinect_motion(mocap, skeleton, RIGS)
+    positions, step = motion.positions, 1.0 / _POSTURES_PER_SECOND
+    # A joint that is missing now and then costs its frames.
+    missing = np.isnan(positions).any(axis=2)
+    whole = (missing == missing.all(axis=0)).all(axis=1)
+    frames = np.flatnonzero(whole)[:: max(1, round(step / motion.frame_time))]
+    if not len(frames):
         raise InputError(
-            f"{file}: no joint {missing[0]!r}; expected the joint names of the cgspeed "
-            "conversion of CMU mocap (Hips, LeftUpLeg, LeftLeg, ...)"
+            f"{mocap.source}: no frame has all joints; give motion of a whole body"
         )
-    frames = slice(None, None, max(1, round(1 / _POSTURES_PER_SECOND / bvh.frame_time)))
-    positions = np.full((len(bvh), len(skeleton), 3), np.nan)
-    turns = np.tile(IDENTITY, (len(bvh), len(skeleton), 1))
-    for joint, row in joints.items():
-        j = skeleton.index(joint)
-        columns = [bvh.names.index(name) for name in row["at"]]
-        positions[:, j] = bvh.positions[:, columns].mean(axis=1)
-        turns[:, j] = bvh.rotations[:, bvh.names.index(row["turned_by"])]
     lengths = column_medians(segment_lengths(positions, skeleton))
     ends, average = skeleton.segments, standard_body(skeleton)
     # Meters per unit of the file; mocap's own lengths are taken as they are.
     unit = np.nanmedian(average.lengths[ends] / lengths[ends])
     known = unit * lengths > 1e-3
     body = replace(average, lengths=np.where(known, unit * lengths, average.lengths))
-    prior = _since_t_pose(turns, positions[0], body)
+    prior = None
+    if motion.turns is not None and whole[0]:
+        prior = _since_t_pose(motion.turns, positions[0], body)
     return _standardized(
         unit * positions[frames], None if prior is None else prior[frames], body
     )

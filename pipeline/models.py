@@ -14,6 +14,7 @@ from .correct import LearnedCorrector
 from .correct.methods import LEARNED
 from .database import UNREADABLE
 from .formats import atomic_path
+from .formats.npz import read_arrays
 
 __all__ = ["Model", "load_model", "save_model"]
 
@@ -56,9 +57,8 @@ def load_model(path: Path) -> Model:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such model; make one with 'kinefilter train'")
+    arrays = read_arrays(path, "a model of 'kinefilter train'")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
         version, method = int(arrays["version"]), str(arrays["method"])
         skeleton = skeleton_named(str(arrays["skeleton"]))
         source = str(arrays["trained_on"])
@@ -85,4 +85,6 @@ def load_model(path: Path) -> Model:
         raise InputError(
             f"{path}: a damaged model: no array {error}; train again"
         ) from None
+    except (ValueError, TypeError, IndexError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: a damaged model ({error}); train again") from None
     return Model(corrector, method, skeleton, source)

@@ -20,6 +20,7 @@ from kinefilter.characters import (
 )
 from kinefilter.retarget import measured_body
 
+from .formats.npz import read_arrays
 from .progress import Progress, silent
 from .reliability import ReliabilityScorer, measure_reference
 from .standard import standardize_take
@@ -80,11 +81,7 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the name")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-    except (ValueError, OSError, EOFError) as error:
-        raise InputError(f"{path}: not a pairs file (npz of arrays)") from error
+    arrays = read_arrays(path, "a pairs file (npz of arrays)")
     needed = ("joints", "fps", "subject", "kinect", "mocap", "clip", "start", "stop")
     for key in needed:
         if key not in arrays:

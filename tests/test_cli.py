@@ -257,7 +257,7 @@ def test_bench_measures_every_stage(tmp_path: Path) -> None:
 def test_every_command_is_in_the_readme() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for command in (
-        *("clean", "database build", "train", "evaluate"),
+        *("clean", "info", "database build", "train", "evaluate"),
         *("simulate", "reproduce", "bench", "character"),
     ):
         assert f"kinefilter {command}" in readme

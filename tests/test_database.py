@@ -29,7 +29,7 @@ from kinefilter.pipeline.database import filter_postures, filter_to_count
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.library import (
     SHIPPED_POSTURES,
-    database_from_bvh,
+    database_from_mocap,
     scripted_database,
 )
 from kinefilter.retarget import find_yaw, positions_from_rotations
@@ -425,11 +425,11 @@ def write_text(path: Path, text: str) -> Path:
 
 
 @every_skeleton
-def test_a_database_from_bvh_is_on_the_standard_body(
+def test_a_database_from_mocap_is_on_the_standard_body(
     tmp_path: Path, skeleton: Skeleton
 ) -> None:
     path = write_text(tmp_path / "arms.up.bvh", small_bvh())
-    base = database_from_bvh([path], skeleton)
+    base = database_from_mocap([path], skeleton)
     assert len(base) == 40
     assert set(base.labels.tolist()) == {"arms"}
     assert_standard(base)
@@ -443,14 +443,14 @@ def test_the_unit_of_a_bvh_does_not_matter(
 ) -> None:
     meters = write_text(tmp_path / "a.bvh", small_bvh())
     other = write_text(tmp_path / "b.bvh", small_bvh(unit))
-    a, b = (database_from_bvh([path], skeleton) for path in (meters, other))
+    a, b = (database_from_mocap([path], skeleton) for path in (meters, other))
     tolerance = 1e-5 if unit > 1.0 else 1e-4
     np.testing.assert_allclose(a.positions, b.positions, atol=tolerance)
     np.testing.assert_allclose(a.rotations, b.rotations, atol=10.0 * tolerance)
 
 
 def test_the_heading_of_a_bvh_does_not_stay(tmp_path: Path) -> None:
-    base = database_from_bvh([write_text(tmp_path / "a.bvh", small_bvh())], KINECT_V1)
+    base = database_from_mocap([write_text(tmp_path / "a.bvh", small_bvh())], KINECT_V1)
     yaw = find_yaw(base.positions, np.ones((40, 20)), KINECT_V1)
     np.testing.assert_allclose(yaw, 0.0, atol=1e-5)
 
@@ -463,29 +463,29 @@ def test_files_are_named_to_the_progress_bar_and_counted(tmp_path: Path) -> None
         seen.append((stage, total))
         return range(total)
 
-    base = database_from_bvh(paths, KINECT_V1, count=50, progress=progress)
+    base = database_from_mocap(paths, KINECT_V1, count=50, progress=progress)
     assert seen == [("read", 3)]
     # The same motion three times is kept once.
     assert set(base.labels.tolist()) == {"a"}
     assert len(base) <= 40
-    assert "3 BVH files" in base.source
+    assert "3 mocap files" in base.source
 
 
 def test_no_files_and_files_that_do_not_fit_are_refused(
     tmp_path: Path, make_clip: Any
 ) -> None:
-    with pytest.raises(InputError, match="no BVH files"):
-        database_from_bvh([], KINECT_V1)
+    with pytest.raises(InputError, match="no BVH, AMC or C3D files"):
+        database_from_mocap([], KINECT_V1)
     text = small_bvh().replace("LeftToeBase", "LeftPaw")
     path = write_text(tmp_path / "paw.bvh", text)
     with pytest.raises(InputError, match=r"paw\.bvh.*'LeftToeBase'.*CMU"):
-        database_from_bvh([path], KINECT_V1)
+        database_from_mocap([path], KINECT_V1)
     clip: Clip = make_clip(3)
-    write_clip(clip, tmp_path / "own.bvh")
-    with pytest.raises(InputError, match=r"own\.bvh: no joint"):
-        database_from_bvh([tmp_path / "own.bvh"], KINECT_V1)
+    write_clip(clip, tmp_path / "clip.csv")
+    with pytest.raises(InputError, match=r"clip\.csv: no mocap: expected BVH"):
+        database_from_mocap([tmp_path / "clip.csv"], KINECT_V1)
     with pytest.raises(InputError, match="none"):
-        database_from_bvh([tmp_path / "none.bvh"], KINECT_V1)
+        database_from_mocap([tmp_path / "none.bvh"], KINECT_V1)
 
 
 @recorded
@@ -494,7 +494,7 @@ def test_a_database_from_motion_capture_has_standard_segments(
     skeleton: Skeleton,
 ) -> None:
     files = [CMU / f"{name}.bvh.gz" for name in ("35_26", "35_24", "02_01")]
-    base = database_from_bvh(files, skeleton, count=150)
+    base = database_from_mocap(files, skeleton, count=150)
     assert 147 <= len(base) <= 153
     assert set(base.labels.tolist()) == {"35_26", "35_24", "02_01"}
     # Left and right share their mean length, and Kinect's spine lies between joints
@@ -516,7 +516,7 @@ def test_a_database_from_motion_capture_has_standard_segments(
 @every_skeleton
 def test_knees_from_motion_capture_bend_the_right_way(skeleton: Skeleton) -> None:
     files = [CMU / f"{name}.bvh.gz" for name in ("35_26", "02_01")]
-    bend = knee_bend(database_from_bvh(files, skeleton, count=100))
+    bend = knee_bend(database_from_mocap(files, skeleton, count=100))
     assert np.quantile(bend, 0.02) > -10.0
     assert np.quantile(bend, 0.95) > 40.0
 
@@ -525,7 +525,7 @@ def test_knees_from_motion_capture_bend_the_right_way(skeleton: Skeleton) -> Non
 def test_a_recorded_walk_is_nearest_to_motions_that_walk(
     scripted: PostureDatabase,
 ) -> None:
-    base = database_from_bvh([CMU / "02_01.bvh.gz"], scripted.skeleton, count=40)
+    base = database_from_mocap([CMU / "02_01.bvh.gz"], scripted.skeleton, count=40)
     weights = np.array(["Hand" not in j for j in scripted.skeleton.joints], float)
     found = [scripted.neighbors(posture, weights, 1) for posture in base.positions]
     away = np.sqrt([distance[0] / weights.sum() for _, distance in found])

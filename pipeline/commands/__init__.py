@@ -5,6 +5,7 @@ from .character import Character
 from .clean import Clean
 from .database import Database
 from .evaluate import Evaluate
+from .info import Info
 from .reproduce import Reproduce
 from .simulate import Simulate
 from .train import Train
@@ -15,6 +16,7 @@ __all__ = [
     "Clean",
     "Database",
     "Evaluate",
+    "Info",
     "Reproduce",
     "Simulate",
     "Train",

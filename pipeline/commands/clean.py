@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from kinefilter.pipeline.config import CleanConfig
+from kinefilter.characters import InputError
+from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.formats.export import Export
 
-from .terminal import keep, out, progress_bars, write_json
+from .terminal import err, keep, out, progress_bars, write_json
+
+if TYPE_CHECKING:
+    from kinefilter.pipeline.formats import Recording
+    from kinefilter.pipeline.run import CleanResult
 
 __all__ = ["Clean"]
-
-Formats = Literal["kinefilter", "kinect-v2", "kinect-v1"]
 
 
 @dataclass(frozen=True)
@@ -23,14 +26,17 @@ class Clean:
     """Clean a Kinect take and write it as an animation clip."""
 
     take: Positional[Path]
-    """Recording: kinefilter CSV, Kinect v2 CSV or Kinect v1 text; .gz too."""
+    """Recording in any of the formats of --format; .gz too."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Clip to write; the extension decides: .usda .usdc .usd .usdz .bvh .csv
     .npz."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     export: OmitArgPrefixes[Export] = field(default_factory=Export)
-    format: Formats | None = None
+    format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
+    body: int | Literal["all"] | None = None
+    """Which person, counted from 1 as they appear, or all: a clip each, clip.1.usda,
+    clip.2.usda and so on; default: who is seen in most frames."""
     save_contacts: Path | None = None
     """Write when which foot stands as a table (CSV), to edit and to use again."""
     json: Path | None = None
@@ -38,15 +44,9 @@ class Clean:
 
     def run(self) -> int:
         """Clean, write, print."""
-        from kinefilter.pipeline.formats import (
-            check_folder,
-            check_writable,
-            read_take,
-            write_clip,
-            write_contacts,
-        )
-        from kinefilter.pipeline.run import clean
-        from kinefilter.pipeline.summary import as_json, as_tables
+        from kinefilter.pipeline.formats import check_folder, check_writable
+        from kinefilter.pipeline.formats.takes import read_recording
+        from kinefilter.pipeline.summary import as_json
 
         check_writable(self.out, self.export)
         used = (
@@ -63,14 +63,67 @@ class Clean:
         if self.save_contacts is not None:
             check_folder(self.save_contacts)
             keep(self.save_contacts, *used, self.out, self.json)
-        take = read_take(self.take, format=self.format)
-        with progress_bars() as progress:
-            result = clean(take, self.config, progress=progress)
-        write_clip(result.clip, self.out, self.export)
-        if self.save_contacts is not None:
-            write_contacts(result.clip, self.save_contacts)
+        recording = read_recording(self.take, format=self.format)
+        results = self._cleaned(recording)
+        several = len(recording.takes) > 1 and self.body == "all"
+        for body, result in results.items():
+            self._write(result, body if several else None, used)
         if self.json is not None:
-            write_json(as_json(result), self.json)
+            figures = {body: as_json(result) for body, result in results.items()}
+            only = next(iter(figures.values()))
+            write_json({"bodies": figures} if several else only, self.json)
+        for note in (*recording.notes, *self._others(recording)):
+            out.print(note, markup=False)
+        return 1 if several and len(results) < len(recording.takes) else 0
+
+    def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
+        """Return what became of each person asked for, by their number."""
+        from kinefilter.pipeline.run import clean
+
+        numbers = list(range(1, len(recording.takes) + 1))
+        if self.body != "all":
+            numbers = [recording.main + 1 if self.body is None else self.body]
+        elif self.config.contacts is not None and len(numbers) > 1:
+            raise InputError("--contacts is of one person; give --body their number")
+        results: dict[int, CleanResult] = {}
+        for number in numbers:
+            take = recording.take(number)
+            try:
+                with progress_bars() as progress:
+                    results[number] = clean(take, self.config, progress=progress)
+            except InputError as error:
+                if number == numbers[-1] and not results:
+                    raise
+                err.print(f"kinefilter: {error}; left out", markup=False)
+        return results
+
+    def _write(
+        self, result: CleanResult, body: int | None, used: tuple[Path | None, ...]
+    ) -> None:
+        from kinefilter.pipeline.formats import write_clip, write_contacts
+        from kinefilter.pipeline.summary import as_tables
+
+        path = _numbered(self.out, body)
+        keep(path, *used)
+        write_clip(result.clip, path, self.export)
+        if self.save_contacts is not None:
+            write_contacts(result.clip, _numbered(self.save_contacts, body))
         out.print(as_tables(result))
-        out.print(f"wrote {self.out}")
-        return 0
+        out.print(f"wrote {path}")
+
+    def _others(self, recording: Recording) -> list[str]:
+        """Return a note about people who were not asked for."""
+        count = len(recording.takes)
+        if count == 1 or self.body is not None:
+            return []
+        return [
+            f"body {recording.main + 1} of {count}, seen in most frames; --body 1 to "
+            f"{count} cleans another, --body all everyone"
+        ]
+
+
+def _numbered(path: Path, body: int | None) -> Path:
+    """Return the path for one of several people: clip.2.usda for clip.usda."""
+    if body is None:
+        return path
+    return path.with_name(f"{path.stem}.{body}{path.suffix}")

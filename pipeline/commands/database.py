@@ -21,8 +21,8 @@ class DatabaseBuild:
     """Build a motion database from mocap."""
 
     files: Positional[tuple[Path, ...]]
-    """BVH files (.gz too) with the joint names of the cgspeed CMU conversion, or pairs
-    files (.npz), of which the mocap is taken."""
+    """Mocap: BVH (.gz too), AMC with its ASF, C3D of joint centers; or pairs files
+    (.npz), of which the mocap is taken."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Database to write (.npz)."""
     skeleton: Skeletons = "kinect_v1"
@@ -33,7 +33,7 @@ class DatabaseBuild:
     def run(self) -> int:
         """Build and write."""
         from kinefilter.pipeline.formats import check_folder
-        from kinefilter.pipeline.library import database_from_bvh, database_from_pairs
+        from kinefilter.pipeline.library import database_from_mocap, database_from_pairs
 
         if self.out.suffix != ".npz":
             raise InputError(f"{self.out}: a database is an .npz file; name it so")
@@ -44,7 +44,7 @@ class DatabaseBuild:
         skeleton = SKELETONS[self.skeleton]
         paired = [file for file in self.files if file.suffix == ".npz"]
         if paired and len(paired) < len(self.files):
-            raise InputError(f"{paired[0]}: give BVH files or pairs files, not both")
+            raise InputError(f"{paired[0]}: give mocap or pairs files, not both")
         with progress_bars() as progress:
             if paired:
                 pairs = read_all(paired)
@@ -57,7 +57,7 @@ class DatabaseBuild:
                     pairs, count=self.count, progress=progress
                 )
             else:
-                database = database_from_bvh(
+                database = database_from_mocap(
                     self.files, skeleton, count=self.count, progress=progress
                 )
         database.save(self.out)

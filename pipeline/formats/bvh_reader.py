@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NoReturn, TextIO
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,12 @@ from .rows import RowReader
 
 __all__ = ["read_bvh"]
 
+MOST_CELLS = 20_000_000
+"""Joints times frames at most: an hour of 75 joints at 60 frames a second."""
+_MOST_JOINTS = 1000
+_MOST_CHANNELS = 6
+_FRAME_TIMES = (1e-4, 60.0)  # s, what any recorder could mean
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
-
-_MOST_JOINTS = 10_000  # a person with every hair rigged has fewer
-_LONGEST_LINE = 1_000_000  # characters: 10,000 joints of three angles and a position
 
 _Lines = Iterator[tuple[int, str]]
 
@@ -34,11 +36,12 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
     """
     source = os.fspath(path)
     with open_text(path) as file:
-        lines = _lines(file, source)
+        lines = enumerate(file, start=1)
         tree = _Hierarchy(source)
         tree.read(lines)
         frames = _header_number(lines, "Frames:", source)
         frame_time = _header_number(lines, "Frame Time:", source)
+        _check_size(frames, frame_time, tree)
         motion = _motion(lines, tree, frames)
     return Bvh(
         tuple(tree.names),
@@ -48,19 +51,6 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         frame_time,
         motion,
     )
-
-
-def _lines(file: TextIO, source: str) -> _Lines:
-    """Yield the lines with their numbers, none longer than a line can be."""
-    row = 0
-    while line := file.readline(_LONGEST_LINE):
-        row += 1
-        if len(line) == _LONGEST_LINE:
-            raise InputError(
-                f"{source}: line {row} is longer than {_LONGEST_LINE} characters; "
-                "is it a BVH file?"
-            )
-        yield row, line
 
 
 def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> NDArray[np.float64]:
@@ -88,6 +78,21 @@ def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> NDArray[np.float6
             f"expected {frames:g}; the file may be cut off, or correct 'Frames:'"
         )
     return np.concatenate(motion)
+
+
+def _check_size(frames: float, frame_time: float, tree: _Hierarchy) -> None:
+    """Raise InputError for a motion that nobody records, before it is read."""
+    if frames * len(tree.names) > MOST_CELLS:
+        raise InputError(
+            f"{tree.source}: {frames:g} frames of {len(tree.names)} joints are more "
+            "than any recording has; correct 'Frames:' or cut it into shorter files"
+        )
+    shortest, longest = _FRAME_TIMES
+    if not shortest <= frame_time <= longest:
+        raise InputError(
+            f"{tree.source}: frame time is {frame_time:g} s, expected one between two "
+            f"frames of a recording, such as 0.0333; correct 'Frame Time:'"
+        )
 
 
 def _header_number(lines: _Lines, key: str, source: str) -> float:
@@ -150,7 +155,7 @@ class _Hierarchy:
 
     def _add(self, name: str) -> None:
         if len(self.names) == _MOST_JOINTS:
-            self._fail(f"has one more joint than {_MOST_JOINTS}; is it a BVH file?")
+            self._fail(f"is joint number {_MOST_JOINTS + 1}, more than any body has")
         self.parents.append(self.open[-1] if self.open else -1)
         self.open.append(len(self.names))
         self.names.append(name)
@@ -168,7 +173,11 @@ class _Hierarchy:
 
     def _channel_names(self, words: list[str]) -> tuple[str, ...]:
         names = tuple(words[1:])
-        if words[:1] != [str(len(names))] or not _CHANNELS.issuperset(names):
+        if (
+            words[:1] != [str(len(names))]
+            or not _CHANNELS.issuperset(names)
+            or len(names) > _MOST_CHANNELS
+        ):
             self._fail(
                 f"has channels {' '.join(words)[:60]!r}, expected their number and "
                 f"names out of {', '.join(sorted(_CHANNELS))}"

@@ -10,13 +10,30 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TextIO, cast
+from typing import IO, Any, TextIO, cast
 
 from kinefilter.characters import InputError
 
-__all__ = ["atomic_path", "check_folder", "open_text"]
+__all__ = [
+    "atomic_path",
+    "beginning",
+    "check_file",
+    "check_folder",
+    "open_text",
+    "read_limited",
+]
 
 _GZIP_MAGIC = b"\x1f\x8b"
+
+LARGEST_TEXT = 2**30
+"""Bytes of text at most: ten hours of Kinect v2 CSV. What is longer is no recording."""
+_LARGEST_RATIO = 100
+"""Text that is this many times as long as its gzip file, and longer than
+``_ANY_RATIO``, is no recording: numbers give 2 to 10. A guess."""
+_ANY_RATIO = 2**25
+_LONGEST_LINE = 1_000_000  # characters; a binary file may have no line end at all
+_BEGINNING = 2**16  # bytes in which a text begins
+_MOST_BLANK = 10_000  # lines in a row
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
@@ -65,26 +82,73 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-@contextmanager
-def open_text(path: str | os.PathLike[str]) -> Iterator[TextIO]:
-    """Yield a file's UTF-8 text, unzipped where its first bytes are gzip's.
-
-    Whatever goes wrong while the block reads is raised as an InputError.
+def check_file(path: str | os.PathLike[str]) -> Path:
+    """Return ``path`` if there is a file to read.
 
     Raises:
-        InputError: There is no such file, it cannot be read, or it is not UTF-8 text.
+        InputError: There is none, or it is a folder.
     """
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; check the name")
+    return path
+
+
+@contextmanager
+def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
+    """Yield the lines of a file of UTF-8 text, unzipped where it is gzip's.
+
+    Whatever goes wrong while the block reads is raised as an InputError. However long
+    the file claims to be, a line at a time is in memory.
+
+    Raises:
+        InputError: There is no such file, it cannot be read, it is not UTF-8 text, a
+            line has no end, or there is more of it than of any recording.
+    """
+    path = check_file(path)
+    with _readable(path) as stream:
+        # utf-8-sig: spreadsheets put a byte-order mark in front.
+        yield _lines(io.TextIOWrapper(stream, encoding="utf-8-sig"), path)
+
+
+def beginning(path: str | os.PathLike[str]) -> str:
+    """Return the first characters of a file's text, blanks and blank lines left out.
+
+    Raises:
+        InputError: As ``open_text``.
+    """
+    with _readable(check_file(path)) as stream:
+        return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:100]
+
+
+def read_limited(path: str | os.PathLike[str], most: int) -> str:
+    """Return a file's text, unzipped where it is gzip's.
+
+    Args:
+        path: The file.
+        most: Bytes that it may have at most.
+
+    Raises:
+        InputError: As ``open_text``, or the text is longer.
+    """
+    path = check_file(path)
+    with _readable(path, most) as stream:
+        return stream.read().decode("utf-8-sig")
+
+
+@contextmanager
+def _readable(path: Path, most: int = LARGEST_TEXT) -> Iterator[io.BufferedReader]:
+    """Yield a file's bytes, unzipped and counted; errors become InputErrors."""
     try:
         with path.open("rb") as raw:
             zipped = raw.peek(2)[:2] == _GZIP_MAGIC
+            if zipped:
+                size = path.stat().st_size
+                most = min(most, max(_ANY_RATIO, _LARGEST_RATIO * size))
             stream = gzip.GzipFile(fileobj=raw) if zipped else raw
-            # utf-8-sig: spreadsheets put a byte-order mark in front.
-            yield io.TextIOWrapper(cast("IO[bytes]", stream), encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; check the name") from None
+            yield io.BufferedReader(_Counted(cast("IO[bytes]", stream), most, path))
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); "
@@ -97,3 +161,42 @@ def open_text(path: str | os.PathLike[str]) -> Iterator[TextIO]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{path}: cannot be read ({reason})") from error
+
+
+class _Counted(io.RawIOBase):
+    """Bytes of a file, up to a limit."""
+
+    def __init__(self, stream: IO[bytes], most: int, path: Path) -> None:
+        self._stream, self._left, self._path, self._most = stream, most, path, most
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._stream.read(len(buffer))
+        self._left -= len(data)
+        if self._left < 0:
+            raise InputError(
+                f"{self._path}: holds more than {self._most / 1e6:.0f} MB of text, "
+                "which no recording does; cut it into shorter takes"
+            )
+        buffer[: len(data)] = data
+        return len(data)
+
+
+def _lines(file: TextIO, path: Path) -> Iterator[str]:
+    row = blank = 0
+    while line := file.readline(_LONGEST_LINE):
+        row += 1
+        blank = 0 if line.strip() else blank + 1
+        if "\0" in line:
+            raise InputError(
+                f"{path}: row {row} is binary; expected a text file, export it as CSV"
+            )
+        if len(line) == _LONGEST_LINE or blank > _MOST_BLANK:
+            raise InputError(
+                f"{path}: row {row} "
+                + ("follows only blank rows" if blank else "does not end")
+                + "; expected a text file of recorded frames"
+            )
+        yield line

@@ -1,7 +1,8 @@
-"""The layouts that recorded skeletons come in, told apart by their content."""
+"""Layouts of files with a frame a row: which column is what."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from kinefilter.characters import (
     Skeleton,
 )
 
-__all__ = ["FORMATS", "Layout", "layout_of"]
+__all__ = ["LAYOUTS", "V2_CELLS", "Layout"]
 
 _AXES = ("x", "y", "z")
 
@@ -22,6 +23,8 @@ _AXES = ("x", "y", "z")
 class Layout:
     """Which column of a file is what."""
 
+    name: str
+    """What the layout is called (pipeline.config.TakeFormat)."""
     skeleton: Skeleton
     """The joints that the file speaks of."""
     columns: tuple[str, ...]
@@ -32,43 +35,13 @@ class Layout:
     """Turns a line into comma-separated cells, one per column."""
     seconds: float
     """One unit of the ``time`` column [s]; one frame where there is none [s]."""
+    weighted: bool = False
+    """States that are all 1 or 0 are no states but say that there is a point."""
 
     @property
     def index(self) -> dict[str, int]:
         """Index of each column by its name."""
         return {column: i for i, column in enumerate(self.columns)}
-
-
-def layout_of(line: str, source: str, forced: str | None) -> Layout:
-    """Return the layout of a file.
-
-    Args:
-        line: First line of the file that is not blank.
-        source: The file, for messages.
-        forced: One of FORMATS, or None to go by the content.
-
-    Raises:
-        InputError: The format is unknown, the content is of no known layout, or the
-            header names joints that no skeleton has.
-    """
-    if forced is not None and forced not in FORMATS:
-        raise InputError(f"unknown take format {forced!r}; known: {', '.join(FORMATS)}")
-    return FORMATS[forced or _detected(line, source)](line, source)
-
-
-def _detected(line: str, source: str) -> str:
-    cells = line.strip().split(",")
-    if _unquoted(cells[0]).lower() == "time":
-        return "kinefilter"
-    if ";" in line:
-        return "kinect-v1"
-    if len(cells) in (len(_V2_COLUMNS), len(_V2_COLUMNS) + 1):
-        return "kinect-v2"
-    raise InputError(
-        f"{source}: row 1 is of no known layout ({len(cells)} comma-separated cells); "
-        "expected a kinefilter CSV (header time,Joint.x,Joint.y,Joint.z,Joint.state), "
-        f"Kinect v2 rows of {len(_V2_COLUMNS)} numbers, or Kinect v1 joints split by ;"
-    )
 
 
 def _unquoted(cell: str) -> str:
@@ -83,12 +56,12 @@ def _kinefilter(line: str, source: str) -> Layout:
             "'time'; give the file's own format"
         )
     if len(set(columns)) < len(columns):
-        twice = next(c for c in columns if columns.count(c) > 1)
-        raise InputError(f"{source}: row 1 has column {twice!r} twice; delete one")
+        twice = Counter(columns).most_common(1)[0][0]
+        raise InputError(f"{source}: row 1 has column {twice[:40]!r} twice; delete one")
     joints = tuple(dict.fromkeys(c.rpartition(".")[0] or c for c in columns[1:]))
     skeleton = _skeleton_with(joints, source)
     _check_columns(columns, joints, source)
-    return Layout(skeleton, columns, True, str, 1.0)
+    return Layout("kinefilter", skeleton, columns, True, str, 1.0)
 
 
 def _check_columns(
@@ -100,7 +73,7 @@ def _check_columns(
     for column in columns:
         if column not in allowed:
             raise InputError(
-                f"{source}: row 1, column {column!r} is unknown; expected "
+                f"{source}: row 1, column {column[:40]!r} is unknown; expected "
                 "Joint.x, Joint.y, Joint.z or Joint.state"
             )
     for column in needed:
@@ -122,11 +95,13 @@ def _skeleton_with(joints: tuple[str, ...], source: str) -> Skeleton:
     nearest = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
     unknown = next(joint for joint in joints if joint not in nearest.joints)
     raise InputError(
-        f"{source}: row 1, joint {unknown!r} is not one of {nearest.name}: "
+        f"{source}: row 1, joint {unknown[:40]!r} is not one of {nearest.name}: "
         f"{', '.join(nearest.joints)}; rename or delete its columns"
     )
 
 
+V2_CELLS = 1 + 4 * len(KINECT_V2)
+"""Cells of a row of Kinect v2 CSV."""
 _V2_COLUMNS = (
     "time",
     *(f"{joint}.{part}" for joint in KINECT_V2.joints for part in (*_AXES, "state")),
@@ -138,7 +113,7 @@ def _kinect_v2(line: str, source: str) -> Layout:  # noqa: ARG001 - same signatu
         # The recorder ends every cell with a comma, the last one too.
         return line[:-1] if line.count(",") == len(_V2_COLUMNS) else line
 
-    return Layout(KINECT_V2, _V2_COLUMNS, False, normalize, 100e-9)
+    return Layout("kinect-v2", KINECT_V2, _V2_COLUMNS, False, normalize, 100e-9)
 
 
 def _kinect_v1(line: str, source: str) -> Layout:
@@ -159,12 +134,28 @@ def _kinect_v1(line: str, source: str) -> Layout:
         return ",".join(",".join(cell.split()) or ",," for cell in cells)
 
     columns = tuple(f"{joint}.{axis}" for joint in joints for axis in _AXES)
-    return Layout(KINECT_V1, columns, True, normalize, 1.0 / 30.0)
+    return Layout("kinect-v1", KINECT_V1, columns, True, normalize, 1.0 / 30.0)
 
 
-FORMATS: dict[str, Callable[[str, str], Layout]] = {
+_MSRC_COLUMNS = (
+    "time",
+    *(f"{joint}.{part}" for joint in KINECT_V1.joints for part in (*_AXES, "state")),
+)
+
+
+def _msrc_12(line: str, source: str) -> Layout:  # noqa: ARG001 - same signature
+    def normalize(line: str) -> str:
+        return ",".join(line.replace(",", " ").split())
+
+    return Layout(
+        "msrc-12", KINECT_V1, _MSRC_COLUMNS, False, normalize, 1e-6, weighted=True
+    )
+
+
+LAYOUTS: dict[str, Callable[[str, str], Layout]] = {
     "kinefilter": _kinefilter,
     "kinect-v2": _kinect_v2,
     "kinect-v1": _kinect_v1,
+    "msrc-12": _msrc_12,
 }
 """How to lay out a file of each format, from its first line and its name."""

@@ -1,0 +1,306 @@
+"""Acclaim's ASF (skeleton) and AMC (motion), in which CMU's mocap comes.
+
+Layout (Lander 1998, Working with motion capture file formats, Game Developer): an ASF
+has ``:units``, ``:root``, ``:bonedata`` with ``begin`` to ``end`` a bone (name,
+direction, length, axis, dof) and ``:hierarchy`` with lines of a parent and its
+children; an AMC the number of each frame and a line of values for each bone that
+moves. A bone's own axes are turned by ``axis``; its motion turns about them, x first.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError
+from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate
+
+from .bvh_reader import MOST_CELLS
+from .euler import wxyz_from_euler
+from .files import open_text
+from .mocap import Mocap
+
+__all__ = ["Acclaim", "read_amc", "read_asf"]
+
+Array = NDArray[np.float64]
+
+_FRAME_TIME = 1.0 / 120.0
+"""Time between frames [s]: no AMC tells it, CMU's cameras took 120 a second."""
+_MOST_BONES = 1000
+_ROOT = "root"
+_FREEDOMS = ("rx", "ry", "rz", "tx", "ty", "tz")
+
+
+@dataclass
+class _Bone:
+    """A bone, or the root, which has no length."""
+
+    direction: Array = field(default_factory=lambda: np.zeros(3))
+    length: float = 0.0
+    axis: Array = field(default_factory=lambda: IDENTITY)
+    freedoms: tuple[str, ...] = ()
+    parent: str | None = None
+
+
+@dataclass(frozen=True)
+class Acclaim:
+    """The skeleton of an ASF file, in its own unit of length."""
+
+    bones: dict[str, _Bone]
+    """By name, every parent before its children, the root first."""
+    degrees: bool
+    """Angles are in degrees."""
+    source: str
+    """The file, for messages."""
+
+
+def read_asf(path: str | os.PathLike[str]) -> Acclaim:
+    """Read an ASF file.
+
+    Raises:
+        InputError: The file is missing or malformed; the message names the line.
+    """
+    source = os.fspath(path)
+    reader = _AsfReader(source)
+    with open_text(path) as lines:
+        for row, line in enumerate(lines, start=1):
+            words = line.split()
+            if words and not words[0].startswith("#"):
+                reader.take(row, words)
+    return reader.finished()
+
+
+@dataclass
+class _AsfReader:
+    """The bones read so far."""
+
+    source: str
+    row: int = 0
+    section: str = ""
+    degrees: bool = True
+    bones: dict[str, _Bone] = field(default_factory=lambda: {_ROOT: _Bone()})
+    bone: _Bone | None = None
+
+    def take(self, row: int, words: list[str]) -> None:
+        """Take a line."""
+        self.row = row
+        if words[0].startswith(":"):
+            self.section = words[0].lower()
+        elif self.section == ":units" and words[0] == "angle":
+            self.degrees = words[1:2] != ["rad"]
+        elif self.section == ":root":
+            self._root(words)
+        elif self.section == ":bonedata":
+            self._bone_line(words)
+        elif self.section == ":hierarchy" and words[0] not in ("begin", "end"):
+            self._children(words)
+
+    def _root(self, words: list[str]) -> None:
+        root = self.bones[_ROOT]
+        if words[0] == "order":
+            root.freedoms = self._freedoms(words[1:])
+        elif words[0] == "axis" and len(words) == 2:
+            pass  # the order of the orientation, which is zero in all files
+        elif words[0] == "orientation" and any(self._numbers(words[1:], 3)):
+            self._fail("turns the root, which is not supported; expected 0 0 0")
+
+    def _bone_line(self, words: list[str]) -> None:
+        if words[0] == "begin":
+            self.bone = _Bone()
+            return
+        if words[0] == "end":
+            self.bone = None
+            return
+        if self.bone is None:
+            self._fail(f"is {words[0][:40]!r}, expected begin")
+        if words[0] == "name":
+            name = " ".join(words[1:])
+            if name in self.bones or not name:
+                self._fail(f"names bone {name[:40]!r} again")
+            if len(self.bones) > _MOST_BONES:
+                self._fail(f"is bone number {len(self.bones)}, more than any body has")
+            self.bones[name] = self.bone
+        elif words[0] == "direction":
+            self.bone.direction = np.array(self._numbers(words[1:], 3))
+        elif words[0] == "length":
+            self.bone.length = self._numbers(words[1:], 1)[0]
+        elif words[0] == "axis":
+            self.bone.axis = self._axis(words[1:])
+        elif words[0] == "dof":
+            self.bone.freedoms = self._freedoms(words[1:])
+
+    def _axis(self, words: list[str]) -> Array:
+        order = words[3].upper() if len(words) == 4 else ""
+        if sorted(order) != ["X", "Y", "Z"]:
+            self._fail("has no axis, expected three numbers and an order such as XYZ")
+        angles = np.array(self._numbers(words[:3], 3))
+        if self.degrees:
+            angles = np.radians(angles)
+        return _turned(angles, order)
+
+    def _freedoms(self, words: list[str]) -> tuple[str, ...]:
+        freedoms = tuple(word.lower() for word in words)
+        if len(set(freedoms)) < len(freedoms) or not set(freedoms) <= set(_FREEDOMS):
+            self._fail(
+                f"has degrees of freedom {' '.join(words)[:60]!r}, expected some of "
+                f"{' '.join(_FREEDOMS)}"
+            )
+        return freedoms
+
+    def _children(self, words: list[str]) -> None:
+        for name in words:
+            if name not in self.bones:
+                self._fail(f"names {name[:40]!r}, which is no bone of :bonedata")
+        for child in words[1:]:
+            if child == _ROOT or self.bones[child].parent is not None:
+                self._fail(f"gives bone {child[:40]!r} a second parent")
+            self.bones[child].parent = words[0]
+
+    def _numbers(self, words: list[str], count: int) -> list[float]:
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError:
+            numbers = []
+        if len(numbers) != count or not np.isfinite(numbers).all():
+            self._fail(f"is {' '.join(words)[:40]!r}, expected {count} finite numbers")
+        return numbers
+
+    def finished(self) -> Acclaim:
+        """Return the skeleton with parents first."""
+        if len(self.bones) < 2:
+            raise InputError(
+                f"{self.source}: has no bones; expected an ASF file with :bonedata"
+            )
+        ordered = [_ROOT]
+        for parent in ordered:
+            ordered += [n for n, bone in self.bones.items() if bone.parent == parent]
+        return Acclaim(
+            {name: self.bones[name] for name in ordered}, self.degrees, self.source
+        )
+
+    def _fail(self, complaint: str) -> NoReturn:
+        raise InputError(f"{self.source}: line {self.row} {complaint}")
+
+
+def _turned(angles: Array, axes: str) -> Array:
+    """Return the rotation of turns about fixed axes, the first named first."""
+    return wxyz_from_euler(angles[..., ::-1], axes[::-1])
+
+
+def read_amc(path: str | os.PathLike[str], skeleton: Acclaim) -> Mocap:
+    """Read an AMC file: where its bones end, and how they are turned.
+
+    Raises:
+        InputError: The file is missing, malformed or of another skeleton.
+    """
+    source = os.fspath(path)
+    values = _amc_values(source, skeleton)
+    frames = len(next(iter(values.values())))
+    names = tuple(skeleton.bones)
+    positions = np.empty((frames, len(names), 3))
+    rotations = np.empty((frames, len(names), 4))
+    for n, (name, bone) in enumerate(skeleton.bones.items()):
+        turn, shift = _motion(bone, values.get(name), skeleton.degrees, frames)
+        if bone.parent is None:
+            rotations[:, n], positions[:, n] = turn, shift
+            continue
+        p = names.index(bone.parent)
+        own = multiply(multiply(bone.axis, turn), inverse(bone.axis))
+        rotations[:, n] = multiply(rotations[:, p], own)
+        reach = rotate(rotations[:, n], bone.direction * bone.length)
+        positions[:, n] = positions[:, p] + reach
+    return Mocap(names, positions, rotations, _FRAME_TIME, source)
+
+
+def _motion(
+    bone: _Bone, values: Array | None, degrees: bool, frames: int
+) -> tuple[Array, Array]:
+    """Return the turn (T, 4) and the shift (T, 3) of a bone."""
+    turn, shift = np.tile(IDENTITY, (frames, 1)), np.zeros((frames, 3))
+    if values is None:
+        return turn, shift
+    about = [k for k, freedom in enumerate(bone.freedoms) if freedom[0] == "r"]
+    axes = "".join(bone.freedoms[k][1].upper() for k in about)
+    angles = np.radians(values[:, about]) if degrees else values[:, about]
+    for k, freedom in enumerate(bone.freedoms):
+        if freedom[0] == "t":
+            shift[:, "xyz".index(freedom[1])] = values[:, k]
+    return _turned(angles, axes), shift
+
+
+def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
+    """Return the values of every bone that moves, shape (T, D) each."""
+    moving = {n: len(b.freedoms) for n, b in skeleton.bones.items() if b.freedoms}
+    if _ROOT not in moving:
+        raise InputError(
+            f"{skeleton.source}: the root has no order, expected TX TY TZ and so on"
+        )
+    rows: dict[str, list[list[float]]] = {name: [] for name in moving}
+    frames, most = 0, MOST_CELLS // len(skeleton.bones)
+    with open_text(source) as lines:
+        for row, words in _amc_lines(lines):
+            if len(words) == 1 and words[0].isdigit():
+                _check_frame(rows, frames, row, source)
+                frames += 1
+                if frames > most:
+                    raise InputError(
+                        f"{source}: line {row} is frame {frames}, more than any "
+                        "recording has; cut it into shorter files"
+                    )
+                continue
+            _take_values(rows, frames, moving, words, f"{source}: line {row}")
+    _check_frame(rows, frames, None, source)
+    if not frames:
+        raise InputError(f"{source}: has no frames; expected an AMC file")
+    return {name: np.array(values) for name, values in rows.items()}
+
+
+def _amc_lines(lines: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
+    for row, line in enumerate(lines, start=1):
+        words = line.split()
+        if words and words[0][0] not in "#:":
+            yield row, words
+
+
+def _check_frame(
+    rows: dict[str, list[list[float]]], frames: int, row: int | None, source: str
+) -> None:
+    """Raise InputError unless the frame that ends here has every bone."""
+    for name, values in rows.items():
+        if len(values) != frames:
+            where = "the file" if row is None else f"line {row}"
+            raise InputError(
+                f"{source}: {where} ends frame {frames} without bone {name!r}; the "
+                "file may be cut off"
+            )
+
+
+def _take_values(
+    rows: dict[str, list[list[float]]],
+    frames: int,
+    moving: dict[str, int],
+    words: list[str],
+    where: str,
+) -> None:
+    name = words[0]
+    if name not in moving:
+        raise InputError(
+            f"{where} moves {name[:40]!r}, which the ASF does not; give the ASF file "
+            "of the same subject"
+        )
+    try:
+        values = [float(word) for word in words[1:]]
+    except ValueError:
+        values = []
+    if len(values) != moving[name] or not np.isfinite(values).all():
+        raise InputError(
+            f"{where} has no {moving[name]} finite numbers for bone {name!r}"
+        )
+    if len(rows[name]) != frames - 1:
+        raise InputError(f"{where} has bone {name!r} twice, or outside of a frame")
+    rows[name].append(values)

@@ -1,0 +1,216 @@
+"""Azure Kinect: bodies as JSON, as Microsoft's sample ``offline_processor`` writes.
+
+Layout (microsoft/Azure-Kinect-Samples, body-tracking-samples/offline_processor):
+``joint_names``, ``bone_list`` and ``frames``, each with ``timestamp_usec`` and
+``bodies``, each with ``body_id``, ``joint_positions`` (32 times x, y, z in mm) and
+``joint_orientations``. Programs made from the sample add the joints' confidence levels
+(k4abt_joint_confidence_level_t) to the body: 32 numbers under any name that has
+``confidence`` in it.
+
+The 32 joints become the 25 of Kinect v2, on which everything else stands: bodies,
+database, reliability, failures. Face and clavicles tell nothing more about the body.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V2, InputError, State
+
+from .bodies import Sighting, takes_of
+from .recording import Recording, check_length
+
+__all__ = ["JOINTS", "LARGEST", "read_azure"]
+
+LARGEST = 2**29
+"""Bytes of JSON at most: an hour without spaces, ten minutes of two people with."""
+
+JOINTS = (
+    *("PELVIS", "SPINE_NAVEL", "SPINE_CHEST", "NECK"),
+    *("CLAVICLE_LEFT", "SHOULDER_LEFT", "ELBOW_LEFT", "WRIST_LEFT"),
+    *("HAND_LEFT", "HANDTIP_LEFT", "THUMB_LEFT"),
+    *("CLAVICLE_RIGHT", "SHOULDER_RIGHT", "ELBOW_RIGHT", "WRIST_RIGHT"),
+    *("HAND_RIGHT", "HANDTIP_RIGHT", "THUMB_RIGHT"),
+    *("HIP_LEFT", "KNEE_LEFT", "ANKLE_LEFT", "FOOT_LEFT"),
+    *("HIP_RIGHT", "KNEE_RIGHT", "ANKLE_RIGHT", "FOOT_RIGHT"),
+    *("HEAD", "NOSE", "EYE_LEFT", "EAR_LEFT", "EYE_RIGHT", "EAR_RIGHT"),
+)
+"""The joints of the body tracking SDK in its order (k4abt_joint_id_t)."""
+
+_TRUNK = {
+    "SpineBase": ("PELVIS",),
+    "SpineMid": ("SPINE_NAVEL", "SPINE_CHEST"),
+    "SpineShoulder": ("CLAVICLE_LEFT", "CLAVICLE_RIGHT"),
+    "Neck": ("NECK",),
+    "Head": ("EAR_LEFT", "EAR_RIGHT"),
+}
+"""Joints of Kinect v2 that lie elsewhere than Azure Kinect's of like name: at the mean
+of these. Kinect v2 has the middle of the spine between navel and chest, its upper end
+between the shoulders, and the head in the middle of the skull, Azure Kinect at its
+base."""
+
+
+def _sources(joint: str) -> tuple[str, ...]:
+    """Return the joints of Azure Kinect whose mean a joint of Kinect v2 is."""
+    for side in ("Left", "Right"):
+        if joint.endswith(side):
+            return (f"{joint.removesuffix(side).upper()}_{side.upper()}",)
+    return _TRUNK[joint]
+
+
+# Rows of a mean are the two joints that it is of, twice the same for one.
+_PAIRS = np.array(
+    [
+        [JOINTS.index(name) for name in (_sources(joint) * 2)[:2]]
+        for joint in KINECT_V2.joints
+    ]
+)
+_TO_OURS = np.array([-1e-3, -1e-3, 1e-3])
+"""Meters for millimeters, x to the camera's left for right, y up for down: half a turn
+about z, after which a take faces the sensor as takes of Kinect v2 do."""
+
+
+def read_azure(text: str, source: str) -> Recording:
+    """Read the text of a JSON file of bodies.
+
+    Args:
+        text: The whole file.
+        source: The file, for messages.
+
+    Raises:
+        InputError: It is no such JSON, or a frame in it is malformed.
+    """
+    try:
+        root = json.loads(text, object_hook=_slim, parse_int=float)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"{source}: row {error.lineno} is no JSON ({error.msg}); the file may be "
+            "cut off, export it again"
+        ) from None
+    except (ValueError, RecursionError):
+        raise InputError(
+            f"{source}: no JSON that a sensor's tool writes; export it again"
+        ) from None
+    frames = root.get("frames") if isinstance(root, dict) else None
+    if not isinstance(frames, list):
+        raise InputError(
+            f"{source}: JSON without 'frames'; expected what Azure Kinect's "
+            "offline_processor writes"
+        )
+    _check_names(root.get("joint_names"), source)
+    check_length(len(frames), source)
+    sightings: list[Sighting] = []
+    stamps = []
+    for k, frame in enumerate(frames):
+        reader = _FrameReader(k, source)
+        stamps.append(reader.stamp(frame))
+        sightings += reader.bodies(frame)
+    time = (np.array(stamps) - stamps[0]) * 1e-6
+    _check_order(time, source)
+    return Recording(
+        takes_of(time, sightings, KINECT_V2, source),
+        "azure",
+        "mm",
+        (
+            "Azure Kinect: 32 joints taken for the 25 of Kinect v2, whose offsets they "
+            "need not have; compare with --method local-pca",
+        ),
+    )
+
+
+def _slim(value: dict[str, Any]) -> dict[str, Any]:
+    """Return a JSON object without what is long and not read."""
+    value.pop("joint_orientations", None)
+    if "joint_positions" in value:
+        for key, item in value.items():
+            if key == "joint_positions" or "confidence" in key:
+                value[key] = _numbers(item)
+    return value
+
+
+def _numbers(item: Any) -> NDArray[np.float64] | None:
+    """Return nested lists of numbers as an array, None if they are something else."""
+    try:
+        return np.array(item, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+
+
+def _check_names(names: Any, source: str) -> None:
+    """Raise InputError if the file says that its joints are others."""
+    if names is None:
+        return
+    found = [str(name) for name in names] if isinstance(names, list) else []
+    # The SDK's header spells it NAVEL, its documentation NAVAL.
+    found = [name.replace("NAVAL", "NAVEL") for name in found]
+    if tuple(found) != JOINTS:
+        raise InputError(
+            f"{source}: 'joint_names' are {len(found)}, {', '.join(found[:3])[:60]}, "
+            f"..., expected the {len(JOINTS)} of Azure Kinect in the SDK's order: "
+            f"{', '.join(JOINTS[:3])}, ..."
+        )
+
+
+def _check_order(time: NDArray[np.float64], source: str) -> None:
+    backwards = np.flatnonzero(np.diff(time) < 0)
+    if len(backwards):
+        raise InputError(
+            f"{source}: frame {backwards[0] + 2}: 'timestamp_usec' goes backwards; "
+            "sort the frames by time or cut the take there"
+        )
+
+
+class _FrameReader:
+    """Reads a frame and says what is wrong in it."""
+
+    def __init__(self, index: int, source: str) -> None:
+        self._index, self._source = index, source
+
+    def stamp(self, frame: Any) -> float:
+        """Return the time stamp [us]."""
+        stamp = frame.get("timestamp_usec") if isinstance(frame, dict) else None
+        if not isinstance(stamp, float) or not abs(stamp) < 1e18:
+            self._fail("has no 'timestamp_usec', expected a number")
+        return stamp
+
+    def bodies(self, frame: dict[str, Any]) -> list[Sighting]:
+        """Return the bodies in the frame."""
+        bodies = frame.get("bodies")
+        if not isinstance(bodies, list):
+            self._fail("has no 'bodies', expected a list")
+        return [self._body(body) for body in bodies]
+
+    def _body(self, body: Any) -> Sighting:
+        number = body.get("body_id") if isinstance(body, dict) else None
+        if not isinstance(number, float) or not abs(number) < 2**53:
+            self._fail("has a body without 'body_id', expected a number")
+        positions = body.get("joint_positions")
+        if np.shape(positions) != (len(JOINTS), 3) or np.isinf(positions).any():
+            self._fail(
+                f"has no 'joint_positions' of body {number:g}, expected "
+                f"{len(JOINTS)} times three finite numbers in millimeters"
+            )
+        levels = [item for key, item in body.items() if "confidence" in key]
+        state = self._states(levels[0]) if levels else np.full(len(JOINTS), 2)
+        return Sighting(
+            self._index,
+            int(number),
+            positions[_PAIRS].mean(axis=1) * _TO_OURS,
+            state[_PAIRS].min(axis=1).astype(np.uint8),
+        )
+
+    def _states(self, levels: Any) -> NDArray[np.intp]:
+        """Return the state for each level: none, low (not observed), medium, high."""
+        if np.shape(levels) != (len(JOINTS),) or not np.isin(levels, range(4)).all():
+            self._fail(
+                f"has no {len(JOINTS)} confidence levels, expected 0 none, 1 low, "
+                "2 medium or 3 high for each joint"
+            )
+        return np.minimum(np.asarray(levels, dtype=np.intp), State.TRACKED)
+
+    def _fail(self, complaint: str) -> NoReturn:
+        raise InputError(f"{self._source}: frame {self._index + 1} {complaint}")

@@ -1,0 +1,151 @@
+"""Motion of any skeleton, as mocap files have it, and the Kinect's joints in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError, Skeleton, standard_body
+from kinefilter.retarget.rotations import IDENTITY, multiply, rotate
+from kinefilter.retarget.source_rig import SourceRig, find_rig
+
+__all__ = ["KinectMotion", "Mocap", "bare_name", "kinect_motion"]
+
+Array = NDArray[np.float64]
+
+_Z_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
+"""Minus a quarter turn about x, wxyz: what pointed along z points along y."""
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU": 0.056444}
+"""Meters in units that mocap comes in; CMU's is an inch over 0.45."""
+_TOLERANCE = 1.5
+"""Lengths of bodies over those of the standard one, or under, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mocap:
+    """Joints in motion, in the file's own axes and unit."""
+
+    names: tuple[str, ...]
+    """Names of the joints."""
+    positions: Array
+    """Joint positions, NaN where missing, shape (T, N, 3)."""
+    rotations: Array | None
+    """World rotation of each joint, unit quaternions wxyz, shape (T, N, 4); None where
+    the file has none."""
+    frame_time: float
+    """Time between frames [s]."""
+    source: str
+    """The file, for messages."""
+
+
+@dataclass(frozen=True, eq=False)
+class KinectMotion:
+    """The joints of a Kinect in motion that was recorded otherwise, y up."""
+
+    positions: Array
+    """Joint positions in the file's unit, NaN where missing, shape (T, J, 3)."""
+    turns: Array | None
+    """World rotation of what turns each segment, wxyz, shape (T, J, 4), or unknown."""
+    unit: str
+    """Name of the unit of length that fits a body best; empty: none does."""
+    meters: float
+    """Length of that unit, or of what a standard body would need [m]."""
+    frame_time: float
+    """Time between frames [s]."""
+    rig: str
+    """Name of the rig whose joints were found."""
+
+
+def bare_name(name: str) -> str:
+    """Return a joint's name without the name of the subject or rig before it."""
+    return name.rpartition(":")[2].strip()
+
+
+def kinect_motion(
+    mocap: Mocap, skeleton: Skeleton, known: Sequence[str]
+) -> KinectMotion:
+    """Return the joints of a Kinect in mocap.
+
+    Which axis points up is seen from the head, which mostly is above the hips: y or z.
+
+    Args:
+        mocap: The motion.
+        skeleton: The Kinect's joints.
+        known: Names of the rigs to look for (``retarget/source_rigs``).
+
+    Raises:
+        InputError: The joints are of no rig, or are in no frame.
+    """
+    names = [bare_name(name) for name in mocap.names]
+    rig, missing = find_rig(names, skeleton, known)
+    if missing:
+        raise InputError(
+            f"{mocap.source}: no joint {missing[0]!r} ({len(missing)} missing); "
+            f"expected {_expected(rig)}; found {_listed(names)}"
+        )
+    positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
+    turned = mocap.rotations is not None and all(
+        joint.turned_by for joint in rig.joints.values()
+    )
+    turns = np.tile(IDENTITY, (*positions.shape[:2], 1)) if turned else None
+    for joint, row in rig.joints.items():
+        j = skeleton.index(joint)
+        columns = [names.index(name) for name in row.at]
+        positions[:, j] = mocap.positions[:, columns].mean(axis=1)
+        if turns is not None and mocap.rotations is not None and row.turned_by:
+            turns[:, j] = mocap.rotations[:, names.index(row.turned_by)]
+    if _z_is_up(positions, skeleton, mocap.source):
+        positions = rotate(_Z_TO_Y_UP, positions)
+        turns = None if turns is None else multiply(_Z_TO_Y_UP, turns)
+    unit, meters = _unit(positions, skeleton, mocap.source)
+    return KinectMotion(positions, turns, unit, meters, mocap.frame_time, rig.name)
+
+
+def _expected(rig: SourceRig) -> str:
+    titles = {
+        "cmu": "the joint names of the cgspeed conversion of CMU mocap",
+        "motionbuilder": "the joint names of MotionBuilder",
+        "acclaim": "the bone names of CMU's ASF files",
+        "plug_in_gait": "the joint centers of Vicon's Plug-in Gait",
+        "jointed": "the names of a skeleton of joints",
+    }
+    title = titles.get(rig.name, f"the joint names of {rig.name}")
+    return f"{title} ({_listed(sorted(rig.needed))})"
+
+
+def _listed(names: Sequence[str]) -> str:
+    some = ", ".join(name[:30] for name in names[:6])
+    return some + (", ..." if len(names) > 6 else "")
+
+
+def _z_is_up(positions: Array, skeleton: Skeleton, source: str) -> bool:
+    spine = positions[:, skeleton.index("Head")] - positions[:, skeleton.root]
+    spine = spine[np.isfinite(spine).all(axis=1)]
+    if not len(spine):
+        raise InputError(
+            f"{source}: no frame has head and hips; give motion of a whole body"
+        )
+    middle = np.median(spine, axis=0)
+    return bool(np.abs(middle).argmax() == 2 and middle[2] > 0.0)
+
+
+def _unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float]:
+    """Return name and length [m] of the unit in which these are a person's bones."""
+    ends = skeleton.segments
+    bones = positions[:, ends] - positions[:, skeleton.segment_parents]
+    norms = np.linalg.norm(bones, axis=2)
+    lengths = np.array(
+        [np.median(n[np.isfinite(n)]) if np.isfinite(n).any() else 0 for n in norms.T]
+    )
+    usual = standard_body(skeleton).lengths[ends]
+    known = lengths > 1e-3 * max(lengths.max(), 1e-12)
+    if not known.any() or not np.isfinite(lengths).all():
+        raise InputError(f"{source}: all joints are in one place; give recorded motion")
+    meters = float(np.median(usual[known] / lengths[known]))
+    unit = min(_UNITS, key=lambda name: abs(np.log(_UNITS[name] / meters)))
+    if abs(np.log(_UNITS[unit] / meters)) > np.log(_TOLERANCE):
+        return "", meters
+    return unit, _UNITS[unit]

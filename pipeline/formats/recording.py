@@ -1,0 +1,120 @@
+"""What a recorded file holds: a take of every person in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError, State, Take
+
+__all__ = [
+    "MOST_FRAMES",
+    "Recording",
+    "check_extent",
+    "check_length",
+    "missing_marked",
+]
+
+Array = NDArray[np.float64]
+
+MOST_FRAMES = 1_000_000
+"""Frames that a recording has at most: nine hours at 30 a second."""
+_LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
+_FRAMES_MEASURED = 1000  # enough for a median
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A file that a sensor or its tools wrote."""
+
+    takes: tuple[Take, ...]
+    """One a person, in the order in which they appear."""
+    format: str
+    """Name of the file's layout (pipeline.config.TakeFormat)."""
+    unit: str = "m"
+    """The file's own unit of length."""
+    notes: tuple[str, ...] = ()
+    """What the user should know about how it was read."""
+
+    @property
+    def main(self) -> int:
+        """Index of the person who is seen in most frames."""
+        seen = [int(_seen(take).sum()) for take in self.takes]
+        return int(np.argmax(seen))
+
+    def take(self, body: int | None = None) -> Take:
+        """Return the take of a person.
+
+        Args:
+            body: Which, counted from 1; None: who is seen in most frames.
+
+        Raises:
+            InputError: There is no such person.
+        """
+        if body is None:
+            return self.takes[self.main]
+        if not 1 <= body <= len(self.takes):
+            raise InputError(
+                f"{self.takes[0].source}: has no body {body}, there "
+                + ("is 1" if len(self.takes) == 1 else f"are {len(self.takes)}")
+                + "; 'kinefilter info' lists them"
+            )
+        return self.takes[body - 1]
+
+
+def _seen(take: Take) -> NDArray[np.bool_]:
+    return np.asarray((take.state > State.NOT_TRACKED).any(axis=1))
+
+
+def missing_marked(
+    positions: Array, state: NDArray[np.uint8]
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Return positions and states with what is missing as NaN and not tracked.
+
+    Missing is what is not tracked, not a number or exactly at the origin, where the
+    sensors put what they do not see.
+
+    Args:
+        positions: Joint positions [m], shape (..., 3).
+        state: Tracking states (State), shape (...).
+    """
+    seen = np.isfinite(positions).all(-1) & (positions != 0).any(-1) & (state > 0)
+    return (
+        np.where(seen[..., None], positions, np.nan),
+        np.where(seen, state, State.NOT_TRACKED).astype(np.uint8),
+    )
+
+
+def check_length(frames: int, source: str) -> None:
+    """Raise InputError for fewer than two frames or more than any recording's."""
+    if frames < 2:
+        raise InputError(
+            f"{source}: has {frames} frame{'s' * (frames != 1)}, "
+            "expected at least 2; record a longer take"
+        )
+    if frames > MOST_FRAMES:
+        raise InputError(
+            f"{source}: has more than {MOST_FRAMES:,} frames; cut it into shorter takes"
+        )
+
+
+def check_extent(positions: Array, source: str) -> None:
+    """Raise InputError where nobody is seen or no one can be that tall."""
+    seen = np.flatnonzero(np.isfinite(positions[..., 0]).any(axis=1))
+    if not len(seen):
+        raise InputError(
+            f"{source}: no joint is tracked in any of {len(positions)} frames (all "
+            "zero, empty or state 0); record again with the person in view"
+        )
+    some = positions[seen[:: 1 + len(seen) // _FRAMES_MEASURED]]
+    spans = np.fmax.reduce(some, axis=1) - np.fmin.reduce(some, axis=1)
+    span = float(np.median(spans.max(axis=-1)))
+    if span > _LARGEST_PERSON:
+        unit, factor = ("milli", 1000) if span > 600 else ("centi", 100)
+        raise InputError(
+            f"{source}: the skeleton spans {span:.0f} m in a typical frame, expected a "
+            f"person in meters; if the file is in {unit}meters, divide positions by "
+            f"{factor}"
+        )
