@@ -200,9 +200,9 @@ def test_a_zipped_bvh_is_the_same_bvh(tmp_path: Path) -> None:
         ("1 2 3", "1 b 3", "row 18, column Hips.Yposition is 'b'"),
         ("1 2 3", "1 nan 3", "row 18, column Hips.Yposition is no number"),
         ("Frames: 2", "Frames: 1", "line 19 ends the motion after 2 frames"),
-        ("Frames: 2", "Frames: 1e18", "expected 1e+18"),
-        ("OFFSET 1 0 0", f"OFFSET {'1' * 2_000_000}", "line 7 is longer"),
-        ("JOINT Left Leg {", "JOINT a {\n" * 20_000, "line 10005 has one more joint"),
+        ("Frames: 2", "Frames: 1e18", "1e+18 frames of 3 joints are more"),
+        ("OFFSET 1 0 0", f"OFFSET {'1' * 2_000_000}", "row 7 does not end"),
+        ("JOINT Left Leg {", "JOINT a {\n" * 20_000, "line 1005 is joint number 1001"),
     ],
 )
 def test_bad_bvh_is_refused_naming_file_and_line(
