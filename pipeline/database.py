@@ -150,12 +150,13 @@ class PostureDatabase:
         try:
             skeleton = skeleton_named(str(arrays["skeleton"]))
             shape = (len(arrays["labels"]), len(skeleton))
+            recorded = bool(arrays.get("recorded", False))
             sound = (
                 arrays["positions"].shape == (*shape, 3)
                 and arrays["rotations"].shape == (*shape, 4)
                 and shape[0] >= 2
                 and np.isfinite(arrays["positions"]).all()
-                and np.isfinite(arrays["rotations"]).all()
+                and bool(np.isfinite(arrays["rotations"]).all())
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
@@ -172,7 +173,7 @@ class PostureDatabase:
             arrays["labels"],
             skeleton,
             str(path),
-            bool(arrays.get("recorded", False)),
+            recorded,
         )
 
 
