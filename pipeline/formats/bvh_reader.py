@@ -20,6 +20,8 @@ __all__ = ["read_bvh"]
 
 MOST_CELLS = 20_000_000
 """Joints times frames at most: an hour of 75 joints at 60 frames a second."""
+LARGEST_NUMBER = 1e9
+"""Of lengths and angles at most, whatever their unit; a damaged number may be more."""
 _MOST_JOINTS = 1000
 _MOST_CHANNELS = 6
 _FRAME_TIMES = (1e-4, 60.0)  # s, what any recorder could mean
@@ -53,6 +55,13 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
     motion = np.concatenate(
         [np.empty((0, len(columns))), *(block.values for block in blocks)]
     )
+    large = np.argwhere(np.abs(motion) > LARGEST_NUMBER)
+    if len(large):
+        row, column = large[0]
+        raise InputError(
+            f"{source}: frame {row + 1}, {columns[column][:40]} is "
+            f"{motion[row, column]:.3g}; correct or delete the frame"
+        )
     if len(motion) != frames:
         last = int(blocks[-1].rows[-1]) if blocks else tree.row + 2
         raise InputError(
@@ -166,7 +175,7 @@ class _Hierarchy:
             offset = np.array(words, dtype=np.float64)
         except ValueError:
             offset = np.full(3, np.nan)
-        if offset.shape != (3,) or not np.isfinite(offset).all():
+        if offset.shape != (3,) or not (np.abs(offset) < LARGEST_NUMBER).all():
             self._fail(f"has offset {' '.join(words)[:40]!r}, expected three numbers")
         return offset
 

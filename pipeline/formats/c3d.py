@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
-from .bvh_reader import MOST_CELLS
+from .bvh_reader import LARGEST_NUMBER, MOST_CELLS
 from .files import check_file
 from .guarded import read_guarded
 from .mocap import Mocap
@@ -53,6 +53,8 @@ def read_c3d(path: str | os.PathLike[str]) -> Mocap:
     # What no camera saw has a residual below zero, and zeros for a place.
     unseen = (arrays["residuals"] < 0) | (positions == 0).all(axis=-1)
     positions = np.where(unseen[..., None], np.nan, positions)
+    if not np.nanmax(np.abs(positions), initial=0.0) < LARGEST_NUMBER:
+        raise InputError(f"{source}: a point is beyond any room; export it again")
     return Mocap(names[:count], positions, None, 1.0 / rate, source)
 
 

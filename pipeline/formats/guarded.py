@@ -22,7 +22,7 @@ from kinefilter.characters import InputError
 __all__ = ["read_guarded"]
 
 _SECONDS = 120.0
-_MEMORY = 4 * 2**30  # bytes of address space, libraries included
+_MEMORY = 2 * 2**30  # bytes of address space, libraries included
 _NAME = "kinefilter.pipeline.formats.guarded"
 _REFUSED = 3  # exit code: the message is on the standard error
 
