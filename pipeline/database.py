@@ -155,6 +155,8 @@ class PostureDatabase:
                 arrays["positions"].shape == (*shape, 3)
                 and arrays["rotations"].shape == (*shape, 4)
                 and shape[0] >= 2
+                and arrays["labels"].shape == shape[:1]
+                and arrays["labels"].dtype.kind == "U"
                 and np.isfinite(arrays["positions"]).all()
                 and bool(np.isfinite(arrays["rotations"]).all())
             )

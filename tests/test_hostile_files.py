@@ -353,6 +353,20 @@ def test_damaged_files_do_not_hang_libraries_or_eat_memory(
     try_damaged(valid, tmp_path, name, seed)
 
 
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        *(("clip.npz", 4), ("clip.npz", 47), ("kinefilter.csv", 95)),
+        *(("pairs.npz", 176), ("database.npz", 1051), ("database.npz", 104_775)),
+        *(("clip.bvh", 100_170), ("contacts.csv", 102_861), ("points.c3d", 46)),
+    ],
+)
+def test_what_long_runs_have_found_stays_mended(
+    valid: dict[str, Path], tmp_path: Path, name: str, seed: int
+) -> None:
+    try_damaged(valid, tmp_path, name, seed)
+
+
 def try_damaged(valid: dict[str, Path], folder: Path, name: str, seed: int) -> None:
     """Read a file with something wrong in it, which is the same for the same seed."""
     rng = random.Random(seed)
