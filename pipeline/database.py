@@ -151,12 +151,15 @@ class PostureDatabase:
         try:
             skeleton = skeleton_named(str(arrays["skeleton"]))
             shape = (len(arrays["labels"]), len(skeleton))
+            recorded = bool(arrays.get("recorded", False))
             sound = (
                 arrays["positions"].shape == (*shape, 3)
                 and arrays["rotations"].shape == (*shape, 4)
                 and shape[0] >= 2
+                and arrays["labels"].shape == shape[:1]
+                and arrays["labels"].dtype.kind == "U"
                 and np.isfinite(arrays["positions"]).all()
-                and np.isfinite(arrays["rotations"]).all()
+                and bool(np.isfinite(arrays["rotations"]).all())
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
@@ -173,7 +176,7 @@ class PostureDatabase:
             arrays["labels"],
             skeleton,
             str(path),
-            bool(arrays.get("recorded", False)),
+            recorded,
         )
 
 

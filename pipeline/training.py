@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +89,16 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
             raise InputError(
                 f"{path}: no array {key!r}; a pairs file holds {', '.join(needed)}"
             )
+    try:
+        return _clips_of(path, arrays)
+    except (ValueError, TypeError, IndexError, OverflowError) as error:
+        raise InputError(
+            f"{path}: its arrays are no pairs ({type(error).__name__}); write it again"
+        ) from None
+
+
+def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
+    """Return the clips that the arrays of a pairs file hold."""
     kinect, mocap = arrays["kinect"].astype(float), arrays["mocap"].astype(float)
     if kinect.shape != mocap.shape:
         raise InputError(
@@ -99,6 +110,10 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
     state = arrays.get("state", np.full(missing.shape, State.TRACKED))
     state = np.where(missing, State.NOT_TRACKED, state).astype(np.uint8)
     fps, subject = float(arrays["fps"]), str(arrays["subject"])
+    if not 0.01 < fps < 1e4:
+        raise InputError(
+            f"{path}: fps is {fps:g}, expected frames a second, such as 30"
+        )
     pairs = []
     spans = zip(arrays["clip"], arrays["start"], arrays["stop"], strict=True)
     for clip, start, stop in spans:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError
 from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate
 
-from .bvh_reader import MOST_CELLS
+from .bvh_reader import LARGEST_NUMBER, MOST_CELLS
 from .euler import wxyz_from_euler
 from .files import open_text
 from .mocap import Mocap
@@ -166,7 +166,7 @@ class _AsfReader:
             numbers = [float(word) for word in words]
         except ValueError:
             numbers = []
-        if len(numbers) != count or not np.isfinite(numbers).all():
+        if len(numbers) != count or not (np.abs(numbers) < LARGEST_NUMBER).all():
             self._fail(f"is {' '.join(words)[:40]!r}, expected {count} finite numbers")
         return numbers
 
@@ -297,7 +297,7 @@ def _take_values(
         values = [float(word) for word in words[1:]]
     except ValueError:
         values = []
-    if len(values) != moving[name] or not np.isfinite(values).all():
+    if len(values) != moving[name] or not (np.abs(values) < LARGEST_NUMBER).all():
         raise InputError(
             f"{where} has no {moving[name]} finite numbers for bone {name!r}"
         )

@@ -84,8 +84,14 @@ def _clip(archive: dict[str, Any]) -> Clip:
     skeleton = skeleton_named(str(archive["skeleton"]))
     # [()] makes a number of an array without axes and leaves the others.
     measures = {name: archive[name][()] for name in _BODY}
+    arrays = {name: archive[name] for name in _ARRAYS}
+    for name, array in (*arrays.items(), *measures.items()):
+        if np.asarray(array).dtype.kind not in "biuf":
+            raise InputError(f"{name} holds no numbers; write the clip again")
+    if arrays["time"].dtype.kind != "f":
+        raise InputError("time holds no numbers; write the clip again")
     return Clip(
-        **{name: archive[name] for name in _ARRAYS},
+        **arrays,
         skeleton=skeleton,
         body=Body(skeleton=skeleton, **measures),
         source=str(archive["source"]),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, State, Take
 
-from .recording import check_extent, check_length, missing_marked
+from .recording import check_extent, check_length, check_rate, missing_marked
 
 __all__ = ["Sighting", "takes_of"]
 
@@ -58,6 +58,7 @@ def takes_of(
         InputError: Nobody is seen, a body is in a frame twice, or it is no take.
     """
     check_length(len(time), source)
+    check_rate(time, source)
     people = [p for p in _people(time, sightings, source) if len(p) >= _FEWEST]
     if not people:
         raise InputError(

@@ -20,6 +20,8 @@ __all__ = ["read_bvh"]
 
 MOST_CELLS = 20_000_000
 """Joints times frames at most: an hour of 75 joints at 60 frames a second."""
+LARGEST_NUMBER = 1e9
+"""Of lengths and angles at most, whatever their unit; a damaged number may be more."""
 _MOST_JOINTS = 1000
 _MOST_CHANNELS = 6
 _FRAME_TIMES = (1e-4, 60.0)  # s, what any recorder could mean
@@ -68,6 +70,11 @@ def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> NDArray[np.float6
         if len(unknown):
             row, column = unknown[0]
             reader.fail(block.rows[row], column, "is no number; expected one")
+        large = np.argwhere(np.abs(block.values) > LARGEST_NUMBER)
+        if len(large):
+            row, column = large[0]
+            value = block.values[row, column]
+            reader.fail(block.rows[row], column, f"is {value:.3g}; delete the frame")
         motion.append(block.values)
         count, last = count + len(block.values), int(block.rows[-1])
         if count > frames:
@@ -167,7 +174,7 @@ class _Hierarchy:
             offset = np.array(words, dtype=np.float64)
         except ValueError:
             offset = np.full(3, np.nan)
-        if offset.shape != (3,) or not np.isfinite(offset).all():
+        if offset.shape != (3,) or not (np.abs(offset) < LARGEST_NUMBER).all():
             self._fail(f"has offset {' '.join(words)[:40]!r}, expected three numbers")
         return offset
 

@@ -7,15 +7,19 @@ the program that solves the skeleton has to come first.
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import struct
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
-from .bvh_reader import MOST_CELLS
+from .bvh_reader import LARGEST_NUMBER, MOST_CELLS
 from .files import check_file
+from .guarded import read_guarded
 from .mocap import Mocap
 
 __all__ = ["read_c3d"]
@@ -33,23 +37,13 @@ def read_c3d(path: str | os.PathLike[str]) -> Mocap:
     """
     source = os.fspath(path)
     _check_header(source)
-    try:
-        import ezc3d
-    except ImportError:
+    if importlib.util.find_spec("ezc3d") is None:
         raise InputError(
             f"{source}: reading C3D needs ezc3d; pip install 'kinefilter[c3d]'"
-        ) from None
-    try:
-        file = ezc3d.c3d(source)
-        points = np.asarray(file["data"]["points"], dtype=np.float64)
-        parameters = file["parameters"]["POINT"]
-        names = tuple(str(name) for name in parameters["LABELS"]["value"])
-        rate = float(parameters["RATE"]["value"][0])
-    except Exception as error:  # ezc3d raises whatever its C++ does
-        raise InputError(
-            f"{source}: cannot be read as C3D ({type(error).__name__}); export it again"
-        ) from None
-    count = points.shape[1]
+        )
+    arrays = read_guarded("c3d", source)
+    points, rate = arrays["points"], float(arrays["rate"])
+    names, count = tuple(arrays["names"].tolist()), points.shape[1]
     if not 0.01 < rate < 1e4 or len(names) < count or not points.size:
         raise InputError(
             f"{source}: has {points.shape[2]} frames of {count} points, "
@@ -57,10 +51,35 @@ def read_c3d(path: str | os.PathLike[str]) -> Mocap:
         )
     positions = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1)
     # What no camera saw has a residual below zero, and zeros for a place.
-    residuals = file["data"]["meta_points"]["residuals"][0].T
-    unseen = (residuals < 0) | (positions == 0).all(axis=-1)
+    unseen = (arrays["residuals"] < 0) | (positions == 0).all(axis=-1)
     positions = np.where(unseen[..., None], np.nan, positions)
+    if not np.nanmax(np.abs(positions), initial=0.0) < LARGEST_NUMBER:
+        raise InputError(f"{source}: a point is beyond any room; export it again")
     return Mocap(names[:count], positions, None, 1.0 / rate, source)
+
+
+def arrays_of(path: str) -> dict[str, NDArray[Any]]:
+    """Return points, residuals, labels and rate of a file (see ``guarded``).
+
+    Raises:
+        InputError: ezc3d does not read the file.
+    """
+    import ezc3d
+
+    try:
+        file = ezc3d.c3d(path)
+        parameters = file["parameters"]["POINT"]
+        names = [str(name) for name in parameters["LABELS"]["value"]]
+        return {
+            "points": np.asarray(file["data"]["points"], dtype=np.float64),
+            "residuals": np.asarray(file["data"]["meta_points"]["residuals"][0].T),
+            "names": np.array(names, dtype=str),
+            "rate": np.array(float(parameters["RATE"]["value"][0])),
+        }
+    except Exception as error:  # ezc3d raises whatever its C++ does
+        raise InputError(
+            f"{path}: cannot be read as C3D ({type(error).__name__}); export it again"
+        ) from None
 
 
 def _check_header(source: str) -> None:

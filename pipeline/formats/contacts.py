@@ -75,7 +75,7 @@ def _table(
         header = tuple(cell.strip() for cell in next(iter(file), "").split(","))
         if header != _HEADER:
             raise InputError(
-                f"{source}: row 1 is {','.join(header)!r}; expected the header "
+                f"{source}: row 1 is {','.join(header)[:60]!r}; expected the header "
                 f"{','.join(_HEADER)} that 'kinefilter clean --save-contacts' writes"
             )
         reader = RowReader(source, _HEADER, str.strip)

@@ -14,6 +14,7 @@ __all__ = [
     "Recording",
     "check_extent",
     "check_length",
+    "check_rate",
     "missing_marked",
 ]
 
@@ -21,7 +22,9 @@ Array = NDArray[np.float64]
 
 MOST_FRAMES = 1_000_000
 """Frames that a recording has at most: nine hours at 30 a second."""
+_FASTEST = 2000.0  # frames a second, of marker mocap
 _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
+_FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
 
 
@@ -100,6 +103,16 @@ def check_length(frames: int, source: str) -> None:
         )
 
 
+def check_rate(time: Array, source: str) -> None:
+    """Raise InputError for frames faster than any sensor's; times may repeat [s]."""
+    distinct = 1 + int(np.sum(np.diff(time) > 0))
+    if distinct > 1 and distinct > _FASTEST * (time[-1] - time[0]) + 2:
+        raise InputError(
+            f"{source}: {distinct} frames in {time[-1] - time[0]:.3g} s are more than "
+            "any sensor takes; are the times in seconds?"
+        )
+
+
 def check_extent(positions: Array, source: str) -> None:
     """Raise InputError where nobody is seen or no one can be that tall."""
     seen = np.flatnonzero(np.isfinite(positions[..., 0]).any(axis=1))
@@ -109,7 +122,8 @@ def check_extent(positions: Array, source: str) -> None:
             "zero, empty or state 0); record again with the person in view"
         )
     some = positions[seen[:: 1 + len(seen) // _FRAMES_MEASURED]]
-    spans = np.fmax.reduce(some, axis=1) - np.fmin.reduce(some, axis=1)
+    with np.errstate(over="ignore"):
+        spans = np.fmax.reduce(some, axis=1) - np.fmin.reduce(some, axis=1)
     span = float(np.median(spans.max(axis=-1)))
     if span > _LARGEST_PERSON:
         unit, factor = ("milli", 1000) if span > 600 else ("centi", 100)
@@ -117,4 +131,11 @@ def check_extent(positions: Array, source: str) -> None:
             f"{source}: the skeleton spans {span:.0f} m in a typical frame, expected a "
             f"person in meters; if the file is in {unit}meters, divide positions by "
             f"{factor}"
+        )
+    distance = np.fmax.reduce(np.abs(positions[seen]).reshape(len(seen), -1), axis=1)
+    far = seen[distance > _FARTHEST]
+    if len(far):
+        raise InputError(
+            f"{source}: frame {far[0] + 1} has a joint {distance.max():.3g} m away, "
+            "expected a person before a sensor, in meters; correct or delete it"
         )

@@ -16,11 +16,14 @@ from .recording import (
     Recording,
     check_extent,
     check_length,
+    check_rate,
     missing_marked,
 )
 from .rows import Block, RowReader
 
 __all__ = ["read_sheet"]
+
+_LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
 
 # A block's time [s], positions [m] (R, J, 3) and states (R, J).
 _Frames = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]
@@ -100,6 +103,13 @@ def _times(block: Block, layout: Layout, reader: RowReader) -> NDArray[np.float6
         reader.fail(
             block.rows[empty[0]], column, "is empty, expected a time; delete the row"
         )
+    absurd = np.flatnonzero(np.abs(times) > _LATEST)
+    if len(absurd):
+        reader.fail(
+            block.rows[absurd[0]],
+            column,
+            f"is {times[absurd[0]]:.3g}, expected a time; correct or delete the row",
+        )
     return times
 
 
@@ -114,6 +124,7 @@ def _take(
         # The clock of the machine; subtracted before scaling, which rounds.
         time = (time - time[0]) * layout.seconds
     _check_order(time, rows, source)
+    check_rate(time, source)
     positions, state = np.concatenate(places), np.concatenate(states)
     check_extent(positions, source)
     if layout.weighted and state.max() == State.INFERRED:

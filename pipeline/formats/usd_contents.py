@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
+from .guarded import read_guarded
 from .usd_reader import read_usd_positions
 
 __all__ = ["check_usd", "usd_contents"]
@@ -47,14 +50,28 @@ def usd_contents(path: str) -> dict[str, Any]:
     Raises:
         InputError: The file is no USD, or has no animated skeleton.
     """
+    check_usd(path)
+    contents: dict[str, Any] = json.loads(
+        str(read_guarded("usd_contents", path)["json"])
+    )
+    return contents
+
+
+def arrays_of(path: str) -> dict[str, NDArray[Any]]:
+    """Return the contents as JSON in an array (see ``guarded``).
+
+    Raises:
+        InputError: As ``usd_contents``.
+    """
     from pxr import Tf, Usd, UsdGeom
 
-    check_usd(path)
-    time, names, _ = read_usd_positions(path)
     try:
+        time, names, _ = read_usd_positions(path)
         stage = Usd.Stage.Open(path)
-    except Tf.ErrorException:
-        raise InputError(f"{path}: cannot be read as USD; export it again") from None
+    except (Tf.ErrorException, RuntimeError, ValueError, IndexError, TypeError):
+        raise InputError(
+            f"{path}: its skeleton and animation do not fit; export it again"
+        ) from None
     steps = np.diff(time)
     attributes = sorted(
         {
@@ -64,7 +81,7 @@ def usd_contents(path: str) -> dict[str, Any]:
             if attribute.GetName().startswith(("kinefilter:", "primvars:kinefilter:"))
         }
     )
-    return {
+    contents = {
         "unit": f"{UsdGeom.GetStageMetersPerUnit(stage):g} m",
         "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
         "joints": len(names),
@@ -75,3 +92,4 @@ def usd_contents(path: str) -> dict[str, Any]:
         "time_codes_per_second": float(stage.GetTimeCodesPerSecond()),
         "attributes": attributes,
     }
+    return {"json": np.array(json.dumps(contents))}

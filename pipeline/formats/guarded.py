@@ -1,0 +1,86 @@
+"""Files that libraries in C++ read, in a process of bounded memory and time.
+
+The readers of C3D and binary USD believe what a file says of itself: of a damaged one
+they ask for any amount of memory, or never end. So they run in a process of their own,
+which is ended where it goes too far, and hand over plain arrays.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError
+
+__all__ = ["read_guarded"]
+
+_SECONDS = 120.0
+_MEMORY = 2 * 2**30  # bytes of address space, libraries included
+_NAME = "kinefilter.pipeline.formats.guarded"
+_REFUSED = 3  # exit code: the message is on the standard error
+
+
+def read_guarded(module: str, path: str) -> dict[str, NDArray[Any]]:
+    """Return the arrays that a module's ``arrays_of(path)`` returns.
+
+    Args:
+        module: Name of a module of this package.
+        path: The file.
+
+    Raises:
+        InputError: The reader refuses the file, fails, or needs too much.
+    """
+    command = [sys.executable, "-m", _NAME, module, path]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(
+            command, capture_output=True, timeout=_SECONDS, env=environment, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise InputError(
+            f"{path}: took longer than {_SECONDS:.0f} s to read; it is damaged, or "
+            "should be cut into shorter files"
+        ) from None
+    if done.returncode == _REFUSED:
+        raise InputError(done.stderr.decode("utf-8", "replace").splitlines()[-1])
+    if done.returncode != 0:
+        raise InputError(
+            f"{path}: its reader failed (code {done.returncode}); the file is damaged "
+            "or too large, export it again"
+        )
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as file:
+        return {key: file[key] for key in file.files}
+
+
+def _main(module: str, path: str) -> int:
+    """Read a file and write its arrays to the standard output."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit; the time's stays
+        pass
+    else:
+        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # What the libraries themselves print must not get between the arrays.
+    output = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    reader = importlib.import_module(f"kinefilter.pipeline.formats.{module}")
+    try:
+        arrays = reader.arrays_of(path)
+    except InputError as error:
+        sys.stderr.write(f"\n{error}\n")
+        return _REFUSED
+    with output:
+        np.savez(output, **arrays)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(*sys.argv[1:]))
