@@ -23,6 +23,7 @@ from .commands import (
     Train,
 )
 from .commands.terminal import err
+from .threads import one_thread
 
 __all__ = ["main"]
 
@@ -42,7 +43,8 @@ Command = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0: done. 2: the input or the command was wrong; nothing was written.
+    0: done. 1: done, but for somebody of ``--body all``. 2: the input or the command
+    was wrong; nothing was written.
     """
     try:
         command = tyro.cli(
@@ -51,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             description="Turn noisy Kinect takes into clips that animators ship.",
             args=arguments,
         )
-        return command.run()
+        with one_thread():
+            return command.run()
     except InputError as error:
         err.print(f"kinefilter: {error}", markup=False)
         return 2

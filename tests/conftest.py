@@ -1,5 +1,10 @@
 from __future__ import annotations
 
+import os
+
+# The suite runs on all cores; more threads of linear algebra would only fight.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
