@@ -13,7 +13,7 @@ from kinefilter.characters.props import freeze
 from .rest_difference import heading, segment_of, turned
 from .rig_map import SIDES
 from .rotations import IDENTITY, between, inverse, multiply, rotate, slerp
-from .stance import held
+from .stance import held, near_stance
 from .target_rig import TargetRig
 from .two_bone import bent_limb
 
@@ -32,6 +32,7 @@ _HINGE = 0.025
 that noise bent backwards by 5 degrees still bends as it should. A guess."""
 _TOE_NEAR = 0.05  # m over the floor: toes that are lower are level. A guess.
 _STEEP, _SLOPING = 0.3, 0.7  # cosines of the sole's slope: toes are level below it
+_LOWEST = np.array([-np.inf, 0.0, -np.inf])
 _UP, _LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
 
 
@@ -146,17 +147,25 @@ class _Motion:
 
         Returns the share of standing in each frame, shape (T,).
         """
+        columns = [CONTACTS.index(f"{p}{side.capitalize()}") for p in ("Heel", "Toe")]
+        time, stands = self.clip.time, self.clip.contacts[:, columns]
+        foot = self.rig.joint(f"{side} foot")
+        flat = near_stance(time, stands[:, 0] & stands[:, 1])
+        self.turns[foot] = _leveled(self.turns[foot], flat)
         ankle, vector = self._ankle_height(side), self._foot(side)
         heights = np.array([ankle, ankle + vector[1]])
-        toes = rotate(self.turns[self.rig.joint(f"{side} foot")], vector)
-        columns = [CONTACTS.index(f"{p}{side.capitalize()}") for p in ("Heel", "Toe")]
-        stands = self.clip.contacts[:, columns]
-        move, share = held(self.clip.time, goal, goal + toes, stands, heights)
-        goal += move
-        goal[:, 1] += np.maximum(heights[1] - (goal + toes)[:, 1], 0.0)
+        toes = rotate(self.turns[foot], vector)
+        pivot = goal + toes + held(time, goal, goal + toes, stands, heights)
+        pivot[:, 1] = np.maximum(pivot[:, 1], heights[1])
+        # A foot that is not flat turns about its toes to where its ankle was.
+        ankles = np.maximum(goal, heights[0] * _UP + _LOWEST)
+        turn = between(toes, pivot - ankles)
+        turn = slerp(np.broadcast_to(IDENTITY, turn.shape), turn, 1.0 - flat)
+        self.turns[foot] = multiply(turn, self.turns[foot])
+        goal[:] = pivot - rotate(self.turns[foot], vector)
         if f"{side} toes" in self.rig.parts:
-            self._level_toes(side, (goal + toes)[:, 1] - heights[1])
-        return share
+            self._level_toes(side, pivot[:, 1] - heights[1])
+        return near_stance(time, stands[:, 0] | stands[:, 1])
 
     def _foot(self, side: str) -> Array:
         """Return the vector [m] from ankle to toes in the rest pose, shape (3,)."""
@@ -171,11 +180,9 @@ class _Motion:
     def _level_toes(self, side: str, heights: Array) -> None:
         """Turn toes that are near the floor flat, below a foot whose heel is up."""
         turns = self.turns[self.rig.joint(f"{side} foot")]
-        up = rotate(turns, _UP)
-        level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
         share = _ease(1.0 - heights / _TOE_NEAR)
-        share *= _ease((up[:, 1] - _STEEP) / (_SLOPING - _STEEP))
-        self.turns[self.rig.joint(f"{side} toes")] = slerp(turns, level, share)
+        share *= _ease((rotate(turns, _UP)[:, 1] - _STEEP) / (_SLOPING - _STEEP))
+        self.turns[self.rig.joint(f"{side} toes")] = _leveled(turns, share)
 
     def shortage(self, side: str, goal: Array) -> Array:
         """Return by how much the hips are too high for a leg [m], shape (T,)."""
@@ -210,6 +217,13 @@ class _Motion:
         hinge = rotate(self.clip.rotations[:, segment], _BENDS[limb])
         aside = bone - share[:, None] * line
         return np.asarray(aside + _HINGE * self._our_length(side, limb) * hinge)
+
+
+def _leveled(turns: Array, share: Array) -> Array:
+    """Return rotations (T, 4) that leave a sole level, in part, shape (T, 4)."""
+    up = rotate(turns, _UP)
+    level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
+    return slerp(turns, level, share)
 
 
 def _ease(share: Array) -> Array:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["held"]
+__all__ = ["held", "near_stance"]
 
 Array = NDArray[np.float64]
 
@@ -19,9 +19,21 @@ a body that drifts away would pull its leg straight."""
 _TINY = 1e-12
 
 
+def near_stance(time: Array, stands: NDArray[np.bool_]) -> Array:
+    """Return 1 while something stands, falling to 0 in 0.15 s before and after, (T,).
+
+    Args:
+        time: Time stamps [s], never decreasing, shape (T,).
+        stands: Whether it stands, shape (T,).
+    """
+    last = np.maximum.accumulate(np.where(stands, time, -np.inf))
+    following = np.minimum.accumulate(np.where(stands, time, np.inf)[::-1])[::-1]
+    return _ease(np.minimum(time - last, following - time) / _BLEND)
+
+
 def held(
     time: Array, heel: Array, toe: Array, stands: NDArray[np.bool_], heights: Array
-) -> tuple[Array, Array]:
+) -> Array:
     """Return how a foot has to be moved so that it rests while it stands.
 
     Where the toes stand they rest, where heel and toes stand both do as well as the
@@ -36,14 +48,12 @@ def held(
         heights: Heights [m] of ankle and toes of a foot that stands flat, shape (2,).
 
     Returns:
-        Move of the foot [m], shape (T, 3), and the share of standing in each frame, 1
-        where it stands, shape (T,).
+        Move of the foot [m], shape (T, 3).
     """
-    moves, shares = np.zeros((len(time), 3)), np.zeros(len(time))
+    moves = np.zeros((len(time), 3))
     stances = _runs(stands[:, 0] | stands[:, 1])
     for stance in stances:
         moves[stance] = _resting(heel[stance], toe[stance], stands[stance], heights)
-        shares[stance] = 1.0
     for before, after in pairwise([None, *stances, None]):
         first = 0 if before is None else before.stop
         gap = slice(first, len(time) if after is None else after.start)
@@ -52,15 +62,14 @@ def held(
             ended = _ease((time[gap] - time[first - 1]) / _BLEND)
         if after is not None:
             begins = _ease((time[gap.stop] - time[gap]) / _BLEND)
-        shares[gap] = ended + begins - ended * begins
         # Each counts the less the nearer the other is, and alone beside its own stance.
         old, new = ended * (1.0 - begins), begins * (1.0 - ended)
-        part = (shares[gap] / np.maximum(old + new, _TINY))[:, None]
+        some = (ended + begins - ended * begins) / np.maximum(old + new, _TINY)
         if before is not None:
-            moves[gap] += part * old[:, None] * moves[first - 1]
+            moves[gap] += (some * old)[:, None] * moves[first - 1]
         if after is not None:
-            moves[gap] += part * new[:, None] * moves[gap.stop]
-    return moves, shares
+            moves[gap] += (some * new)[:, None] * moves[gap.stop]
+    return moves
 
 
 def _resting(

@@ -33,7 +33,7 @@ def giant(name: str, clip: Clip) -> TargetRig:
     rig_map = load_rig_map(name)
     built = built_rig(rig_map, clip.body)
     part_of = {n: part for part, joints in built.parts.items() for n in joints}
-    factors = {"shin": 1.6, "foot": 1.4, "hand": 0.7, "upper arm": 1.3, "toes": 1.5}
+    factors = {"shin": 1.6, "foot": 1.4, "hand": 0.7, "upper arm": 1.3, "toes": 1.8}
     rest = built.rest
     places = np.zeros_like(rest.positions)
     for n, parent in enumerate(rest.parents):
@@ -338,23 +338,22 @@ def path_of(stands: list[int], slip: float) -> tuple[Array, Array, NDArray[np.bo
 
 def test_a_held_foot_rests_and_joins_its_path_in_a_sixth_of_a_second() -> None:
     time, path, stands = path_of([0] * 10 + [1] * 10 + [0] * 10, 0.002)
-    move, share = held(time, path, path, stands, np.zeros(2))
+    move = held(time, path, path, stands, np.zeros(2))
     rests = (path + move)[10:20]
     np.testing.assert_allclose(rests, np.broadcast_to(rests[0], (10, 3)), atol=1e-12)
     assert not move[[0, 5, 24, 29]].any()
-    assert (share[10:20] == 1.0).all()
     assert np.linalg.norm(np.diff(move, axis=0), axis=1).max() < 0.005
 
 
 def test_a_foot_that_drifts_is_dragged_along() -> None:
     time, path, stands = path_of([1] * 100, 0.002)
-    move, _ = held(time, path, path, stands, np.zeros(2))
+    move = held(time, path, path, stands, np.zeros(2))
     assert np.linalg.norm(move, axis=1).max() <= 0.015 + 1e-9
 
 
 def test_a_foot_that_stands_again_at_once_rests_both_times() -> None:
     time, path, stands = path_of([1] * 6 + [0] + [1] * 6, 0.002)
-    moved = path + held(time, path, path, stands, np.zeros(2))[0]
+    moved = path + held(time, path, path, stands, np.zeros(2))
     assert np.abs(np.diff(moved[:6], axis=0)).max() < 1e-12
     assert np.abs(np.diff(moved[7:], axis=0)).max() < 1e-12
     assert moved[5, 0] < moved[6, 0] < moved[7, 0]
@@ -365,5 +364,5 @@ def test_a_heel_that_rises_turns_the_foot_about_its_toes() -> None:
     heel = np.zeros((10, 3))
     heel[:, 1] = np.linspace(0.08, 0.18, 10)
     stands[3:, 0] = False
-    move, _ = held(time, heel, toe, stands, np.array([0.08, 0.0]))
+    move = held(time, heel, toe, stands, np.array([0.08, 0.0]))
     np.testing.assert_allclose(move[3:], np.tile(move[3], (7, 1)), atol=1e-12)
