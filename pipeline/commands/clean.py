@@ -55,6 +55,8 @@ class Clean:
             self.config.model,
             self.config.contacts,
             self.export.character,
+            self.export.target,
+            Path(self.export.rig) if self.export.rig is not None else None,
         )
         keep(self.out, *used)
         if self.json is not None:

@@ -13,7 +13,7 @@ from kinefilter.characters import Clip
 from .euler import continuous_euler
 from .export import Export
 from .files import atomic_path
-from .rig import Rig, rig_of
+from .rig import Rig, RigMotion
 
 __all__ = ["write_bvh"]
 
@@ -21,8 +21,10 @@ _FRAMES_AT_ONCE = 1000  # about a megabyte of text
 _END_SHARE = 0.3  # an end site goes on by this share of its bone, enough to be seen
 
 
-def write_bvh(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
-    """Write a clip's rotations and the root's path.
+def write_bvh(
+    clip: Clip, moved: RigMotion, path: str | os.PathLike[str], export: Export
+) -> None:
+    """Write a rig's rotations and the path of its root, or of its pelvis.
 
     The format itself has neither axes nor a unit; by default they are those of every
     other file that kinefilter writes, y up and METERS. Angles are in degrees and
@@ -30,7 +32,8 @@ def write_bvh(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
     one frame of the file, at the mean frame time, as the format knows no other.
 
     Args:
-        clip: The motion.
+        clip: When the frames are.
+        moved: The motion.
         path: The file.
         export: Axes, unit, rotation order, and the frame rate if the clip has been
             brought to one.
@@ -38,8 +41,8 @@ def write_bvh(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    rig = rig_of(clip.body)
-    motion = _motion(clip, rig, export)
+    rig = moved.rig.without_axes()
+    motion = _motion(moved, rig, export)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     with (
         atomic_path(path) as temporary,
@@ -47,6 +50,7 @@ def write_bvh(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
     ):
         file.write("HIERARCHY\n")
         offsets = export.points(rig.offsets)
+        offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
         order = [f"{axis}rotation" for axis in export.rotation_order.upper()]
         file.writelines(f"{line}\n" for line in _hierarchy(rig, offsets, order, 0, 0))
         frame_time = 1.0 / export.fps if export.fps else _frame_time(clip)
@@ -62,16 +66,30 @@ def _frame_time(clip: Clip) -> float:
     return duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
 
 
-def _motion(clip: Clip, rig: Rig, export: Export) -> NDArray[np.float64]:
-    """Return root position and angles [deg] of each frame, shape (T, 3 + 3 N)."""
-    motion = np.empty((len(clip), 3 + 3 * len(rig)))
-    motion[:, :3] = export.points(clip.positions[:, clip.skeleton.root])
-    axes = export.rotation_order.upper()
+def _motion(moved: RigMotion, rig: Rig, export: Export) -> NDArray[np.float64]:
+    """Return places and angles [deg] of each frame, shape (T, 3 + 3 N).
+
+    A rig whose root stays has three more columns for the place of that.
+    """
+    moving = sorted({0, rig.mover})
+    motion = np.empty((len(moved.path), 3 * (len(rig) + len(moving))))
+    column = 0
     # Node by node: the angles need the whole time, and all at once would be gigabytes.
-    for n in range(len(rig)):
-        local = export.axes(rig.local_rotation(clip.rotations, n))
-        motion[:, 3 + 3 * n : 6 + 3 * n] = np.degrees(continuous_euler(local, axes))
+    for n in rig.depth_first:
+        if n in moving:
+            place = moved.path if n == rig.mover else rig.root
+            motion[:, column : column + 3] = export.points(place)
+            column += 3
+        motion[:, column : column + 3] = _angles(moved, rig, n, export)
+        column += 3
     return motion
+
+
+def _angles(
+    moved: RigMotion, rig: Rig, node: int, export: Export
+) -> NDArray[np.float64]:
+    local = export.axes(rig.local_rotation(moved.rotations, node))
+    return np.degrees(continuous_euler(local, export.rotation_order.upper()))
 
 
 def _hierarchy(
@@ -79,7 +97,8 @@ def _hierarchy(
 ) -> Iterator[str]:
     """Yield the lines of a node and all below it."""
     pad, inner = "\t" * depth, "\t" * (depth + 1)
-    channels = order if depth else ["Xposition", "Yposition", "Zposition", *order]
+    moves = node == rig.mover or not depth
+    channels = ["Xposition", "Yposition", "Zposition", *order] if moves else order
     yield f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}"
     yield f"{pad}{{"
     yield f"{inner}{_offset(offsets[node])}"

@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from kinefilter.characters import Clip, InputError
+from kinefilter.characters import KINECT_V2, Clip, InputError, standard_body
+from kinefilter.retarget.retargeting import retarget
 
 from .archive import write_npz
 from .bvh_writer import write_bvh
 from .export import Export
 from .files import check_folder
 from .resample import in_strict_t, resampled
+from .rig import RigMotion, motion_of, retargeted_motion
 from .tables import write_take_csv
+from .targets import target_rig
 from .usd import write_usd
 
 __all__ = ["check_writable", "write_clip"]
@@ -38,6 +41,8 @@ def check_writable(path: str | os.PathLike[str], export: Export | None = None) -
         export.check(suffix.lower())
         if export.character is not None:
             _check_character(export.character)
+        if export.rig is not None:
+            target_rig(export.rig, export.target, standard_body(KINECT_V2))
 
 
 def _check_character(path: Path) -> None:
@@ -51,8 +56,9 @@ def write_clip(
 ) -> None:
     """Write a clip as USD, BVH, CSV or npz.
 
-    USD holds a skinned character in T-pose, rotations and props; BVH the skeleton and
-    rotations; CSV joint positions and the sensor's states; npz the whole clip.
+    USD holds a skinned character in T-pose, rotations and props, BVH the skeleton and
+    rotations; CSV joint positions and the sensor's states; npz the whole clip. On a
+    rig of somebody else's, USD and BVH hold its skeleton and rotations.
 
     Args:
         clip: The motion.
@@ -73,10 +79,18 @@ def write_clip(
         clip = in_strict_t(clip)
     suffix, path = Path(path).suffix.lower(), Path(path)
     if suffix == ".bvh":
-        write_bvh(clip, path, export)
+        write_bvh(clip, _moved(clip, export), path, export)
     elif suffix == ".csv":
         write_take_csv(clip, path)
     elif suffix == ".npz":
         write_npz(clip, path)
     else:
-        write_usd(clip, path, export)
+        write_usd(clip, _moved(clip, export), path, export)
+
+
+def _moved(clip: Clip, export: Export) -> RigMotion:
+    """Return the motion on the rig that was chosen."""
+    if export.rig is None:
+        return motion_of(clip)
+    rig = target_rig(export.rig, export.target, clip.body)
+    return retargeted_motion(rig, retarget(clip, rig))

@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
-_USD = ("up", "units", "fps", "rest")
+_USD = ("up", "units", "fps", "rest", "rig", "target")
 # What each kind of file can follow; kinefilter's own are in meters, y up.
 _FOLLOWED = {
     ".usda": (*_USD, "character"),
     ".usdc": (*_USD, "character"),
     ".usd": (*_USD, "character"),
     ".usdz": _USD,
-    ".bvh": ("up", "units", "fps", "rest", "rotation_order"),
+    ".bvh": (*_USD, "rotation_order"),
     ".csv": ("fps",),
     ".npz": ("fps",),
 }
@@ -51,12 +51,27 @@ class Export:
     character: Path | None = None
     """USD layer with skeleton and mesh that the USD clip refers to; made if it is not
     there. Default: the clip holds both itself."""
+    rig: str | None = None
+    """Skeleton of USD and BVH: mixamo, unreal, unity, vrm, smpl, or a map (.toml) such
+    as those in retarget/rigs; default: the sensor's joints."""
+    target: Path | None = None
+    """File (.bvh or USD) whose skeleton at rest the clip is for, its joints called as
+    in --rig; default: an average one, as tall as the person."""
 
     def __post_init__(self) -> None:
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
             raise InputError(
                 f"--fps {self.fps:g}: expected {_SLOWEST:g} to {_FASTEST:g} frames a "
                 "second"
+            )
+        if self.target is not None and self.rig is None:
+            raise InputError(
+                f"--target {self.target}: say with --rig how its joints are called"
+            )
+        if self.rig is not None and (self.rest != "own" or self.character is not None):
+            flag = "--character" if self.rest == "own" else "--rest"
+            raise InputError(
+                f"{flag} is about kinefilter's own skeleton; leave it or --rig out"
             )
 
     @property

@@ -1,19 +1,24 @@
-"""The skeleton that animation formats get: every bone length constant, no bend lost."""
+"""The skeleton that animation formats get: every bone length constant, no bend lost.
+
+It is our own, or that of somebody else's rig.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Skeleton
-from kinefilter.retarget.rotations import inverse, multiply
+from kinefilter.characters import Body, Clip, Skeleton
+from kinefilter.retarget.retargeting import Retargeted
+from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate
+from kinefilter.retarget.target_rig import RestPose, TargetRig
 
-__all__ = ["Rig", "rig_of"]
+__all__ = ["Rig", "RigMotion", "motion_of", "retargeted_motion", "rig_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +29,7 @@ class Rig:
     joint turn apart. Animation formats let a node turn all that hangs on it. So where
     a joint branches, a node ``<Child>Pivot`` sits in the same place for each child and
     turns with the child's segment; a joint with one child turns with that child's
-    segment, a leaf with its own. Nodes are listed depth first.
+    segment, a leaf with its own. On somebody else's rig each node turns for itself.
     """
 
     names: tuple[str, ...]
@@ -39,6 +44,12 @@ class Rig:
     """Indices of the nodes without children."""
     root: NDArray[np.float64]
     """Position of the root in the T-pose [m], shape (3,)."""
+    axes: NDArray[np.float64] | None = None
+    """World rotation of each node's own axes in the rest pose, wxyz, shape (N, 4);
+    None: those of the world."""
+    mover: int = 0
+    """Index of the node that changes place in its parent: the root, or the pelvis of a
+    rig whose root stays on the floor."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -51,6 +62,17 @@ class Rig:
             start = self.root if parent < 0 else positions[parent]
             positions[n] = start + self.offsets[n]
         return positions
+
+    @cached_property
+    def depth_first(self) -> tuple[int, ...]:
+        """Indices of the nodes, each before all that hangs on it, branch by branch."""
+        order, waiting = [], [0]
+        while waiting:
+            node = waiting.pop()
+            order.append(node)
+            children = [n for n, parent in enumerate(self.parents) if parent == node]
+            waiting.extend(reversed(children))
+        return tuple(order)
 
     @cached_property
     def starts(self) -> NDArray[np.intp]:
@@ -70,11 +92,33 @@ class Rig:
         Returns:
             Unit quaternions wxyz, shape (..., 4); the root's are world rotations.
         """
-        world = rotations[..., self.segments[node], :]
+        world = self._world(rotations, node)
         parent = self.parents[node]
         if parent < 0:
             return world
-        return multiply(inverse(rotations[..., self.segments[parent], :]), world)
+        return multiply(inverse(self._world(rotations, parent)), world)
+
+    def _world(self, rotations: NDArray[np.float64], node: int) -> NDArray[np.float64]:
+        world = rotations[..., self.segments[node], :]
+        return world if self.axes is None else multiply(world, self.axes[node])
+
+    @cached_property
+    def at_rest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Each node's place [m] and rotation in its parent, shapes (N, 3) and (N, 4).
+
+        The root's are those in the world.
+        """
+        still = np.tile(IDENTITY, (int(self.segments.max()) + 1, 1))
+        places = self.offsets.copy()
+        places[0] = self.root
+        if self.axes is not None:
+            above = self.axes[list(self.parents[1:])]
+            places[1:] = rotate(inverse(above), places[1:])
+        return places, self.local_rotations(still)
+
+    def without_axes(self) -> Rig:
+        """Return the rig for formats whose rest pose has no rotations."""
+        return replace(self, axes=None)
 
     def local_rotations(self, rotations: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return every node's rotation relative to its parent's.
@@ -103,6 +147,56 @@ def rig_of(body: Body) -> Rig:
         segments=np.array([node.segment for node in nodes]),
         leaves=tuple(n for n in range(len(nodes)) if n not in parents),
         root=body.rest_positions[body.skeleton.root],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RigMotion:
+    """What a rig does."""
+
+    rig: Rig
+    """The rig."""
+    rotations: NDArray[np.float64]
+    """World rotations of its segments since the rest pose, wxyz, shape (T, S, 4)."""
+    path: NDArray[np.float64]
+    """Place of the node ``rig.mover`` in its parent [m], shape (T, 3)."""
+    positions: NDArray[np.float64]
+    """World positions of joints, all that differ [m], shape (T, J, 3)."""
+
+
+def motion_of(clip: Clip) -> RigMotion:
+    """Return a clip's motion on its own rig."""
+    path = clip.positions[:, clip.skeleton.root]
+    return RigMotion(rig_of(clip.body), clip.rotations, path, clip.positions)
+
+
+def retargeted_motion(target: TargetRig, motion: Retargeted) -> RigMotion:
+    """Return a motion on another skeleton, whose nodes turn each for itself."""
+    mover = target.joint("pelvis")
+    rig = _rig_of_rest(target.rest, mover)
+    above = rig.parents[mover]
+    path = motion.positions[:, mover]
+    if above >= 0:
+        # All above the pelvis stays as it is at rest.
+        path = path - motion.positions[:, above]
+        if rig.axes is not None:
+            path = rotate(inverse(rig.axes[above]), path)
+    return RigMotion(rig, motion.rotations, path, motion.positions)
+
+
+def _rig_of_rest(rest: RestPose, mover: int) -> Rig:
+    count, parents = len(rest), np.array(rest.parents)
+    offsets = rest.positions - rest.positions[parents]
+    offsets[0] = 0.0
+    return Rig(
+        names=rest.names,
+        parents=rest.parents,
+        offsets=offsets,
+        segments=np.arange(count),
+        leaves=tuple(n for n in range(count) if n not in rest.parents),
+        root=rest.positions[0],
+        axes=rest.axes,
+        mover=mover,
     )
 
 

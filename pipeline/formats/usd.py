@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import tempfile
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,13 @@ from kinefilter.characters import Clip, InputError
 
 from .export import Export
 from .files import atomic_path
-from .rig import rig_of
+from .rig import RigMotion, rig_of
 from .usd_animation import write_animation
 from .usd_character import (
     CHARACTER,
     check_character,
     define_character,
+    define_skeleton,
     set_axes,
     write_character,
 )
@@ -36,7 +38,9 @@ _STAMP = 315619200  # s: 2 January 1980, for equal packages; zip knows no earlie
 _CODE_DECIMALS = 6  # of a frame: takes rounding errors off whole frames, nothing else
 
 
-def write_usd(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
+def write_usd(
+    clip: Clip, moved: RigMotion, path: str | os.PathLike[str], export: Export
+) -> None:
     """Write a clip as a UsdSkel character in T-pose, its animation and its props.
 
     A frame's time code is its time since the first frame times
@@ -44,10 +48,13 @@ def write_usd(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
 
     ``/Character`` is the SkelRoot, with ``Skeleton``, ``Skin`` (the mesh),
     ``Animation`` and, in a scene, ``Props`` in it. Its attributes ``kinefilter:...``
-    say where the motion came from; see ``usd_provenance``.
+    say where the motion came from; see ``usd_provenance``. On somebody else's rig it
+    is skeleton and animation alone: whose skin it wears they have, and the props are
+    where our proportions reach them.
 
     Args:
-        clip: The motion.
+        clip: The motion, and what is known of it.
+        moved: The rig that it is written on, and what that does.
         path: The file; ``.usda`` is text, ``.usdc`` and ``.usd`` are binary, ``.usdz``
             is a package of one binary layer.
         export: Axes, unit, frame rate and, perhaps, the character's own layer.
@@ -61,37 +68,41 @@ def write_usd(clip: Clip, path: str | os.PathLike[str], export: Export) -> None:
         with ExitStack() as files:
             temporary = files.enter_context(atomic_path(path))
             if Path(path).suffix.lower() == ".usdz":
-                _write_package(clip, temporary, Path(path).stem, export)
+                _write_package(clip, moved, temporary, Path(path).stem, export)
                 return
             reference = _character_reference(clip, Path(path), export, files)
             text = temporary.suffix.lower() == ".usda"
             write = _write_text if text else _write_layer
-            write(clip, temporary, export, reference)
+            write(clip, moved, temporary, export, reference)
     except Tf.ErrorException as error:
         raise InputError(
             f"{path}: cannot be written ({error}); write elsewhere or make room"
         ) from error
 
 
-def _write_package(clip: Clip, path: Path, name: str, export: Export) -> None:
+def _write_package(
+    clip: Clip, moved: RigMotion, path: Path, name: str, export: Export
+) -> None:
     from pxr import Sdf
 
     with tempfile.TemporaryDirectory() as folder:
         layer = Path(folder) / "clip.usdc"
-        _write_layer(clip, layer, export, None)
+        _write_layer(clip, moved, layer, export, None)
         os.utime(layer, (_STAMP, _STAMP))
         package = Sdf.ZipFileWriter.CreateNew(str(path))
         package.AddFile(str(layer), f"{name}.usdc")
         package.Save()
 
 
-def _write_text(clip: Clip, path: Path, export: Export, reference: str | None) -> None:
+def _write_text(
+    clip: Clip, moved: RigMotion, path: Path, export: Export, reference: str | None
+) -> None:
     """Write a text layer by way of a binary one, which needs less memory."""
     from pxr import Sdf
 
     with tempfile.TemporaryDirectory() as folder:
         layer = Path(folder) / "clip.usdc"
-        _write_layer(clip, layer, export, reference)
+        _write_layer(clip, moved, layer, export, reference)
         Sdf.Layer.FindOrOpen(str(layer)).Export(str(path))
 
 
@@ -110,11 +121,13 @@ def _character_reference(
     return f"./{Path(relative).as_posix()}"
 
 
-def _write_layer(clip: Clip, path: Path, export: Export, reference: str | None) -> None:
+def _write_layer(
+    clip: Clip, moved: RigMotion, path: Path, export: Export, reference: str | None
+) -> None:
     from pxr import Sdf
 
     layer = Sdf.Layer.CreateNew(str(path))
-    _fill(layer, clip, export, alone=reference is None)
+    _fill(layer, clip, moved, export, alone=reference is None)
     if reference is not None:
         # Last, when no stage looks for its layer, which may not be in its place yet.
         references = layer.GetPrimAtPath(CHARACTER).referenceList
@@ -122,7 +135,9 @@ def _write_layer(clip: Clip, path: Path, export: Export, reference: str | None) 
     layer.Save()
 
 
-def _fill(layer: Any, clip: Clip, export: Export, *, alone: bool) -> None:
+def _fill(
+    layer: Any, clip: Clip, moved: RigMotion, export: Export, *, alone: bool
+) -> None:
     """Write a clip into a layer, with its character if it is to stand alone."""
     from pxr import Kind, Usd, UsdSkel
 
@@ -131,13 +146,16 @@ def _fill(layer: Any, clip: Clip, export: Export, *, alone: bool) -> None:
     stage = Usd.Stage.Open(layer)
     set_axes(stage, export)
     _set_times(stage, rate, codes)
-    if alone:
+    if export.rig is not None:
+        define_skeleton(stage, moved.rig, export)
+        clip = replace(clip, props=())
+    elif alone:
         define_character(stage, clip.body, export)
     root = UsdSkel.Root.Define(stage, CHARACTER)
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
     define_props(stage, clip, export, codes)
-    write_animation(stage, clip, export, codes)
+    write_animation(stage, clip, moved, export, codes)
 
 
 def _time_codes_per_second(fps: float) -> float:

@@ -13,7 +13,7 @@ from kinefilter.characters.skin import skin_of
 from kinefilter.retarget.rotations import continuous
 
 from .export import Export
-from .rig import Rig, rig_of
+from .rig import Rig, RigMotion
 from .usd_character import ANIMATION, CHARACTER, SKELETON, SKIN, joint_paths
 from .usd_props import props_extent
 from .usd_provenance import write_provenance
@@ -25,22 +25,25 @@ Array = NDArray[np.float64]
 _FRAMES_AT_ONCE = 1000  # bounds the memory of the conversion
 
 
-def write_animation(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
+def write_animation(
+    stage: Any, clip: Clip, moved: RigMotion, export: Export, codes: Array
+) -> None:
     """Write the animation of ``/Character`` and everything else that changes in time.
 
     Args:
         stage: Where; ``/Character`` is defined.
-        clip: The motion.
+        clip: What is known of the motion, and its props.
+        moved: The motion.
         export: Axes and unit.
         codes: Time code of each frame, shape (T,).
     """
-    _define(stage, rig_of(clip.body))
+    _define(stage, moved.rig)
     layer = stage.GetRootLayer()
-    _write_samples(layer, clip, export, codes)
+    _write_samples(layer, moved, export, codes)
     # A binary layer reads back from its file what has been saved: an hour's samples
     # would not fit into memory beside the clip.
     layer.Save()
-    _write_extents(layer, clip, export, codes)
+    _write_extents(layer, clip, moved, export, codes)
     layer.Save()
     write_provenance(layer, clip, codes)
 
@@ -60,7 +63,7 @@ def _define(stage: Any, rig: Rig) -> None:
     binding.CreateAnimationSourceRel().SetTargets([ANIMATION])
 
 
-def _write_samples(layer: Any, clip: Clip, export: Export, codes: Array) -> None:
+def _write_samples(layer: Any, moved: RigMotion, export: Export, codes: Array) -> None:
     """Set the time samples straight in the layer: a stage looks each one up again."""
     from pxr import Sdf, Vt
 
@@ -68,7 +71,7 @@ def _write_samples(layer: Any, clip: Clip, export: Export, codes: Array) -> None
     rotations_path = Sdf.Path(f"{ANIMATION}.rotations")
     with Sdf.ChangeBlock():
         for code, (translations, rotations) in zip(
-            codes.tolist(), _samples(clip, export), strict=True
+            codes.tolist(), _samples(moved, export), strict=True
         ):
             layer.SetTimeSample(
                 translations_path, code, Vt.Vec3fArray.FromNumpy(translations)
@@ -79,44 +82,53 @@ def _write_samples(layer: Any, clip: Clip, export: Export, codes: Array) -> None
 
 
 def _samples(
-    clip: Clip, export: Export
+    moved: RigMotion, export: Export
 ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """Yield translations (N, 3) and rotations (N, 4) of each frame.
 
     The rotations are xyzw, as Gf keeps quaternions in memory, and do not change sign
     from frame to frame, for readers that interpolate them number by number.
     """
-    rig = rig_of(clip.body)
-    translations = export.points(rig.offsets).astype(np.float32)
-    roots = export.points(clip.positions[:, clip.skeleton.root])
-    last = rig.local_rotations(clip.rotations[:1])
-    for start in range(0, len(clip), _FRAMES_AT_ONCE):
+    rig = moved.rig
+    translations = export.points(rig.at_rest[0]).astype(np.float32)
+    path = export.points(moved.path)
+    last = rig.local_rotations(moved.rotations[:1])
+    for start in range(0, len(path), _FRAMES_AT_ONCE):
         frames = slice(start, start + _FRAMES_AT_ONCE)
-        local = rig.local_rotations(clip.rotations[frames])
+        local = rig.local_rotations(moved.rotations[frames])
         wxyz = continuous(np.concatenate([last, local]))[1:]
         last = wxyz[-1:]
         xyzw = np.roll(export.axes(wxyz), -1, axis=-1).astype(np.float32)
-        for root, rotations in zip(roots[frames], xyzw, strict=True):
-            translations[0] = root
+        for place, rotations in zip(path[frames], xyzw, strict=True):
+            translations[rig.mover] = place
             yield translations, rotations
 
 
-def _write_extents(layer: Any, clip: Clip, export: Export, codes: Array) -> None:
-    """Write the boxes around joints, skin, and skin and props, in each frame."""
+def _write_extents(
+    layer: Any, clip: Clip, moved: RigMotion, export: Export, codes: Array
+) -> None:
+    """Write the boxes around joints, skin, and skin and props, in each frame.
+
+    What has no skin has a box around its joints.
+    """
     from pxr import Sdf, Vt
 
     joints = np.empty((len(clip), 2, 3))
     skin = np.empty_like(joints)
-    margins = _margins(clip)[:, None] / export.meters_per_unit
+    bare = export.rig is not None
+    margins = 0.0 if bare else _margins(clip)[:, None] / export.meters_per_unit
     for start in range(0, len(clip), _FRAMES_AT_ONCE):
         frames = slice(start, start + _FRAMES_AT_ONCE)
-        points = export.points(clip.positions[frames])
+        points = export.points(moved.positions[frames])
         joints[frames] = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
         low, high = (points - margins).min(axis=1), (points + margins).max(axis=1)
         skin[frames] = np.stack([low, high], axis=1)
     everything = props_extent(clip, export, skin)
+    extents = {SKELETON: joints, SKIN: skin, CHARACTER: everything}
+    if bare:
+        del extents[SKIN]
     with Sdf.ChangeBlock():
-        for path, boxes in ((SKELETON, joints), (SKIN, skin), (CHARACTER, everything)):
+        for path, boxes in extents.items():
             prim = Sdf.CreatePrimInLayer(layer, path)
             # Whoever asks at no time in particular gets the box around all times.
             attribute = prim.attributes.get("extent") or Sdf.AttributeSpec(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
 from kinefilter.characters.skin import INFLUENCES, skin_of
+from kinefilter.retarget.rotations import matrix_from_wxyz
 
 from .export import Export
 from .rig import Rig, rig_of
@@ -21,6 +22,7 @@ __all__ = [
     "SKIN",
     "check_character",
     "define_character",
+    "define_skeleton",
     "joint_paths",
     "set_axes",
     "write_character",
@@ -46,9 +48,16 @@ def set_axes(stage: Any, export: Export) -> None:
 
 
 def joint_paths(rig: Rig) -> list[str]:
-    """Return the path of each node from the root on, as UsdSkel names joints."""
+    """Return the path of each node from the root on, as UsdSkel names joints.
+
+    What USD does not allow in names, such as the colon of ``mixamorig:Hips``, becomes
+    an underscore.
+    """
+    from pxr import Tf
+
     paths: list[str] = []
-    for name, parent in zip(rig.names, rig.parents, strict=True):
+    names = [Tf.MakeValidIdentifier(name) for name in rig.names]
+    for name, parent in zip(names, rig.parents, strict=True):
         paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
     return paths
 
@@ -98,19 +107,29 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
         )
 
 
+def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
+    """Define a skeleton at rest, and nothing else, under ``/Character``."""
+    from pxr import UsdGeom, UsdSkel
+
+    UsdSkel.Root.Define(stage, CHARACTER)
+    skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
+    skeleton.CreateJointsAttr(joint_paths(rig))
+    places, turns = rig.at_rest
+    skeleton.CreateRestTransformsAttr(_transforms(places, turns, export))
+    bind = _transforms(rig.rest_positions, rig.axes, export)
+    skeleton.CreateBindTransformsAttr(bind)
+    points = export.points(rig.rest_positions)
+    extent = _vectors(np.array([points.min(axis=0), points.max(axis=0)]))
+    for path in (CHARACTER, SKELETON):
+        UsdGeom.Boundable(stage.GetPrimAtPath(path)).CreateExtentAttr(extent)
+
+
 def define_character(stage: Any, body: Body, export: Export) -> None:
     """Define the skeleton and the skin of a body under ``/Character``."""
     from pxr import Gf, UsdGeom, UsdSkel, Vt
 
     rig = rig_of(body)
-    UsdSkel.Root.Define(stage, CHARACTER)
-    skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
-    skeleton.CreateJointsAttr(joint_paths(rig))
-    local = rig.offsets.copy()
-    local[0] = rig.root
-    skeleton.CreateRestTransformsAttr(_translations(export.points(local)))
-    bind = export.points(rig.rest_positions)
-    skeleton.CreateBindTransformsAttr(_translations(bind))
+    define_skeleton(stage, rig, export)
     skin = skin_of(body)
     mesh = UsdGeom.Mesh.Define(stage, SKIN)
     points = export.points(skin.points)
@@ -135,8 +154,6 @@ def define_character(stage: Any, body: Body, export: Export) -> None:
     extent = _vectors(np.array([points.min(axis=0), points.max(axis=0)]))
     for path in (CHARACTER, SKIN):
         UsdGeom.Boundable(stage.GetPrimAtPath(path)).CreateExtentAttr(extent)
-    ends = _vectors(np.array([bind.min(axis=0), bind.max(axis=0)]))
-    skeleton.CreateExtentAttr(ends)
 
 
 def _vectors(values: Array) -> Any:
@@ -145,10 +162,16 @@ def _vectors(values: Array) -> Any:
     return Vt.Vec3fArray.FromNumpy(values.astype(np.float32))
 
 
-def _translations(vectors: Array) -> Any:
-    """Return the matrices that translate by each vector (N, 3)."""
+def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
+    """Return the matrices of places [m] (N, 3) and rotations (N, 4), None: identity.
+
+    USD's vectors are rows, so a matrix is the transpose of the usual one.
+    """
     from pxr import Vt
 
-    matrices = np.tile(np.eye(4), (len(vectors), 1, 1))
-    matrices[:, 3, :3] = vectors
+    matrices = np.tile(np.eye(4), (len(places), 1, 1))
+    if turns is not None:
+        turned = matrix_from_wxyz(export.axes(turns))
+        matrices[:, :3, :3] = np.swapaxes(turned, 1, 2)
+    matrices[:, 3, :3] = export.points(places)
     return Vt.Matrix4dArray.FromNumpy(matrices)

@@ -1,0 +1,165 @@
+"""The skeletons of other people's rigs: built from a map, or read from their files.
+
+pxr is imported where it is used: loading it takes longer than most commands run.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body, InputError
+from kinefilter.retarget.rig_map import RigMap, load_rig_map
+from kinefilter.retarget.rotations import wxyz_from_matrix
+from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, found_rig
+
+from .bvh import Bvh
+from .bvh_reader import read_bvh
+
+__all__ = ["target_rig"]
+
+Array = NDArray[np.float64]
+
+_UNITS = (1.0, 0.01, 0.001, 0.0254)  # m, cm, mm, inches
+_LEG = 0.86  # m: thigh and shin of a body of 1.75 m (Winter 2009, figure 4.1)
+_MOST_JOINTS = 1000  # as in BVH
+_USD = (".usda", ".usdc", ".usd", ".usdz")
+
+
+def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
+    """Return the skeleton that a clip is written on.
+
+    Args:
+        rig: Name of a map, or its file.
+        target: File with the skeleton at rest; None: the map's own, in the person's
+            size.
+        body: The person.
+
+    Raises:
+        InputError: Map or file cannot be read, or the file's skeleton is not of the
+            map's names.
+    """
+    rig_map = load_rig_map(rig)
+    if target is None:
+        return built_rig(rig_map, body)
+    suffix = target.suffix.lower()
+    if suffix == ".bvh":
+        return found_rig(rig_map, _bvh_rest(target, rig_map), body)
+    if suffix in _USD:
+        return found_rig(rig_map, _usd_rest(target), body)
+    raise InputError(f"--target {target}: expected .bvh, {', '.join(_USD)}")
+
+
+def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
+    """Return the skeleton of a BVH file, in the unit in which it is most a person."""
+    bvh = read_bvh(path)
+    places = np.zeros((len(bvh.names), 3))
+    for n, parent in enumerate(bvh.parents):
+        places[n] = bvh.offsets[n] + (places[parent] if parent >= 0 else 0.0)
+    joints = [n for n in range(len(bvh.names)) if not _is_end_site(bvh, n)]
+    index = {n: k for k, n in enumerate(joints)}
+    meters = _meters(places[joints], [bvh.names[n] for n in joints], rig_map)
+    return RestPose(
+        names=tuple(bvh.names[n] for n in joints),
+        parents=tuple(index.get(bvh.parents[n], -1) for n in joints),
+        positions=meters * places[joints],
+        lowest=meters * float(places[:, 1].min()),
+        source=str(path),
+    )
+
+
+def _is_end_site(bvh: Bvh, joint: int) -> bool:
+    parent = bvh.parents[joint]
+    end = parent >= 0 and bvh.names[joint] == f"{bvh.names[parent]}End"
+    return end and not bvh.channels[joint]
+
+
+def _meters(places: Array, names: list[str], rig_map: RigMap) -> float:
+    """Return the unit [m] in which the legs are nearest to a person's."""
+    plain = [rig_map.plain(name) for name in names]
+    chain = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
+    if not set(chain) <= set(plain):
+        return 1.0  # whoever looks for the joints says that they are missing
+    thigh, foot = (places[plain.index(name)] for name in chain)
+    leg = max(float(np.linalg.norm(foot - thigh)), 1e-9)
+    return min(_UNITS, key=lambda unit: abs(np.log(unit * leg / _LEG)))
+
+
+def _usd_rest(path: Path) -> RestPose:
+    """Return the rest pose of the first skeleton of a USD file, y up, in meters."""
+    from pxr import Tf, Usd, UsdGeom, UsdSkel
+
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; check the name")
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException:
+        raise InputError(
+            f"{path}: cannot be read as USD; expected a UsdSkel skeleton"
+        ) from None
+    for prim in stage.Traverse():
+        if prim.IsA(UsdSkel.Skeleton):
+            world = np.array(
+                UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(
+                    Usd.TimeCode.EarliestTime()
+                )
+            )
+            names, parents, matrices = _joints(UsdSkel.Skeleton(prim), str(path))
+            return _rest_pose(stage, names, parents, matrices @ world, str(path))
+    raise InputError(f"{path}: has no skeleton; expected a UsdSkel skeleton")
+
+
+def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
+    """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
+    from pxr import UsdSkel
+
+    paths = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
+    if not 0 < len(paths) <= _MOST_JOINTS:
+        raise InputError(
+            f"{source}: has {len(paths)} joints, expected 1 to {_MOST_JOINTS}"
+        )
+    topology = UsdSkel.Topology(paths)
+    valid, why = topology.Validate()
+    if not valid:
+        raise InputError(f"{source}: its joints are no tree ({why}); correct them")
+    parents = [int(parent) for parent in topology.GetParentIndices()]
+    local = np.array(skeleton.GetRestTransformsAttr().Get() or [])
+    matrices = np.array(skeleton.GetBindTransformsAttr().Get() or [])
+    if len(local) == len(paths):
+        matrices = local.copy()
+        for n, parent in enumerate(parents):
+            if parent >= 0:
+                matrices[n] = local[n] @ matrices[parent]
+    if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
+        raise InputError(
+            f"{source}: has no rest transform for each of its {len(paths)} joints; "
+            "export it with rest or bind pose"
+        )
+    return [path.rpartition("/")[2] for path in paths], parents, matrices
+
+
+def _rest_pose(
+    stage: Any, names: list[str], parents: list[int], matrices: Array, source: str
+) -> RestPose:
+    from pxr import UsdGeom
+
+    places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
+    turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
+    sizes = np.linalg.norm(turned, axis=1, keepdims=True)
+    if not (np.linalg.det(turned) > 0.0).all():
+        raise InputError(
+            f"{source}: a joint is mirrored or has no size at rest; apply its scale"
+        )
+    axes = wxyz_from_matrix(turned / sizes)
+    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
+        places, axes = _with_y_up(places), _with_y_up(axes)
+    return RestPose(tuple(names), tuple(parents), places, axes, source=source)
+
+
+def _with_y_up(values: Array) -> Array:
+    """Return directions (..., 3) or rotations wxyz (..., 4) given with z up."""
+    x, y, z = np.moveaxis(values[..., -3:], -1, 0)
+    return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, z, -y], axis=-1)

@@ -1,0 +1,231 @@
+"""A motion on another skeleton: directions kept, proportions its own, feet planted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import CONTACTS, Clip
+from kinefilter.characters.props import freeze
+
+from .rest_difference import heading, segment_of, turned
+from .rig_map import SIDES
+from .rotations import IDENTITY, between, inverse, multiply, rotate, slerp
+from .stance import held, near_stance
+from .target_rig import TargetRig
+from .two_bone import bent_limb
+
+__all__ = ["Retargeted", "retarget"]
+
+Array = NDArray[np.float64]
+_Limb = tuple[str, str, str]
+
+_ARM: _Limb = ("upper arm", "lower arm", "hand")
+_LEG: _Limb = ("thigh", "shin", "foot")
+_JOINTS = {_ARM: ("Shoulder", "Elbow", "Wrist"), _LEG: ("Hip", "Knee", "Ankle")}
+_BENDS = {_ARM: np.array([0.0, 0.0, -1.0]), _LEG: np.array([0.0, 0.0, 1.0])}
+"""Where elbow and knee of our T-pose go when the limb bends."""
+_HINGE = 0.025
+"""Share of a limb's length by which its middle counts as farther out that way: a limb
+that noise bent backwards by 5 degrees still bends as it should. A guess."""
+_TOE_NEAR = 0.05  # m over the floor: toes that are lower are level. A guess.
+_STEEP, _SLOPING = 0.3, 0.7  # cosines of the sole's slope: toes are level below it
+_LOWEST = np.array([-np.inf, 0.0, -np.inf])
+_UP, _LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeted:
+    """Where another skeleton's joints are, and how they are turned."""
+
+    rotations: Array
+    """World rotation of each joint since the rest pose, wxyz, shape (T, N, 4)."""
+    positions: Array
+    """World position of each joint [m], floor at y = 0, shape (T, N, 3)."""
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
+    """Return a clip's motion on another skeleton.
+
+    The path of the hips is scaled about the world's origin by the length of the legs;
+    its height is that over the ankles of flat feet. Hands and feet are at the same
+    place relative to limb length: the vector from shoulder to wrist over the length of
+    the arm, and that from hip to ankle over the length of the leg, are the clip's. A
+    foot that stands (``clip.contacts``) is held still, up to 1.5 cm from there, and
+    where its leg is too short the hips sink.
+
+    Args:
+        clip: The motion.
+        rig: The skeleton.
+    """
+    motion = _Motion(clip, rig)
+    goals = [motion.limb_end(side, _LEG) for side in SIDES]
+    sinking = np.zeros(len(clip))
+    for side, goal in zip(SIDES, goals, strict=True):
+        share = motion.plant(side, goal)
+        sinking = np.maximum(sinking, share * motion.shortage(side, goal))
+    motion.positions[..., 1] -= sinking[:, None]
+    hips = motion.positions[:, rig.joint("pelvis")]
+    for side, goal in zip(SIDES, goals, strict=True):
+        motion.bend(side, _LEG, goal)
+        motion.bend(side, _ARM, motion.limb_end(side, _ARM))
+    rotations, positions = motion.posed(hips)
+    return Retargeted(rotations, positions)
+
+
+class _Motion:
+    """The motion while it is found: joints that parts turn, and where all are."""
+
+    def __init__(self, clip: Clip, rig: TargetRig) -> None:
+        self.clip, self.rig = clip, rig
+        self.turns = turned(clip, rig)
+        _, self.positions = self.posed(self._hips())
+
+    def _our(self, side: str, joint: str) -> int:
+        return self.clip.skeleton.index(f"{joint}{side.capitalize()}")
+
+    def _our_length(self, side: str, limb: _Limb) -> float:
+        _, middle, end = (self._our(side, joint) for joint in _JOINTS[limb])
+        return float(self.clip.body.lengths[[middle, end]].sum())
+
+    @property
+    def _scale(self) -> float:
+        ours = np.mean([self._our_length(side, _LEG) for side in SIDES])
+        return self.rig.leg_length / float(ours)
+
+    def _ankle_height(self, side: str) -> float:
+        """Return the height [m] of the target's ankle over its flat sole."""
+        joint = self.rig.joint(f"{side} foot")
+        return float(self.rig.rest.positions[joint, 1]) - self.rig.floor
+
+    def _hips(self) -> Array:
+        """Return the path of the target's pelvis [m], shape (T, 3)."""
+        clip, rest = self.clip, self.rig.rest.positions
+        hips = [self._our(side, "Hip") for side in SIDES]
+        ankles = [self._our(side, "Ankle") for side in SIDES]
+        path = clip.positions[:, hips].mean(axis=1)
+        path = path - clip.body.rest_positions[ankles, 1].mean() * _UP
+        path = path * self._scale
+        path += np.mean([self._ankle_height(side) for side in SIDES]) * _UP
+        pelvis = self.rig.joint("pelvis")
+        thighs = [self.rig.joint(f"{side} thigh") for side in SIDES]
+        above = rest[pelvis] - rest[thighs].mean(axis=0)
+        return np.asarray(path + rotate(self.turns[pelvis], above))
+
+    def posed(self, hips: Array) -> tuple[Array, Array]:
+        """Return rotations (T, N, 4) and positions (T, N, 3) [m] of all joints."""
+        rest, pelvis = self.rig.rest, self.rig.joint("pelvis")
+        rotations = np.empty((len(self.clip), len(rest), 4))
+        positions = np.empty((len(self.clip), len(rest), 3))
+        for n, parent in enumerate(rest.parents):
+            above = IDENTITY if parent < 0 else rotations[:, parent]
+            rotations[:, n] = self.turns.get(n, above)
+            if n == pelvis:
+                positions[:, n] = hips
+            elif parent < 0:
+                positions[:, n] = rest.positions[n]
+            else:
+                bone = rest.positions[n] - rest.positions[parent]
+                positions[:, n] = positions[:, parent] + rotate(above, bone)
+        return rotations, positions
+
+    def limb_end(self, side: str, limb: _Limb) -> Array:
+        """Return where a limb ends if it is our scaled one [m], shape (T, 3)."""
+        first, _, last = (self._our(side, joint) for joint in _JOINTS[limb])
+        vector = self.clip.positions[:, last] - self.clip.positions[:, first]
+        length = self.rig.limb(side, *limb).sum()
+        start = self.positions[:, self.rig.joint(f"{side} {limb[0]}")]
+        return np.asarray(start + length / self._our_length(side, limb) * vector)
+
+    def plant(self, side: str, goal: Array) -> Array:
+        """Move the ankle's goal [m] so that the foot rests while it stands.
+
+        Returns the share of standing in each frame, shape (T,).
+        """
+        columns = [CONTACTS.index(f"{p}{side.capitalize()}") for p in ("Heel", "Toe")]
+        time, stands = self.clip.time, self.clip.contacts[:, columns]
+        foot = self.rig.joint(f"{side} foot")
+        flat = near_stance(time, stands[:, 0] & stands[:, 1])
+        self.turns[foot] = _leveled(self.turns[foot], flat)
+        ankle, vector = self._ankle_height(side), self._foot(side)
+        heights = np.array([ankle, ankle + vector[1]])
+        toes = rotate(self.turns[foot], vector)
+        pivot = goal + toes + held(time, goal, goal + toes, stands, heights)
+        pivot[:, 1] = np.maximum(pivot[:, 1], heights[1])
+        # A foot that is not flat turns about its toes to where its ankle was.
+        ankles = np.maximum(goal, heights[0] * _UP + _LOWEST)
+        turn = between(toes, pivot - ankles)
+        turn = slerp(np.broadcast_to(IDENTITY, turn.shape), turn, 1.0 - flat)
+        self.turns[foot] = multiply(turn, self.turns[foot])
+        goal[:] = pivot - rotate(self.turns[foot], vector)
+        if f"{side} toes" in self.rig.parts:
+            self._level_toes(side, pivot[:, 1] - heights[1])
+        return near_stance(time, stands[:, 0] | stands[:, 1])
+
+    def _foot(self, side: str) -> Array:
+        """Return the vector [m] from ankle to toes in the rest pose, shape (3,)."""
+        if f"{side} toes" in self.rig.parts:
+            return self.rig.bone(f"{side} foot", f"{side} toes")
+        foot = self._our(side, "Foot")
+        ours = self._scale * self.clip.body.rest_offsets[foot]
+        theirs = rotate(inverse(heading(self.rig)), ours)
+        sole = self._scale * self.clip.body.radii[foot]
+        return np.asarray(theirs * _LEVEL + (sole - self._ankle_height(side)) * _UP)
+
+    def _level_toes(self, side: str, heights: Array) -> None:
+        """Turn toes that are near the floor flat, below a foot whose heel is up."""
+        turns = self.turns[self.rig.joint(f"{side} foot")]
+        share = _ease(1.0 - heights / _TOE_NEAR)
+        share *= _ease((rotate(turns, _UP)[:, 1] - _STEEP) / (_SLOPING - _STEEP))
+        self.turns[self.rig.joint(f"{side} toes")] = _leveled(turns, share)
+
+    def shortage(self, side: str, goal: Array) -> Array:
+        """Return by how much the hips are too high for a leg [m], shape (T,)."""
+        way = self.positions[:, self.rig.joint(f"{side} thigh")] - goal
+        reach = self.rig.limb(side, *_LEG).sum()
+        level = np.sum((way * _LEVEL) ** 2, axis=1)
+        height = np.sqrt(np.maximum(reach**2 - level, 0.0))
+        return np.asarray(np.maximum(way[:, 1] - height, 0.0))
+
+    def bend(self, side: str, limb: _Limb, goal: Array) -> None:
+        """Turn the two bones of a limb so that it ends at a goal [m], shape (T, 3)."""
+        parts = [f"{side} {part}" for part in limb]
+        upper, lower = self.rig.joint(parts[0]), self.rig.joint(parts[1])
+        start = self.positions[:, upper]
+        lengths = self.rig.limb(side, *limb)
+        middle, end = bent_limb(start, goal, self._toward(side, limb), lengths)
+        for joint, bone, now in (
+            (upper, self.rig.bone(parts[0], parts[1]), middle - start),
+            (lower, self.rig.bone(parts[1], parts[2]), end - middle),
+        ):
+            turn = self.turns[joint]
+            self.turns[joint] = multiply(between(rotate(turn, bone), now), turn)
+
+    def _toward(self, side: str, limb: _Limb) -> Array:
+        """Return the direction in which a limb bends, shape (T, 3)."""
+        first, middle, last = (self._our(side, joint) for joint in _JOINTS[limb])
+        positions = self.clip.positions
+        bone = positions[:, middle] - positions[:, first]
+        line = positions[:, last] - positions[:, first]
+        share = np.sum(bone * line, axis=1) / np.maximum(np.sum(line**2, axis=1), 1e-12)
+        segment = segment_of(self.clip.skeleton, f"{side} {limb[0]}")
+        hinge = rotate(self.clip.rotations[:, segment], _BENDS[limb])
+        aside = bone - share[:, None] * line
+        return np.asarray(aside + _HINGE * self._our_length(side, limb) * hinge)
+
+
+def _leveled(turns: Array, share: Array) -> Array:
+    """Return rotations (T, 4) that leave a sole level, in part, shape (T, 4)."""
+    up = rotate(turns, _UP)
+    level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
+    return slerp(turns, level, share)
+
+
+def _ease(share: Array) -> Array:
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share**2 * (3.0 - 2.0 * share))

@@ -1,0 +1,189 @@
+"""Maps to other skeletons: which part of the body turns which of their bones.
+
+Each map is a TOML file in ``rigs``, or the user's. Those in ``source_rigs`` go the
+other way and stay apart: they say where a sensor's joints lie on a skeleton, which
+differs from sensor to sensor, and know neither parents nor a rest pose.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from kinefilter.characters import InputError
+
+__all__ = ["CHAINS", "PARTS", "RIGS", "SIDES", "MapBone", "RigMap", "load_rig_map"]
+
+RIGS = ("mixamo", "unreal", "unity", "vrm", "smpl")
+"""Names of the maps that kinefilter has."""
+
+SIDES = ("left", "right")
+_LIMBS = {  # part: the part it hangs on
+    "clavicle": None,
+    "upper arm": None,
+    "lower arm": "upper arm",
+    "hand": "lower arm",
+    "thigh": None,
+    "shin": "thigh",
+    "foot": "shin",
+    "toes": "foot",
+}
+CHAINS = {
+    f"{side} {part}": f"{side} {above}" if above else "pelvis"
+    for side in SIDES
+    for part, above in _LIMBS.items()
+} | {"spine": "pelvis", "neck": "pelvis", "head": "pelvis"}
+"""Part of the body, and the part on which it hangs."""
+PARTS = ("pelvis", *CHAINS)
+"""What turns bones."""
+_OPTIONAL = {"neck", *(f"{side} {part}" for side in SIDES for part in _LIMBS)} - {
+    f"{side} {part}"
+    for side in SIDES
+    for part in ("upper arm", "lower arm", "hand", "thigh", "shin", "foot")
+}
+_SEVERAL = ("spine", "neck")
+_FIELDS = {"parent", "turned_by", "offset"}
+_LARGEST = 2**20  # bytes: five thousand bones
+
+
+@dataclass(frozen=True)
+class MapBone:
+    """A bone of another skeleton, from its joint on."""
+
+    name: str
+    """Name of its joint."""
+    parent: str | None
+    """Name of the joint it hangs on; None: it is the root."""
+    part: str | None
+    """What turns it (PARTS); None: its parent alone."""
+    offset: tuple[float, float, float] | None
+    """From the parent in the rest pose, shares of stature, x to the left, y up, z
+    ahead; None: it is looked for in a target, but not built."""
+
+
+@dataclass(frozen=True)
+class RigMap:
+    """Names, hierarchy and rest pose of another skeleton."""
+
+    name: str
+    """What it is called, for messages."""
+    prefix: str
+    """What its files write before every name, or leave out."""
+    bones: tuple[MapBone, ...]
+    """Every parent before its children."""
+
+    def of(self, part: str) -> list[MapBone]:
+        """Return the bones that a part turns, from the root on."""
+        return [bone for bone in self.bones if bone.part == part]
+
+    @property
+    def optional(self) -> tuple[str, ...]:
+        """Parts that a skeleton may lack."""
+        return tuple(sorted(_OPTIONAL))
+
+    def plain(self, name: str) -> str:
+        """Return a joint's name without namespace and prefix, in lower case."""
+        bare = name.rpartition(":")[2].strip().casefold()
+        stem = re.escape(self.prefix.rstrip(":_").casefold())
+        return re.sub(rf"^{stem}\d*[:_]", "", bare) if stem else bare
+
+
+def load_rig_map(rig: str) -> RigMap:
+    """Return one of RIGS, or the map in a TOML file.
+
+    Raises:
+        InputError: There is no such rig or file, or the file is no map.
+    """
+    if rig in RIGS:
+        return _embedded(rig)
+    path = Path(rig)
+    if path.suffix.lower() != ".toml":
+        raise InputError(
+            f"--rig {rig}: unknown; expected {', '.join(RIGS)} or a map (.toml)"
+        )
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{rig}: larger than any map; expected bones by name")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{rig}: cannot be read as text ({error}); expected a map (.toml)"
+        ) from None
+    return _parsed(text, rig)
+
+
+@cache
+def _embedded(rig: str) -> RigMap:
+    folder = resources.files("kinefilter.retarget").joinpath("rigs")
+    return _parsed(folder.joinpath(f"{rig}.toml").read_text(encoding="utf-8"), rig)
+
+
+def _parsed(text: str, source: str) -> RigMap:
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{source}: is no TOML ({error}); correct it") from None
+    rows, prefix = table.get("bones"), table.get("prefix", "")
+    if not isinstance(rows, dict) or not isinstance(prefix, str):
+        raise InputError(
+            f"{source}: expected a table [bones], a row for each joint, and at most a "
+            "text 'prefix'"
+        )
+    unknown = sorted(set(table) - {"bones", "prefix"})
+    if unknown:
+        raise InputError(f"{source}: unknown {unknown[0]!r}; expected prefix, bones")
+    bones = tuple(_bone(name, row, source) for name, row in rows.items())
+    _check(bones, source)
+    return RigMap(source, prefix, bones)
+
+
+def _bone(name: str, row: Any, source: str) -> MapBone:
+    where = f"{source}: bone {name!r}"
+    if not isinstance(row, dict) or not _FIELDS.issuperset(row):
+        raise InputError(f"{where}: expected fields {', '.join(sorted(_FIELDS))}")
+    part, parent, offset = (row.get(k) for k in ("turned_by", "parent", "offset"))
+    if part is not None and part not in PARTS:
+        raise InputError(
+            f"{where}: unknown turned_by {part!r}; expected one of {', '.join(PARTS)}"
+        )
+    if parent is not None and not isinstance(parent, str):
+        raise InputError(f"{where}: parent is {parent!r}, expected a bone's name")
+    return MapBone(
+        name, parent, part, None if offset is None else _vector(offset, where)
+    )
+
+
+def _vector(offset: Any, where: str) -> tuple[float, float, float]:
+    numbers = offset if isinstance(offset, list) else []
+    known = [n for n in numbers if isinstance(n, int | float) and abs(n) < 100.0]
+    if len(numbers) != 3 or len(known) != 3:
+        raise InputError(f"{where}: offset is {offset!r}, expected three shares")
+    x, y, z = (float(n) for n in known)
+    return x, y, z
+
+
+def _check(bones: tuple[MapBone, ...], source: str) -> None:
+    """Raise an InputError for a map that no skeleton can follow."""
+    seen: set[str] = set()
+    for bone in bones:
+        if bone.parent is not None and bone.parent not in seen:
+            raise InputError(
+                f"{source}: bone {bone.name!r}: its parent {bone.parent!r} is not "
+                "before it; list every parent before its children"
+            )
+        seen.add(bone.name)
+    for part in PARTS:
+        count = sum(bone.part == part for bone in bones)
+        if count == 0 and part not in _OPTIONAL:
+            raise InputError(
+                f"{source}: no bone is turned_by {part!r}; name the bone that is"
+            )
+        if count > 1 and part not in _SEVERAL:
+            raise InputError(
+                f"{source}: {count} bones are turned_by {part!r}, expected one"
+            )

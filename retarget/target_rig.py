@@ -1,0 +1,242 @@
+"""A skeleton in its rest pose, whatever its names, and the parts of the body in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body, InputError
+
+from .rig_map import CHAINS, PARTS, SIDES, MapBone, RigMap
+
+__all__ = ["RestPose", "TargetRig", "built_rig", "found_rig"]
+
+Array = NDArray[np.float64]
+
+_ON_FLOOR = 0.1
+"""Lengths of a leg: a lowest joint that is no higher over y = 0 stands on that floor.
+A guess; rigs whose root is at the origin have it a whole leg below."""
+_SHORTEST = 1e-3  # of the leg's length: limbs that are shorter have no direction
+_MOST_NAMED = 12
+
+
+@dataclass(frozen=True, eq=False)
+class RestPose:
+    """Joints of a skeleton that stands in T- or A-pose, in whatever heading."""
+
+    names: tuple[str, ...]
+    """Name of each joint, every parent before its children."""
+    parents: tuple[int, ...]
+    """Index of each joint's parent, -1 for the root."""
+    positions: Array
+    """Positions [m], y up, shape (N, 3)."""
+    axes: Array | None = None
+    """World rotation of each joint's own axes, wxyz, shape (N, 4); None: identity."""
+    lowest: float | None = None
+    """Height [m] of the lowest point if the file knows more than joints."""
+    source: str = "rig"
+    """Where it came from, for messages."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True, eq=False)
+class TargetRig:
+    """A rest pose whose parts of the body are known."""
+
+    rest: RestPose
+    """The skeleton."""
+    parts: dict[str, tuple[int, ...]]
+    """Joints that each part turns, from the root on; parts that it lacks are left
+    out."""
+    floor: float
+    """Height [m] of the floor in the rest pose."""
+
+    def joint(self, part: str) -> int:
+        """Return the joint that a part turns, its first."""
+        return self.parts[part][0]
+
+    def bone(self, start: str, end: str) -> Array:
+        """Return the vector [m] from one part's joint to another's in the rest pose."""
+        positions = self.rest.positions
+        return np.asarray(positions[self.joint(end)] - positions[self.joint(start)])
+
+    def limb(self, side: str, first: str, second: str, end: str) -> Array:
+        """Return the lengths [m] of the two bones of a limb, shape (2,)."""
+        ends = [f"{side} {part}" for part in (first, second, end)]
+        bones = [self.bone(ends[0], ends[1]), self.bone(ends[1], ends[2])]
+        return np.asarray(np.linalg.norm(bones, axis=1))
+
+    @property
+    def leg_length(self) -> float:
+        """Length [m] of thigh and shin, mean of both sides."""
+        legs = [self.limb(side, "thigh", "shin", "foot").sum() for side in SIDES]
+        return float(np.mean(legs))
+
+
+def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
+    """Return the skeleton that a map describes, in a person's size.
+
+    Thighs, shins and arms have the person's lengths, the rest of the skeleton is scaled
+    to the stature. The soles are on y = 0.
+
+    Raises:
+        InputError: The map lacks offsets.
+    """
+    bones = [bone for bone in rig_map.bones if bone.offset is not None]
+    names = tuple(bone.name for bone in bones)
+    parents = []
+    for bone in bones:
+        if bone.parent is not None and bone.parent not in names:
+            raise InputError(
+                f"{rig_map.name}: bone {bone.parent!r} has no offset, but "
+                f"{bone.name!r} hangs on it; give it one"
+            )
+        parents.append(-1 if bone.parent is None else names.index(bone.parent))
+    for part in PARTS:
+        if part not in rig_map.optional and not any(b.part == part for b in bones):
+            raise InputError(
+                f"{rig_map.name}: the bone turned_by {part!r} has no offset; give it "
+                "one, or give --target a file with this skeleton"
+            )
+    positions = np.zeros((len(bones), 3))
+    for n, bone in enumerate(bones):
+        start = positions[parents[n]] if parents[n] >= 0 else np.zeros(3)
+        positions[n] = start + _offset(bone, bones[parents[n]], body)
+    rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
+    rig = found_rig(rig_map, rest, body)
+    sole = float(np.mean(body.radii[_feet(body)]))
+    moving = _below(rest, rig.joint("pelvis"))
+    positions[moving, 1] += sole - positions[moving, 1].min()
+    full = tuple(rig_map.prefix + name for name in names)
+    return TargetRig(replace(rest, names=full), rig.parts, 0.0)
+
+
+def found_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
+    """Return a skeleton with its parts found by the names of a map.
+
+    The floor is y = 0 where the feet are just over it. Otherwise it is the person's
+    sole under the feet's lowest joint, or the file's lowest point if that is lower.
+
+    Args:
+        rig_map: The names.
+        rest: The skeleton.
+        body: The person whose soles it gets if nobody knows better.
+
+    Raises:
+        InputError: The skeleton has not one root, or joints are missing, ambiguous,
+            elsewhere, or two of them in one place.
+    """
+    roots = [rest.names[n] for n, parent in enumerate(rest.parents) if parent < 0]
+    if len(roots) != 1:
+        raise InputError(
+            f"{rest.source}: has {len(roots)} roots ({_listed(roots)}), expected one; "
+            "hang them under one joint"
+        )
+    parts = _found(rig_map, rest)
+    _check_chains(rest, parts)
+    rig = TargetRig(rest, parts, 0.0)
+    _check_lengths(rig)
+    return TargetRig(rest, parts, _floor(rig, body))
+
+
+def _feet(body: Body) -> list[int]:
+    return [body.skeleton.index(f"Foot{side}") for side in ("Left", "Right")]
+
+
+def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
+    """Return a bone's offset from its parent [m], shape (3,)."""
+    share = np.array(bone.offset)
+    segment = {"lower arm": "Elbow", "hand": "Wrist", "shin": "Knee", "foot": "Ankle"}
+    side, _, part = (bone.part or "").partition(" ")
+    if part not in segment or parent.part != CHAINS[f"{side} {part}"]:
+        return share * body.height
+    length = body.lengths[body.skeleton.index(f"{segment[part]}{side.capitalize()}")]
+    return np.asarray(length * share / max(float(np.linalg.norm(share)), 1e-9))
+
+
+def _below(rest: RestPose, joint: int) -> list[int]:
+    """Return a joint and all that hangs on it."""
+    inside = [joint]
+    inside += [n for n in range(joint + 1, len(rest)) if _hangs(rest, n, joint)]
+    return inside
+
+
+def _hangs(rest: RestPose, joint: int, above: int) -> bool:
+    while joint >= 0 and joint != above:
+        joint = rest.parents[joint]
+    return joint == above
+
+
+def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
+    plain = [rig_map.plain(name) for name in rest.names]
+    parts: dict[str, list[int]] = {}
+    missing = []
+    for part in PARTS:
+        wanted = [bone.name for bone in rig_map.of(part)]
+        for name in wanted:
+            places = [n for n, p in enumerate(plain) if p == rig_map.plain(name)]
+            if len(places) > 1:
+                raise InputError(
+                    f"{rest.source}: has {len(places)} joints {name!r}, expected one"
+                )
+            parts.setdefault(part, []).extend(places)
+        if not parts.get(part) and part not in rig_map.optional:
+            missing.append(" or ".join(wanted))
+    if missing:
+        raise InputError(
+            f"{rest.source}: no joint {_listed(missing)}, which {rig_map.name} has; "
+            f"found {_listed(rest.names)}; give the --rig of these names or a map "
+            "(.toml)"
+        )
+    return {part: tuple(sorted(places)) for part, places in parts.items() if places}
+
+
+def _check_chains(rest: RestPose, parts: dict[str, tuple[int, ...]]) -> None:
+    """Raise an InputError where a part does not hang where a body has it."""
+    of = {joint: part for part, joints in parts.items() for joint in joints}
+    for joint, part in of.items():
+        above = rest.parents[joint]
+        chain = CHAINS.get(part, "")
+        limb = chain not in ("", "pelvis")
+        while above >= 0 and (of.get(above) != chain) and not (limb and above in of):
+            above = rest.parents[above]
+        if chain and (above < 0 or of.get(above) != chain):
+            raise InputError(
+                f"{rest.source}: joint {rest.names[joint]!r} does not hang on "
+                f"{rest.names[parts[chain][0]]!r}; a {part} does"
+            )
+
+
+def _check_lengths(rig: TargetRig) -> None:
+    least = _SHORTEST * rig.leg_length
+    for part, above in CHAINS.items():
+        if above == "pelvis" or part not in rig.parts:
+            continue
+        if not np.linalg.norm(rig.bone(above, part)) > least:
+            start, end = (rig.rest.names[rig.joint(p)] for p in (above, part))
+            raise InputError(
+                f"{rig.rest.source}: {start!r} and {end!r} are in one place; a bone "
+                "between them needs a length"
+            )
+
+
+def _floor(rig: TargetRig, body: Body) -> float:
+    feet = [p for side in SIDES for p in (f"{side} foot", f"{side} toes")]
+    joints = [rig.joint(part) for part in feet if part in rig.parts]
+    lowest = float(rig.rest.positions[joints, 1].min())
+    if 0.0 <= lowest <= _ON_FLOOR * rig.leg_length:
+        return 0.0
+    legs = [body.skeleton.index(f"{j}Left") for j in ("Knee", "Ankle")]
+    scale = rig.leg_length / float(body.lengths[legs].sum())
+    floor = lowest - scale * float(np.mean(body.radii[_feet(body)]))
+    return floor if rig.rest.lowest is None else min(floor, rig.rest.lowest)
+
+
+def _listed(names: Sequence[str]) -> str:
+    some = ", ".join(name[:30] for name in names[:_MOST_NAMED])
+    return some + (", ..." if len(names) > _MOST_NAMED else "")

@@ -1,0 +1,54 @@
+"""Performances as clips, for the tests of other people's rigs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import (
+    KINECT_V2,
+    Clip,
+    Origin,
+    Skeleton,
+    State,
+    random_body,
+)
+from kinefilter.scenes import perform
+
+Array = NDArray[np.float64]
+
+ARM = ("upper arm", "lower arm", "hand"), ("Shoulder", "Elbow", "Wrist")
+LEG = ("thigh", "shin", "foot"), ("Hip", "Knee", "Ankle")
+SIDES = ("left", "right")
+_STILL = 1e-3  # m between frames: a part of the foot that moves less stands
+
+
+def performed(name: str, *, seed: int = 3, skeleton: Skeleton = KINECT_V2) -> Clip:
+    """Return a scripted motion as a clip; what rests near the floor stands."""
+    body = random_body(skeleton, np.random.default_rng(seed))
+    motion = perform(name, body, seed=seed)
+    shape = motion.positions.shape[:2]
+    parts = [
+        skeleton.index(f"{part}{side}")
+        for side in ("Left", "Right")
+        for part in ("Ankle", "Foot")
+    ]
+    path, rest = motion.positions[:, parts], body.rest_positions[parts, 1]
+    step = np.linalg.norm(np.diff(path, axis=0), axis=-1)
+    low = path[..., 1] < rest + 0.01
+    return Clip(
+        time=motion.time,
+        positions=motion.positions,
+        rotations=motion.rotations,
+        skeleton=skeleton,
+        body=body,
+        state=np.full(shape, State.TRACKED, dtype=np.uint8),
+        reliability=np.ones(shape),
+        deciding_term=np.zeros(shape, dtype=np.uint8),
+        origin=np.full(shape, Origin.MEASURED, dtype=np.uint8),
+        moved_by_correction=np.zeros(shape),
+        moved_by_physics=np.zeros(shape),
+        contacts=low & (np.concatenate([step[:1], step]) < _STILL),
+        external_force=np.full(len(motion), np.nan),
+        source=name,
+    )

@@ -1,0 +1,368 @@
+"""Motions on other people's rigs: hands and feet in place, knees ahead, no slide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rig_motions import ARM, LEG, SIDES, performed
+
+from kinefilter.characters import CONTACTS, KINECT_V1, KINECT_V2, Clip, standard_body
+from kinefilter.pipeline import CleanConfig, clean, read_take
+from kinefilter.retarget import positions_from_rotations
+from kinefilter.retarget.retargeting import Retargeted, retarget
+from kinefilter.retarget.rig_map import RIGS, load_rig_map
+from kinefilter.retarget.rotations import about_y, multiply, rotate, rotation_vector
+from kinefilter.retarget.stance import held
+from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, found_rig
+from kinefilter.retarget.two_bone import bent_limb
+
+Array = NDArray[np.float64]
+SAMPLE = Path(__file__).parents[1] / "scenes" / "takes" / "wave_punch_bend.csv"
+
+REACH = 0.02  # m, of a limb as long as the target's
+SLIDE = 0.003  # m a frame
+
+
+def giant(name: str, clip: Clip) -> TargetRig:
+    """Return a rig with legs half as long again, short forearms, that faces -x."""
+    rig_map = load_rig_map(name)
+    built = built_rig(rig_map, clip.body)
+    part_of = {n: part for part, joints in built.parts.items() for n in joints}
+    factors = {"shin": 1.6, "foot": 1.4, "hand": 0.7, "upper arm": 1.3, "toes": 1.8}
+    rest = built.rest
+    places = np.zeros_like(rest.positions)
+    for n, parent in enumerate(rest.parents):
+        if parent >= 0:
+            factor = factors.get(part_of.get(n, "").partition(" ")[2], 1.1)
+            bone = rest.positions[n] - rest.positions[parent]
+            places[n] = places[parent] + factor * bone
+    places = rotate(about_y(-np.pi / 2), places)
+    return found_rig(
+        rig_map, replace(rest, positions=places), standard_body(clip.skeleton)
+    )
+
+
+def worst_reach(clip: Clip, rig: TargetRig, motion: Retargeted, limb: object) -> float:
+    """Return by how much limbs end elsewhere relative to their length, at most [m].
+
+    It is the vector from shoulder to wrist over the length of the arm, and from hip to
+    ankle over that of the leg, in lengths of the target's limb.
+    """
+    parts, joints = limb  # type: ignore[misc]
+    away = []
+    for side in SIDES:
+        ours = [clip.skeleton.index(f"{j}{side.capitalize()}") for j in joints]
+        share = clip.positions[:, ours[2]] - clip.positions[:, ours[0]]
+        share = share / clip.body.lengths[ours[1:]].sum()
+        theirs = [rig.joint(f"{side} {part}") for part in (parts[0], parts[2])]
+        vector = motion.positions[:, theirs[1]] - motion.positions[:, theirs[0]]
+        length = rig.limb(side, *parts).sum()
+        away.append(np.linalg.norm(vector - length * share, axis=-1).max())
+    return float(max(away))
+
+
+def slides(clip: Clip, rig: TargetRig, motion: Retargeted) -> Array:
+    """Return how far heels and toes that stand move from frame to frame [m]."""
+    found = []
+    for column, name in enumerate(CONTACTS):
+        side = "left" if name.endswith("Left") else "right"
+        part = f"{side} {'foot' if name.startswith('Heel') else 'toes'}"
+        stands = clip.contacts[1:, column] & clip.contacts[:-1, column]
+        path = motion.positions[:, rig.joint(part)]
+        found.append(np.linalg.norm(np.diff(path, axis=0), axis=-1)[stands])
+    return np.concatenate(found)
+
+
+@pytest.fixture(scope="module")
+def clips() -> dict[str, Clip]:
+    """Return motions with and without steps, and the sample take, cleaned."""
+    names = ("walk", "turn", "squat", "kick", "jump")
+    made = {name: performed(name) for name in names}
+    made["walk on Kinect v1"] = performed("walk", seed=5, skeleton=KINECT_V1)
+    config = CleanConfig(method="none", physics=False)
+    made["sample take"] = clean(read_take(SAMPLE), config).clip
+    return made
+
+
+every_rig = pytest.mark.parametrize("name", RIGS)
+every_body = pytest.mark.parametrize(
+    "make", [lambda name, clip: built_rig(load_rig_map(name), clip.body), giant],
+    ids=["own", "giant"],
+)  # fmt: skip
+Make = Callable[[str, Clip], TargetRig]
+
+
+@every_rig
+@every_body
+def test_hands_and_feet_are_at_the_same_place_relative_to_limb_length(
+    clips: dict[str, Clip], name: str, make: Make
+) -> None:
+    for clip in clips.values():
+        rig = make(name, clip)
+        motion = retarget(clip, rig)
+        assert worst_reach(clip, rig, motion, ARM) < REACH
+        assert worst_reach(clip, rig, motion, LEG) < REACH
+
+
+@every_rig
+@every_body
+def test_feet_that_stand_do_not_slide(
+    clips: dict[str, Clip], name: str, make: Make
+) -> None:
+    for title, clip in clips.items():
+        rig = make(name, clip)
+        slid = slides(clip, rig, retarget(clip, rig))
+        assert len(slid) > 50, title
+        assert slid.max() < SLIDE, title
+
+
+@every_rig
+@every_body
+def test_toes_that_stand_are_on_the_floor_and_none_are_under_it(
+    clips: dict[str, Clip], name: str, make: Make
+) -> None:
+    clip = clips["walk"]
+    rig = make(name, clip)
+    motion = retarget(clip, rig)
+    for side in SIDES:
+        toes = rig.joint(f"{side} toes")
+        flat = rig.rest.positions[toes, 1] - rig.floor
+        height = motion.positions[:, toes, 1]
+        stands = clip.contacts[:, CONTACTS.index(f"Toe{side.capitalize()}")]
+        assert np.abs(height[stands] - flat).max() < 1e-6
+        assert height.min() > flat - 1e-6
+
+
+@every_rig
+@every_body
+def test_every_bone_keeps_its_length(
+    clips: dict[str, Clip], name: str, make: Make
+) -> None:
+    clip = clips["walk"]
+    rig = make(name, clip)
+    rest, motion = rig.rest, retarget(clip, rig)
+    pelvis = rig.joint("pelvis")
+    for n, parent in enumerate(rest.parents):
+        if parent >= 0 and n != pelvis:
+            bone = motion.positions[:, n] - motion.positions[:, parent]
+            length = np.linalg.norm(rest.positions[n] - rest.positions[parent])
+            np.testing.assert_allclose(np.linalg.norm(bone, axis=-1), length)
+            turned = rotate(
+                motion.rotations[:, parent], rest.positions[n] - rest.positions[parent]
+            )
+            np.testing.assert_allclose(bone, turned, atol=1e-9)
+
+
+@every_rig
+@every_body
+def test_upper_arms_and_thighs_point_where_the_persons_do(
+    clips: dict[str, Clip], name: str, make: Make
+) -> None:
+    for clip in clips.values():
+        rig = make(name, clip)
+        motion = retarget(clip, rig)
+        for parts, joints in (ARM, LEG):
+            for side in SIDES:
+                ours = [clip.skeleton.index(f"{j}{side.capitalize()}") for j in joints]
+                theirs = [rig.joint(f"{side} {part}") for part in parts]
+                wanted = upper_bone(clip.positions[:, ours])
+                found = upper_bone(motion.positions[:, theirs])
+                # A short forearm has to be folded otherwise to reach the same place.
+                assert np.sum(wanted * found, axis=-1).min() > np.cos(np.radians(45.0))
+
+
+def upper_bone(limb: Array) -> Array:
+    """Return the direction of a limb's first bone (T, 3, 3), shape (T, 3)."""
+    bone = limb[:, 1] - limb[:, 0]
+    return np.asarray(bone / np.linalg.norm(bone, axis=-1, keepdims=True))
+
+
+def bent_to(limb: Array) -> Array:
+    """Return from the line between a limb's ends to its middle (T, 3, 3), (T, 3)."""
+    line, bone = limb[:, 2] - limb[:, 0], limb[:, 1] - limb[:, 0]
+    share = np.sum(bone * line, axis=-1) / np.sum(line * line, axis=-1)
+    return np.asarray(bone - share[:, None] * line)
+
+
+@every_rig
+def test_bones_turn_no_faster_than_the_persons(
+    clips: dict[str, Clip], name: str
+) -> None:
+    for clip in clips.values():
+        rig = built_rig(load_rig_map(name), clip.body)
+        motion = retarget(clip, rig)
+        limbs = [rig.joint(p) for p in rig.parts if p.split()[-1] in ("arm", "shin")]
+        ours, theirs = (speed(q) for q in (clip.rotations, motion.rotations[:, limbs]))
+        assert theirs.max() < 1.5 * ours.max() + 0.05
+
+
+def speed(rotations: Array) -> Array:
+    """Return by how much rotations turn from frame to frame [rad]."""
+    steps = multiply(rotations[1:], rotations[:-1] * [1, -1, -1, -1])
+    return np.asarray(np.linalg.norm(rotation_vector(steps), axis=-1))
+
+
+def standing(frames: int, shin: float, make_clip: Callable[..., Clip]) -> Clip:
+    """Return a clip in T-pose whose shins are turned by an angle about x [rad]."""
+    clip = make_clip(frames, KINECT_V2)
+    rotations = np.zeros((frames, len(KINECT_V2), 4))
+    rotations[..., 0] = 1.0
+    for side in ("Left", "Right"):
+        ankle = KINECT_V2.index(f"Ankle{side}")
+        rotations[:, ankle, :2] = np.cos(shin / 2), np.sin(shin / 2)
+    root = np.tile(clip.body.rest_positions[KINECT_V2.root], (frames, 1))
+    return replace(
+        clip,
+        rotations=rotations,
+        positions=positions_from_rotations(rotations, root, clip.body),
+        contacts=np.ones((frames, 4), dtype=bool),
+    )
+
+
+@pytest.mark.parametrize("degrees", [-3.0, 0.0, 3.0, 60.0])
+def test_knees_bend_forward_even_where_noise_bent_them_back(
+    make_clip: Callable[..., Clip], degrees: float
+) -> None:
+    clip = standing(4, np.radians(degrees), make_clip)
+    rig = giant("mixamo", clip)
+    motion = retarget(clip, rig)
+    for side in SIDES:
+        knees = bent_to(motion.positions[:, [rig.joint(f"{side} {p}") for p in LEG[0]]])
+        assert (knees[:, 2] > -1e-9).all()
+
+
+@every_rig
+def test_a_person_in_t_pose_puts_every_rig_in_t_pose(
+    make_clip: Callable[..., Clip], name: str
+) -> None:
+    clip = standing(2, 0.0, make_clip)
+    rig = giant(name, clip)
+    motion = retarget(clip, rig)
+    for side, x in zip(SIDES, (1.0, -1.0), strict=True):
+        arm = [rig.joint(f"{side} {part}") for part in ARM[0]]
+        for bone in np.diff(motion.positions[0, arm], axis=0):
+            np.testing.assert_allclose(
+                bone / np.linalg.norm(bone), [x, 0.0, 0.0], atol=1e-6
+            )
+        leg = [rig.joint(f"{side} {part}") for part in (*LEG[0], "toes")]
+        for bone in np.diff(motion.positions[0, leg[:3]], axis=0):
+            np.testing.assert_allclose(
+                bone / np.linalg.norm(bone), [0.0, -1.0, 0.0], atol=1e-3
+            )
+        foot = motion.positions[0, leg[3]] - motion.positions[0, leg[2]]
+        assert foot[2] > 0.9 * np.linalg.norm(foot * [1, 0, 1])
+
+
+@every_rig
+def test_a_rig_of_the_persons_size_walks_as_far_as_the_person(
+    clips: dict[str, Clip], name: str
+) -> None:
+    clip = clips["walk"]
+    rig = built_rig(load_rig_map(name), clip.body)
+    path = retarget(clip, rig).positions[:, rig.joint("pelvis")]
+    ours = clip.positions[:, clip.skeleton.root]
+    away = (path - path[0]) - (ours - ours[0])
+    assert np.linalg.norm(away[:, [0, 2]], axis=-1).max() < 0.05
+
+
+def test_a_rig_with_longer_legs_takes_longer_steps(clips: dict[str, Clip]) -> None:
+    clip = clips["walk"]
+    rig = giant("unreal", clip)
+    path = retarget(clip, rig).positions[:, rig.joint("pelvis")]
+    ours = clip.positions[:, clip.skeleton.root]
+    leg = [clip.skeleton.index(joint) for joint in ("KneeLeft", "AnkleLeft")]
+    assert rig.leg_length == pytest.approx(1.5 * clip.body.lengths[leg].sum(), rel=0.01)
+    assert np.ptp(path[:, 2]) == pytest.approx(1.5 * np.ptp(ours[:, 2]), rel=0.02)
+
+
+def test_joints_that_no_part_turns_turn_with_their_parents(
+    clips: dict[str, Clip],
+) -> None:
+    clip = clips["walk"]
+    rig_map = load_rig_map("unreal")
+    plain = built_rig(rig_map, clip.body).rest
+    hand = plain.names.index("hand_l")
+    rest = RestPose(
+        (*plain.names, "index_01_l", "ik_foot_root"),
+        (*plain.parents, hand, 0),
+        np.concatenate([plain.positions, plain.positions[[hand, 0]] + [0.1, 0, 0]]),
+    )
+    motion = retarget(clip, found_rig(rig_map, rest, clip.body))
+    np.testing.assert_array_equal(motion.rotations[:, -2], motion.rotations[:, hand])
+    still = motion.positions[:, [0, -1]]
+    np.testing.assert_array_equal(
+        still - [[0, 0, 0], [0.1, 0, 0]], np.zeros_like(still)
+    )
+
+
+# The pieces
+
+
+def test_a_bent_limb_has_its_lengths_reaches_its_goal_and_bends_where_it_is_told() -> (
+    None
+):
+    rng = np.random.default_rng(0)
+    lengths = np.array([0.4, 0.3])
+    start, away = rng.normal(size=(2, 200, 3))
+    away *= (rng.uniform(0.11, 0.69, 200) / np.linalg.norm(away, axis=1))[:, None]
+    toward = rng.normal(size=(200, 3))
+    middle, end = bent_limb(start, start + away, toward, lengths)
+    np.testing.assert_allclose(end, start + away, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(middle - start, axis=1), 0.4)
+    np.testing.assert_allclose(np.linalg.norm(end - middle, axis=1), 0.3)
+    limb = np.stack([start, middle, end], axis=1)
+    assert (np.sum(bent_to(limb) * toward, axis=1) > 0.0).all()
+
+
+@pytest.mark.parametrize(("asked", "found"), [(1.0, 0.7), (0.05, 0.1), (0.7, 0.7)])
+def test_a_goal_out_of_reach_is_approached(asked: float, found: float) -> None:
+    goal, toward = np.array([[0, -asked, 0]]), np.array([[0, 0, 1.0]])
+    middle, end = bent_limb(np.zeros((1, 3)), goal, toward, np.array([0.4, 0.3]))
+    np.testing.assert_allclose(end, [[0, -found, 0]], atol=1e-12)
+    assert np.linalg.norm(middle) == pytest.approx(0.4)
+
+
+def path_of(stands: list[int], slip: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return time, path of a foot and when it stands, by how much it slips a frame."""
+    time = np.arange(len(stands)) / 30.0
+    path = np.zeros((len(stands), 3))
+    path[:, 0] = slip * np.arange(len(stands))
+    both = np.array(stands, dtype=bool)
+    return time, path, np.stack([both, both], axis=1)
+
+
+def test_a_held_foot_rests_and_joins_its_path_in_a_sixth_of_a_second() -> None:
+    time, path, stands = path_of([0] * 10 + [1] * 10 + [0] * 10, 0.002)
+    move = held(time, path, path, stands, np.zeros(2))
+    rests = (path + move)[10:20]
+    np.testing.assert_allclose(rests, np.broadcast_to(rests[0], (10, 3)), atol=1e-12)
+    assert not move[[0, 5, 24, 29]].any()
+    assert np.linalg.norm(np.diff(move, axis=0), axis=1).max() < 0.005
+
+
+def test_a_foot_that_drifts_is_dragged_along() -> None:
+    time, path, stands = path_of([1] * 100, 0.002)
+    move = held(time, path, path, stands, np.zeros(2))
+    assert np.linalg.norm(move, axis=1).max() <= 0.015 + 1e-9
+
+
+def test_a_foot_that_stands_again_at_once_rests_both_times() -> None:
+    time, path, stands = path_of([1] * 6 + [0] + [1] * 6, 0.002)
+    moved = path + held(time, path, path, stands, np.zeros(2))
+    assert np.abs(np.diff(moved[:6], axis=0)).max() < 1e-12
+    assert np.abs(np.diff(moved[7:], axis=0)).max() < 1e-12
+    assert moved[5, 0] < moved[6, 0] < moved[7, 0]
+
+
+def test_a_heel_that_rises_turns_the_foot_about_its_toes() -> None:
+    time, toe, stands = path_of([1] * 10, 0.0)
+    heel = np.zeros((10, 3))
+    heel[:, 1] = np.linspace(0.08, 0.18, 10)
+    stands[3:, 0] = False
+    move = held(time, heel, toe, stands, np.array([0.08, 0.0]))
+    np.testing.assert_allclose(move[3:], np.tile(move[3], (7, 1)), atol=1e-12)

@@ -1,0 +1,317 @@
+"""Clips on other people's rigs as files, and those people's skeletons out of files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdValidation
+from rig_motions import performed
+
+from kinefilter.characters import KINECT_V1, Clip, InputError, Prop
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.formats import (
+    Export,
+    check_writable,
+    read_bvh,
+    read_usd_positions,
+    write_clip,
+)
+from kinefilter.pipeline.formats.targets import target_rig
+from kinefilter.retarget.retargeting import retarget
+from kinefilter.retarget.rig_map import RIGS, load_rig_map
+from kinefilter.retarget.rotations import about_y, rotate
+from kinefilter.retarget.target_rig import TargetRig, built_rig
+
+Array = NDArray[np.float64]
+SAMPLE = Path(__file__).parents[1] / "scenes" / "takes" / "wave_punch_bend.csv"
+TENTH_OF_A_MILLIMETER = 1e-4
+
+every_rig = pytest.mark.parametrize("name", RIGS)
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    """Return a short walk."""
+    walk = performed("walk")
+    arrays = {
+        name: value[40:90]
+        for name, value in vars(walk).items()
+        if isinstance(value, np.ndarray)
+    }
+    return replace(walk, **arrays)
+
+
+def in_usd(names: tuple[str, ...]) -> list[str]:
+    return [name.replace(":", "_") for name in names]
+
+
+def up_axis(points: Array, export: Export) -> Array:
+    """Return points of a file [m] with y up."""
+    if export.up == "y":
+        return points
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+@every_rig
+@pytest.mark.parametrize("export", [Export(), Export(up="z", units="cm")])
+def test_every_joint_of_a_bvh_is_where_the_retargeted_motion_has_it(
+    clip: Clip, tmp_path: Path, name: str, export: Export
+) -> None:
+    write_clip(clip, tmp_path / "clip.bvh", replace(export, rig=name))
+    rig, bvh = built_rig(load_rig_map(name), clip.body), read_bvh(tmp_path / "clip.bvh")
+    columns = [bvh.names.index(joint) for joint in rig.rest.names]
+    found = up_axis(bvh.positions[:, columns] * export.meters_per_unit, export)
+    wanted = retarget(clip, rig).positions
+    assert np.abs(found - wanted).max() < TENTH_OF_A_MILLIMETER
+    assert {n for n in bvh.names if not n.endswith("End")} == set(rig.rest.names)
+
+
+@every_rig
+@pytest.mark.parametrize("export", [Export(), Export(up="z", units="cm")])
+def test_every_joint_of_a_usd_is_where_the_retargeted_motion_has_it(
+    clip: Clip, tmp_path: Path, name: str, export: Export
+) -> None:
+    path = tmp_path / "clip.usdc"
+    write_clip(clip, path, replace(export, rig=name))
+    rig = built_rig(load_rig_map(name), clip.body)
+    _, names, positions = read_usd_positions(path)
+    assert list(names) == in_usd(rig.rest.names)
+    wanted = retarget(clip, rig).positions
+    away = np.abs(up_axis(positions, export) - wanted)
+    assert away.max() < TENTH_OF_A_MILLIMETER
+
+
+@pytest.mark.parametrize("name", ["mixamo", "unreal"])
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_usd_validation_has_nothing_to_say(
+    clip: Clip, tmp_path: Path, name: str, suffix: str
+) -> None:
+    thing = Prop("thing", (), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]))
+    path = tmp_path / f"clip{suffix}"
+    write_clip(replace(clip, props=(thing,)), path, Export(rig=name, units="cm"))
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    stage = Usd.Stage.Open(str(path))
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [error.GetErrorAsString() for error in errors] == []
+    prims = {prim.GetName() for prim in stage.Traverse()}
+    assert prims == {"Character", "Skeleton", "Animation"}
+
+
+def test_only_the_pelvis_of_an_unreal_clip_changes_place(
+    clip: Clip, tmp_path: Path
+) -> None:
+    write_clip(clip, tmp_path / "clip.usdc", Export(rig="unreal"))
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usdc"))
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/Character/Animation"))
+    places = animation.GetTranslationsAttr()
+    first, last = (np.array(places.Get(c)) for c in (0, len(clip) - 1))
+    moved = np.abs(last - first).max(axis=1) > 0.0
+    joints = [j.rpartition("/")[2] for j in animation.GetJointsAttr().Get()]
+    assert [joint for joint, far in zip(joints, moved, strict=True) if far] == [
+        "pelvis"
+    ]
+
+
+# Targets
+
+
+def write_target(rig: TargetRig, path: Path, *, up: str, meters: float) -> None:
+    """Write a skeleton whose joints have axes of their own, turned about a prim."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, up)
+    UsdGeom.SetStageMetersPerUnit(stage, meters)
+    UsdSkel.Root.Define(stage, "/Rig")
+    skeleton = UsdSkel.Skeleton.Define(stage, "/Rig/Skeleton")
+    # Every unit of the prim is half a unit of the stage.
+    UsdGeom.Xformable(skeleton).AddScaleOp().Set(Gf.Vec3f(0.5))
+    paths: list[str] = []
+    for name, parent in zip(in_usd(rig.rest.names), rig.rest.parents, strict=True):
+        paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
+    skeleton.CreateJointsAttr(paths)
+    rng = np.random.default_rng(0)
+    world = []
+    for place in rig.rest.positions:
+        x, y, z = 2.0 * place / meters
+        where = Gf.Vec3d(x, -z, y) if up == "Z" else Gf.Vec3d(x, y, z)
+        turn = Gf.Rotation(Gf.Vec3d(*rng.normal(size=3)), float(rng.uniform(0, 170)))
+        world.append(Gf.Matrix4d(turn, where))
+    local = [
+        matrix if parent < 0 else matrix * world[parent].GetInverse()
+        for matrix, parent in zip(world, rig.rest.parents, strict=True)
+    ]
+    skeleton.CreateRestTransformsAttr(local)
+    skeleton.CreateBindTransformsAttr(world)
+    stage.Save()
+
+
+@pytest.mark.parametrize(("up", "meters"), [("Y", 1.0), ("Z", 0.01)])
+@pytest.mark.parametrize("name", ["mixamo", "unreal"])
+def test_a_usd_target_gives_the_motion_of_the_same_skeleton_and_keeps_its_axes(
+    clip: Clip, tmp_path: Path, name: str, up: str, meters: float
+) -> None:
+    built = built_rig(load_rig_map(name), clip.body)
+    target, path = tmp_path / "rest.usda", tmp_path / "clip.usdc"
+    write_target(built, target, up=up, meters=meters)
+    axes = Export(up="z" if up == "Z" else "y", units="cm" if meters < 1 else "m")
+    write_clip(clip, path, replace(axes, rig=name, target=target))
+    _, names, positions = read_usd_positions(path)
+    wanted = retarget(clip, built).positions
+    assert list(names) == in_usd(built.rest.names)
+    assert np.abs(up_axis(positions, axes) - wanted).max() < TENTH_OF_A_MILLIMETER
+    stages = [Usd.Stage.Open(str(file)) for file in (target, path)]
+    prims = ("/Rig/Skeleton", "/Character/Skeleton")
+    theirs, ours = (
+        UsdSkel.Skeleton(stage.GetPrimAtPath(prim))
+        for stage, prim in zip(stages, prims, strict=True)
+    )
+    bind = [np.array(s.GetBindTransformsAttr().Get()) for s in (theirs, ours)]
+    np.testing.assert_allclose(bind[1][:, :3, :3], bind[0][:, :3, :3], atol=1e-6)
+    np.testing.assert_allclose(bind[1][:, 3, :3], 0.5 * bind[0][:, 3, :3], atol=1e-5)
+
+
+@every_rig
+@pytest.mark.parametrize("units", ["m", "cm"])
+def test_a_bvh_target_gives_the_motion_of_the_same_skeleton(
+    clip: Clip, tmp_path: Path, name: str, units: str
+) -> None:
+    target, path = tmp_path / "rest.bvh", tmp_path / "clip.bvh"
+    export = Export(rig=name, units="cm" if units == "cm" else "m")
+    write_clip(clip, target, export)
+    write_clip(clip, path, replace(export, target=target))
+    again, first = read_bvh(path), read_bvh(target)
+    assert again.names == first.names
+    # The sole is guessed, as BVH knows none.
+    shift = again.positions - first.positions
+    root = [n for n in range(len(first.names)) if first.names[n] != "root"]
+    assert np.abs(shift[:, root]).max() < 1e-3 / export.meters_per_unit
+
+
+def test_a_target_that_faces_elsewhere_faces_where_the_person_does(
+    clip: Clip,
+) -> None:
+    rig = built_rig(load_rig_map("mixamo"), clip.body)
+    turned = replace(rig.rest, positions=rotate(about_y(2.0), rig.rest.positions))
+    wanted = retarget(clip, rig).positions
+    found = retarget(clip, TargetRig(turned, rig.parts, 0.0)).positions
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+# What is refused
+
+
+@pytest.fixture
+def mixamo(clip: Clip, tmp_path: Path) -> str:
+    """Return a BVH of Mixamo's skeleton as text."""
+    path = tmp_path / "good.bvh"
+    write_clip(clip, path, Export(rig="mixamo"))
+    lines = path.read_text().splitlines()
+    start = next(n for n, line in enumerate(lines) if line.startswith("Frames"))
+    lines[start] = "Frames: 1"
+    return "\n".join(lines[: start + 3]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("mixamorig:LeftLeg", "Knee", "no joint LeftLeg, which mixamo has; found"),
+        ("mixamorig:LeftArm", "leftleg", "has 2 joints 'LeftLeg'"),
+        ("HIERARCHY", "HIERARCHY\nROOT Other\n{\nOFFSET 0 0 0\nCHANNELS 0\n}",
+         "has 2 roots (Other, mixamorig:Hips)"),
+        ("MOTION", "", "expected"),
+    ],
+)  # fmt: skip
+def test_a_bad_target_is_refused_and_nothing_written(
+    clip: Clip, mixamo: str, tmp_path: Path, old: str, new: str, words: str
+) -> None:
+    assert old in mixamo
+    target, path = tmp_path / "rest.bvh", tmp_path / "clip.usda"
+    target.write_text(mixamo.replace(old, new, 1))
+    for work in (check_writable, lambda p, e: write_clip(clip, p, e)):
+        with pytest.raises(InputError) as caught:
+            work(path, Export(rig="mixamo", target=target))
+        assert str(target) in str(caught.value)
+        assert words in str(caught.value)
+        assert not path.exists()
+
+
+def test_a_target_with_a_bone_of_no_length_is_refused(
+    mixamo: str, tmp_path: Path
+) -> None:
+    lines = mixamo.splitlines()
+    shin = next(n for n, line in enumerate(lines) if "LeftLeg" in line)
+    lines[shin + 2] = "OFFSET 0 0 0"
+    (tmp_path / "rest.bvh").write_text("\n".join(lines) + "\n")
+    export = Export(rig="mixamo", target=tmp_path / "rest.bvh")
+    with pytest.raises(
+        InputError, match=r"LeftUpLeg.* and .*LeftLeg.* are in one place"
+    ):
+        check_writable(tmp_path / "clip.bvh", export)
+
+
+@pytest.mark.parametrize("content", ["", "#usda 1.0\n", "no usd", None])
+def test_a_usd_target_without_a_skeleton_is_refused(
+    tmp_path: Path, content: str | None
+) -> None:
+    target = tmp_path / "rest.usda"
+    if content is not None:
+        target.write_text(content)
+    with pytest.raises(InputError, match=r"rest\.usda"):
+        target_rig("mixamo", target, performed("stand_idle", skeleton=KINECT_V1).body)
+
+
+def test_a_usd_target_without_rest_transforms_is_refused(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "rest.usda"))
+    UsdSkel.Skeleton.Define(stage, "/Rig").CreateJointsAttr(["Hips", "Hips/Spine"])
+    stage.Save()
+    export = Export(rig="mixamo", target=tmp_path / "rest.usda")
+    with pytest.raises(InputError, match="no rest transform for each of its 2 joints"):
+        check_writable(tmp_path / "clip.bvh", export)
+
+
+@pytest.mark.parametrize(
+    ("out", "flags", "words"),
+    [
+        ("clip.bvh", ["--rig", "maya"], "--rig maya: unknown"),
+        ("clip.bvh", ["--rig", "none.toml"], "none.toml"),
+        ("clip.csv", ["--rig", "mixamo"], "--rig means nothing to a .csv"),
+        ("clip.npz", ["--rig", "mixamo"], "--rig means nothing to a .npz"),
+        ("clip.bvh", ["--target", "rest.bvh"], "say with --rig"),
+        ("clip.bvh", ["--rig", "vrm", "--target", "rest.fbx"], "expected .bvh, .usda"),
+        ("clip.bvh", ["--rig", "vrm", "--target", "rest.bvh"], "rest.bvh"),
+        ("clip.bvh", ["--rig", "vrm", "--rest", "t"], "--rest is about"),
+        ("clip.usda", ["--rig", "vrm", "--character", "c.usda"], "--character is"),
+    ],
+)
+def test_what_does_not_go_together_ends_with_2_and_writes_nothing(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    out: str,
+    flags: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["clean", str(SAMPLE), "-o", out, *flags]) == 2
+    assert words in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clip_does_not_overwrite_its_target_or_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mixamo: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("rest.bvh").write_text(mixamo)
+    flags = ["--rig", "mixamo", "--target", "rest.bvh"]
+    assert main(["clean", str(SAMPLE), "-o", "rest.bvh", *flags]) == 2
+    assert Path("rest.bvh").read_text() == mixamo
+
+
+def test_the_command_line_writes_a_rig(tmp_path: Path) -> None:
+    path = tmp_path / "clip.bvh"
+    flags = ["--rig", "unity", "--method", "none", "--no-physics"]
+    assert main(["clean", str(SAMPLE), "-o", str(path), *flags]) == 0
+    assert read_bvh(path).names[:3] == ("Hips", "Spine", "Chest")
