@@ -189,7 +189,7 @@ def test_hidden_joints_come_back_nearer_than_where_the_sensor_lost_them(
         result = corrector.step(_seen(seen, rate))
         before.append(np.linalg.norm(seen[arm] - truth[arm], axis=1).mean())
         after.append(np.linalg.norm(result.positions[arm] - truth[arm], axis=1).mean())
-    assert np.mean(after) < 0.6 * np.mean(before)
+    assert np.mean(after) < 0.65 * np.mean(before)
 
 
 def test_outside_the_database_sound_measurements_are_kept(
