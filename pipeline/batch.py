@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from functools import partial
 
 from kinefilter.characters import Take
 
 from .config import CleanConfig
 from .run import CleanResult, clean
+from .workers import workers
 
 __all__ = ["clean_takes", "workers"]
-
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def clean_takes(
@@ -36,28 +32,3 @@ def clean_takes(
         InputError: As ``clean``, for the first take that is wrong.
     """
     return pool.map(partial(clean, config=config), takes)
-
-
-@contextmanager
-def workers(count: int | None = None) -> Iterator[ProcessPoolExecutor]:
-    """Yield processes to clean takes in, each with one thread of linear algebra.
-
-    Several threads a process would fight for the same cores.
-
-    Args:
-        count: How many; by default one a core that this process may use.
-    """
-    count = count or len(os.sched_getaffinity(0))
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        # Not forked: threads of the engine and of linear algebra do not survive it.
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(count, mp_context=context) as pool:
-            yield pool
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

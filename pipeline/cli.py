@@ -18,6 +18,7 @@ from .commands import (
     Database,
     Evaluate,
     Info,
+    Render,
     Reproduce,
     Simulate,
     Train,
@@ -29,6 +30,7 @@ __all__ = ["main"]
 Command = (
     Annotated[Clean, subcommand("clean")]
     | Annotated[Info, subcommand("info")]
+    | Annotated[Render, subcommand("render")]
     | Annotated[Database, subcommand("database")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Evaluate, subcommand("evaluate")]
