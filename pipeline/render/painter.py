@@ -105,9 +105,12 @@ class Painter:
 
     def _draw(self, options: Any, deep: bool) -> tuple[Pixels, NDArray[np.float32]]:
         """Return colors and, if asked for, depths, the lowest row first."""
+        model, data = self._scene.model, self._scene.data
+        # The scene's light and floor go by the camera that was there before.
+        mujoco.mjv_updateCamera(model, data, self._camera, self._view)
         mujoco.mjv_updateScene(
-            self._scene.model,
-            self._scene.data,
+            model,
+            data,
             options,
             None,
             self._camera,

@@ -29,6 +29,7 @@ _SKY = ((0.97, 0.98, 0.99), (0.80, 0.85, 0.91))  # at the horizon, overhead
 _TILES = ((0.80, 0.81, 0.82), (0.85, 0.86, 0.87))
 _LINES = (0.66, 0.67, 0.69)
 _TILES_A_METER = 1.0  # squares of half a meter, two of them a period of the texture
+_FACETS = (16, 8)  # around and along what is round: more cost more than they show
 _KINDS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
@@ -139,6 +140,7 @@ def _add_room(spec: mujoco.MjSpec, facing: Array) -> None:
     visual.map.fogstart, visual.map.fogend = 4.0, 14.0
     visual.map.shadowclip = 1.5
     visual.quality.shadowsize = 4096
+    visual.quality.numslices, visual.quality.numstacks = _FACETS
     visual.rgba.fog = visual.rgba.haze = [*horizon, 1.0]
     front = to_mujoco(facing)
     left = np.array([-front[1], front[0], 0.0])
