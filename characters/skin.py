@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from .anthropometry import Body
 from .flesh import Box, Flesh, flesh_of, nearest_on_line
 from .props import freeze
 from .skeleton import Skeleton
 from .surface import quads_of
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = ["INFLUENCES", "Skin", "skin_of"]
 
@@ -131,6 +134,8 @@ def _weights(
 
 def _averaging(quads: NDArray[np.int64], count: int) -> sparse.csr_array:
     """Return the matrix that gives each point the mean of itself and its neighbors."""
+    from scipy import sparse  # commands that draw no skin need not wait for it
+
     a, b = np.concatenate([quads[:, [k, k - 1]] for k in range(4)]).T
     own = np.arange(count)
     rows, columns = np.concatenate([a, b, own]), np.concatenate([b, a, own])

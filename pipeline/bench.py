@@ -17,7 +17,7 @@ from kinefilter.retarget.body_size import Standardizer, measured_body
 from kinefilter.retarget.bone_lengths import BoneLengths
 from kinefilter.retarget.orientation import rotations_from_positions
 
-from .batch import clean_takes, workers
+from .batch import clean_takes
 from .correct import Corrector, LocalPCA, Observation
 from .correct.posture_space import PostureSpace
 from .correct.search import solve, stochastic_search
@@ -27,6 +27,7 @@ from .formats import read_take
 from .library import embedded_database
 from .pulled_character import PulledCharacter, substeps_in
 from .reliability import ReliabilityScorer, measure_reference
+from .workers import workers
 
 __all__ = ["as_table", "bench", "sample_path"]
 

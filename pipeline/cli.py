@@ -18,18 +18,20 @@ from .commands import (
     Database,
     Evaluate,
     Info,
+    Render,
     Reproduce,
     Simulate,
     Train,
 )
 from .commands.terminal import err
-from .threads import one_thread
+from .workers import one_thread
 
 __all__ = ["main"]
 
 Command = (
     Annotated[Clean, subcommand("clean")]
     | Annotated[Info, subcommand("info")]
+    | Annotated[Render, subcommand("render")]
     | Annotated[Database, subcommand("database")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Evaluate, subcommand("evaluate")]

@@ -258,7 +258,7 @@ def test_every_command_is_in_the_readme() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for command in (
         *("clean", "info", "database build", "train", "evaluate"),
-        *("simulate", "reproduce", "bench", "character"),
+        *("simulate", "reproduce", "bench", "character", "render"),
     ):
         assert f"kinefilter {command}" in readme
 

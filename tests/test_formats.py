@@ -491,7 +491,7 @@ def test_npz_that_holds_no_clip_is_refused(make_clip: MakeClip, tmp_path: Path) 
 def test_importing_the_pipeline_loads_neither_pxr_nor_opengl() -> None:
     code = (
         "import sys, kinefilter.pipeline; "
-        "print([m for m in ('pxr', 'OpenGL', 'matplotlib') if m in sys.modules])"
+        "print([m for m in ('pxr', 'OpenGL', 'matplotlib', 'av') if m in sys.modules])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

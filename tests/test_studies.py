@@ -216,7 +216,7 @@ def test_help_loads_nothing_heavy() -> None:
         "import sys; from kinefilter.pipeline.cli import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: pass\n"
-        "heavy = ('pxr', 'mujoco', 'scipy', 'sklearn', 'matplotlib')\n"
+        "heavy = ('pxr', 'mujoco', 'scipy', 'sklearn', 'matplotlib', 'av', 'OpenGL')\n"
         "sys.exit(str([m for m in heavy if m in sys.modules] or ''))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

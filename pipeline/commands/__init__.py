@@ -6,6 +6,7 @@ from .clean import Clean
 from .database import Database
 from .evaluate import Evaluate
 from .info import Info
+from .render import Render
 from .reproduce import Reproduce
 from .simulate import Simulate
 from .train import Train
@@ -17,6 +18,7 @@ __all__ = [
     "Database",
     "Evaluate",
     "Info",
+    "Render",
     "Reproduce",
     "Simulate",
     "Train",

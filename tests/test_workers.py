@@ -1,4 +1,4 @@
-"""How many threads linear algebra uses."""
+"""Processes and their threads."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import os
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from kinefilter.pipeline.batch import workers
-from kinefilter.pipeline.threads import one_thread
+from kinefilter.pipeline.workers import one_thread, workers
 
 
 def _most_threads() -> int:

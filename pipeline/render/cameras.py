@@ -1,0 +1,197 @@
+"""Where a clip is looked at from."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Clip, InputError
+from kinefilter.retarget.rotations import rotate
+
+__all__ = ["CAMERAS", "CameraPath", "axes_toward", "camera_path", "check_camera"]
+
+Array = NDArray[np.float64]
+
+CAMERAS = ("front", "side", "three-quarter", "orbit", "follow")
+"""Cameras that find their place themselves."""
+
+_FOV = 28.0  # degrees from bottom to top: a normal lens, 48 mm on 35 mm film
+_FOVS = (1.0, 170.0)  # degrees
+# Degrees to the left of where the character faces, and up. Guesses by eye.
+_DIRECTIONS = {
+    "front": (0.0, 6.0),
+    "side": (90.0, 6.0),
+    "three-quarter": (35.0, 12.0),
+    "orbit": (35.0, 12.0),
+    "follow": (35.0, 12.0),
+}
+_TURN = 12.0  # s that an orbit takes, about
+_LAG = 0.5  # s over which a camera that follows averages the character's place
+_AZIMUTHS = 24  # from which an orbit is to show everything
+_FREE = 0.06  # of the picture, on every side
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """A camera in every frame, or one that stays."""
+
+    positions: Array
+    """Where it is [m], world frame, shape (T, 3), or (1, 3) for one that stays."""
+    targets: Array
+    """What is in the middle of its picture [m], of the same shape."""
+    fov: float
+    """Field of view from bottom to top [degrees]."""
+
+    @property
+    def stays(self) -> bool:
+        """Whether it never moves."""
+        return len(self.positions) == 1
+
+    def at(self, frame: int) -> tuple[Array, Array]:
+        """Return position and target in a frame."""
+        k = 0 if self.stays else frame
+        return self.positions[k], self.targets[k]
+
+
+def camera_path(
+    camera: str, clip: Clip, points: Array, *, aspect: float, rate: float
+) -> CameraPath:
+    """Return the camera of a clip.
+
+    Args:
+        camera: One of CAMERAS, or the path of a TOML file.
+        clip: The frames that are drawn.
+        points: What is to be seen in each frame [m], shape (T, N, 3).
+        aspect: Width of the picture over its height.
+        rate: Frames a second.
+
+    Raises:
+        InputError: There is no such camera, or the file is none.
+    """
+    if camera not in CAMERAS:
+        return _from_file(camera)
+    around, up = np.radians(_DIRECTIONS[camera])
+    facing = _facing(clip)
+    toward = _direction(facing + around, up)
+    if camera == "follow":
+        from scipy.ndimage import gaussian_filter1d  # takes long to load
+
+        roots = clip.positions[:, clip.skeleton.root]
+        targets = gaussian_filter1d(roots, _LAG * rate, axis=0, mode="nearest")
+        low, high = points[..., 1].min(), points[..., 1].max()
+        targets[:, 1] = 0.5 * (low + high)
+        away = _distance(points - targets[:, None], toward, aspect)
+        return CameraPath(targets + away * toward, targets, _FOV)
+    flat = points.reshape(-1, 3)
+    target = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
+    if camera != "orbit":
+        target, away = _framed(flat, target, toward, aspect)
+        return CameraPath((target + away * toward)[None], target[None], _FOV)
+    turns = np.arange(_AZIMUTHS) / _AZIMUTHS * 2.0 * np.pi
+    away = max(_distance(flat - target, _direction(a, up), aspect) for a in turns)
+    count = len(clip)
+    whole = max(1, round(count / rate / _TURN))
+    angles = facing + around + 2.0 * np.pi * whole * np.arange(count) / count
+    positions = target + away * np.stack([_direction(a, up) for a in angles])
+    return CameraPath(positions, np.broadcast_to(target, positions.shape), _FOV)
+
+
+def check_camera(camera: str) -> None:
+    """Raise what ``camera_path`` would, before there is a clip."""
+    if camera not in CAMERAS:
+        _from_file(camera)
+
+
+def axes_toward(toward: Array) -> tuple[Array, Array]:
+    """Return a picture's right and up, unit vectors, by the direction to its camera."""
+    right = np.cross([0.0, 1.0, 0.0], toward)
+    right /= np.linalg.norm(right)
+    return right, np.cross(toward, right)
+
+
+def _facing(clip: Clip) -> float:
+    """Return where the character faces on the whole [rad], 0 for +z, from z to x."""
+    forward = rotate(clip.rotations[:, clip.skeleton.root], np.array([0.0, 0.0, 1.0]))
+    x, _, z = forward.mean(axis=0)
+    return float(np.arctan2(x, z))
+
+
+def _direction(azimuth: float, elevation: float) -> Array:
+    level = np.cos(elevation)
+    return np.array(
+        [level * np.sin(azimuth), np.sin(elevation), level * np.cos(azimuth)]
+    )
+
+
+def _framed(
+    points: Array, target: Array, toward: Array, aspect: float
+) -> tuple[Array, float]:
+    """Return the target that has as much room on all sides, and the distance."""
+    right, up = axes_toward(toward)
+    away = _distance(points - target, toward, aspect)
+    for _ in range(4):  # each time the margins differ by a tenth of before
+        seen = points - target
+        depth = away - seen @ toward
+        for axis in (right, up):
+            edge = seen @ axis / depth
+            target = target + 0.5 * away * (edge.max() + edge.min()) * axis
+        away = _distance(points - target, toward, aspect)
+    return target, away
+
+
+def _distance(seen: Array, toward: Array, aspect: float) -> float:
+    """Return from how far [m] all points (..., 3) about a target are in the picture."""
+    right, up = axes_toward(toward)
+    half = np.tan(0.5 * np.radians(_FOV)) * (1.0 - 2.0 * _FREE)
+    across = np.maximum(np.abs(seen @ right) / aspect, np.abs(seen @ up)) / half
+    return float(np.max(seen @ toward + across))
+
+
+def _from_file(camera: str) -> CameraPath:
+    path = Path(camera)
+    if path.suffix != ".toml":
+        raise InputError(
+            f"--camera {camera}: unknown; known: {', '.join(CAMERAS)}, or the path of "
+            "a file that ends in .toml"
+        )
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be read as TOML ({reason})") from None
+    unknown = set(table) - {"position", "target", "fov"}
+    if unknown:
+        raise InputError(
+            f"{path}: unknown {', '.join(sorted(unknown))}; known: position, target, "
+            "fov"
+        )
+    position, target = (_vector(path, table, name) for name in ("position", "target"))
+    fov = table.get("fov", _FOV)
+    if not isinstance(fov, int | float) or not _FOVS[0] <= fov <= _FOVS[1]:
+        raise InputError(
+            f"{path}: fov is {fov!r}; expected {_FOVS[0]:g} to {_FOVS[1]:g} degrees"
+        )
+    if np.linalg.norm(np.cross(position - target, [0.0, 1.0, 0.0])) < 1e-3:
+        raise InputError(
+            f"{path}: the camera looks straight up or down, or at itself; move its "
+            "position or target sideways"
+        )
+    return CameraPath(position[None], target[None], float(fov))
+
+
+def _vector(path: Path, table: dict[str, Any], name: str) -> Array:
+    value = table.get(name)
+    numbers = isinstance(value, list) and all(
+        isinstance(v, int | float) and np.isfinite(v) for v in value
+    )
+    if not numbers or not isinstance(value, list) or len(value) != 3:
+        raise InputError(
+            f"{path}: {name} is {value!r}; expected three numbers [x, y, z] in meters, "
+            "y up"
+        )
+    return np.array(value, dtype=np.float64)

@@ -1,0 +1,116 @@
+"""The motion that is drawn, whatever file it comes from."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import CONTACTS, Clip, InputError, Origin, Take
+from kinefilter.pipeline.formats import read_clip, read_take
+from kinefilter.pipeline.formats.files import check_file
+from kinefilter.pipeline.formats.resample import resampled
+from kinefilter.pipeline.reliability import measure_reference
+from kinefilter.retarget import (
+    measured_body,
+    positions_from_rotations,
+    rotations_from_positions,
+)
+
+from .look import Look
+
+__all__ = ["read_motion", "shown_frames"]
+
+_READ = (".npz", ".csv", ".bvh")
+_SKEW = 1e-6  # s that a frame may lie outside of --from and --to
+
+
+def read_motion(path: Path) -> Clip:
+    """Read a clip of which every joint is known.
+
+    An npz is the whole clip. CSV and BVH hold joint positions alone: the body is then
+    measured from them, and nothing is known about reliability and props.
+
+    Raises:
+        InputError: There is no such file, it is of another kind or malformed, or joints
+            are missing in it.
+    """
+    check_file(path)
+    name = path.name.lower().removesuffix(".gz")
+    if not name.endswith(_READ):
+        raise InputError(
+            f"{path}: render reads {', '.join(_READ)}; write the clip as .npz too, "
+            "which holds all of it"
+        )
+    clip = read_clip(path) if name.endswith(".npz") else _posed(read_take(path))
+    if not len(clip):
+        raise InputError(f"{path}: has no frames; nothing can be drawn")
+    if not (np.isfinite(clip.positions).all() and np.isfinite(clip.rotations).all()):
+        raise InputError(f"{path}: has numbers that are not finite; write it again")
+    return clip
+
+
+def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
+    """Return the frames that are drawn and how many of them a second has.
+
+    Frames lie evenly in time, whatever the sensor did.
+
+    Raises:
+        InputError: The clip has none between --from and --to.
+    """
+    rate = look.fps or clip.fps
+    even = resampled(clip, rate)
+    since = even.time - even.time[0]
+    end = np.inf if look.to is None else look.to
+    chosen = np.flatnonzero((since >= look.start - _SKEW) & (since <= end + _SKEW))
+    if not len(chosen):
+        raise InputError(
+            f"{clip.source}: has no frame from {look.start:g} s"
+            + (f" to {look.to:g} s" if look.to is not None else "")
+            + f"; it lasts {since[-1]:.2f} s"
+        )
+    return _some(even, chosen[:: look.every]), rate / look.every
+
+
+def _some(clip: Clip, frames: NDArray[np.intp]) -> Clip:
+    whole = {"skeleton", "body", "source", "props"}
+    arrays = {
+        field.name: getattr(clip, field.name)[frames]
+        for field in fields(clip)
+        if field.name not in whole
+    }
+    return replace(clip, **arrays, props=tuple(p.at(frames) for p in clip.props))
+
+
+def _posed(take: Take) -> Clip:
+    """Return a clip of the same postures, on a body as long as the median says."""
+    missing = np.argwhere(~np.isfinite(take.positions).all(axis=-1))
+    if len(missing):
+        frame, joint = missing[0]
+        raise InputError(
+            f"{take.source}: frame {frame + 1} has no {take.skeleton.joints[joint]}; "
+            "it is a raw take: clean it, or draw it with --compare beside its clip"
+        )
+    skeleton, shape = take.skeleton, take.positions.shape[:2]
+    measured = measure_reference(take)
+    body = measured_body(skeleton, measured.lengths, measured.directions)
+    rotations = rotations_from_positions(take.positions, body)
+    root = take.positions[:, skeleton.root]
+    return Clip(
+        time=take.time,
+        positions=positions_from_rotations(rotations, root, body),
+        rotations=rotations,
+        skeleton=skeleton,
+        body=body,
+        state=take.state,
+        reliability=np.ones(shape),
+        deciding_term=np.zeros(shape, dtype=np.uint8),
+        origin=np.full(shape, Origin.MEASURED, dtype=np.uint8),
+        moved_by_correction=np.full(shape, np.nan),
+        moved_by_physics=np.full(shape, np.nan),
+        contacts=np.zeros((shape[0], len(CONTACTS)), dtype=np.bool_),
+        external_force=np.full(shape[0], np.nan),
+        source=take.source,
+    )

@@ -1,0 +1,145 @@
+"""The raw take as a stick figure, its joints colored by how reliable they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Clip, InputError, Skeleton, Take
+from kinefilter.characters.humanoid import to_mujoco
+from kinefilter.pipeline.formats import read_take
+from kinefilter.retarget.rotations import rotate
+
+__all__ = ["RawFigure", "figure_names", "raw_positions"]
+
+Array = NDArray[np.float64]
+
+_JOINT, _BONE = 0.032, 0.012  # m, radii of what is drawn
+_BONE_COLOR = (0.25, 0.25, 0.28)
+_UNRELIABLE, _RELIABLE = np.array([0.90, 0.15, 0.12]), np.array([0.16, 0.68, 0.20])
+_APART = 0.1  # s between a frame and the measurement shown for it, at most
+_LEAST_TILT = np.radians(1.5)  # below, it is what cleaning moved
+
+
+def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
+    """Return where the take of a clip has the joints, in the clip's frame.
+
+    Cleaning set the take on the floor, and leveled it if the sensor was tilted; what it
+    did shows in where most joints are.
+
+    Args:
+        path: The take.
+        clip: What was made of it.
+        times: Time stamps [s] to show.
+
+    Returns:
+        Joint positions [m], NaN where nothing was measured, shape (T, J, 3).
+
+    Raises:
+        InputError: The file is no take, or not the one that the clip was made of.
+    """
+    take = read_take(path)
+    if take.skeleton.name != clip.skeleton.name:
+        raise InputError(
+            f"--compare {path}: a take of {take.skeleton.name}, but the clip has "
+            f"{clip.skeleton.name}; give the take that it was made of"
+        )
+    nearest = _nearest(take.time, times)
+    if np.median(np.abs(take.time[nearest] - times)) > _APART:
+        raise InputError(
+            f"--compare {path}: from {take.time[0]:.2f} to {take.time[-1]:.2f} s, but "
+            f"the clip from {times[0]:.2f} to {times[-1]:.2f} s; give the take that it "
+            "was made of"
+        )
+    shown = take.positions[nearest]
+    away = np.abs(take.time[nearest] - times) > _APART
+    return np.where(away[:, None, None], np.nan, _as_cleaned(take, clip, shown))
+
+
+def _as_cleaned(take: Take, clip: Clip, shown: Array) -> Array:
+    """Return positions leveled and on the floor as most of the take's are."""
+    frames = _nearest(take.time, clip.time)
+    raw, clean = take.positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)
+    known = np.isfinite(raw).all(axis=1)
+    if not known.any():
+        raise InputError(f"{take.source}: holds no joint in the time of the clip")
+    raw, clean = raw[known], clean[known]
+    # Least squares of clean y = cos(tilt) y - sin(tilt) z - floor, the angle small.
+    columns = np.stack([raw[:, 2], np.ones(len(raw))], axis=1)
+    slope = np.linalg.lstsq(columns, clean[:, 1] - raw[:, 1], rcond=None)[0][0]
+    tilt = -float(np.arctan(slope))
+    if abs(tilt) < _LEAST_TILT:
+        tilt = 0.0
+    level = np.array([np.cos(0.5 * tilt), np.sin(0.5 * tilt), 0.0, 0.0])
+    floor = np.median(rotate(level, raw)[:, 1] - clean[:, 1])
+    return np.asarray(rotate(level, shown) - np.array([0.0, floor, 0.0]))
+
+
+def _nearest(stamps: Array, times: Array) -> NDArray[np.intp]:
+    after = np.clip(np.searchsorted(stamps, times), 1, max(len(stamps) - 1, 1))
+    after = np.minimum(after, len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(times - stamps[before] < stamps[after] - times, before, after)
+
+
+def figure_names(skeleton: Skeleton) -> list[str]:
+    """Return the names of a figure's geoms: the joints, then the bones."""
+    joints = [f"joint:{joint}" for joint in skeleton.joints]
+    return joints + [f"bone:{skeleton.joints[j]}" for j in skeleton.segments]
+
+
+class RawFigure:
+    """Spheres and capsules of a model, put where a take has joints and bones.
+
+    Args:
+        model: Has a geom for each of ``figure_names``.
+        positions: Joint positions [m], world frame, NaN: missing, shape (T, J, 3).
+        clip: The frames that are drawn, with reliability.
+    """
+
+    def __init__(self, model: mujoco.MjModel, positions: Array, clip: Clip) -> None:
+        self._model, self._positions = model, to_mujoco(positions)
+        self._reliability = np.clip(clip.reliability, 0.0, 1.0)
+        skeleton = clip.skeleton
+        self._ends, self._starts = skeleton.segments, skeleton.segment_parents
+        geoms = np.array([model.geom(name).id for name in figure_names(skeleton)])
+        self._joints, self._bones = np.split(geoms, [len(skeleton)])
+        model.geom_type[self._bones] = mujoco.mjtGeom.mjGEOM_CAPSULE
+        model.geom_size[self._joints] = _JOINT
+        model.geom_size[self._bones, 0] = _BONE
+        model.geom_rgba[self._bones, :3] = _BONE_COLOR
+
+    def pose(self, data: mujoco.MjData, frame: int) -> None:
+        """Put the figure where the take has it; what is missing is not drawn."""
+        model, points = self._model, self._positions[frame]
+        known = np.isfinite(points).all(axis=-1)
+        share = self._reliability[frame][:, None]
+        model.geom_rgba[self._joints, :3] = _mixed(share)
+        model.geom_rgba[self._joints, 3] = known
+        model.geom_rgba[self._bones, 3] = known[self._ends] & known[self._starts]
+        points = np.where(known[:, None], points, 0.0)
+        bones = points[self._ends] - points[self._starts]
+        lengths = np.maximum(np.linalg.norm(bones, axis=-1), 1e-6)
+        model.geom_size[self._bones, 1] = 0.5 * lengths
+        data.geom_xpos[self._joints] = points
+        data.geom_xpos[self._bones] = 0.5 * (points[self._ends] + points[self._starts])
+        data.geom_xmat[self._bones] = _along(bones / lengths[:, None])
+
+
+def _mixed(share: Array) -> Array:
+    """Return colors from red over yellow to green, shape (J, 3)."""
+    mixed = _UNRELIABLE + share * (_RELIABLE - _UNRELIABLE)
+    mixed[:, :2] += (share * (1.0 - share)) * 1.1  # or the middle would be brown
+    return np.asarray(np.minimum(mixed, 1.0))
+
+
+def _along(directions: Array) -> Array:
+    """Return rotation matrices whose z axis points along unit vectors, shape (B, 9)."""
+    flat = np.abs(directions[:, 2]) < 0.9
+    other = np.where(flat[:, None], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    x = np.cross(other, directions)
+    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
+    return np.stack([x, np.cross(directions, x), directions], axis=-1).reshape(-1, 9)

@@ -1,0 +1,133 @@
+"""One clip to draw into one place, and the process that draws a part of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Clip, Prop
+
+from .cameras import CameraPath, axes_toward, camera_path
+from .look import Look
+from .motions import read_motion, shown_frames
+from .raw_figure import raw_positions
+from .surroundings import corners_of, props_around
+
+__all__ = ["Shot", "Staged"]
+
+Array = NDArray[np.float64]
+
+_SKIN = 0.13  # m from a joint to the skin: the head's, about
+_BESIDE = 0.35  # m between the raw figure and the character, a guess by eye
+_ASTRAY = 1.0  # m from the character that a raw joint counts for the camera
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A clip, how it is drawn, and into what."""
+
+    clip: Path
+    """The clip's file."""
+    out: Path
+    """A video, a GIF, or pictures with their number in the name (``%05d.png``)."""
+    look: Look
+    """How it is drawn."""
+    shadows: bool = False
+    """Whether to draw shadows."""
+    samples: int = 0
+    """Samples a pixel."""
+
+    def fingerprint(self) -> str:
+        """Return what changes with anything that pictures of the shot depend on."""
+        digest = hashlib.sha256()
+        files = [self.clip, self.look.compare]
+        files += [Path(f) for f in (self.look.camera, self.look.scene or "")]
+        for file in files:
+            if file is not None and file.is_file():
+                digest.update(file.read_bytes())
+        what = {**asdict(self.look), "shadows": self.shadows, "samples": self.samples}
+        digest.update(json.dumps(what, sort_keys=True, default=str).encode())
+        return digest.hexdigest()[:32]
+
+
+class Staged:
+    """What a shot shows in each frame; read once, without OpenGL.
+
+    Raises:
+        InputError: The clip, the take, the scene or the camera cannot be used.
+    """
+
+    def __init__(self, shot: Shot) -> None:
+        self.shot = shot
+        look = shot.look
+        clip = read_motion(shot.clip)
+        self.frames, self.rate = shown_frames(clip, look)
+        """The frames that are drawn, and how many a second has [1/s]."""
+        self.raw: Array | None = None
+        """Joint positions of the raw take [m], shape (T, J, 3)."""
+        self._props = props_around(clip, self.frames, look.scene)
+        if look.compare is not None:
+            self.raw = raw_positions(look.compare, clip, self.frames.time)
+            if look.place == "beside":
+                self.raw = self.raw + self._aside()
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def clip(self) -> Clip:
+        """The frames that are drawn."""
+        return self.frames
+
+    @property
+    def props(self) -> tuple[Prop, ...]:
+        """What is around the character in these frames."""
+        return self._props
+
+    @cached_property
+    def camera(self) -> CameraPath:
+        """Where everything is looked at from."""
+        return self._camera(self._points())
+
+    def _camera(self, points: Array) -> CameraPath:
+        width, height = self.shot.look.pixels
+        return camera_path(
+            self.shot.look.camera,
+            self.frames,
+            points,
+            aspect=width / height,
+            rate=self.rate,
+        )
+
+    def _points(self) -> Array:
+        """Return points [m] that are all seen if everything is, shape (T, N, 3)."""
+        joints = self.frames.positions
+        corners = _SKIN * np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, 8).T
+        points = [(joints[:, :, None] + corners).reshape(len(joints), -1, 3)]
+        if self.raw is not None:
+            points.append(self._tamed(self.raw))
+        points += [corners_of(prop, len(joints)) for prop in self._props]
+        return np.concatenate(points, axis=1)
+
+    def _tamed(self, raw: Array) -> Array:
+        """Return where the raw take is, without what leaps away or is missing."""
+        joints = self.frames.positions
+        place = np.nanmedian(raw - joints, axis=(0, 1))
+        strays = ~(np.linalg.norm(raw - joints - place, axis=-1) < _ASTRAY)
+        return np.where(strays[..., None], joints + place, raw)
+
+    def _aside(self) -> Array:
+        """Return the way [m] to the picture's left that keeps two figures apart."""
+        camera = self._camera(self.frames.positions)
+        position, target = camera.at(0)
+        toward = (position - target) / np.linalg.norm(position - target)
+        right, _ = axes_toward(toward)
+        clean = self.frames.positions @ right
+        width = np.ptp(clean, axis=1).max()
+        return np.asarray(-right * (width + _BESIDE + 2.0 * _SKIN))

@@ -1,0 +1,94 @@
+"""What a process that draws does: one part of a shot after another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .codec import Coded, encode_png, encode_video
+from .frames import frame_path, is_drawn, write_frame
+from .painter import Painter
+from .raw_figure import RawFigure, figure_names
+from .scene import Scene
+from .shot import Shot, Staged
+
+__all__ = ["draw_part"]
+
+Pixels = NDArray[np.uint8]
+
+_LEAST_REACH = 1.5  # m
+
+
+class _Set:
+    """The shot that this process draws at present: the next part is often its own."""
+
+    shot: Shot | None = None
+    painter: Painter
+    staged: Staged
+
+
+def draw_part(shot: Shot, numbers: range, fingerprint: str) -> list[Coded]:
+    """Draw some frames of a shot.
+
+    Pictures of their own are written; those of a video or a GIF are returned.
+
+    Args:
+        shot: What to draw.
+        numbers: Frames, counted from the first that is drawn.
+        fingerprint: The shot's, for pictures of their own.
+
+    Raises:
+        InputError: The shot cannot be used, or a picture cannot be written.
+    """
+    if shot.out.suffix.lower() == ".png":
+        paths = {n: frame_path(shot.out, n) for n in numbers}
+        missing = [n for n, p in paths.items() if not is_drawn(p, fingerprint)]
+        for number, picture in zip(missing, _painted(shot, missing), strict=True):
+            write_frame(picture, paths[number], fingerprint)
+        return []
+    pictures = _painted(shot, list(numbers))
+    if shot.out.suffix.lower() == ".gif":
+        return [Coded(encode_png(p), k, True) for k, p in enumerate(pictures)]
+    staged = _set_of(shot).staged
+    return encode_video(pictures, shot.look.pixels, staged.rate)
+
+
+def _painted(shot: Shot, numbers: list[int]) -> Iterator[Pixels]:
+    if numbers:
+        painter = _set_of(shot).painter
+        for number in numbers:
+            yield painter.paint(number)
+
+
+def _set_of(shot: Shot) -> type[_Set]:
+    """Return the shot ready to be drawn; the one before it is put away."""
+    if _Set.shot != shot:
+        if _Set.shot is not None:
+            _Set.shot = None
+            _Set.painter.close()
+        _Set.staged = Staged(shot)
+        _Set.painter = _painter(_Set.staged)
+        _Set.shot = shot
+    return _Set
+
+
+def _painter(staged: Staged) -> Painter:
+    shot, clip, raw = staged.shot, staged.clip, staged.raw
+    camera = staged.camera
+    toward = camera.positions[0] - camera.targets[0]
+    level = toward * [1.0, 0.0, 1.0]
+    spread = clip.positions - clip.positions[:, clip.skeleton.root].mean(axis=0)
+    scene = Scene(
+        clip,
+        staged.props,
+        size=shot.look.pixels,
+        samples=shot.samples,
+        facing=level / np.linalg.norm(level),
+        reach=max(_LEAST_REACH, float(np.linalg.norm(spread, axis=-1).max())),
+        translucent=raw is not None and shot.look.place == "over",
+        figure=() if raw is None else figure_names(clip.skeleton),
+    )
+    figure = None if raw is None else RawFigure(scene.model, raw, clip)
+    return Painter(scene, camera, figure=figure, shadows=shot.shadows)
