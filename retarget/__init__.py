@@ -5,13 +5,22 @@ from .bone_lengths import BoneLengths
 from .kinematics import positions_from_rotations
 from .normalise import View, find_yaw
 from .orientation import rotations_from_positions
+from .retargeting import Retargeted, retarget
+from .rig_map import RIGS, load_rig_map
+from .target_rig import built_rig, found_rig
 
 __all__ = [
+    "RIGS",
     "BoneLengths",
+    "Retargeted",
     "Standardizer",
     "View",
+    "built_rig",
     "find_yaw",
+    "found_rig",
+    "load_rig_map",
     "measured_body",
     "positions_from_rotations",
+    "retarget",
     "rotations_from_positions",
 ]

@@ -30,9 +30,11 @@ _BENDS = {_ARM: np.array([0.0, 0.0, -1.0]), _LEG: np.array([0.0, 0.0, 1.0])}
 _HINGE = 0.025
 """Share of a limb's length by which its middle counts as farther out that way: a limb
 that noise bent backwards by 5 degrees still bends as it should. A guess."""
+_SLACK = 0.0175
+"""How far aside a standing foot may rest from where it would be relative to the hips, a
+share of the leg's length: 1.5 cm of a leg of 86 cm. A guess."""
 _TOE_NEAR = 0.05  # m over the floor: toes that are lower are level. A guess.
 _STEEP, _SLOPING = 0.3, 0.7  # cosines of the sole's slope: toes are level below it
-_LOWEST = np.array([-np.inf, 0.0, -np.inf])
 _UP, _LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
 
 
@@ -56,8 +58,8 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     its height is that over the ankles of flat feet. Hands and feet are at the same
     place relative to limb length: the vector from shoulder to wrist over the length of
     the arm, and that from hip to ankle over the length of the leg, are the clip's. A
-    foot that stands (``clip.contacts``) is held still, up to 1.5 cm from there, and
-    where its leg is too short the hips sink.
+    foot that stands (``clip.contacts``) is held still, up to 1.75 % of the leg from
+    there, and where its leg is too short the hips sink.
 
     Args:
         clip: The motion.
@@ -145,27 +147,34 @@ class _Motion:
     def plant(self, side: str, goal: Array) -> Array:
         """Move the ankle's goal [m] so that the foot rests while it stands.
 
-        Returns the share of standing in each frame, shape (T,).
+        Heel and toes are held each for itself, the heel by the ankle over it, and the
+        foot points from the one to the other. Returns the share of standing in each
+        frame, shape (T,).
         """
-        columns = [CONTACTS.index(f"{p}{side.capitalize()}") for p in ("Heel", "Toe")]
-        time, stands = self.clip.time, self.clip.contacts[:, columns]
-        foot = self.rig.joint(f"{side} foot")
-        flat = near_stance(time, stands[:, 0] & stands[:, 1])
-        self.turns[foot] = _leveled(self.turns[foot], flat)
-        ankle, vector = self._ankle_height(side), self._foot(side)
-        heights = np.array([ankle, ankle + vector[1]])
+        time, foot = self.clip.time, self.rig.joint(f"{side} foot")
+        heel_stands, toe_stands = self._contacts(side)
+        vector, ankle = self._foot(side), self._ankle_height(side)
+        sole, slack = ankle + vector[1], _SLACK * self.rig.leg_length
         toes = rotate(self.turns[foot], vector)
-        pivot = goal + toes + held(time, goal, goal + toes, stands, heights)
-        pivot[:, 1] = np.maximum(pivot[:, 1], heights[1])
-        # A foot that is not flat turns about its toes to where its ankle was.
-        ankles = np.maximum(goal, heights[0] * _UP + _LOWEST)
-        turn = between(toes, pivot - ankles)
-        turn = slerp(np.broadcast_to(IDENTITY, turn.shape), turn, 1.0 - flat)
+        heel = goal + held(time, goal, heel_stands, ankle, slack)
+        toe = goal + toes + held(time, goal + toes, toe_stands, sole, slack)
+        toe[:, 1] = np.maximum(toe[:, 1], sole)
+        on_toes = near_stance(time, toe_stands)
+        heel[:, 1] += np.maximum(ankle - heel[:, 1], 0.0) * on_toes
+        turn = between(toes, toe - heel)
         self.turns[foot] = multiply(turn, self.turns[foot])
-        goal[:] = pivot - rotate(self.turns[foot], vector)
+        toes = rotate(self.turns[foot], vector)
+        goal[:] = heel + on_toes[:, None] * (toe - toes - heel)
+        goal[:, 1] += np.maximum(sole - (goal + toes)[:, 1], 0.0)
         if f"{side} toes" in self.rig.parts:
-            self._level_toes(side, pivot[:, 1] - heights[1])
-        return near_stance(time, stands[:, 0] | stands[:, 1])
+            self._level_toes(side, (goal + toes)[:, 1] - sole)
+        return near_stance(time, heel_stands | toe_stands)
+
+    def _contacts(self, side: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return when heel and toes of a foot stand, each of shape (T,)."""
+        heel, toe = (f"{part}{side.capitalize()}" for part in ("Heel", "Toe"))
+        contacts = self.clip.contacts
+        return contacts[:, CONTACTS.index(heel)], contacts[:, CONTACTS.index(toe)]
 
     def _foot(self, side: str) -> Array:
         """Return the vector [m] from ankle to toes in the rest pose, shape (3,)."""

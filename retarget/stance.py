@@ -13,9 +13,6 @@ Array = NDArray[np.float64]
 
 _BLEND = 0.15
 """Seconds in which a foot joins its own path after it stood, and leaves it before."""
-_SLACK = 0.015
-"""How far [m] a standing foot is from its path at most: beyond, it is dragged along, or
-a body that drifts away would pull its leg straight."""
 _TINY = 1e-12
 
 
@@ -32,28 +29,28 @@ def near_stance(time: Array, stands: NDArray[np.bool_]) -> Array:
 
 
 def held(
-    time: Array, heel: Array, toe: Array, stands: NDArray[np.bool_], heights: Array
+    time: Array, path: Array, stands: NDArray[np.bool_], height: float, slack: float
 ) -> Array:
-    """Return how a foot has to be moved so that it rests while it stands.
+    """Return how a part of a foot has to be moved so that it rests while it stands.
 
-    Where the toes stand they rest, where heel and toes stand both do as well as the
-    foot's turning lets them, where the heel alone stands the ankle over it does. Steps
-    keep their own path but for their beginning and end.
+    Steps keep their own path but for their beginning and end.
 
     Args:
         time: Time stamps [s], never decreasing, shape (T,).
-        heel: Path of the ankle [m], y up, floor at 0, shape (T, 3).
-        toe: Path of the toes, likewise.
-        stands: Whether heel and toes stand, shape (T, 2).
-        heights: Heights [m] of ankle and toes of a foot that stands flat, shape (2,).
+        path: Where it would be [m], y up, floor at 0, shape (T, 3).
+        stands: Whether it stands, shape (T,).
+        height: How high it is while it stands [m].
+        slack: How far aside from its path it may rest [m]. Beyond, it is dragged along,
+            or a body that drifts away would pull its leg straight.
 
     Returns:
-        Move of the foot [m], shape (T, 3).
+        Its move [m], shape (T, 3).
     """
-    moves = np.zeros((len(time), 3))
-    stances = _runs(stands[:, 0] | stands[:, 1])
+    moves, stances = np.zeros((len(time), 3)), _runs(stands)
     for stance in stances:
-        moves[stance] = _resting(heel[stance], toe[stance], stands[stance], heights)
+        steps = -np.diff(path[stance][:, [0, 2]], axis=0)
+        moves[stance, 0], moves[stance, 2] = _within(slack, steps).T
+        moves[stance, 1] = height - path[stance, 1]
     for before, after in pairwise([None, *stances, None]):
         first = 0 if before is None else before.stop
         gap = slice(first, len(time) if after is None else after.start)
@@ -72,33 +69,17 @@ def held(
     return moves
 
 
-def _resting(
-    heel: Array, toe: Array, stands: NDArray[np.bool_], heights: Array
-) -> Array:
-    """Return the move of a foot in one stance [m], shape (T, 3)."""
-    weights = stands / stands.sum(axis=1, keepdims=True)
-    both = stands[1:] & stands[:-1]
-    count = np.maximum(both.sum(axis=1, keepdims=True), 1)
-    slid = both[:, :1] * np.diff(heel, axis=0) + both[:, 1:] * np.diff(toe, axis=0)
-    move = _within_slack(-(slid / count)[:, [0, 2]])
-    lifts = heights - np.stack([heel[:, 1], toe[:, 1]], axis=1)
-    # Toes that stand are on the floor, whatever the heel does.
-    weights = np.where(stands[:, 1:], [0.0, 1.0], weights)
-    lift = np.sum(weights * lifts, axis=1)
-    return np.stack([move[:, 0], lift, move[:, 1]], axis=1)
-
-
-def _within_slack(steps: Array) -> Array:
+def _within(slack: float, steps: Array) -> Array:
     """Return the sums of steps (T - 1, 2) [m] about their middle, dragged, (T, 2)."""
     moves = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    moves[0] = _shortened(-0.5 * (moves.max(axis=0) + moves.min(axis=0)))
+    moves[0] = _shortened(-0.5 * (moves.max(axis=0) + moves.min(axis=0)), slack)
     for k, step in enumerate(steps):
-        moves[k + 1] = _shortened(moves[k] + step)
+        moves[k + 1] = _shortened(moves[k] + step, slack)
     return moves
 
 
-def _shortened(move: Array) -> Array:
-    return np.asarray(move * (_SLACK / max(float(np.hypot(*move)), _SLACK)))
+def _shortened(move: Array, most: float) -> Array:
+    return np.asarray(move * (most / max(float(np.hypot(*move)), most)))
 
 
 def _ease(share: Array) -> Array:

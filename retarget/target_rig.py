@@ -20,6 +20,7 @@ _ON_FLOOR = 0.1
 """Lengths of a leg: a lowest joint that is no higher over y = 0 stands on that floor.
 A guess; rigs whose root is at the origin have it a whole leg below."""
 _SHORTEST = 1e-3  # of the leg's length: limbs that are shorter have no direction
+_LEGS = (0.01, 100.0)  # m, of what somebody animates
 _MOST_NAMED = 12
 
 
@@ -109,9 +110,9 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
         positions[n] = start + _offset(bone, bones[parents[n]], body)
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
     rig = found_rig(rig_map, rest, body)
-    sole = float(np.mean(body.radii[_feet(body)]))
+    joints, height = _lowest(rig, body)
     moving = _below(rest, rig.joint("pelvis"))
-    positions[moving, 1] += sole - positions[moving, 1].min()
+    positions[moving, 1] += height - positions[joints, 1].min()
     full = tuple(rig_map.prefix + name for name in names)
     return TargetRig(replace(rest, names=full), rig.parts, 0.0)
 
@@ -119,8 +120,8 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
 def found_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     """Return a skeleton with its parts found by the names of a map.
 
-    The floor is y = 0 where the feet are just over it. Otherwise it is the person's
-    sole under the feet's lowest joint, or the file's lowest point if that is lower.
+    The floor is y = 0 where toes (or ankles) are just over it. Otherwise it is as far
+    under them as the person's, or the file's lowest point if that is lower.
 
     Args:
         rig_map: The names.
@@ -144,8 +145,16 @@ def found_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     return TargetRig(rest, parts, _floor(rig, body))
 
 
-def _feet(body: Body) -> list[int]:
-    return [body.skeleton.index(f"Foot{side}") for side in ("Left", "Right")]
+def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:
+    """Return a rig's toes and their height [m] over a person's soles.
+
+    What has no toes has ankles.
+    """
+    toes = [rig.joint(f"{s} toes") for s in SIDES if f"{s} toes" in rig.parts]
+    if toes:
+        return toes, float(body.radii[body.skeleton.index("FootLeft")])
+    ankles = [rig.joint(f"{side} foot") for side in SIDES]
+    return ankles, float(body.rest_positions[body.skeleton.index("AnkleLeft"), 1])
 
 
 def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
@@ -213,6 +222,11 @@ def _check_chains(rest: RestPose, parts: dict[str, tuple[int, ...]]) -> None:
 
 
 def _check_lengths(rig: TargetRig) -> None:
+    if not _LEGS[0] < rig.leg_length < _LEGS[1]:
+        raise InputError(
+            f"{rig.rest.source}: the legs are {rig.leg_length:g} m long, expected "
+            f"{_LEGS[0]:g} to {_LEGS[1]:g}; correct the unit"
+        )
     least = _SHORTEST * rig.leg_length
     for part, above in CHAINS.items():
         if above == "pelvis" or part not in rig.parts:
@@ -226,14 +240,12 @@ def _check_lengths(rig: TargetRig) -> None:
 
 
 def _floor(rig: TargetRig, body: Body) -> float:
-    feet = [p for side in SIDES for p in (f"{side} foot", f"{side} toes")]
-    joints = [rig.joint(part) for part in feet if part in rig.parts]
+    joints, height = _lowest(rig, body)
     lowest = float(rig.rest.positions[joints, 1].min())
     if 0.0 <= lowest <= _ON_FLOOR * rig.leg_length:
         return 0.0
     legs = [body.skeleton.index(f"{j}Left") for j in ("Knee", "Ankle")]
-    scale = rig.leg_length / float(body.lengths[legs].sum())
-    floor = lowest - scale * float(np.mean(body.radii[_feet(body)]))
+    floor = lowest - height * rig.leg_length / float(body.lengths[legs].sum())
     return floor if rig.rest.lowest is None else min(floor, rig.rest.lowest)
 
 

@@ -17,14 +17,15 @@ from kinefilter.retarget import positions_from_rotations
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
 from kinefilter.retarget.rotations import about_y, multiply, rotate, rotation_vector
-from kinefilter.retarget.stance import held
+from kinefilter.retarget.stance import held, near_stance
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, found_rig
 from kinefilter.retarget.two_bone import bent_limb
 
 Array = NDArray[np.float64]
+Limb = tuple[tuple[str, str, str], tuple[str, str, str]]
 SAMPLE = Path(__file__).parents[1] / "scenes" / "takes" / "wave_punch_bend.csv"
 
-REACH = 0.02  # m, of a limb as long as the target's
+REACH = 0.02  # m, of a limb as long as the person's
 SLIDE = 0.003  # m a frame
 
 
@@ -47,22 +48,21 @@ def giant(name: str, clip: Clip) -> TargetRig:
     )
 
 
-def worst_reach(clip: Clip, rig: TargetRig, motion: Retargeted, limb: object) -> float:
+def worst_reach(clip: Clip, rig: TargetRig, motion: Retargeted, limb: Limb) -> float:
     """Return by how much limbs end elsewhere relative to their length, at most [m].
 
     It is the vector from shoulder to wrist over the length of the arm, and from hip to
-    ankle over that of the leg, in lengths of the target's limb.
+    ankle over that of the leg, for a limb as long as the person's.
     """
-    parts, joints = limb  # type: ignore[misc]
+    parts, joints = limb
     away = []
     for side in SIDES:
         ours = [clip.skeleton.index(f"{j}{side.capitalize()}") for j in joints]
-        share = clip.positions[:, ours[2]] - clip.positions[:, ours[0]]
-        share = share / clip.body.lengths[ours[1:]].sum()
+        wanted = clip.positions[:, ours[2]] - clip.positions[:, ours[0]]
         theirs = [rig.joint(f"{side} {part}") for part in (parts[0], parts[2])]
         vector = motion.positions[:, theirs[1]] - motion.positions[:, theirs[0]]
-        length = rig.limb(side, *parts).sum()
-        away.append(np.linalg.norm(vector - length * share, axis=-1).max())
+        scale = rig.limb(side, *parts).sum() / clip.body.lengths[ours[1:]].sum()
+        away.append(np.linalg.norm(vector / scale - wanted, axis=-1).max())
     return float(max(away))
 
 
@@ -300,6 +300,19 @@ def test_joints_that_no_part_turns_turn_with_their_parents(
     )
 
 
+def test_a_rig_without_toes_stands_and_walks_too(clips: dict[str, Clip]) -> None:
+    clip, rig_map = clips["walk"], load_rig_map("vrm")
+    bones = tuple(b for b in rig_map.bones if not (b.part or "").endswith("toes"))
+    rig = built_rig(replace(rig_map, bones=bones), clip.body)
+    motion = retarget(clip, rig)
+    assert worst_reach(clip, rig, motion, LEG) < REACH
+    for side in SIDES:
+        ankle = motion.positions[:, rig.joint(f"{side} foot")]
+        stands = clip.contacts[:, CONTACTS.index(f"Heel{side.capitalize()}")]
+        step = np.diff(ankle, axis=0)[stands[1:] & stands[:-1]]
+        assert np.linalg.norm(step, axis=-1).max() < SLIDE
+
+
 # The pieces
 
 
@@ -332,13 +345,12 @@ def path_of(stands: list[int], slip: float) -> tuple[Array, Array, NDArray[np.bo
     time = np.arange(len(stands)) / 30.0
     path = np.zeros((len(stands), 3))
     path[:, 0] = slip * np.arange(len(stands))
-    both = np.array(stands, dtype=bool)
-    return time, path, np.stack([both, both], axis=1)
+    return time, path, np.array(stands, dtype=bool)
 
 
 def test_a_held_foot_rests_and_joins_its_path_in_a_sixth_of_a_second() -> None:
     time, path, stands = path_of([0] * 10 + [1] * 10 + [0] * 10, 0.002)
-    move = held(time, path, path, stands, np.zeros(2))
+    move = held(time, path, stands, 0.0, 0.015)
     rests = (path + move)[10:20]
     np.testing.assert_allclose(rests, np.broadcast_to(rests[0], (10, 3)), atol=1e-12)
     assert not move[[0, 5, 24, 29]].any()
@@ -347,22 +359,31 @@ def test_a_held_foot_rests_and_joins_its_path_in_a_sixth_of_a_second() -> None:
 
 def test_a_foot_that_drifts_is_dragged_along() -> None:
     time, path, stands = path_of([1] * 100, 0.002)
-    move = held(time, path, path, stands, np.zeros(2))
+    move = held(time, path, stands, 0.0, 0.015)
     assert np.linalg.norm(move, axis=1).max() <= 0.015 + 1e-9
 
 
 def test_a_foot_that_stands_again_at_once_rests_both_times() -> None:
     time, path, stands = path_of([1] * 6 + [0] + [1] * 6, 0.002)
-    moved = path + held(time, path, path, stands, np.zeros(2))
+    moved = path + held(time, path, stands, 0.0, 0.015)
     assert np.abs(np.diff(moved[:6], axis=0)).max() < 1e-12
     assert np.abs(np.diff(moved[7:], axis=0)).max() < 1e-12
     assert moved[5, 0] < moved[6, 0] < moved[7, 0]
 
 
-def test_a_heel_that_rises_turns_the_foot_about_its_toes() -> None:
-    time, toe, stands = path_of([1] * 10, 0.0)
-    heel = np.zeros((10, 3))
-    heel[:, 1] = np.linspace(0.08, 0.18, 10)
-    stands[3:, 0] = False
-    move = held(time, heel, toe, stands, np.array([0.08, 0.0]))
-    np.testing.assert_allclose(move[3:], np.tile(move[3], (7, 1)), atol=1e-12)
+def test_a_foot_that_stands_is_as_high_as_it_stands() -> None:
+    time, path, stands = path_of([0] * 9 + [1] * 10 + [0] * 9, 0.0)
+    path[:, 1] = 0.1 + 0.01 * np.sin(np.arange(28))
+    moved = path + held(time, path, stands, 0.08, 0.015)
+    np.testing.assert_allclose(moved[9:19, 1], 0.08)
+
+
+def test_near_a_stance_counts_less_the_farther_it_is() -> None:
+    time, _, stands = path_of([0] * 10 + [1] * 3 + [0] * 10, 0.0)
+    share = near_stance(time, stands)
+    assert (share[10:13] == 1.0).all()
+    assert (np.diff(share[5:11]) > 0.0).all()
+    assert (np.diff(share[12:18]) < 0.0).all()
+    assert not share[:5].any()
+    assert not share[18:].any()
+    assert not near_stance(time, np.zeros(23, dtype=bool)).any()

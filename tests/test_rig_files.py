@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdValidation
 from rig_motions import performed
@@ -21,6 +24,7 @@ from kinefilter.pipeline.formats import (
     write_clip,
 )
 from kinefilter.pipeline.formats.targets import target_rig
+from kinefilter.retarget import rig_map as rig_map_module
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
 from kinefilter.retarget.rotations import about_y, rotate
@@ -30,6 +34,8 @@ Array = NDArray[np.float64]
 SAMPLE = Path(__file__).parents[1] / "scenes" / "takes" / "wave_punch_bend.csv"
 TENTH_OF_A_MILLIMETER = 1e-4
 
+MIXAMO = Export(rig="mixamo")
+
 every_rig = pytest.mark.parametrize("name", RIGS)
 
 
@@ -37,12 +43,13 @@ every_rig = pytest.mark.parametrize("name", RIGS)
 def clip() -> Clip:
     """Return a short walk."""
     walk = performed("walk")
-    arrays = {
-        name: value[40:90]
-        for name, value in vars(walk).items()
-        if isinstance(value, np.ndarray)
-    }
-    return replace(walk, **arrays)
+    return replace(walk, **first_frames(walk, 50))
+
+
+def first_frames(clip: Clip, count: int) -> dict[str, Any]:
+    """Return the arrays of a clip's first frames."""
+    arrays = {k: v for k, v in vars(clip).items() if isinstance(v, np.ndarray)}
+    return {name: values[:count] for name, values in arrays.items()}
 
 
 def in_usd(names: tuple[str, ...]) -> list[str]:
@@ -270,6 +277,64 @@ def test_a_usd_target_without_rest_transforms_is_refused(tmp_path: Path) -> None
     export = Export(rig="mixamo", target=tmp_path / "rest.usda")
     with pytest.raises(InputError, match="no rest transform for each of its 2 joints"):
         check_writable(tmp_path / "clip.bvh", export)
+
+
+EDITS = st.lists(
+    st.tuples(
+        st.floats(0.0, 1.0),
+        st.integers(0, 12),
+        st.binary(max_size=6)
+        | st.sampled_from(
+            [b"{", b"}", b"\n", b"1e300", b"nan", b"-1", b"[", b'"', b"0"]
+        ),
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+@pytest.fixture(scope="module")
+def files(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Return a map and skeletons in each format, by the suffix of their files."""
+    folder = tmp_path_factory.mktemp("good")
+    rig = built_rig(load_rig_map("mixamo"), clip.body)
+    write_target(rig, folder / "rest.usda", up="Y", meters=1.0)
+    write_clip(replace(clip, **first_frames(clip, 2)), folder / "rest.bvh", MIXAMO)
+    source = Path(rig_map_module.__file__).with_name("rigs") / "mixamo.toml"
+    return {
+        ".toml": source.read_bytes(),
+        ".usda": (folder / "rest.usda").read_bytes(),
+        ".bvh": (folder / "rest.bvh").read_bytes(),
+    }
+
+
+@settings(
+    max_examples=120,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(suffix=st.sampled_from([".toml", ".usda", ".bvh"]), edits=EDITS)
+def test_a_damaged_map_or_target_is_followed_or_refused(
+    clip: Clip,
+    files: dict[str, bytes],
+    tmp_path: Path,
+    suffix: str,
+    edits: list[tuple[float, int, bytes]],
+) -> None:
+    data = files[suffix]
+    for place, length, piece in edits:
+        start = int(place * len(data))
+        data = data[:start] + piece + data[start + length :]
+    path = tmp_path / f"damaged{suffix}"
+    path.write_bytes(data)
+    name, target = (str(path), None) if suffix == ".toml" else ("mixamo", path)
+    try:
+        rig = target_rig(name, target, clip.body)
+    except InputError:
+        return
+    motion = retarget(replace(clip, **first_frames(clip, 3)), rig)
+    assert np.isfinite(motion.positions).all()
+    assert np.isfinite(motion.rotations).all()
 
 
 @pytest.mark.parametrize(

@@ -120,6 +120,8 @@ def test_a_map_without_neck_clavicles_and_toes_is_a_map(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(GOOD)
     rig = built_rig(load_rig_map(str(tmp_path / "mine.toml")), BODY)
     assert len(rig.rest) == 15
+    ankle = BODY.rest_positions[BODY.skeleton.index("AnkleLeft"), 1]
+    assert rig.rest.positions[rig.joint("left foot"), 1] == pytest.approx(ankle)
     assert set(PARTS) - set(rig.parts) == {
         "neck",
         *(

@@ -56,7 +56,8 @@ class Export:
     as those in retarget/rigs; default: the sensor's joints."""
     target: Path | None = None
     """File (.bvh or USD) whose skeleton at rest the clip is for, its joints called as
-    in --rig; default: an average one, as tall as the person."""
+    in --rig; default: an average one, as tall as the person. Axes and unit of the clip
+    are those of --up and --units all the same."""
 
     def __post_init__(self) -> None:
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:

@@ -18,6 +18,7 @@ from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, found
 
 from .bvh import Bvh
 from .bvh_reader import read_bvh
+from .usd_contents import check_usd
 
 __all__ = ["target_rig"]
 
@@ -90,16 +91,23 @@ def _meters(places: Array, names: list[str], rig_map: RigMap) -> float:
 
 def _usd_rest(path: Path) -> RestPose:
     """Return the rest pose of the first skeleton of a USD file, y up, in meters."""
-    from pxr import Tf, Usd, UsdGeom, UsdSkel
+    from pxr import Tf
 
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the name")
+    check_usd(str(path))
     try:
-        stage = Usd.Stage.Open(str(path))
+        return _first_skeleton(path)
     except Tf.ErrorException:
         raise InputError(
             f"{path}: cannot be read as USD; expected a UsdSkel skeleton"
         ) from None
+
+
+def _first_skeleton(path: Path) -> RestPose:
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    stage = Usd.Stage.Open(str(path))
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Skeleton):
             world = np.array(
@@ -114,9 +122,10 @@ def _usd_rest(path: Path) -> RestPose:
 
 def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
-    from pxr import UsdSkel
+    from pxr import UsdSkel, Vt
 
-    paths = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
+    joints = skeleton.GetJointsAttr().Get()
+    paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
     if not 0 < len(paths) <= _MOST_JOINTS:
         raise InputError(
             f"{source}: has {len(paths)} joints, expected 1 to {_MOST_JOINTS}"
@@ -126,8 +135,8 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     if not valid:
         raise InputError(f"{source}: its joints are no tree ({why}); correct them")
     parents = [int(parent) for parent in topology.GetParentIndices()]
-    local = np.array(skeleton.GetRestTransformsAttr().Get() or [])
-    matrices = np.array(skeleton.GetBindTransformsAttr().Get() or [])
+    local = _matrices(skeleton.GetRestTransformsAttr())
+    matrices = _matrices(skeleton.GetBindTransformsAttr())
     if len(local) == len(paths):
         matrices = local.copy()
         for n, parent in enumerate(parents):
@@ -141,6 +150,15 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     return [path.rpartition("/")[2] for path in paths], parents, matrices
 
 
+def _matrices(attribute: Any) -> Array:
+    """Return an attribute's matrices (N, 4, 4), none if it is of another type."""
+    from pxr import Vt
+
+    value = attribute.Get()
+    known = isinstance(value, Vt.Matrix4dArray)
+    return np.array(value, dtype=float) if known else np.empty((0, 4, 4))
+
+
 def _rest_pose(
     stage: Any, names: list[str], parents: list[int], matrices: Array, source: str
 ) -> RestPose:
@@ -149,7 +167,7 @@ def _rest_pose(
     places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
     turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
     sizes = np.linalg.norm(turned, axis=1, keepdims=True)
-    if not (np.linalg.det(turned) > 0.0).all():
+    if not (np.linalg.det(turned) > 0.0).all() or not np.isfinite(places).all():
         raise InputError(
             f"{source}: a joint is mirrored or has no size at rest; apply its scale"
         )
