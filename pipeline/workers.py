@@ -9,11 +9,16 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 
-__all__ = ["workers"]
+__all__ = ["cores", "workers"]
 
 _ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 @contextmanager
@@ -28,7 +33,7 @@ def workers(
         count: How many; by default one a core that this process may use.
         environment: Variables that the processes see beside this one's.
     """
-    count = count or len(os.sched_getaffinity(0))
+    count = count or cores()
     seen = {**_ONE_THREAD, **(environment or {})}
     before = {name: os.environ.get(name) for name in seen}
     os.environ.update(seen)
