@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 _APART = 0.1  # s between a frame and the measurement shown for it, at most
 _LEAST_TILT = np.radians(1.5)  # below, it is what cleaning moved
+_STEPS = 8  # each leaves the square of the angle before
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
@@ -61,16 +62,33 @@ def _as_cleaned(take: Take, clip: Clip, shown: Array) -> Array:
     known = np.isfinite(raw).all(axis=1)
     if not known.any():
         raise InputError(f"{take.source}: holds no joint in the time of the clip")
-    raw, clean = raw[known], clean[known]
-    # Least squares of clean y = cos(tilt) y - sin(tilt) z - floor, the angle small.
-    columns = np.stack([raw[:, 2], np.ones(len(raw))], axis=1)
-    slope = np.linalg.lstsq(columns, clean[:, 1] - raw[:, 1], rcond=None)[0][0]
-    tilt = -float(np.arctan(slope))
+    tilt, floor = _tilt_and_floor(raw[known], clean[known])
+    return np.asarray(rotate(_about_x(tilt), shown) - np.array([0.0, floor, 0.0]))
+
+
+def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
+    """Return the tilt [rad] and the floor's height [m] between points (N, 3).
+
+    Least squares of the heights, the tilt in small steps; points that are off by more
+    than most were moved by something else.
+    """
+    tilt, used = 0.0, np.ones(len(raw), dtype=np.bool_)
+    for _ in range(_STEPS):
+        turned = rotate(_about_x(tilt), raw)
+        rise = clean[:, 1] - turned[:, 1]
+        columns = np.stack([-turned[:, 2], np.ones(len(raw))], axis=1)
+        step = np.linalg.lstsq(columns[used], rise[used], rcond=None)[0]
+        tilt += float(step[0])
+        off = np.abs(rise - columns @ step)
+        used = off <= 3.0 * np.median(off) + 1e-9
     if abs(tilt) < _LEAST_TILT:
         tilt = 0.0
-    level = np.array([np.cos(0.5 * tilt), np.sin(0.5 * tilt), 0.0, 0.0])
-    floor = np.median(rotate(level, raw)[:, 1] - clean[:, 1])
-    return np.asarray(rotate(level, shown) - np.array([0.0, floor, 0.0]))
+    turned = rotate(_about_x(tilt), raw)
+    return tilt, float(np.median(turned[:, 1] - clean[:, 1]))
+
+
+def _about_x(angle: float) -> Array:
+    return np.array([np.cos(0.5 * angle), np.sin(0.5 * angle), 0.0, 0.0])
 
 
 def _nearest(stamps: Array, times: Array) -> NDArray[np.intp]:
