@@ -52,7 +52,7 @@ class Shot:
         soft, look = backend.software, self.look
         return replace(
             self,
-            shadows=not soft if look.shadows is None else look.shadows,
+            shadows=look.shadows or not soft,
             samples=(0 if soft else samples) if look.samples is None else look.samples,
         )
 
