@@ -5,20 +5,31 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
+import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
 
-__all__ = ["cores", "workers"]
+__all__ = ["cores", "given_up", "workers"]
 
 _ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
+_GRACE = 5.0  # s to finish a file in, once nobody waits for it
+
+_given_up = threading.Event()
 
 
 def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def given_up() -> bool:
+    """Tell, in one of the processes, whether nobody waits for its work any more."""
+    return _given_up.is_set()
 
 
 @contextmanager
@@ -27,7 +38,8 @@ def workers(
 ) -> Iterator[ProcessPoolExecutor]:
     """Yield processes to work in, each with one thread of linear algebra.
 
-    Several threads a process would fight for the same cores.
+    Several threads a process would fight for the same cores. The processes end with
+    the one that waits for them, however it ends.
 
     Args:
         count: How many; by default one a core that this process may use.
@@ -37,15 +49,21 @@ def workers(
     seen = {**_ONE_THREAD, **(environment or {})}
     before = {name: os.environ.get(name) for name in seen}
     os.environ.update(seen)
+    # Not forked: threads of the engine and of linear algebra do not survive it.
+    context = multiprocessing.get_context("spawn")
+    heard, told = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(
+        count, mp_context=context, initializer=_begin, initargs=(heard,)
+    )
     try:
-        # Not forked: threads of the engine and of linear algebra do not survive it.
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(count, mp_context=context, initializer=_ignore)
-        try:
-            yield pool
-        finally:
-            pool.shutdown(cancel_futures=True)
+        yield pool
+    except BaseException:
+        told.close()
+        raise
     finally:
+        pool.shutdown(cancel_futures=True)
+        told.close()
+        heard.close()
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
@@ -53,6 +71,18 @@ def workers(
                 os.environ[name] = value
 
 
-def _ignore() -> None:
-    """Leave Ctrl-C, which reaches every process, to the one that waits for them."""
+def _begin(told: Connection) -> None:
+    """Get a process ready; Ctrl-C, which reaches all, is for the one that waits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_watch, args=(told,), daemon=True).start()
+
+
+def _watch(told: Connection) -> None:
+    """Say when nobody waits for the work, and end with the process that did."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([told, parent.sentinel])
+        _given_up.set()
+        parent.join()
+        time.sleep(_GRACE)
+        os._exit(1)

@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters import InputError
+from kinefilter.pipeline.workers import given_up
+
 from .codec import Coded, encode_png, encode_video
 from .frames import frame_path, is_drawn, write_frame
 from .parts import Parts
@@ -82,6 +85,8 @@ def _painted(shot: Shot, numbers: Sequence[int]) -> Iterator[Pixels]:
     if numbers:
         painter = _set_of(shot).painter
         for number in numbers:
+            if given_up():
+                raise InputError(f"{shot.clip}: interrupted")
             yield painter.paint(number)
 
 
