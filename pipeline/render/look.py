@@ -43,7 +43,8 @@ class Look:
     """Room to draw around the clip, one of those of simulate or an MJCF file; default:
     the things that the clip itself holds."""
     shadows: bool = False
-    """Draw shadows also where no GPU draws, and ten times as long."""
+    """Draw shadows also where no GPU draws, which then takes five times as long or
+    more."""
     samples: int | None = None
     """Samples a pixel against jagged edges; default: 4 where a GPU draws, else 0."""
 
