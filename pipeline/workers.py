@@ -5,17 +5,33 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
+import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
 
 from threadpoolctl import threadpool_limits
 
-__all__ = ["one_thread", "workers"]
+__all__ = ["cores", "given_up", "one_thread", "workers"]
 
 _ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
+_GRACE = 5.0  # s to finish a file in, once nobody waits for it
+
+_given_up = threading.Event()
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def given_up() -> bool:
+    """Tell, in one of the processes, whether nobody waits for its work any more."""
+    return _given_up.is_set()
 
 
 @contextmanager
@@ -36,19 +52,28 @@ def workers(
 ) -> Iterator[ProcessPoolExecutor]:
     """Yield processes to work in, each with one thread of linear algebra.
 
+    The processes end with the one that waits for them, however it ends.
+
     Args:
         count: How many; by default one a core that this process may use.
         environment: Variables that the processes see beside this one's.
     """
-    count = count or len(os.sched_getaffinity(0))
     # Not forked: threads of the engine and of linear algebra do not survive it.
     context = multiprocessing.get_context("spawn")
+    heard, told = context.Pipe(duplex=False)
     with one_thread(), _environment(environment or {}):
-        pool = ProcessPoolExecutor(count, mp_context=context, initializer=_ignore)
+        pool = ProcessPoolExecutor(
+            count or cores(), mp_context=context, initializer=_begin, initargs=(heard,)
+        )
         try:
             yield pool
+        except BaseException:
+            told.close()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
+            told.close()
+            heard.close()
 
 
 @contextmanager
@@ -66,6 +91,18 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _ignore() -> None:
-    """Leave Ctrl-C, which reaches every process, to the one that waits for them."""
+def _begin(told: Connection) -> None:
+    """Get a process ready; Ctrl-C, which reaches all, is for the one that waits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_watch, args=(told,), daemon=True).start()
+
+
+def _watch(told: Connection) -> None:
+    """Say when nobody waits for the work, and end with the process that did."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([told, parent.sentinel])
+        _given_up.set()
+        parent.join()
+        time.sleep(_GRACE)
+        os._exit(1)

@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.workers import workers
+from kinefilter.pipeline.workers import cores, workers
 
 from .backend import Backend, find_backend
 from .cameras import check_camera
 from .codec import Coded
 from .look import Look
 from .naming import outputs
+from .parts import Parts, stretches
 from .shot import Shot, Staged
 from .video import FASTEST_GIF, write_gif, write_mp4
-from .work import draw_part
+from .work import draw_parts
 
 __all__ = ["Rendering", "render_clips"]
-
-PART = 60
-"""Frames that one process draws in one go: in a video each part begins with a whole
-picture, and two seconds are about how far players like to jump."""
-
 
 _GPU_SAMPLES = 4  # edges are smooth, and a GPU hardly slower
 
@@ -45,13 +41,13 @@ class Rendering:
 
 @dataclass
 class _Job:
-    """A shot and what is known of it so far."""
+    """A shot, and its frames as they are drawn."""
 
     shot: Shot
+    frames: int
     rate: float
-    fingerprint: str
-    parts: list[range]
-    futures: list[Future[list[Coded]]] = field(default_factory=list)
+    fingerprint: str = ""
+    futures: dict[Future[list[list[Coded]]], Parts] = field(default_factory=dict)
 
 
 def render_clips(
@@ -80,25 +76,17 @@ def render_clips(
             wrong, or the only clip is. One of several that is wrong is left out.
     """
     look = look or Look()
-    if look.compare is not None and len(clips) > 1:
-        raise InputError("--compare is the take of one clip; draw them one at a time")
-    check_camera(look.camera)
-    paths = outputs(clips, out)
-    _check_size(look, out)
-    backend = find_backend()
-    shadows = not backend.software if look.shadows is None else look.shadows
-    samples = look.samples
-    if samples is None:
-        samples = 0 if backend.software else _GPU_SAMPLES
-    written, failures = [], []
-    planned = []
-    for clip, path in zip(clips, paths, strict=True):
-        try:
-            planned.append(_planned(Shot(clip, path, look, shadows, samples)))
-        except InputError as error:
-            failures.append(str(error))
-    steps = iter(progress("draw", sum(len(p) for job in planned for p in job.parts)))
-    for job, failure in _drawn(planned, backend, jobs, steps):
+    paths = _checked(clips, out, look)
+    with ThreadPoolExecutor(1) as beside:
+        asked = beside.submit(find_backend)
+        planned, failures = _plan(clips, paths, look)
+        backend = asked.result()
+    for job in planned:
+        job.shot = job.shot.drawn_by(backend, samples=_GPU_SAMPLES)
+        job.fingerprint = job.shot.fingerprint()
+    steps = iter(progress("draw", sum(job.frames for job in planned)))
+    written = []
+    for job, failure in _drawn(planned, backend, jobs or cores(), steps):
         if failure is None:
             written.append(job.shot.out)
         else:
@@ -108,11 +96,29 @@ def render_clips(
     return Rendering(backend, tuple(written), tuple(failures))
 
 
-def _check_size(look: Look, out: Path) -> None:
+def _checked(clips: Sequence[Path], out: Path, look: Look) -> list[Path]:
+    """Return the outputs; raise what is wrong with all clips before any work."""
+    if look.compare is not None and len(clips) > 1:
+        raise InputError("--compare is the take of one clip; draw them one at a time")
     if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
         raise InputError(
             f"--size {look.size}: a video's width and height are even; add a pixel"
         )
+    check_camera(look.camera)
+    return outputs(clips, out)
+
+
+def _plan(
+    clips: Sequence[Path], paths: Sequence[Path], look: Look
+) -> tuple[list[_Job], list[str]]:
+    """Return what is to be drawn, and messages for what cannot be."""
+    planned, failures = [], []
+    for clip, path in zip(clips, paths, strict=True):
+        try:
+            planned.append(_planned(Shot(clip, path, look)))
+        except InputError as error:
+            failures.append(str(error))
+    return planned, failures
 
 
 def _planned(shot: Shot) -> _Job:
@@ -122,51 +128,50 @@ def _planned(shot: Shot) -> _Job:
             f"{shot.clip}: a GIF has at most {FASTEST_GIF:g} frames a second, not "
             f"{staged.rate:g}; lower --fps or raise --every"
         )
-    _ = staged.camera
-    count = len(staged)
-    parts = [range(k, min(k + PART, count)) for k in range(0, count, PART)]
-    return _Job(shot, staged.rate, shot.fingerprint(), parts)
+    return _Job(shot, len(staged), staged.rate)
 
 
 def _drawn(
-    planned: list[_Job], backend: Backend, jobs: int | None, steps: Iterator[int]
+    planned: list[_Job], backend: Backend, count: int, steps: Iterator[int]
 ) -> Iterator[tuple[_Job, str | None]]:
     """Yield each job when it is done, with what went wrong."""
     done = 0
-    with workers(jobs, environment=backend.environment) as pool:
+    share = sum(job.frames for job in planned) // count
+    tasks = sum(len(stretches(job.frames, share)) for job in planned)
+    with workers(min(count, max(tasks, 1)), environment=backend.environment) as pool:
         try:
             for job in planned:
-                _submit(job, pool)
+                _submit(job, share, pool)
             for job in planned:
                 yield job, _finished(job, steps)
                 done += 1
         except BrokenProcessPool:
             pass
     left = planned[done:]
-    if len(left) == 1 and len(planned) == 1:
-        message = f"{left[0].shot.clip}: a process that drew it died; is memory short?"
-        yield left[0], message
+    if left and len(planned) == 1:
+        clip = left[0].shot.clip
+        yield left[0], f"{clip}: a process that drew it died; is memory short?"
         return
     # Which of them it was shows when each has processes of its own.
     for job in left:
-        yield from _drawn([job], backend, jobs, steps)
+        yield from _drawn([job], backend, count, steps)
 
 
-def _submit(job: _Job, pool: ProcessPoolExecutor) -> None:
-    job.futures = [
-        pool.submit(draw_part, job.shot, part, job.fingerprint) for part in job.parts
-    ]
+def _submit(job: _Job, share: int, pool: ProcessPoolExecutor) -> None:
+    job.futures = {
+        pool.submit(draw_parts, job.shot, parts, job.fingerprint): parts
+        for parts in stretches(job.frames, share)
+    }
 
 
 def _finished(job: _Job, steps: Iterator[int]) -> str | None:
     """Write a job's file from its parts; return what went wrong."""
+    shot, parts = job.shot, _results(job, steps)
     try:
-        parts = _results(job, steps)
-        suffix, pixels = job.shot.out.suffix.lower(), job.shot.look.pixels
-        if suffix == ".mp4":
-            write_mp4(parts, job.shot.out, pixels, job.rate)
-        elif suffix == ".gif":
-            write_gif(parts, job.shot.out, pixels, job.rate)
+        if shot.out.suffix.lower() == ".mp4":
+            write_mp4(parts, shot.out, shot.look.pixels, job.rate)
+        elif shot.out.suffix.lower() == ".gif":
+            write_gif(parts, shot.out, shot.look.pixels, job.rate)
         else:
             list(parts)
     except BrokenProcessPool:
@@ -174,14 +179,14 @@ def _finished(job: _Job, steps: Iterator[int]) -> str | None:
     except Exception as error:  # the other clips are to be drawn, whatever it is
         for future in job.futures:
             future.cancel()
-        told = str(error)
-        known = isinstance(error, InputError)
-        return told if known else f"{job.shot.clip}: {type(error).__name__}: {told}"
+        if isinstance(error, InputError):
+            return str(error)
+        return f"{shot.clip}: cannot be drawn ({type(error).__name__}: {error})"
     return None
 
 
 def _results(job: _Job, steps: Iterator[int]) -> Iterator[list[Coded]]:
-    for future, part in zip(job.futures, job.parts, strict=True):
-        yield future.result()
-        for _ in part:
+    for future, parts in job.futures.items():
+        yield from future.result()
+        for _ in range(sum(map(len, parts))):
             next(steps, None)

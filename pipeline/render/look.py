@@ -42,8 +42,9 @@ class Look:
     scene: str | None = None
     """Room to draw around the clip, one of those of simulate or an MJCF file; default:
     the things that the clip itself holds."""
-    shadows: bool | None = None
-    """Draw shadows; default: where a GPU draws."""
+    shadows: bool = False
+    """Draw shadows also where no GPU draws, which then takes five times as long or
+    more."""
     samples: int | None = None
     """Samples a pixel against jagged edges; default: 4 where a GPU draws, else 0."""
 

@@ -18,6 +18,7 @@ from kinefilter.retarget import (
     positions_from_rotations,
     rotations_from_positions,
 )
+from kinefilter.retarget.rotations import rotate
 
 from .look import Look
 
@@ -85,18 +86,27 @@ def _some(clip: Clip, frames: NDArray[np.intp]) -> Clip:
 
 
 def _posed(take: Take) -> Clip:
-    """Return a clip of the same postures, on a body as long as the median says."""
-    missing = np.argwhere(~np.isfinite(take.positions).all(axis=-1))
+    """Return a clip of the same postures, on a body as long as the median says.
+
+    A joint that the file never has is where it is at rest.
+    """
+    skeleton, shape = take.skeleton, take.positions.shape[:2]
+    lacks = np.asarray(~np.isfinite(take.positions).all(axis=-1))
+    missing = np.argwhere(lacks & ~lacks.all(axis=0))
     if len(missing):
         frame, joint = missing[0]
         raise InputError(
-            f"{take.source}: frame {frame + 1} has no {take.skeleton.joints[joint]}; "
+            f"{take.source}: frame {frame + 1} has no {skeleton.joints[joint]}; "
             "it is a raw take: clean it, or draw it with --compare beside its clip"
         )
-    skeleton, shape = take.skeleton, take.positions.shape[:2]
     measured = measure_reference(take)
     body = measured_body(skeleton, measured.lengths, measured.directions)
-    rotations = rotations_from_positions(take.positions, body)
+    positions = take.positions.copy()
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        if lacks[0, j]:
+            turns = rotations_from_positions(positions, body)[:, p]
+            positions[:, j] = positions[:, p] + rotate(turns, body.rest_offsets[j])
+    rotations = rotations_from_positions(positions, body)
     root = take.positions[:, skeleton.root]
     return Clip(
         time=take.time,

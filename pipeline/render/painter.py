@@ -32,6 +32,7 @@ class Painter:
         camera: From where.
         figure: A raw take beside the character.
         shadows: Whether to draw them; everything is then drawn in every frame.
+        whole: Whether to draw everything in every frame anyway.
     """
 
     def __init__(

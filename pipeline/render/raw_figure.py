@@ -2,87 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, InputError, Skeleton, Take
+from kinefilter.characters import Clip, Skeleton
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.pipeline.formats import read_take
-from kinefilter.retarget.rotations import rotate
 
-__all__ = ["RawFigure", "figure_names", "raw_positions"]
+__all__ = ["RawFigure", "figure_names"]
 
 Array = NDArray[np.float64]
 
 _JOINT, _BONE = 0.032, 0.012  # m, radii of what is drawn
 _BONE_COLOR = (0.25, 0.25, 0.28)
 _UNRELIABLE, _RELIABLE = np.array([0.90, 0.15, 0.12]), np.array([0.16, 0.68, 0.20])
-_APART = 0.1  # s between a frame and the measurement shown for it, at most
-_LEAST_TILT = np.radians(1.5)  # below, it is what cleaning moved
-
-
-def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
-    """Return where the take of a clip has the joints, in the clip's frame.
-
-    Cleaning set the take on the floor, and leveled it if the sensor was tilted; what it
-    did shows in where most joints are.
-
-    Args:
-        path: The take.
-        clip: What was made of it.
-        times: Time stamps [s] to show.
-
-    Returns:
-        Joint positions [m], NaN where nothing was measured, shape (T, J, 3).
-
-    Raises:
-        InputError: The file is no take, or not the one that the clip was made of.
-    """
-    take = read_take(path)
-    if take.skeleton.name != clip.skeleton.name:
-        raise InputError(
-            f"--compare {path}: a take of {take.skeleton.name}, but the clip has "
-            f"{clip.skeleton.name}; give the take that it was made of"
-        )
-    nearest = _nearest(take.time, times)
-    if np.median(np.abs(take.time[nearest] - times)) > _APART:
-        raise InputError(
-            f"--compare {path}: from {take.time[0]:.2f} to {take.time[-1]:.2f} s, but "
-            f"the clip from {times[0]:.2f} to {times[-1]:.2f} s; give the take that it "
-            "was made of"
-        )
-    shown = take.positions[nearest]
-    away = np.abs(take.time[nearest] - times) > _APART
-    return np.where(away[:, None, None], np.nan, _as_cleaned(take, clip, shown))
-
-
-def _as_cleaned(take: Take, clip: Clip, shown: Array) -> Array:
-    """Return positions leveled and on the floor as most of the take's are."""
-    frames = _nearest(take.time, clip.time)
-    raw, clean = take.positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)
-    known = np.isfinite(raw).all(axis=1)
-    if not known.any():
-        raise InputError(f"{take.source}: holds no joint in the time of the clip")
-    raw, clean = raw[known], clean[known]
-    # Least squares of clean y = cos(tilt) y - sin(tilt) z - floor, the angle small.
-    columns = np.stack([raw[:, 2], np.ones(len(raw))], axis=1)
-    slope = np.linalg.lstsq(columns, clean[:, 1] - raw[:, 1], rcond=None)[0][0]
-    tilt = -float(np.arctan(slope))
-    if abs(tilt) < _LEAST_TILT:
-        tilt = 0.0
-    level = np.array([np.cos(0.5 * tilt), np.sin(0.5 * tilt), 0.0, 0.0])
-    floor = np.median(rotate(level, raw)[:, 1] - clean[:, 1])
-    return np.asarray(rotate(level, shown) - np.array([0.0, floor, 0.0]))
-
-
-def _nearest(stamps: Array, times: Array) -> NDArray[np.intp]:
-    after = np.clip(np.searchsorted(stamps, times), 1, max(len(stamps) - 1, 1))
-    after = np.minimum(after, len(stamps) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(times - stamps[before] < stamps[after] - times, before, after)
 
 
 def figure_names(skeleton: Skeleton) -> list[str]:

@@ -30,6 +30,7 @@ _TILES = ((0.80, 0.81, 0.82), (0.85, 0.86, 0.87))
 _LINES = (0.66, 0.67, 0.69)
 _TILES_A_METER = 1.0  # squares of half a meter, two of them a period of the texture
 _FACETS = (16, 8)  # around and along what is round: more cost more than they show
+_LIGHT_AWAY = 4.0  # m, above everything
 _KINDS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
@@ -69,8 +70,10 @@ class Scene:
         spec.visual.global_.offwidth, spec.visual.global_.offheight = size
         spec.visual.quality.offsamples = samples
         spec.stat.extent = max(reach, 1.0)
-        spec.stat.center = [*to_mujoco(clip.positions[:, clip.skeleton.root]).mean(0)]
-        _add_room(spec, facing)
+        middle = to_mujoco(clip.positions[:, clip.skeleton.root]).mean(axis=0)
+        spec.stat.center = middle
+        _add_room(spec)
+        _add_light(spec, to_mujoco(facing), middle)
         _add_character(spec, clip.body, _TRANSLUCENT if translucent else 1.0)
         for prop in props:
             _add_prop(spec, prop)
@@ -99,7 +102,7 @@ class Scene:
         mujoco.mj_camlight(self.model, self.data)
 
 
-def _add_room(spec: mujoco.MjSpec, facing: Array) -> None:
+def _add_room(spec: mujoco.MjSpec) -> None:
     horizon, overhead = _SKY
     spec.add_texture(
         name="sky",
@@ -142,12 +145,16 @@ def _add_room(spec: mujoco.MjSpec, facing: Array) -> None:
     visual.quality.shadowsize = 4096
     visual.quality.numslices, visual.quality.numstacks = _FACETS
     visual.rgba.fog = visual.rgba.haze = [*horizon, 1.0]
-    front = to_mujoco(facing)
+
+
+def _add_light(spec: mujoco.MjSpec, front: Array, middle: Array) -> None:
+    """Add light from the front, the left and above."""
     left = np.array([-front[1], front[0], 0.0])
+    away = -0.5 * front - 0.45 * left - [0.0, 0.0, 1.0]
     spec.worldbody.add_light(
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=3.0 * front + 2.0 * left + [0.0, 0.0, 5.0],
-        dir=-0.5 * front - 0.45 * left - [0.0, 0.0, 1.0],
+        pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it points to
+        dir=away,
         diffuse=[0.45] * 3,
         ambient=[0.0] * 3,
         specular=[0.12] * 3,

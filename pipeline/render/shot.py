@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, Prop
-
+from .backend import Backend
 from .cameras import CameraPath, axes_toward, camera_path
 from .look import Look
 from .motions import read_motion, shown_frames
-from .raw_figure import raw_positions
+from .raw_take import raw_positions
 from .surroundings import corners_of, props_around
 
 __all__ = ["Shot", "Staged"]
@@ -43,6 +41,21 @@ class Shot:
     samples: int = 0
     """Samples a pixel."""
 
+    def drawn_by(self, backend: Backend, *, samples: int) -> Shot:
+        """Return the shot with what the look leaves to who draws.
+
+        Args:
+            backend: The OpenGL that draws; where it is no GPU, shadows and samples
+                multiply the time.
+            samples: Samples a pixel on a GPU.
+        """
+        soft, look = backend.software, self.look
+        return replace(
+            self,
+            shadows=look.shadows or not soft,
+            samples=(0 if soft else samples) if look.samples is None else look.samples,
+        )
+
     def fingerprint(self) -> str:
         """Return what changes with anything that pictures of the shot depend on."""
         digest = hashlib.sha256()
@@ -67,39 +80,27 @@ class Staged:
         self.shot = shot
         look = shot.look
         clip = read_motion(shot.clip)
-        self.frames, self.rate = shown_frames(clip, look)
-        """The frames that are drawn, and how many a second has [1/s]."""
+        self.clip, self.rate = shown_frames(clip, look)
+        """The frames that are drawn, and how many of them a second has [1/s]."""
         self.raw: Array | None = None
         """Joint positions of the raw take [m], shape (T, J, 3)."""
-        self._props = props_around(clip, self.frames, look.scene)
+        self.props = props_around(clip, self.clip, look.scene)
+        """What is around the character in these frames."""
         if look.compare is not None:
-            self.raw = raw_positions(look.compare, clip, self.frames.time)
+            self.raw = raw_positions(look.compare, clip, self.clip.time)
             if look.place == "beside":
                 self.raw = self.raw + self._aside()
+        self.camera = self._camera(self._points())
+        """Where everything is looked at from."""
 
     def __len__(self) -> int:
-        return len(self.frames)
-
-    @property
-    def clip(self) -> Clip:
-        """The frames that are drawn."""
-        return self.frames
-
-    @property
-    def props(self) -> tuple[Prop, ...]:
-        """What is around the character in these frames."""
-        return self._props
-
-    @cached_property
-    def camera(self) -> CameraPath:
-        """Where everything is looked at from."""
-        return self._camera(self._points())
+        return len(self.clip)
 
     def _camera(self, points: Array) -> CameraPath:
         width, height = self.shot.look.pixels
         return camera_path(
             self.shot.look.camera,
-            self.frames,
+            self.clip,
             points,
             aspect=width / height,
             rate=self.rate,
@@ -107,27 +108,27 @@ class Staged:
 
     def _points(self) -> Array:
         """Return points [m] that are all seen if everything is, shape (T, N, 3)."""
-        joints = self.frames.positions
+        joints = self.clip.positions
         corners = _SKIN * np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, 8).T
         points = [(joints[:, :, None] + corners).reshape(len(joints), -1, 3)]
         if self.raw is not None:
             points.append(self._tamed(self.raw))
-        points += [corners_of(prop, len(joints)) for prop in self._props]
+        points += [corners_of(prop, len(joints)) for prop in self.props]
         return np.concatenate(points, axis=1)
 
     def _tamed(self, raw: Array) -> Array:
         """Return where the raw take is, without what leaps away or is missing."""
-        joints = self.frames.positions
+        joints = self.clip.positions
         place = np.nanmedian(raw - joints, axis=(0, 1))
         strays = ~(np.linalg.norm(raw - joints - place, axis=-1) < _ASTRAY)
         return np.where(strays[..., None], joints + place, raw)
 
     def _aside(self) -> Array:
         """Return the way [m] to the picture's left that keeps two figures apart."""
-        camera = self._camera(self.frames.positions)
+        camera = self._camera(self.clip.positions)
         position, target = camera.at(0)
         toward = (position - target) / np.linalg.norm(position - target)
         right, _ = axes_toward(toward)
-        clean = self.frames.positions @ right
+        clean = self.clip.positions @ right
         width = np.ptp(clean, axis=1).max()
         return np.asarray(-right * (width + _BESIDE + 2.0 * _SKIN))

@@ -1,20 +1,30 @@
-"""What a process that draws does: one part of a shot after another."""
+"""What a process that draws does: one part of a shot after another.
+
+MuJoCo is imported once there is something to draw: it then picks its OpenGL, which only
+processes that draw may have.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import atexit
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters import InputError
+from kinefilter.pipeline.workers import given_up
+
 from .codec import Coded, encode_png, encode_video
 from .frames import frame_path, is_drawn, write_frame
-from .painter import Painter
-from .raw_figure import RawFigure, figure_names
-from .scene import Scene
+from .parts import Parts
 from .shot import Shot, Staged
 
-__all__ = ["draw_part"]
+if TYPE_CHECKING:
+    from .painter import Painter
+
+__all__ = ["draw_parts"]
 
 Pixels = NDArray[np.uint8]
 
@@ -29,45 +39,61 @@ class _Set:
     staged: Staged
 
 
-def draw_part(shot: Shot, numbers: range, fingerprint: str) -> list[Coded]:
+@atexit.register
+def _put_away() -> None:
+    """Give back what OpenGL holds: later, Python can no longer."""
+    if _Set.shot is not None:
+        _Set.shot = None
+        _Set.painter.close()
+
+
+def draw_parts(shot: Shot, parts: Parts, fingerprint: str) -> list[list[Coded]]:
     """Draw some frames of a shot.
 
     Pictures of their own are written; those of a video or a GIF are returned.
 
     Args:
         shot: What to draw.
-        numbers: Frames, counted from the first that is drawn.
+        parts: Frames, counted from the first that is drawn.
         fingerprint: The shot's, for pictures of their own.
 
     Raises:
         InputError: The shot cannot be used, or a picture cannot be written.
     """
-    if shot.out.suffix.lower() == ".png":
-        paths = {n: frame_path(shot.out, n) for n in numbers}
-        missing = [n for n, p in paths.items() if not is_drawn(p, fingerprint)]
-        for number, picture in zip(missing, _painted(shot, missing), strict=True):
-            write_frame(picture, paths[number], fingerprint)
-        return []
-    pictures = _painted(shot, list(numbers))
-    if shot.out.suffix.lower() == ".gif":
-        return [Coded(encode_png(p), k, True) for k, p in enumerate(pictures)]
-    staged = _set_of(shot).staged
-    return encode_video(pictures, shot.look.pixels, staged.rate)
+    suffix = shot.out.suffix.lower()
+    if suffix == ".png":
+        return [_write(shot, part, fingerprint) for part in parts]
+    if suffix == ".gif":
+        return [
+            [Coded(encode_png(p), k, True) for k, p in enumerate(_painted(shot, part))]
+            for part in parts
+        ]
+    rate = _set_of(shot).staged.rate
+    return [encode_video(_painted(shot, p), shot.look.pixels, rate) for p in parts]
 
 
-def _painted(shot: Shot, numbers: list[int]) -> Iterator[Pixels]:
+def _write(shot: Shot, numbers: range, fingerprint: str) -> list[Coded]:
+    """Write the pictures that are not there yet."""
+    paths = {n: frame_path(shot.out, n) for n in numbers}
+    missing = [n for n, path in paths.items() if not is_drawn(path, fingerprint)]
+    for number, picture in zip(missing, _painted(shot, missing), strict=True):
+        write_frame(picture, paths[number], fingerprint)
+    return []
+
+
+def _painted(shot: Shot, numbers: Sequence[int]) -> Iterator[Pixels]:
     if numbers:
         painter = _set_of(shot).painter
         for number in numbers:
+            if given_up():
+                raise InputError(f"{shot.clip}: interrupted")
             yield painter.paint(number)
 
 
 def _set_of(shot: Shot) -> type[_Set]:
     """Return the shot ready to be drawn; the one before it is put away."""
     if _Set.shot != shot:
-        if _Set.shot is not None:
-            _Set.shot = None
-            _Set.painter.close()
+        _put_away()
         _Set.staged = Staged(shot)
         _Set.painter = _painter(_Set.staged)
         _Set.shot = shot
@@ -75,6 +101,10 @@ def _set_of(shot: Shot) -> type[_Set]:
 
 
 def _painter(staged: Staged) -> Painter:
+    from .painter import Painter
+    from .raw_figure import RawFigure, figure_names
+    from .scene import Scene
+
     shot, clip, raw = staged.shot, staged.clip, staged.raw
     camera = staged.camera
     toward = camera.positions[0] - camera.targets[0]

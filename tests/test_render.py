@@ -1,0 +1,300 @@
+"""``kinefilter render``: the files it writes, and those it does not."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import MakeClip
+from dying import draw_or_die
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.commands import render as command
+from kinefilter.pipeline.formats import write_clip, write_take_csv
+from kinefilter.pipeline.render import Look, clips, render_clips
+from kinefilter.pipeline.render.backend import Backend, find_backend
+from kinefilter.pipeline.render.frames import frame_path
+
+SMALL = Look(size="96x54")
+
+
+@pytest.fixture(scope="session")
+def found() -> Backend:
+    try:
+        return find_backend()
+    except InputError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture
+def backend(found: Backend, monkeypatch: pytest.MonkeyPatch) -> Backend:
+    """Return what draws here, found once for all tests."""
+    monkeypatch.setattr(clips, "find_backend", lambda: found)
+    return found
+
+
+@pytest.fixture
+def no_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let tests go on that do not get as far as drawing."""
+    monkeypatch.setattr(clips, "find_backend", lambda: Backend("none", "nothing"))
+
+
+def _decoded(path: Path) -> tuple[list[np.ndarray], list[Any], Any]:
+    """Return the pictures of a video, its frames and its stream."""
+    import av
+
+    with av.open(str(path)) as file:
+        stream = file.streams.video[0]
+        frames = list(file.decode(stream))
+        return [f.to_ndarray(format="rgb24") for f in frames], frames, stream
+
+
+@pytest.mark.usefixtures("backend")
+def test_a_video_is_the_same_whatever_the_processes(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip = tmp_path / "clip.npz"
+    write_clip(make_clip(130), clip)
+    for jobs in (1, 2):
+        render_clips([clip], tmp_path / f"{jobs}.mp4", SMALL, jobs=jobs)
+    one, two = ((tmp_path / f"{jobs}.mp4").read_bytes() for jobs in (1, 2))
+    assert one == two
+    pictures, frames, stream = _decoded(tmp_path / "2.mp4")
+    assert len(pictures) == 130
+    assert stream.average_rate == 30
+    assert pictures[0].shape == (54, 96, 3)
+    assert [k for k, frame in enumerate(frames) if frame.key_frame] == [0, 60, 120]
+    times = [float(frame.pts * frame.time_base) for frame in frames]
+    assert times == pytest.approx(np.arange(130) / 30.0, abs=1e-3)
+    for before, after in zip(pictures[::20], pictures[20::20], strict=False):
+        assert np.abs(after.astype(int) - before).max() > 30  # somebody moves
+
+
+@pytest.mark.usefixtures("backend")
+def test_a_gif_plays_for_ever_as_fast_as_the_clip(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip, out = tmp_path / "clip.npz", tmp_path / "clip.gif"
+    write_clip(make_clip(31), clip)
+    render_clips([clip], out, replace(SMALL, every=2), jobs=1)
+    assert b"NETSCAPE2.0\x03\x01\x00\x00\x00" in out.read_bytes()
+    pictures, frames, _ = _decoded(out)
+    assert len(pictures) == 16
+    times = [frame.pts * frame.time_base for frame in frames]
+    for k, time in enumerate(times):
+        assert abs(time - times[0] - Fraction(k, 15)) <= Fraction(1, 100)
+
+
+@pytest.mark.usefixtures("backend")
+def test_pictures_that_are_there_are_kept_and_others_drawn_again(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip, out = tmp_path / "clip.npz", tmp_path / "frames" / "%03d.png"
+    write_clip(make_clip(4), clip)
+    files = [frame_path(out, k) for k in range(4)]
+
+    def made() -> list[tuple[int, int]]:
+        return [(f.stat().st_ino, f.stat().st_mtime_ns) for f in files]
+
+    render_clips([clip], out, SMALL, jobs=1)
+    assert sorted(out.parent.iterdir()) == files
+    first, pictures = made(), [f.read_bytes() for f in files]
+    files[1].unlink()
+    files[2].write_bytes(pictures[2][: len(pictures[2]) // 2][:40])
+    render_clips([clip], out, SMALL, jobs=1)
+    assert [a == b for a, b in zip(first, made(), strict=True)] == [1, 0, 0, 1]
+    assert [f.read_bytes() for f in files] == pictures
+    render_clips([clip], out, replace(SMALL, camera="side"), jobs=1)
+    assert not set(first) & set(made())
+    assert all(f.read_bytes() != p for f, p in zip(files, pictures, strict=True))
+
+
+@pytest.mark.usefixtures("backend")
+def test_a_broken_clip_does_not_keep_others_from_being_drawn(
+    make_clip: MakeClip, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a", "c"):
+        write_clip(make_clip(3), tmp_path / f"{name}.npz")
+    (tmp_path / "b.npz").write_text("no clip")
+    clips_given = [str(tmp_path / f"{name}.npz") for name in "abc"]
+    out = str(tmp_path / "{clip}-drawn.mp4")
+    assert main(["render", *clips_given, "-o", out, "--size", "96x54"]) == 1
+    printed = capsys.readouterr()
+    assert "b.npz: cannot be read" in printed.err
+    assert "drawn with" in printed.out
+    drawn = sorted(path.name for path in tmp_path.glob("*.mp4"))
+    assert drawn == ["a-drawn.mp4", "c-drawn.mp4"]
+    for name in drawn:
+        assert len(_decoded(tmp_path / name)[0]) == 3
+
+
+@pytest.mark.usefixtures("no_backend")
+def test_a_clip_that_kills_its_process_is_told_from_the_others(
+    make_clip: MakeClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ["deadly", "first", "second"]
+    for name in names:
+        write_clip(make_clip(3), tmp_path / f"{name}.npz")
+    monkeypatch.setattr(clips, "draw_parts", draw_or_die)
+    files = [tmp_path / f"{name}.npz" for name in names]
+    done = render_clips(files, tmp_path / "{clip}-%d.png", SMALL, jobs=2)
+    assert len(done.failures) == 1
+    assert "deadly.npz: a process that drew it died" in done.failures[0]
+    assert [path.name for path in done.written] == ["first-%d.png", "second-%d.png"]
+    assert (tmp_path / "second.drawn").exists()
+
+
+@pytest.mark.usefixtures("backend")
+def test_an_interrupted_video_leaves_nothing(
+    make_clip: MakeClip,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from contextlib import contextmanager
+
+    def interrupted(_: str, count: int) -> Iterable[int]:
+        yield from range(count // 2)
+        raise KeyboardInterrupt
+
+    @contextmanager
+    def bars() -> Any:
+        yield interrupted
+
+    monkeypatch.setattr(command, "progress_bars", bars)
+    clip, out = tmp_path / "clip.npz", tmp_path / "clip.mp4"
+    write_clip(make_clip(70), clip)
+    out.write_text("older")
+    assert main(["render", str(clip), "-o", str(out), "--size", "32x18"]) == 2
+    assert "interrupted" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == [out, clip]
+    assert out.read_text() == "older"
+
+
+@pytest.mark.parametrize("name", ["clip.mp4", "%d.png"])
+def test_a_full_disk_leaves_nothing(
+    name: str, found: Backend, make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip, folder = tmp_path / "clip.npz", tmp_path / "drawn"
+    write_clip(make_clip(5), clip)
+    folder.mkdir()
+    # No file may be longer than a kilobyte: the system then says so, as a full disk.
+    code = (
+        "import resource, sys; from kinefilter.pipeline.cli import main\n"
+        "if __name__ == '__main__':\n"
+        "    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, 1024))\n"
+        "    sys.exit(main(sys.argv[1:]))\n"
+    )
+    script = tmp_path / "limited.py"
+    script.write_text(code)
+    flags = ["--size", "96x54", "--jobs", "1"]
+    done = subprocess.run(
+        [sys.executable, script, "render", clip, "-o", folder / name, *flags],
+        env={**os.environ, **found.environment},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "cannot be written" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not any(folder.iterdir())
+
+
+def test_without_opengl_what_to_install_is_said(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip = tmp_path / "clip.npz"
+    write_clip(make_clip(3), clip)
+    command = [sys.executable, "-m", "kinefilter.pipeline.cli", "render", clip]
+    done = subprocess.run(
+        [*command, "-o", tmp_path / "clip.mp4"],
+        env={**os.environ, "MUJOCO_GL": "nonsense"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "libosmesa6" in done.stderr
+    assert "unset MUJOCO_GL" in done.stderr
+    assert list(tmp_path.iterdir()) == [clip]
+
+
+def test_who_only_waits_for_pictures_loads_no_opengl() -> None:
+    code = (
+        "import sys, kinefilter.pipeline.render.clips\n"
+        "print([m for m in ('mujoco', 'OpenGL', 'av', 'pxr') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.usefixtures("no_backend")
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["-o", "clip.avi"], "unknown extension '.avi'"),
+        (["-o", "clip.png"], "%05d"),
+        (["-o", "none/clip.mp4"], "does not exist"),
+        (["-o", "clip.npz"], "would overwrite"),
+        (["-o", "a.mp4", "--size", "97x54"], "even"),
+        (["-o", "a.mp4", "--size", "wide"], "such as 1280x720"),
+        (["-o", "a.mp4", "--fps", "0"], "--fps 0"),
+        (["-o", "a.gif", "--fps", "60"], "at most 50 frames"),
+        (["-o", "a.mp4", "--every", "0"], "--every 0"),
+        (["-o", "a.mp4", "--samples", "3"], "--samples 3"),
+        (["-o", "a.mp4", "--from", "3", "--to", "2"], "--from 3 --to 2"),
+        (["-o", "a.mp4", "--from", "99"], "it lasts"),
+        (["-o", "a.mp4", "--camera", "above"], "three-quarter"),
+        (["-o", "a.mp4", "--camera", "absent.toml"], "absent.toml"),
+        (["-o", "a.mp4", "--scene", "moon"], "unknown scene 'moon'"),
+        (["-o", "a.mp4", "--jobs", "0"], "--jobs 0"),
+        (["-o", "a.mp4", "--compare", "absent.csv"], "absent.csv"),
+        (["-o", "a.mp4", "--compare", "v2.csv"], "kinect_v2"),
+        (["-o", "a.mp4", "--compare", "late.csv"], "it was made of"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_in_one_line(
+    flags: list[str],
+    words: str,
+    make_clip: MakeClip,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from kinefilter.characters import KINECT_V2
+
+    monkeypatch.chdir(tmp_path)
+    write_clip(make_clip(10), "clip.npz")
+    write_take_csv(make_clip(10, KINECT_V2), Path("v2.csv"))
+    late = make_clip(10)
+    write_take_csv(replace(late, time=late.time + 9.0), Path("late.csv"))
+    before = sorted(tmp_path.iterdir())
+    assert main(["render", "clip.npz", *flags]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.usefixtures("no_backend")
+def test_a_clip_of_an_unknown_skeleton_is_refused(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    path = tmp_path / "clip.npz"
+    write_clip(make_clip(3), path)
+    with np.load(path) as arrays:
+        changed = {**arrays, "skeleton": np.array("octopus")}
+    np.savez(path, **changed)
+    with pytest.raises(InputError, match=r"clip\.npz: unknown skeleton 'octopus'"):
+        render_clips([path], tmp_path / "clip.mp4")
