@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from importlib import resources
 from pathlib import Path
 from time import perf_counter
@@ -27,7 +26,7 @@ from .formats import read_take
 from .library import embedded_database
 from .pulled_character import PulledCharacter, substeps_in
 from .reliability import ReliabilityScorer, measure_reference
-from .workers import workers
+from .workers import cores, workers
 
 __all__ = ["as_table", "bench", "sample_path"]
 
@@ -60,14 +59,14 @@ def bench(path: Path | None = None) -> dict[str, Any]:
 
 def _time_offline(take: Take) -> dict[str, float]:
     """Return how many frames a second whole takes are cleaned at, on all cores."""
-    cores = len(os.sched_getaffinity(0))
-    with workers(cores) as pool:
-        list(clean_takes([take] * 2 * cores, pool=pool))  # imports, database
+    count = cores()
+    with workers(count) as pool:
+        list(clean_takes([take] * 2 * count, pool=pool))  # imports, database
         start = perf_counter()
-        done = list(clean_takes([take] * _TAKES_PER_CORE * cores, pool=pool))
+        done = list(clean_takes([take] * _TAKES_PER_CORE * count, pool=pool))
         seconds = perf_counter() - start
     frames = sum(len(result.clip) for result in done)
-    return {"cores": cores, "frames_per_second": frames / seconds}
+    return {"cores": count, "frames_per_second": frames / seconds}
 
 
 def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
