@@ -220,6 +220,22 @@ def test_start_forgets() -> None:
     np.testing.assert_array_equal(fresh, again)
 
 
+def test_a_motion_at_once_is_standardized_as_frame_by_frame() -> None:
+    """With holes, and in two parts of which the second follows the first."""
+    rng, body = np.random.default_rng(19), standard_body(KINECT_V1, height=1.6)
+    motion = np.array([posture(body, seed) for seed in range(30)])
+    motion[rng.random(motion.shape[:2]) < 0.2] = np.nan
+    motion[10:12] = np.nan
+    weights = rng.uniform(size=motion.shape[:2])
+    one, many = Standardizer(body), Standardizer(body)
+    steps = [one.step(p, w) for p, w in zip(motion, weights, strict=True)]
+    parts = [many.steps(motion[k], weights[k]) for k in (np.s_[:13], np.s_[13:])]
+    standard = np.concatenate([part for part, _ in parts])
+    np.testing.assert_allclose(standard, [p for p, _ in steps], atol=1e-12)
+    yaw = np.concatenate([view.yaw for _, view in parts])
+    np.testing.assert_allclose(yaw, [view.yaw for _, view in steps], atol=1e-12)
+
+
 @every_skeleton
 def test_undo_takes_a_whole_motion_at_once(skeleton: Skeleton) -> None:
     body = person(skeleton, 17)

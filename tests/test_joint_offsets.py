@@ -25,7 +25,7 @@ from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.config import Method
-from kinefilter.pipeline.correct import Correction, Hold, Observation
+from kinefilter.pipeline.correct import Correction, Hold, Observation, joint_offsets
 from kinefilter.pipeline.correct.in_turn import InTurn
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.correct.take import CorrectedTake
@@ -142,6 +142,20 @@ def test_what_was_not_measured_stays_open_to_the_next_method() -> None:
     InTurn([_shipped(KINECT_V1), watch]).step(_seen(posture))
     np.testing.assert_array_equal(np.isnan(watch.saw), np.isnan(posture))
     assert np.nanmax(np.abs(watch.saw - posture)) > 0.01
+
+
+def test_a_whole_take_is_moved_as_its_frames_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Across chunks too, and where joints are missing for a while."""
+    monkeypatch.setattr(joint_offsets, "_CHUNK", 7)
+    postures = _postures(KINECT_V2)[:40].copy()
+    postures[5:20, KINECT_V2.index("ElbowLeft")] = np.nan
+    postures[13:15] = np.nan
+    corrector = _shipped(KINECT_V2)
+    stepped = np.array([corrector.step(_seen(frame)).positions for frame in postures])
+    stepped[np.isnan(postures)] = np.nan
+    np.testing.assert_allclose(corrector.move(postures), stepped, atol=1e-12)
 
 
 def test_the_default_forgets_when_it_starts_again() -> None:

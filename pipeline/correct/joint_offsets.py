@@ -28,6 +28,7 @@ __all__ = ["JointOffsets"]
 
 Array = NDArray[np.float64]
 
+_CHUNK = 4096  # frames at a time: their vectors are many times the positions
 _RIDGE = 0.2
 """Weight against large offsets, with simulated people as teachers: at half of it one
 real person in three moved less truly than as measured, at twice it a sixth of what is
@@ -106,7 +107,10 @@ class JointOffsets:
         """
         self.start()
         moved = positions.copy()
-        moved[:, self.joints_] += self.offsets(self._hold.fill(positions))
+        for first in range(0, len(positions), _CHUNK):
+            some = slice(first, first + _CHUNK)
+            offsets = self.offsets(self._hold.fill(positions[some]))
+            moved[some, self.joints_] += offsets
         return moved
 
     def offsets(self, postures: Array) -> Array:
