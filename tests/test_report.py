@@ -188,6 +188,15 @@ def test_the_page_of_five_minutes_is_under_15_mb(
     assert path.stat().st_size < 15e6
 
 
+def test_clean_writes_the_page_that_report_writes(tmp_path: Path) -> None:
+    clip, pages = str(tmp_path / "clip.npz"), [tmp_path / f"{k}.html" for k in (1, 2)]
+    sample = str(sample_path())
+    assert main(["clean", sample, "-o", clip, "--report", str(pages[0])]) == 0
+    assert main(["report", clip, "--take", sample, "-o", str(pages[1])]) == 0
+    assert pages[0].read_bytes() == pages[1].read_bytes()
+    assert main(["clean", sample, "-o", clip, "--report", clip]) == 2
+
+
 def test_a_page_refers_to_nothing_elsewhere(files: list[str]) -> None:
     assert main(files) == 0
     text = Path(files[-1]).read_text(encoding="utf-8")

@@ -8,8 +8,6 @@ from typing import Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from kinefilter.characters import InputError
-
 from .terminal import err, keep, out
 
 __all__ = ["Report"]
@@ -25,6 +23,9 @@ class Report:
     """The take that the clip was made of."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Page to write, .html."""
+    body: int | None = None
+    """Which person of the take, counted from 1; default: who is seen in most
+    frames."""
     thresholds: Path | None = None
     """TOML file of limits, as fail_on = ["skate > 0.003"]; default: those that ship
     with kinefilter. They color the table of metrics."""
@@ -34,17 +35,19 @@ class Report:
 
     def run(self) -> int:
         """Compare, write, say what failed."""
-        from kinefilter.pipeline.formats import check_folder
-        from kinefilter.pipeline.report import parse_limit, read_limits, write_report
-        from kinefilter.pipeline.report.compared import read_compared
+        from kinefilter.pipeline.report import (
+            check_report,
+            parse_limit,
+            read_compared,
+            read_limits,
+            write_report,
+        )
 
-        if self.out.suffix.lower() not in (".html", ".htm"):
-            raise InputError(f"{self.out}: a report is a web page; name it .html")
-        check_folder(self.out)
+        check_report(self.out)
         keep(self.out, self.clip, self.take, self.thresholds)
         gates = [parse_limit(text) for text in self.fail_on]
         limits = read_limits(self.thresholds)
-        compared = read_compared(self.clip, self.take)
+        compared = read_compared(self.clip, self.take, body=self.body)
         # A gate that is a threshold too stands once in the table.
         write_report(compared, self.out, tuple(dict.fromkeys((*limits, *gates))))
         out.print(f"wrote {self.out}", markup=False)

@@ -39,8 +39,15 @@ class Compared:
     """Metrics of the clip."""
 
 
-def read_compared(clip_path: Path, take_path: Path) -> Compared:
+def read_compared(
+    clip_path: Path, take_path: Path, *, body: int | None = None
+) -> Compared:
     """Read a clip and its take.
+
+    Args:
+        clip_path: The clip, npz.
+        take_path: The take.
+        body: Whose, counted from 1; None: who is seen in most frames.
 
     Raises:
         InputError: One cannot be read, or they do not belong together.
@@ -51,7 +58,7 @@ def read_compared(clip_path: Path, take_path: Path) -> Compared:
             f"{clip_path}: report reads .npz, which holds all of a clip; write the "
             "clip as .npz too"
         )
-    clip, take = read_clip(clip_path), read_take(take_path)
+    clip, take = read_clip(clip_path), read_take(take_path, body=body)
     try:
         return compare(clip, take)
     except InputError as error:

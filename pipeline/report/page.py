@@ -7,17 +7,30 @@ import json
 import os
 from collections.abc import Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
-from kinefilter.pipeline.formats.files import atomic_path
+from kinefilter.characters import InputError
+from kinefilter.pipeline.formats.files import atomic_path, check_folder
 
 from .compared import Compared
 from .contents import contents_of
 from .limits import Limit
 
-__all__ = ["page_of", "write_report"]
+__all__ = ["check_report", "page_of", "write_report"]
 
 _SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
+
+
+def check_report(path: Path) -> None:
+    """Raise, before any work is done, what write_report would raise after it.
+
+    Raises:
+        InputError: It is not named as a web page, or nothing can be written there.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path}: a report is a web page; name it .html")
+    check_folder(path)
 
 
 def write_report(

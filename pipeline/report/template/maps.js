@@ -1,27 +1,37 @@
 // Heat maps, joint by time, and curves; all share a cursor and a click goes there.
 
 const LABELS = 104, AXIS = 18, ROW = 13; // px
-const MOST_COLUMNS = 1600;
 
-// The map's picture, a pixel a cell: the worst of the frames that a column stands for.
-function picture(map) {
-  const columns = Math.min(frames, MOST_COLUMNS), rows = map.rows.length;
-  const made = document.createElement("canvas");
-  [made.width, made.height] = [columns, rows];
-  const context = made.getContext("2d");
-  const image = context.createImageData(columns, rows);
-  // Columns are even in time, whatever the sensor dropped; frames never quite are.
+// The frames of a column, from the first to before the next: columns are even in time,
+// whatever the sensor dropped, and frames never quite are.
+function framesOf(column, columns) {
   const wide = span / columns, skew = 0.25 / report.fps;
+  const first = frameAt(column * wide + skew);
+  const next = column + 1 < columns ? frameAt((column + 1) * wide + skew) : frames;
+  return [first, Math.max(first + 1, next)];
+}
+
+// The cell that a column shows in a row: that of its worst frame.
+function worst(map, row, [first, next]) {
+  const rows = map.rows.length;
+  let found = first * rows + row;
+  for (let f = first + 1; f < next; f++) {
+    if (map.badness(f * rows + row) > map.badness(found)) found = f * rows + row;
+  }
+  return found;
+}
+
+// The map's picture, a pixel a cell.
+function picture(map, columns) {
+  const made = document.createElement("canvas");
+  [made.width, made.height] = [columns, map.rows.length];
+  const context = made.getContext("2d");
+  const image = context.createImageData(made.width, made.height);
   for (let c = 0; c < columns; c++) {
-    const first = frameAt(c * wide + skew);
-    const next = c + 1 < columns ? frameAt((c + 1) * wide + skew) : frames;
-    const last = Math.max(first + 1, next);
-    for (let row = 0; row < rows; row++) {
-      let worst = first * rows + row;
-      for (let f = first + 1; f < last; f++) {
-        if (map.badness(f * rows + row) > map.badness(worst)) worst = f * rows + row;
-      }
-      image.data.set([...map.color(worst), 255], 4 * (row * columns + c));
+    const under = framesOf(c, columns);
+    for (let row = 0; row < map.rows.length; row++) {
+      const color = map.color(worst(map, row, under));
+      image.data.set([...color, 255], 4 * (row * columns + c));
     }
   }
   context.putImageData(image, 0, 0);
@@ -58,18 +68,18 @@ function addPlot(parent, title, entries, height, draw, tip, go) {
   plot.append(surface, cursor);
   box.append(element("h3", title), legend(entries), plot);
   parent.append(box);
-  const frameUnder = (e) => {
+  // The share of the time that is left of the pointer; negative over the labels.
+  const shareUnder = (e) => {
     const area = surface.getBoundingClientRect();
-    const share = (e.clientX - area.left - LABELS) / (area.width - LABELS);
-    return share < 0 ? null : frameAt(Math.min(share, 1) * span);
+    return Math.min((e.clientX - area.left - LABELS) / (area.width - LABELS), 1);
   };
   plot.addEventListener("pointerdown", (e) => {
-    const frame = frameUnder(e);
-    if (frame !== null) go(frame);
+    const share = shareUnder(e);
+    if (share >= 0) go(frameAt(share * span));
   });
   plot.addEventListener("pointermove", (e) => {
-    const frame = frameUnder(e), top = surface.getBoundingClientRect().top;
-    showTip(e, frame === null ? null : tip(frame, e.clientY - top));
+    const share = shareUnder(e), top = surface.getBoundingClientRect().top;
+    showTip(e, share < 0 ? null : tip(share, e.clientY - top));
   });
   plot.addEventListener("pointerleave", (e) => showTip(e, null));
   return {
@@ -92,20 +102,25 @@ function showTip(e, text) {
 }
 
 function addMap(parent, map, go) {
-  const image = picture(map), high = map.rows.length * ROW;
+  const high = map.rows.length * ROW;
+  let columns = 1;
   const draw = ({ context, width, height }) => {
+    columns = Math.max(1, Math.min(frames, Math.floor(width - LABELS)));
     context.imageSmoothingEnabled = false;
-    context.drawImage(image, LABELS, 0, width - LABELS, high);
+    context.drawImage(picture(map, columns), LABELS, 0, width - LABELS, high);
     context.fillStyle = "#1d2330";
     context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
     context.textAlign = "right";
     map.rows.forEach((row, k) => context.fillText(row, LABELS - 6, ROW * (k + 0.8)));
     timeAxis(context, width, height);
   };
-  const tip = (frame, y) => {
+  const tip = (share, y) => {
     const row = Math.floor(y / ROW);
     if (row < 0 || row >= map.rows.length) return null;
-    return `${map.rows[row]}, ${clock(frame)}\n${map.tip(frame * map.rows.length + row)}`;
+    const column = Math.min(Math.floor(share * columns), columns - 1);
+    const cell = worst(map, row, framesOf(column, columns));
+    const frame = Math.floor(cell / map.rows.length);
+    return `${map.rows[row]}, ${clock(frame)}\n${map.tip(cell)}`;
   };
   return addPlot(parent, map.title, map.legend, high + AXIS, draw, tip, go);
 }
@@ -140,8 +155,10 @@ function addCurve(parent, curve, go) {
     timeAxis(context, width, height);
   };
   const said = (value) => (isFinite(value) ? value.toPrecision(3) : "unknown");
-  const tip = (f) =>
-    `${clock(f)}\nraw ${said(curve.raw[f])}\nclean ${said(curve.clean[f])}`;
+  const tip = (share) => {
+    const f = frameAt(share * span);
+    return `${clock(f)}\nraw ${said(curve.raw[f])}\nclean ${said(curve.clean[f])}`;
+  };
   return addPlot(parent, curve.name, [], tall + AXIS, draw, tip, go);
 }
 
