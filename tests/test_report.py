@@ -6,7 +6,7 @@ import base64
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -147,6 +147,31 @@ def test_the_take_is_where_cleaning_put_it(make_pair: MakePair, tilt: float) -> 
     raw = compare(clip, take).raw
     expected = leveled(take.positions, tilt) - [0.0, -1.1, 0.0]
     np.testing.assert_allclose(raw, expected, atol=1e-6)
+
+
+def test_exchanged_sides_leave_the_take_where_it_is(make_pair: MakePair) -> None:
+    clip, take = make_pair(tilt=0.1)
+    exchanged = take.positions.copy()
+    exchanged[:8] = exchanged[:8, KINECT_V1.mirror]
+    raw = compare(clip, replace(take, positions=exchanged)).raw
+    expected = leveled(exchanged, 0.1) - [0.0, -0.8, 0.0]
+    np.testing.assert_allclose(raw, expected, atol=2e-3)
+
+
+def test_repeated_time_stamps_count_once(make_pair: MakePair) -> None:
+    clip, take = make_pair()
+    twice = np.repeat(np.arange(40), 2)
+    arrays = {
+        field.name: getattr(clip, field.name)[twice]
+        for field in fields(clip)
+        if isinstance(getattr(clip, field.name), np.ndarray)
+    }
+    again = Take(
+        *(take.time[twice], take.positions[twice], take.state[twice]), take.skeleton
+    )
+    once, found = compare(clip, take), compare(replace(clip, **arrays), again)
+    assert found.before == pytest.approx(once.before, rel=1e-4, nan_ok=True)
+    assert found.after == pytest.approx(once.after, rel=1e-4, nan_ok=True)
 
 
 def test_the_metrics_are_those_that_clean_printed() -> None:
@@ -351,3 +376,11 @@ def test_a_clip_that_is_not_finite_is_refused(make_pair: MakePair, array: str) -
     values[3, 2] = np.nan
     with pytest.raises(InputError, match="not finite"):
         compare(replace(clip, **{array: values}), take)
+
+
+def test_joints_out_of_this_world_are_refused(make_pair: MakePair) -> None:
+    clip, take = make_pair()
+    with pytest.raises(InputError, match="clip has joints over 1000 m"):
+        compare(replace(clip, positions=clip.positions * 1e200), take)
+    with pytest.raises(InputError, match="take has joints over 1000 m"):
+        compare(clip, replace(take, positions=take.positions * 1e200))

@@ -22,6 +22,7 @@ __all__ = ["Compared", "compare", "read_compared"]
 Array = NDArray[np.float64]
 
 _TRY = "give the take that the clip was made of"
+_FARTHEST = 1e3  # m from the origin: no sensor and no hall is as large
 _SKEW = 1e-3  # s between the time stamps of a take and of its clip: rounding
 
 
@@ -103,3 +104,6 @@ def _check(clip: Clip, take: Take) -> None:
         raise InputError(f"the {what} of clip and take differ; {_TRY}")
     if not np.isfinite(clip.positions).all() or not np.isfinite(clip.reliability).all():
         raise InputError("the clip has numbers that are not finite; write it again")
+    for name, positions in (("clip", clip.positions), ("take", take.positions)):
+        if (np.abs(positions) > _FARTHEST).any():
+            raise InputError(f"the {name} has joints over {_FARTHEST:g} m away; {_TRY}")
