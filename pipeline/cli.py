@@ -19,6 +19,7 @@ from .commands import (
     Evaluate,
     Info,
     Render,
+    Report,
     Reproduce,
     Simulate,
     Train,
@@ -32,6 +33,7 @@ Command = (
     Annotated[Clean, subcommand("clean")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Render, subcommand("render")]
+    | Annotated[Report, subcommand("report")]
     | Annotated[Database, subcommand("database")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Evaluate, subcommand("evaluate")]
@@ -45,8 +47,8 @@ Command = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0: done. 1: done, but for somebody of ``--body all``. 2: the input or the command
-    was wrong; nothing was written.
+    0: done. 1: done, but for somebody of ``--body all``, or with a metric beyond
+    ``--fail-on``. 2: the input or the command was wrong; nothing was written.
     """
     try:
         command = tyro.cli(

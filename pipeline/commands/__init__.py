@@ -7,6 +7,7 @@ from .database import Database
 from .evaluate import Evaluate
 from .info import Info
 from .render import Render
+from .report import Report
 from .reproduce import Reproduce
 from .simulate import Simulate
 from .train import Train
@@ -19,6 +20,7 @@ __all__ = [
     "Evaluate",
     "Info",
     "Render",
+    "Report",
     "Reproduce",
     "Simulate",
     "Train",

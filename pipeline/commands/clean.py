@@ -15,6 +15,7 @@ from kinefilter.pipeline.formats.export import Export
 from .terminal import err, keep, out, progress_bars, write_json
 
 if TYPE_CHECKING:
+    from kinefilter.characters import Take
     from kinefilter.pipeline.formats import Recording
     from kinefilter.pipeline.run import CleanResult
 
@@ -39,6 +40,8 @@ class Clean:
     clip.2.usda and so on; default: who is seen in most frames."""
     save_contacts: Path | None = None
     """Write when which foot stands as a table (CSV), to edit and to use again."""
+    report: Path | None = None
+    """Write a web page that shows clip and take side by side, .html."""
     json: Path | None = None
     """Write the printed figures to this file too."""
 
@@ -46,6 +49,7 @@ class Clean:
         """Clean, write, print."""
         from kinefilter.pipeline.formats import check_folder, check_writable
         from kinefilter.pipeline.formats.takes import read_recording
+        from kinefilter.pipeline.report import check_report
         from kinefilter.pipeline.summary import as_json
 
         check_writable(self.out, self.export)
@@ -65,11 +69,17 @@ class Clean:
         if self.save_contacts is not None:
             check_folder(self.save_contacts)
             keep(self.save_contacts, *used, self.out, self.json)
+        if self.report is not None:
+            check_report(self.report)
+            keep(self.report, *used, self.out, self.json, self.save_contacts)
         recording = read_recording(self.take, format=self.format)
         results = self._cleaned(recording)
         several = len(recording.takes) > 1 and self.body == "all"
         for body, result in results.items():
             self._write(result, body if several else None, used)
+            if self.report is not None:
+                path = _numbered(self.report, body if several else None)
+                _report(result, recording.take(body), path)
         if self.json is not None:
             figures = {body: as_json(result) for body, result in results.items()}
             only = next(iter(figures.values()))
@@ -122,6 +132,13 @@ class Clean:
             f"body {recording.main + 1} of {count}, seen in most frames; --body 1 to "
             f"{count} cleans another, --body all everyone"
         ]
+
+
+def _report(result: CleanResult, take: Take, path: Path) -> None:
+    from kinefilter.pipeline.report import compare, read_limits, write_report
+
+    write_report(compare(result.clip, take), path, read_limits())
+    out.print(f"wrote {path}", markup=False)
 
 
 def _numbered(path: Path, body: int | None) -> Path:

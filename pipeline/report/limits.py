@@ -1,0 +1,95 @@
+"""Limits that a clip's metrics must keep: ``skate>0.003`` is what must not be."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Literal
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline.formats.files import read_limited
+
+from .table import METRICS
+
+__all__ = ["Limit", "parse_limit", "read_limits"]
+
+_FORM = re.compile(r"\s*(\w+)\s*([<>])\s*(\S+)\s*")
+_EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
+_LARGEST = 2**16  # bytes of a file of limits: a thousand of them. A guess.
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A metric beyond a number fails."""
+
+    metric: str
+    """Name of the metric, one of ``METRICS``."""
+    side: Literal["<", ">"]
+    """Which side of the number fails."""
+    number: float
+    """In the metric's unit."""
+
+    def __str__(self) -> str:
+        return f"{self.metric}{self.side}{self.number:g}"
+
+    def fails(self, figures: Mapping[str, float]) -> bool:
+        """Return whether a metric is beyond; one that is NaN (not there) is not."""
+        value = figures[self.metric]
+        return value > self.number if self.side == ">" else value < self.number
+
+
+def parse_limit(text: str) -> Limit:
+    """Return the limit that a text such as ``skate>0.003`` says.
+
+    Raises:
+        InputError: It is not a metric, < or >, and a finite number.
+    """
+    form = _FORM.fullmatch(text)
+    if form is None or form[1] not in METRICS:
+        raise InputError(
+            f"{text!r}: expected a metric, < or >, and a number, as skate>0.003; "
+            f"metrics: {', '.join(METRICS)}"
+        )
+    try:
+        number = float(form[3])
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{text!r}: {form[3]!r} is no number; write it as 0.003")
+    return Limit(form[1], ">" if form[2] == ">" else "<", number)
+
+
+def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]:
+    """Read the limits of a TOML file, a list ``fail_on`` of texts.
+
+    Args:
+        path: The file; by default the limits that ship with kinefilter.
+
+    Raises:
+        InputError: There is no such file, it is no TOML, or a limit is malformed.
+    """
+    if path is None:
+        shipped = resources.files(__package__).joinpath("thresholds.toml")
+        return _limits(shipped.read_text(encoding="utf-8"), "thresholds.toml")
+    name = os.fspath(path)
+    return _limits(read_limited(path, _LARGEST), name)
+
+
+def _limits(text: str, name: str) -> tuple[Limit, ...]:
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name}: no TOML ({error}); {_EXPECTED}") from None
+    texts = table.get("fail_on")
+    listed = isinstance(texts, list) and all(isinstance(t, str) for t in texts)
+    if not listed or len(table) > 1:
+        raise InputError(f"{name}: {_EXPECTED} and nothing else")
+    try:
+        return tuple(parse_limit(limit) for limit in table["fail_on"])
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None

@@ -1,0 +1,167 @@
+// Heat maps, joint by time, and curves; all share a cursor and a click goes there.
+
+const LABELS = 104, AXIS = 18, ROW = 13; // px
+
+// The frames of a column, from the first to before the next: columns are even in time,
+// whatever the sensor dropped, and frames never quite are.
+function framesOf(column, columns) {
+  const wide = span / columns, skew = 0.25 / report.fps;
+  const first = frameAt(column * wide + skew);
+  const next = column + 1 < columns ? frameAt((column + 1) * wide + skew) : frames;
+  return [first, Math.max(first + 1, next)];
+}
+
+// The cell that a column shows in a row: that of its worst frame.
+function worst(map, row, [first, next]) {
+  const rows = map.rows.length;
+  let found = first * rows + row;
+  for (let f = first + 1; f < next; f++) {
+    if (map.badness(f * rows + row) > map.badness(found)) found = f * rows + row;
+  }
+  return found;
+}
+
+// The map's picture, a pixel a cell.
+function picture(map, columns) {
+  const made = document.createElement("canvas");
+  [made.width, made.height] = [columns, map.rows.length];
+  const context = made.getContext("2d");
+  const image = context.createImageData(made.width, made.height);
+  for (let c = 0; c < columns; c++) {
+    const under = framesOf(c, columns);
+    for (let row = 0; row < map.rows.length; row++) {
+      const color = map.color(worst(map, row, under));
+      image.data.set([...color, 255], 4 * (row * columns + c));
+    }
+  }
+  context.putImageData(image, 0, 0);
+  return made;
+}
+
+function legend(entries) {
+  const line = element("p", "", "legend");
+  for (const [color, text] of entries) {
+    const patch = element("i");
+    patch.style.background = Array.isArray(color) ? `rgb(${color})` : color;
+    line.append(patch, text);
+  }
+  return line;
+}
+
+function timeAxis(context, width, height) {
+  const step = [0.5, 1, 2, 5, 10, 30, 60, 120, 300, 600, 1800].find(
+    (s) => span / s <= 10) || 3600;
+  context.fillStyle = "#667085";
+  context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
+  context.textAlign = "center";
+  for (let t = 0; t <= duration; t += step) {
+    const x = LABELS + ((width - LABELS) * t) / span;
+    context.fillText(t === 0 ? "0 s" : String(t), Math.min(x, width - 10), height - 4);
+  }
+}
+
+// A plot in a frame of its own, with cursor, tip and click; draw paints it.
+function addPlot(parent, title, entries, height, draw, tip, go) {
+  const box = element("div"), plot = element("div", "", "plot");
+  const surface = document.createElement("canvas"), cursor = element("div", "", "cursor");
+  surface.style.height = `${height}px`;
+  plot.append(surface, cursor);
+  box.append(element("h3", title), legend(entries), plot);
+  parent.append(box);
+  // The share of the time that is left of the pointer; negative over the labels.
+  const shareUnder = (e) => {
+    const area = surface.getBoundingClientRect();
+    return Math.min((e.clientX - area.left - LABELS) / (area.width - LABELS), 1);
+  };
+  plot.addEventListener("pointerdown", (e) => {
+    const share = shareUnder(e);
+    if (share >= 0) go(frameAt(share * span));
+  });
+  plot.addEventListener("pointermove", (e) => {
+    const share = shareUnder(e), top = surface.getBoundingClientRect().top;
+    showTip(e, share < 0 ? null : tip(share, e.clientY - top));
+  });
+  plot.addEventListener("pointerleave", (e) => showTip(e, null));
+  return {
+    redraw: () => draw(sharp(surface)),
+    show: (frame) => {
+      const wide = surface.clientWidth - LABELS;
+      cursor.style.left = `${LABELS + (wide * report.time[frame]) / span}px`;
+    },
+  };
+}
+
+function showTip(e, text) {
+  const tip = document.getElementById("tip");
+  tip.hidden = text === null;
+  if (text === null) return;
+  tip.textContent = text;
+  const left = Math.min(e.clientX + 14, window.innerWidth - tip.offsetWidth - 8);
+  const top = Math.min(e.clientY + 14, window.innerHeight - tip.offsetHeight - 8);
+  [tip.style.left, tip.style.top] = [`${left}px`, `${top}px`];
+}
+
+function addMap(parent, map, go) {
+  const high = map.rows.length * ROW;
+  let columns = 1;
+  const draw = ({ context, width, height }) => {
+    columns = Math.max(1, Math.min(frames, Math.floor(width - LABELS)));
+    context.imageSmoothingEnabled = false;
+    context.drawImage(picture(map, columns), LABELS, 0, width - LABELS, high);
+    context.fillStyle = "#1d2330";
+    context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
+    context.textAlign = "right";
+    map.rows.forEach((row, k) => context.fillText(row, LABELS - 6, ROW * (k + 0.8)));
+    timeAxis(context, width, height);
+  };
+  const tip = (share, y) => {
+    const row = Math.floor(y / ROW);
+    if (row < 0 || row >= map.rows.length) return null;
+    const column = Math.min(Math.floor(share * columns), columns - 1);
+    const cell = worst(map, row, framesOf(column, columns));
+    const frame = Math.floor(cell / map.rows.length);
+    return `${map.rows[row]}, ${clock(frame)}\n${map.tip(cell)}`;
+  };
+  return addPlot(parent, map.title, map.legend, high + AXIS, draw, tip, go);
+}
+
+function addCurve(parent, curve, go) {
+  const known = [...curve.raw, ...curve.clean].filter(isFinite).sort((a, b) => a - b);
+  // Single leaps would press all else to the floor.
+  const most = known.length ? 1.1 * known[Math.floor(0.995 * (known.length - 1))] : 1;
+  const top = most || 1, tall = 150;
+  const draw = ({ context, width, height }) => {
+    context.fillStyle = "#667085";
+    context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
+    context.textAlign = "right";
+    context.fillText(String(Number(top.toPrecision(2))), LABELS - 6, 10);
+    context.fillText("0", LABELS - 6, tall);
+    context.strokeStyle = "#d9dde5";
+    context.strokeRect(LABELS + 0.5, 0.5, width - LABELS - 1, tall);
+    for (const [values, color] of [[curve.raw, "#d9731a"], [curve.clean, "#2a63b0"]]) {
+      context.strokeStyle = color;
+      context.lineWidth = 1.3;
+      context.beginPath();
+      let pen = false;
+      values.forEach((value, f) => {
+        const x = LABELS + ((width - LABELS) * report.time[f]) / span;
+        const y = tall * (1 - Math.min(value / top, 1));
+        if (!isFinite(value)) pen = false;
+        else if (pen) context.lineTo(x, y);
+        else [pen] = [true, context.moveTo(x, y)];
+      });
+      context.stroke();
+    }
+    timeAxis(context, width, height);
+  };
+  const said = (value) => (isFinite(value) ? value.toPrecision(3) : "unknown");
+  const tip = (share) => {
+    const f = frameAt(share * span);
+    return `${clock(f)}\nraw ${said(curve.raw[f])}\nclean ${said(curve.clean[f])}`;
+  };
+  return addPlot(parent, curve.name, [], tall + AXIS, draw, tip, go);
+}
+
+function clock(frame) {
+  return `${report.time[frame].toFixed(2)} s, frame ${frame + 1}`;
+}
