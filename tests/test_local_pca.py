@@ -171,11 +171,17 @@ def test_reliable_joints_stay_where_they_are(database: PostureDatabase) -> None:
         np.testing.assert_array_equal(result.positions[kept], seen[kept])
 
 
-@pytest.mark.parametrize("motion", ["punch", "walk", "lift_box", "squat", "run"])
+@pytest.mark.parametrize(
+    ("motion", "left"),
+    [("punch", 0.65), ("walk", 0.6), ("lift_box", 0.6), ("squat", 0.6), ("run", 0.6)],
+)
 def test_hidden_joints_come_back_nearer_than_where_the_sensor_lost_them(
-    database: PostureDatabase, motion: str
+    database: PostureDatabase, motion: str, left: float
 ) -> None:
-    """Where the rest of the body tells what an arm does: not in waving or clapping."""
+    """Where the rest of the body tells what an arm does: not in waving or clapping.
+
+    A fist may be the one that punches or the one that guards.
+    """
     rng = np.random.default_rng(3)
     arm = [KINECT_V1.index(f"{j}Left") for j in ("Elbow", "Wrist", "Hand")]
     corrector = LocalPCA(database)
@@ -189,7 +195,7 @@ def test_hidden_joints_come_back_nearer_than_where_the_sensor_lost_them(
         result = corrector.step(_seen(seen, rate))
         before.append(np.linalg.norm(seen[arm] - truth[arm], axis=1).mean())
         after.append(np.linalg.norm(result.positions[arm] - truth[arm], axis=1).mean())
-    assert np.mean(after) < 0.65 * np.mean(before)
+    assert np.mean(after) < left * np.mean(before)
 
 
 def test_outside_the_database_sound_measurements_are_kept(

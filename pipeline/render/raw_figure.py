@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Skeleton
 from kinefilter.characters.humanoid import to_mujoco
+from kinefilter.retarget.rotations import between, matrix_from_wxyz
 
 __all__ = ["RawFigure", "figure_names"]
 
 Array = NDArray[np.float64]
 
 _JOINT, _BONE = 0.032, 0.012  # m, radii of what is drawn
+_AXIS = np.array([0.0, 0.0, 1.0])  # of a capsule
 _BONE_COLOR = (0.25, 0.25, 0.28)
 _UNRELIABLE, _RELIABLE = np.array([0.90, 0.15, 0.12]), np.array([0.16, 0.68, 0.20])
 
@@ -59,7 +61,8 @@ class RawFigure:
         model.geom_size[self._bones, 1] = 0.5 * lengths
         data.geom_xpos[self._joints] = points
         data.geom_xpos[self._bones] = 0.5 * (points[self._ends] + points[self._starts])
-        data.geom_xmat[self._bones] = _along(bones / lengths[:, None])
+        along = matrix_from_wxyz(between(_AXIS, bones))
+        data.geom_xmat[self._bones] = along.reshape(-1, 9)
 
 
 def _mixed(share: Array) -> Array:
@@ -67,12 +70,3 @@ def _mixed(share: Array) -> Array:
     mixed = _UNRELIABLE + share * (_RELIABLE - _UNRELIABLE)
     mixed[:, :2] += (share * (1.0 - share)) * 1.1  # or the middle would be brown
     return np.asarray(np.minimum(mixed, 1.0))
-
-
-def _along(directions: Array) -> Array:
-    """Return rotation matrices whose z axis points along unit vectors, shape (B, 9)."""
-    flat = np.abs(directions[:, 2]) < 0.9
-    other = np.where(flat[:, None], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    x = np.cross(other, directions)
-    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
-    return np.stack([x, np.cross(directions, x), directions], axis=-1).reshape(-1, 9)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, Take
+from kinefilter.pipeline.floor import leveled
 from kinefilter.pipeline.formats import read_take
-from kinefilter.retarget.rotations import rotate
 
 __all__ = ["raw_positions"]
 
@@ -63,7 +63,7 @@ def _as_cleaned(take: Take, clip: Clip, shown: Array) -> Array:
     if not known.any():
         raise InputError(f"{take.source}: holds no joint in the time of the clip")
     tilt, floor = _tilt_and_floor(raw[known], clean[known])
-    return np.asarray(rotate(_about_x(tilt), shown) - np.array([0.0, floor, 0.0]))
+    return leveled(shown, tilt) - [0.0, floor, 0.0]
 
 
 def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
@@ -74,7 +74,7 @@ def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
     """
     tilt, used = 0.0, np.ones(len(raw), dtype=np.bool_)
     for _ in range(_STEPS):
-        turned = rotate(_about_x(tilt), raw)
+        turned = leveled(raw, tilt)
         rise = clean[:, 1] - turned[:, 1]
         columns = np.stack([-turned[:, 2], np.ones(len(raw))], axis=1)
         step = np.linalg.lstsq(columns[used], rise[used], rcond=None)[0]
@@ -83,12 +83,8 @@ def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
         used = off <= 3.0 * np.median(off) + 1e-9
     if abs(tilt) < _LEAST_TILT:
         tilt = 0.0
-    turned = rotate(_about_x(tilt), raw)
+    turned = leveled(raw, tilt)
     return tilt, float(np.median(turned[:, 1] - clean[:, 1]))
-
-
-def _about_x(angle: float) -> Array:
-    return np.array([np.cos(0.5 * angle), np.sin(0.5 * angle), 0.0, 0.0])
 
 
 def _nearest(stamps: Array, times: Array) -> NDArray[np.intp]:
