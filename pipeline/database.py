@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError, Skeleton, skeleton_named
 
 from .formats.npz import read_arrays
+from .posture_index import PostureIndex
 
-__all__ = ["FILTERED_POSTURES", "PostureDatabase", "filter_postures", "filter_to_count"]
+__all__ = ["FILTERED_POSTURES", "PostureDatabase"]
 
 Array = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 FILTERED_POSTURES = 2574
 """Postures that the threshold rule leaves (Shum 2013, table V)."""
@@ -34,16 +36,16 @@ UNREADABLE = (
 )
 """What numpy and zipfile raise on files that are something else."""
 
-_BLOCK = 512  # rows compared at a time, a matter of speed alone
+_FOR_SPACING = 5000  # postures whose nearest other is looked for, evenly picked
 
 
 @dataclass(frozen=True, eq=False)
 class PostureDatabase:
     """Normalized postures on the standard body, spread evenly by the threshold rule."""
 
-    positions: Array
+    positions: Singles
     """Joint positions [m], root at the origin, facing +z, shape (N, J, 3)."""
-    rotations: Array
+    rotations: Singles
     """Segment rotations in the same view, wxyz, shape (N, J, 4)."""
     labels: NDArray[np.str_]
     """The motion each posture comes from, shape (N,)."""
@@ -54,52 +56,38 @@ class PostureDatabase:
     recorded: bool = False
     """The postures are those of real people: how they vary says how people do."""
 
+    def __post_init__(self) -> None:
+        # As a file holds them: a database is the same before and after.
+        for name in ("positions", "rotations"):
+            rounded = np.asarray(getattr(self, name), dtype=np.float32)
+            object.__setattr__(self, name, rounded)
+
     def __len__(self) -> int:
         return len(self.positions)
 
-    @cached_property
-    def flat(self) -> Array:
+    @property
+    def flat(self) -> Singles:
         """Positions [m] as rows, shape (N, 3 J)."""
-        return np.ascontiguousarray(self.positions.reshape(len(self), -1))
+        return self.positions.reshape(len(self), -1)
 
     @cached_property
-    def _products(self) -> NDArray[np.float32]:
-        """What the weights and the weighted posture are multiplied with, (N, 4 J).
+    def _index(self) -> PostureIndex:
+        return PostureIndex(self.positions)
 
-        In single precision, whose error is under a millimeter: each frame reads it all,
-        and memory is what that waits for.
-        """
-        squares = np.sum(self.positions**2, axis=2)
-        joined = np.concatenate([squares, -2.0 * self.flat], axis=1)
-        return np.ascontiguousarray(joined, dtype=np.float32)
+    def neighbors(
+        self, posture: Array, weights: Array, count: int
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Return the indices of the nearest postures, nearest first, and their D.
 
-    def distances(self, posture: Array, weights: Array) -> Array:
-        """Return D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] to every posture, (N,).
-
-        Shum 2013, eq. 9, as one matrix product.
+        D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] (Shum 2013, eq. 9).
 
         Args:
             posture: Normalized joint positions [m], finite where the weight is not 0,
                 shape (J, 3).
             weights: Reliability of each joint, shape (J,).
+            count: How many.
         """
-        seen = np.where(weights[:, None] > 0.0, posture, 0.0)
-        weighted = seen * weights[:, None]
-        constant = float(np.vdot(weighted, seen))
-        query = np.concatenate([weights, weighted.ravel()]).astype(np.float32)
-        return np.asarray(self._products @ query + constant, dtype=np.float64)
-
-    def neighbors(
-        self, posture: Array, weights: Array, count: int
-    ) -> tuple[NDArray[np.intp], Array]:
-        """Return the indices of the nearest postures, nearest first, and their D."""
-        distances = self.distances(posture, weights)
-        count = min(count, len(self))
-        nearest = np.argpartition(distances, count - 1)[:count]
-        away = np.where(weights[:, None] > 0.0, self.positions[nearest] - posture, 0.0)
-        exact = np.vecdot(away, away) @ weights
-        order = np.argsort(exact, kind="stable")
-        return nearest[order], exact[order]
+        return self._index.nearest(posture, weights, min(count, len(self)))
 
     @cached_property
     def spacing(self) -> float:
@@ -108,11 +96,10 @@ class PostureDatabase:
         The median over the database of the root mean square distance of the joints to
         those of the nearest other posture.
         """
-        from sklearn.neighbors import NearestNeighbors
-
-        index = NearestNeighbors(n_neighbors=2).fit(self.flat)
-        nearest = index.kneighbors(self.flat)[0][:, 1]
-        return float(np.median(nearest) / np.sqrt(self.positions.shape[1]))
+        weights = np.full(self.positions.shape[1], 1.0 / self.positions.shape[1])
+        some = np.arange(0, len(self), -(-len(self) // _FOR_SPACING))
+        nearest = [self.neighbors(self.positions[k], weights, 2)[1][1] for k in some]
+        return float(np.sqrt(np.median(nearest)))
 
     @property
     def summary(self) -> str:
@@ -129,8 +116,8 @@ class PostureDatabase:
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(
                 file,
-                positions=self.positions.astype(np.float32),
-                rotations=self.rotations.astype(np.float32),
+                positions=self.positions,
+                rotations=self.rotations,
                 labels=self.labels,
                 skeleton=np.array(self.skeleton.name),
                 recorded=np.array(self.recorded),
@@ -171,61 +158,10 @@ class PostureDatabase:
                 "database build'"
             )
         return cls(
-            arrays["positions"].astype(float),
-            arrays["rotations"].astype(float),
+            arrays["positions"].astype(np.float32, copy=False),
+            arrays["rotations"].astype(np.float32, copy=False),
             arrays["labels"],
             skeleton,
             str(path),
             recorded,
         )
-
-
-def filter_postures(positions: Array, threshold: float) -> NDArray[np.intp]:
-    """Return the indices of postures that differ from all kept before them.
-
-    Shum 2013, section V.A: a posture stays if the sum of squared differences of its
-    joint positions to every posture kept so far is over the threshold.
-
-    Args:
-        positions: Normalized joint positions [m], shape (N, J, 3).
-        threshold: Smallest sum of squared differences [m^2].
-    """
-    flat = positions.reshape(len(positions), -1)
-    squares = np.sum(flat * flat, axis=1)
-    kept: list[int] = []
-    for start in range(0, len(flat), _BLOCK):
-        block = slice(start, start + _BLOCK)
-        far = np.ones(len(flat[block]), dtype=bool)
-        if kept:
-            products = flat[block] @ flat[kept].T
-            distances = squares[block, None] - 2.0 * products + squares[kept]
-            far = distances.min(axis=1) > threshold
-        within = squares[block, None] - 2.0 * flat[block] @ flat[block].T
-        within += squares[block]
-        for k in np.flatnonzero(far):
-            if far[k]:
-                kept.append(start + int(k))
-                far[k + 1 :] &= within[k, k + 1 :] > threshold
-    return np.array(kept, dtype=np.intp)
-
-
-def filter_to_count(positions: Array, count: int) -> NDArray[np.intp]:
-    """Return the indices that the threshold rule keeps, about ``count`` of them.
-
-    Bisects the threshold until the rule keeps the count within 2 %. What a threshold
-    that kept too many has dropped is not looked at again by the larger ones.
-    """
-    if len(positions) <= count:
-        return np.arange(len(positions))
-    low, high = 0.0, float(np.sum(np.ptp(positions, axis=0) ** 2))
-    rest = kept = np.arange(len(positions))
-    for _ in range(40):
-        middle = (low + high) / 2.0
-        kept = rest[filter_postures(positions[rest], middle)]
-        if abs(len(kept) - count) <= 0.02 * count:
-            break
-        if len(kept) > count:
-            low, rest = middle, kept
-        else:
-            high = middle
-    return kept

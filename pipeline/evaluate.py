@@ -25,7 +25,7 @@ from .default import default_corrector
 from .library import database_from_pairs, embedded_database
 from .person import corrected_body
 from .physics import PhysicsFilter
-from .progress import Progress, silent
+from .progress import Progress, over, silent
 from .reliability import ReliabilityScorer, measure_reference
 from .scoring import SCORERS
 from .standard import StandardTake, standardize_take
@@ -134,11 +134,13 @@ def _correctors(
             correctors[name] = FILTERS[name](skeleton)
         elif name in FROM_DATABASE or name == "default":
             if isinstance(database, str):
-                database = database_from_pairs(fold.train, progress=progress)
+                database = database_from_pairs(
+                    over(fold.train, "mocap", progress), skeleton
+                )
             make = FROM_DATABASE.get(name, default_corrector)
             correctors[name] = make(database)
         else:
-            lessons = lessons or training_set(fold.train, progress=progress)
+            lessons = lessons or training_set(over(fold.train, "standardize", progress))
             learner = LEARNED[name](skeleton)
             correctors[name] = learner.fit(lessons, progress=progress)
     return correctors

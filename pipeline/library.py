@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from importlib import resources
@@ -28,11 +28,13 @@ from kinefilter.retarget.orientation import rotations_from_positions
 from kinefilter.retarget.rotations import about_y, inverse, multiply, rotate
 from kinefilter.scenes import MOTIONS, perform
 
-from .database import FILTERED_POSTURES, PostureDatabase, filter_to_count
+from .database import FILTERED_POSTURES, PostureDatabase
 from .formats.mocap import Mocap, kinect_motion
 from .formats.mocap_files import RIGS, read_mocap, sorted_mocap
-from .progress import Progress, silent
+from .progress import Progress, over, silent
 from .reliability import column_medians, measure_reference, segment_lengths
+from .spool import Spool
+from .threshold_rule import filter_to_count
 from .training import PairedTake
 
 __all__ = [
@@ -50,7 +52,8 @@ SHIPPED_POSTURES = 5000
 """About how many the embedded database holds: twice Shum's, so that half of the real
 postures are within 8 cm of one."""
 
-_SEEDS = range(6)
+_MAKERS = ("database.py", "library.py", "threshold_rule.py")
+_PEOPLE = 6
 _POSTURES_PER_SECOND = 30.0
 _EVERY_OTHER = 2  # frame of pairs: the filter drops more than that
 _T_POSE_TOLERANCE = np.radians(25.0)
@@ -93,7 +96,7 @@ def _fingerprint() -> str:
             resources.files(f"kinefilter.{package}").iterdir(), key=lambda f: f.name
         ):
             if file.name.endswith(".py") and (
-                package != "pipeline" or file.name in ("database.py", "library.py")
+                package != "pipeline" or file.name in _MAKERS
             ):
                 digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
@@ -108,21 +111,19 @@ def scripted_database(
 
 
 def scripted_postures(
-    skeleton: Skeleton, progress: Progress = silent
-) -> list[tuple[str, Array, Array]]:
-    """Return name, postures and rotations of every scripted performance.
+    skeleton: Skeleton, progress: Progress = silent, *, people: int = _PEOPLE
+) -> Iterator[tuple[str, Array, Array]]:
+    """Yield name, postures and rotations of every scripted performance.
 
     People of different height and build perform. Postures and segment rotations are
     on the standard body, 30 a second.
     """
-    parts = []
     # Every motion once, then again: the filter keeps what comes first.
-    for k in progress("motion database", len(_SEEDS) * len(MOTIONS)):
-        seed, name = _SEEDS[k // len(MOTIONS)], MOTIONS[k % len(MOTIONS)]
+    for k in progress("motion database", people * len(MOTIONS)):
+        seed, name = k // len(MOTIONS), MOTIONS[k % len(MOTIONS)]
         body = random_body(skeleton, np.random.default_rng(seed))
         act = perform(name, body, seed=seed, fps=_POSTURES_PER_SECOND)
-        parts.append((name, *_standardized(act.positions, act.rotations, body)))
-    return parts
+        yield name, *_standardized(act.positions, act.rotations, body)
 
 
 def database_from_mocap(
@@ -145,41 +146,47 @@ def database_from_mocap(
         InputError: A file is no mocap, or lacks a joint; no files.
     """
     motions, skeletons = sorted_mocap(files)
-    parts = []
-    for k in progress("read", len(motions)):
-        mocap = read_mocap(motions[k], skeletons)
-        stem = motions[k].name.split(".")[0]
-        parts.append((stem, *_postures_of(mocap, skeleton)))
-    if sum(len(postures) for _, postures, _ in parts) < 2:
-        raise InputError(
-            f"{motions[0]}: one posture makes no database; give files with motion in "
-            "them"
-        )
+    parts = (
+        (file.name.split(".")[0], *_postures_of(read_mocap(file, skeletons), skeleton))
+        for file in over(motions, "read", progress)
+    )
     return _filtered(parts, skeleton, f"{len(motions)} mocap files", count)
 
 
 def database_from_pairs(
-    pairs: Sequence[PairedTake],
+    pairs: Iterable[PairedTake],
+    skeleton: Skeleton,
     *,
     count: int = FILTERED_POSTURES,
-    progress: Progress = silent,
 ) -> PostureDatabase:
     """Build a database from the mocap side of pairs.
 
     Args:
-        pairs: Clips of one skeleton.
+        pairs: Clips, looked at one after another.
+        skeleton: Of all of them.
         count: About how many postures the threshold rule keeps.
-        progress: Wraps the loop over the clips, for a progress bar.
 
     Raises:
-        InputError: No pairs, or none with mocap in it.
+        InputError: No pairs, none with mocap in it, or one of another skeleton.
     """
-    if not pairs:
-        raise InputError("no pairs given; name one or more files with clips in them")
-    skeleton = pairs[0].take.skeleton
-    parts = []
-    for k in progress("mocap", len(pairs)):
-        truth = pairs[k].truth[::_EVERY_OTHER]
+    people: set[str] = set()
+    database = _filtered(_truths(pairs, skeleton, people), skeleton, "pairs", count)
+    return replace(database, source=f"mocap of {', '.join(sorted(people))}")
+
+
+def _truths(
+    pairs: Iterable[PairedTake], skeleton: Skeleton, people: set[str]
+) -> Iterator[tuple[str, Array, Array]]:
+    """Yield name, postures and rotations of the mocap; note who moved."""
+    for pair in pairs:
+        if pair.take.skeleton != skeleton:
+            raise InputError(
+                f"{pair.take.source}: pairs of {pair.take.skeleton.name}, but the "
+                f"database is for {skeleton.name}; add --skeleton "
+                f"{pair.take.skeleton.name}"
+            )
+        people.add(pair.subject)
+        truth = pair.truth[::_EVERY_OTHER]
         missing = np.isnan(truth).any(axis=2)
         # A joint that is missing now and then costs its frames, one that is missing
         # always is put where it is at rest.
@@ -190,35 +197,42 @@ def database_from_pairs(
         state = np.where(missing, State.NOT_TRACKED, State.TRACKED).astype(np.uint8)
         time = np.arange(len(truth)) * _EVERY_OTHER / _POSTURES_PER_SECOND
         seen = np.where(missing[..., None], np.nan, truth)
-        take = Take(time, seen, state, skeleton, pairs[k].take.source)
+        take = Take(time, seen, state, skeleton, pair.take.source)
         reference = measure_reference(take)
         body = measured_body(skeleton, reference.lengths, reference.directions)
-        parts.append((pairs[k].clip, *_standardized(seen, None, body)))
-    if sum(len(postures) for _, postures, _ in parts) < 2:
-        raise InputError(
-            f"{pairs[0].take.source}: the pairs hold no frame of mocap to learn from"
-        )
-    people = sorted({pair.subject for pair in pairs})
-    return _filtered(parts, skeleton, f"mocap of {', '.join(people)}", count)
+        yield pair.clip, *_standardized(seen, None, body)
 
 
 def _filtered(
-    parts: list[tuple[str, Array, Array]],
+    parts: Iterable[tuple[str, Array, Array]],
     skeleton: Skeleton,
     source: str,
     count: int = FILTERED_POSTURES,
     *,
     recorded: bool = True,
 ) -> PostureDatabase:
-    labels = np.concatenate([np.full(len(p), name) for name, p, _ in parts])
+    """Return the database of the postures that differ.
+
+    All are put aside on a disk, so that there may be more than memory holds.
+    """
     # Rounded as the file rounds them: a database is the same before and after.
-    positions = np.concatenate([p for _, p, _ in parts]).astype(np.float32)
-    rotations = np.concatenate([q for _, _, q in parts]).astype(np.float32)
-    kept = filter_to_count(positions.astype(float), count)
+    positions, rotations = Spool(np.float32), Spool(np.float32)
+    names, ends = [], []
+    for name, postures, turns in parts:
+        positions.add(postures)
+        rotations.add(turns)
+        names.append(name)
+        ends.append(len(positions))
+    if len(positions) < 2:
+        raise InputError(
+            f"{source}: {len(positions)} postures make no database; give files with "
+            "motion in them"
+        )
+    kept = filter_to_count(positions.array(), count)
     return PostureDatabase(
-        positions[kept].astype(float),
-        rotations[kept].astype(float),
-        labels[kept],
+        positions.array()[kept],
+        rotations.array()[kept],
+        np.array(names)[np.searchsorted(ends, kept, side="right")],
         skeleton,
         source,
         recorded,

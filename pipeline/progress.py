@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeVar
 
-__all__ = ["Progress", "silent"]
+__all__ = ["Progress", "over", "silent"]
+
+T = TypeVar("T")
 
 Progress = Callable[[str, int], Iterable[int]]
 """Called with a stage's name and its number of steps; returns their iterator."""
@@ -14,3 +17,9 @@ def silent(stage: str, count: int) -> Iterable[int]:
     """Return the steps of a stage without telling anybody."""
     del stage
     return range(count)
+
+
+def over(items: Sequence[T], stage: str, progress: Progress) -> Iterator[T]:
+    """Yield items, and tell how far they are."""
+    for k in progress(stage, len(items)):
+        yield items[k]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,15 @@ from kinefilter.characters import (
 from kinefilter.retarget import measured_body
 
 from .formats.npz import read_arrays
-from .progress import Progress, silent
 from .reliability import ReliabilityScorer, measure_reference
+from .spool import Spool
 from .standard import standardize_take
 
 __all__ = ["PairedTake", "TrainingSet", "read_pairs", "training_set"]
 
 Array = NDArray[np.float64]
+
+_BLOCK = 100_000  # frames looked at at a time; 200 MB of the largest skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,11 @@ class TrainingSet:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def blocks(self) -> Iterator[slice]:
+        """Yield slices of the frames, so that a part at a time is in memory."""
+        for start in range(0, len(self), _BLOCK):
+            yield slice(start, min(start + _BLOCK, len(self)))
 
 
 def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
@@ -139,34 +146,35 @@ def _skeleton_of(path: Path, joints: list[str], kinect: Array) -> Skeleton:
     )
 
 
-def training_set(
-    pairs: Sequence[PairedTake], *, progress: Progress = silent
-) -> TrainingSet:
+def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
     """Bring pairs to the standard body, as a corrector will see them.
+
+    The frames are put aside on a disk, so that there may be more than memory holds.
 
     Raises:
         InputError: No pairs, or pairs of different skeletons.
     """
-    if not pairs:
-        raise InputError("no clips to learn from; give pairs files with clips in them")
-    skeleton = pairs[0].take.skeleton
-    parts: list[tuple[Array, Array, Array, Array]] = []
-    for k in progress("standardize", len(pairs)):
-        if pairs[k].take.skeleton != skeleton:
+    skeleton: Skeleton | None = None
+    parts = [Spool(np.float64) for _ in range(4)]
+    counts, subjects = [], set()
+    for pair in pairs:
+        skeleton = skeleton or pair.take.skeleton
+        if pair.take.skeleton != skeleton:
             raise InputError(
-                f"{pairs[k].take.source}: {pairs[k].take.skeleton.name}, but the first "
-                f"pairs are {skeleton.name}; train one model a skeleton"
+                f"{pair.take.source}: {pair.take.skeleton.name}, but the first pairs "
+                f"are {skeleton.name}; train one model a skeleton"
             )
-        parts.append(_standardized(pairs[k]))
-    counts = [len(part[0]) for part in parts]
+        for part, rows in zip(parts, _standardized(pair), strict=True):
+            part.add(rows)
+        counts.append(len(pair.take))
+        subjects.add(pair.subject)
+    if skeleton is None:
+        raise InputError("no clips to learn from; give pairs files with clips in them")
     first = np.zeros(sum(counts), dtype=bool)
     first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
-    subjects = sorted({pair.subject for pair in pairs})
-    positions, rate, truth, lengths = (
-        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
-    )
-    people = ", ".join(subjects) if len(subjects) <= 20 else f"{len(subjects)} people"
-    source = f"{len(pairs)} clips of {people}"
+    people = sorted(subjects) if len(subjects) <= 20 else [f"{len(subjects)} people"]
+    source = f"{len(counts)} clips of {', '.join(people)}"
+    positions, rate, truth, lengths = (part.array() for part in parts)
     return TrainingSet(positions, rate, truth, first, skeleton, source, lengths)
 
 

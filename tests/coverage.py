@@ -196,7 +196,7 @@ def movement(clip: str) -> str:
 def read_libraries() -> tuple[dict[str, Array], NDArray[np.str_]]:
     """Return libraries of three sizes, and the motions of the one that ships."""
     start = time.perf_counter()
-    parts = scripted_postures(KINECT_V1)
+    parts = list(scripted_postures(KINECT_V1))
     postures = np.concatenate([p for _, p, _ in parts])
     labels = np.concatenate([np.full(len(p), name) for name, p, _ in parts])
     kept = filter_to_count(postures, SHIPPED_POSTURES)

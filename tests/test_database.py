@@ -1,4 +1,4 @@
-"""The motion database: neighbors, the threshold rule, files, and its sources."""
+"""The motion database: its postures, its files, and its sources."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from sklearn.neighbors import NearestNeighbors
 from threadpoolctl import threadpool_limits
 
 from kinefilter.characters import (
@@ -24,8 +21,7 @@ from kinefilter.characters import (
     Skeleton,
     standard_body,
 )
-from kinefilter.pipeline import PostureDatabase, database
-from kinefilter.pipeline.database import filter_postures, filter_to_count
+from kinefilter.pipeline import PostureDatabase
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.library import (
     SHIPPED_POSTURES,
@@ -62,56 +58,6 @@ def made_up(count: int = 60, skeleton: Skeleton = KINECT_V1) -> PostureDatabase:
 # Neighbors
 
 
-def brute_force(base: PostureDatabase, posture: Array, weights: Array) -> list[float]:
-    """Add up eq. 9 joint by joint, over the joints that have a weight."""
-    distances = []
-    for row in base.positions:
-        total = 0.0
-        for j, weight in enumerate(weights):
-            if weight > 0.0:
-                total += weight * float(np.sum((row[j] - posture[j]) ** 2))
-        distances.append(total)
-    return distances
-
-
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
-@pytest.mark.parametrize("unknown", [0, 5])
-def test_distances_are_those_of_a_plain_loop(skeleton: Skeleton, unknown: int) -> None:
-    base, rng = made_up(40, skeleton), np.random.default_rng(1)
-    posture, weights = rng.normal(size=(len(skeleton), 3)), rng.random(len(skeleton))
-    hidden = rng.permutation(len(skeleton))[:unknown]
-    posture[hidden], weights[hidden] = np.nan, 0.0
-    np.testing.assert_allclose(
-        base.distances(posture, weights), brute_force(base, posture, weights)
-    )
-
-
-def test_joints_without_weight_do_not_count_and_no_weight_at_all_is_zero() -> None:
-    base = made_up()
-    posture = base.positions[7].copy()
-    posture[3:] += 100.0
-    weights = np.zeros(20)
-    weights[:3] = 1.0
-    nearest, away = base.neighbors(posture, weights, 1)
-    assert nearest.tolist() == [7]
-    assert away[0] == pytest.approx(0.0, abs=1e-12)
-    nothing = base.distances(np.full((20, 3), np.nan), np.zeros(20))
-    np.testing.assert_array_equal(nothing, 0.0)
-
-
-@pytest.mark.parametrize("count", [1, 7, 60])
-def test_neighbors_are_those_of_scikit_learn_on_scaled_coordinates(count: int) -> None:
-    base, rng = made_up(), np.random.default_rng(2)
-    for _ in range(10):
-        posture, weights = rng.normal(0.0, 0.3, (20, 3)), rng.random(20)
-        scale = np.sqrt(np.repeat(weights, 3))
-        reference = NearestNeighbors(n_neighbors=count).fit(base.flat * scale)
-        away, nearest = reference.kneighbors((posture.ravel() * scale)[None])
-        found, distances = base.neighbors(posture, weights, count)
-        np.testing.assert_array_equal(found, nearest[0])
-        np.testing.assert_allclose(distances, away[0] ** 2)
-
-
 def test_neighbors_are_no_more_than_there_are_and_never_nearer_than_zero() -> None:
     base = made_up(5)
     for posture in base.positions:
@@ -130,62 +76,6 @@ def test_spacing_is_the_root_mean_square_distance_to_the_nearest_other() -> None
     assert base.spacing == pytest.approx(float(expected))
     words = f"60 postures of 3 motions, kinect_v1, {100 * expected:.1f} cm apart"
     assert base.summary == words
-
-
-# The threshold rule
-
-
-def squared_differences(positions: Array) -> Array:
-    flat = positions.reshape(len(positions), -1)
-    return np.asarray(np.sum((flat[:, None] - flat[None]) ** 2, axis=-1))
-
-
-def one_by_one(positions: Array, threshold: float) -> list[int]:
-    """Keep postures as the paper says it: each against all kept so far."""
-    kept: list[int] = []
-    for k, posture in enumerate(positions):
-        if all(np.sum((posture - positions[m]) ** 2) > threshold for m in kept):
-            kept.append(k)
-    return kept
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    count=st.integers(1, 60),
-    threshold=st.floats(0.01, 20.0),
-    block=st.sampled_from([1, 7, 512]),
-)
-def test_kept_postures_differ_and_dropped_ones_are_near_a_kept_one(
-    seed: int, count: int, threshold: float, block: int
-) -> None:
-    positions = np.random.default_rng(seed).normal(0.0, 0.3, (count, 20, 3))
-    positions[count // 2 :] = positions[: count - count // 2] + 1e-3
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(database, "_BLOCK", block)
-        kept = filter_postures(positions, threshold)
-    assert kept.tolist() == one_by_one(positions, threshold)
-    differences = squared_differences(positions)
-    among = differences[np.ix_(kept, kept)] + np.where(np.eye(len(kept)), np.inf, 0.0)
-    assert among.min() > threshold
-    dropped = np.setdiff1d(np.arange(count), kept)
-    assert (differences[np.ix_(dropped, kept)].min(axis=1) <= threshold).all()
-
-
-@pytest.mark.parametrize("count", [100, 400])
-def test_filtering_to_a_count_hits_it_within_two_percent(count: int) -> None:
-    rng = np.random.default_rng(3)
-    walk = np.cumsum(rng.normal(0.0, 0.02, (1500, 20, 3)), axis=0)
-    kept = filter_to_count(walk, count)
-    assert abs(len(kept) - count) <= 0.02 * count
-    assert (np.diff(kept) > 0).all()
-    assert kept[0] == 0
-
-
-def test_few_postures_are_all_kept() -> None:
-    positions = made_up(30).positions
-    for count in (30, 31):
-        np.testing.assert_array_equal(filter_to_count(positions, count), np.arange(30))
 
 
 # Files

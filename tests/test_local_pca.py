@@ -59,7 +59,7 @@ def _performed(name: str, seed: int) -> Array:
 
 
 def test_the_posture_space_is_scikit_learns(database: PostureDatabase) -> None:
-    postures = database.flat[:30]
+    postures = database.flat[:30].astype(float)
     space, pca = PostureSpace(postures, 20), PCA(20).fit(postures)
     np.testing.assert_allclose(space.mean, pca.mean_, atol=1e-12)
     np.testing.assert_allclose(
@@ -73,7 +73,7 @@ def test_the_posture_space_is_scikit_learns(database: PostureDatabase) -> None:
 def test_the_basis_is_orthonormal_and_projection_inverts(
     database: PostureDatabase,
 ) -> None:
-    space = PostureSpace(database.flat[100:130], 20)
+    space = PostureSpace(database.flat[100:130].astype(float), 20)
     np.testing.assert_allclose(
         space.basis.T @ space.basis, np.eye(space.basis.shape[1]), atol=1e-8
     )
@@ -93,11 +93,11 @@ def test_the_energy_is_the_papers_sums(database: PostureDatabase) -> None:
     lengths = standard_body(KINECT_V1).lengths
     weights = EnergyWeights(1.1, 0.6, 1.4, 0.3)
     energy = PostureEnergy(KINECT_V1, lengths, weights)
-    neighbors = database.flat[:7]
+    neighbors = database.flat[:7].astype(float)
     measured, rate = database.positions[9], rng.uniform(0, 1, JOINTS)
-    before, last = database.flat[10], database.flat[11]
+    before, last = database.flat[10].astype(float), database.flat[11].astype(float)
     energy.observe(measured, rate, neighbors, 2 * last - before)
-    posture = database.flat[12] + 0.05 * rng.standard_normal(60)
+    posture = database.flat[12].astype(float) + 0.05 * rng.standard_normal(60)
     p = posture.reshape(-1, 3)
     control = sum(rate[j] * np.sum((p[j] - measured[j]) ** 2) for j in range(JOINTS))
     style = min(np.sum((posture - n) ** 2) / JOINTS for n in neighbors)

@@ -52,7 +52,8 @@ def test_the_shift_is_the_mean_of_a_gaussian_posterior() -> None:
     few = _few(KINECT_V1)
     names = KINECT_V1.joints
     used = [j for j, name in enumerate(names) if "Hand" not in name]
-    rows = few.positions - few.positions[:, HIPS].mean(axis=1, keepdims=True)
+    known = few.positions.astype(float)
+    rows = known - known[:, HIPS].mean(axis=1, keepdims=True)
     rows = rows[:, used].reshape(len(few), -1)
     doubt = [1.4 if "Elbow" in names[j] or "Knee" in names[j] else 1.0 for j in used]
     noise = np.diag(np.repeat(0.013 * np.array(doubt), 3) ** 2)
@@ -142,6 +143,6 @@ def test_others_mocap_brings_a_persons_postures_nearer_to_the_truth() -> None:
     figures = evaluate(others, test, ["local-pca"], database="mocap")["methods"]
     assert figures["local-pca"]["E_std"] < 0.94 * figures["raw"]["E_std"]
     assert figures["local-pca"]["E_var"] < figures["raw"]["E_var"]
-    database = database_from_pairs(others)
+    database = database_from_pairs(others, others[0].take.skeleton)
     assert database.recorded
     assert database.source == "mocap of s02, s04, s08"

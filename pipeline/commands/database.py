@@ -11,9 +11,11 @@ from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from kinefilter.characters import SKELETONS, InputError
 
-from .terminal import Skeletons, keep, out, progress_bars, read_all
+from .terminal import Skeletons, clips_of, in_folders, keep, out, progress_bars
 
 __all__ = ["Database"]
+
+_MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".npz")
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class DatabaseBuild:
 
     files: Positional[tuple[Path, ...]]
     """Mocap: BVH (.gz too), AMC with its ASF, C3D of joint centers; or pairs files
-    (.npz), of which the mocap is taken."""
+    (.npz), of which the mocap is taken. A folder stands for the files below it; they
+    may be larger than memory."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Database to write (.npz)."""
     skeleton: Skeletons = "kinect_v1"
@@ -40,25 +43,19 @@ class DatabaseBuild:
         if self.count < 2:
             raise InputError(f"--count {self.count}: a database needs two postures")
         check_folder(self.out)
-        keep(self.out, *self.files)
+        files = in_folders(self.files, _MOCAP)
+        keep(self.out, *files)
         skeleton = SKELETONS[self.skeleton]
-        paired = [file for file in self.files if file.suffix == ".npz"]
-        if paired and len(paired) < len(self.files):
+        paired = [file for file in files if file.suffix == ".npz"]
+        if paired and len(paired) < len(files):
             raise InputError(f"{paired[0]}: give mocap or pairs files, not both")
         with progress_bars() as progress:
             if paired:
-                pairs = read_all(paired)
-                if (found := pairs[0].take.skeleton) != skeleton:
-                    raise InputError(
-                        f"{paired[0]}: pairs of {found.name}; add --skeleton "
-                        f"{found.name}"
-                    )
-                database = database_from_pairs(
-                    pairs, count=self.count, progress=progress
-                )
+                pairs = clips_of(paired, progress)
+                database = database_from_pairs(pairs, skeleton, count=self.count)
             else:
                 database = database_from_mocap(
-                    self.files, skeleton, count=self.count, progress=progress
+                    files, skeleton, count=self.count, progress=progress
                 )
         database.save(self.out)
         out.print(f"wrote {self.out}: {database.summary}")

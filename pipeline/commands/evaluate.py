@@ -8,7 +8,7 @@ from typing import Literal
 
 from kinefilter.characters import InputError
 
-from .terminal import keep, out, progress_bars, read_all, write_json
+from .terminal import clips_of, keep, out, progress_bars, write_json
 
 __all__ = ["Evaluate"]
 
@@ -56,8 +56,10 @@ class Evaluate:
             database = "mocap"
         elif self.database is not None:
             database = PostureDatabase.load(self.database)
-        train, test = read_all(self.train), read_all(self.test)
         with progress_bars() as progress:
+            train, test = (
+                list(clips_of(files, progress)) for files in (self.train, self.test)
+            )
             figures = evaluate(
                 train,
                 test,

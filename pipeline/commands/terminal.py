@@ -12,18 +12,19 @@ from rich import progress as rich_progress
 from rich.console import Console
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.progress import Progress
+from kinefilter.pipeline.progress import Progress, over
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.training import PairedTake
 
 __all__ = [
     "Skeletons",
+    "clips_of",
     "err",
+    "in_folders",
     "keep",
     "out",
     "progress_bars",
-    "read_all",
     "write_json",
 ]
 
@@ -57,11 +58,34 @@ def progress_bars() -> Iterator[Progress]:
         yield lambda stage, count: bars.track(range(count), count, description=stage)
 
 
-def read_all(files: Sequence[Path]) -> list[PairedTake]:
-    """Return the clips of pairs files."""
+def clips_of(files: Sequence[Path], progress: Progress) -> Iterator[PairedTake]:
+    """Yield the clips of pairs files, a file at a time in memory."""
     from kinefilter.pipeline.training import read_pairs
 
-    return [pair for file in files for pair in read_pairs(file)]
+    for file in over(files, "read", progress):
+        yield from read_pairs(file)
+
+
+def in_folders(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
+    """Return files as they are, and for a folder those below it that end as one says.
+
+    Raises:
+        InputError: A folder holds none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        inside = sorted(
+            file
+            for file in path.rglob("*")
+            if file.name.lower().endswith(tuple(suffixes)) and file.is_file()
+        )
+        if not inside:
+            raise InputError(f"{path}: no {', '.join(suffixes)} in this folder")
+        found += inside
+    return found
 
 
 def write_json(figures: object, path: Path) -> None:

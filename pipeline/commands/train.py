@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import LearnedMethod
 
-from .terminal import Skeletons, keep, out, progress_bars, read_all
+from .terminal import Skeletons, clips_of, in_folders, keep, out, progress_bars
 
 __all__ = ["Train"]
 
@@ -23,7 +23,7 @@ class Train:
     out: Annotated[Path, arg(aliases=["-o"])]
     """Model to write (.npz)."""
     pairs: Positional[tuple[Path, ...]] = ()
-    """Pairs files (.npz)."""
+    """Pairs files (.npz), or folders of them; they may be larger than memory."""
     simulated: Skeletons | None = None
     """Learn from simulated pairs of this skeleton, in place of files."""
     furnished: bool = False
@@ -42,17 +42,18 @@ class Train:
         if self.out.suffix != ".npz":
             raise InputError(f"{self.out}: a model is an .npz file; name it so")
         check_folder(self.out)
-        keep(self.out, *self.pairs)
         if bool(self.pairs) == (self.simulated is not None):
             raise InputError("give pairs files or --simulated SKELETON, not both")
         if self.furnished and self.simulated is None:
             raise InputError("--furnished needs --simulated SKELETON")
-        pairs = read_all(self.pairs)
+        files = in_folders(self.pairs, [".npz"])
+        keep(self.out, *files)
         with progress_bars() as progress:
-            if self.simulated is not None:
+            if self.simulated is None:
+                lessons = training_set(clips_of(files, progress))
+            else:
                 simulated = furnished_pairs if self.furnished else simulated_pairs
-                pairs = simulated(self.simulated, progress=progress)
-            lessons = training_set(pairs, progress=progress)
+                lessons = training_set(simulated(self.simulated, progress=progress))
             learner = LEARNED[self.method](lessons.skeleton)
             learner.fit(lessons, progress=progress)
         model = Model(learner, self.method, lessons.skeleton, lessons.source)

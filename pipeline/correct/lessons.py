@@ -64,12 +64,10 @@ class Lessons:
                 f"{training.source}: pairs of {training.skeleton.name}, but the model "
                 f"is for {skeleton.name}"
             )
-        measured = ~np.isnan(training.positions[..., 0])
-        both = measured & ~np.isnan(training.truth[..., 0])
+        seen, both = _shares(training)
         # A joint that is mostly absent would cost the others their frames.
-        learned = np.flatnonzero(both.mean(axis=0) > 0.5)
-        both &= training.rate >= above
-        rows = np.flatnonzero(both[:, learned].all(axis=1))
+        learned = np.flatnonzero(both > 0.5)
+        rows = _frames_with(training, learned, above)
         if len(rows) < _LEAST_FRAMES or not len(learned):
             raise InputError(
                 f"{training.source}: {len(rows)} frames with every joint reliable "
@@ -85,14 +83,38 @@ class Lessons:
         ones = np.ones(len(skeleton))
         for row in np.flatnonzero(np.isnan(postures).any(axis=(1, 2))):
             hold.start()
-            seen = Observation(postures[row], ones, ones)
-            postures[row] = hold.step(seen).positions
+            measured = Observation(postures[row], ones, ones)
+            postures[row] = hold.step(measured).positions
         lengths = (
             np.tile(standard_body(skeleton).lengths, (len(rows), 1))
             if training.lengths is None
             else training.lengths[rows].astype(np.float32).astype(float)
         )
-        return cls(postures, offsets, learned, measured.mean(axis=0) > 0.5, lengths)
+        return cls(postures, offsets, learned, seen > 0.5, lengths)
+
+
+def _shares(training: TrainingSet) -> tuple[Array, Array]:
+    """Return in how many of the frames Kinect, and mocap too, has each joint, (J,)."""
+    seen = np.zeros((2, len(training.skeleton)))
+    for some in training.blocks():
+        measured = ~np.isnan(training.positions[some, :, 0])
+        both = measured & ~np.isnan(training.truth[some, :, 0])
+        seen += [measured.sum(axis=0), both.sum(axis=0)]
+    seen /= len(training)
+    return seen[0], seen[1]
+
+
+def _frames_with(
+    training: TrainingSet, joints: NDArray[np.intp], above: float
+) -> NDArray[np.intp]:
+    """Return the frames in which both have all of some joints, at a rate or more."""
+    frames = []
+    for some in training.blocks():
+        whole = training.rate[some][:, joints] >= above
+        for positions in (training.positions, training.truth):
+            whole &= ~np.isnan(positions[some][:, joints, 0])
+        frames.append(some.start + np.flatnonzero(whole.all(axis=1)))
+    return np.concatenate(frames)
 
 
 def add_offsets(

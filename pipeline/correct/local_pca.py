@@ -110,7 +110,7 @@ class LocalPCA:
             rate: Reliability rate of each joint, shape (J,).
         """
         nearest = self._neighbors(measured, rate)
-        postures = self.database.flat[nearest]
+        postures = self.database.flat[nearest].astype(float)
         space = PostureSpace(postures, self.dimensions)
         self.energy.observe(measured, rate, postures, self._steady())
         start = space.project(self._last[-1] if self._last else postures[0])

@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.pipeline.database import PostureDatabase, filter_to_count
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.threshold_rule import filter_to_count
 
 __all__ = ["NaturalSpaces"]
 
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 _SENSOR_NOISE = 0.013  # m, of a joint along each axis, that no other joint shares
 _HARDER_TO_SEE = 1.4  # noise of the middle of a limb, which has no outline of its own
 _SPACES, _POSTURES = 200, 500  # local spaces, and postures that span each
+_MOST = 20_000  # postures of a larger database that say how far postures vary
 _BLUR = 0.06  # m a joint, over which one space gives way to the next
 _FAR = 2.2  # of the database's spacing: from there it knows less and less
 _IGNORANCE = 0.05  # share of the squared distance beyond that adds to its variances
@@ -36,7 +38,6 @@ class NaturalSpaces:
     """
 
     def __init__(self, database: PostureDatabase) -> None:
-        self.database = database
         skeleton = database.skeleton
         names = skeleton.joints
         # Hands follow the wrists: what they do by themselves has no shape to keep.
@@ -55,10 +56,11 @@ class NaturalSpaces:
             for j in self._joints
         ]
         self._noise = np.repeat(_SENSOR_NOISE * np.array(middle), 3)
-        self._postures = self._rows(database.positions)
+        some = database.positions[:: -(-len(database) // _MOST)].astype(float)
+        self._postures = self._rows(some)
         self._squares = np.sum(self._postures**2, axis=1)
         self._near = _FAR * np.hypot(database.spacing, _SPACING_ERROR)
-        self._fit()
+        self._fit(some)
 
     def _rows(self, postures: Array) -> Array:
         """Return what is compared, in meters, shape (..., F)."""
@@ -66,8 +68,8 @@ class NaturalSpaces:
         rows = (postures - middle)[..., self._joints, :]
         return np.asarray(rows.reshape(*rows.shape[:-2], -1))
 
-    def _fit(self) -> None:
-        chosen = filter_to_count(self.database.positions, _SPACES)
+    def _fit(self, postures: Array) -> None:
+        chosen = filter_to_count(postures, _SPACES)
         self._centers = self._postures[chosen]
         count = min(_POSTURES, len(self._postures))
         means, axes, variances = [], [], []

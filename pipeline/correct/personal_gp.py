@@ -75,7 +75,9 @@ class PersonalGP:
             )
         if training.skeleton != self.skeleton or training.lengths is None:
             raise InputError(f"{training.source}: pairs of {training.skeleton.name}")
-        known = ~np.isnan(training.truth[..., 0]).all(axis=0)
+        known = np.zeros(len(self.skeleton), dtype=bool)
+        for some in training.blocks():
+            known |= ~np.isnan(training.truth[some, :, 0]).all(axis=0)
         self.joints_ = np.flatnonzero(known)
         generator = np.random.default_rng(self.seed)
         kept = generator.permutation(len(training))[: self.samples]

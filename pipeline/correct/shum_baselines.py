@@ -31,7 +31,10 @@ class Nearest:
         (k,) = self.database.neighbors(observation.positions, present, 1)[0]
         trust = np.zeros(len(present))
         return Correction(
-            self.database.positions[k], self.database.rotations[k], trust, float("nan")
+            self.database.positions[k].astype(float),
+            self.database.rotations[k].astype(float),
+            trust,
+            float("nan"),
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.correct import LearnedCorrector, correct_take
 from kinefilter.pipeline.evaluate import observed
-from kinefilter.pipeline.progress import Progress
+from kinefilter.pipeline.progress import Progress, over
 from kinefilter.pipeline.standard import StandardTake
 from kinefilter.pipeline.training import PairedTake, TrainingSet, training_set
 
@@ -70,7 +70,7 @@ class School:
             name: [(pair, observed(pair)) for pair in pairs]
             for name, pairs in zip(GROUPS, groups, strict=True)
         }
-        return cls(training_set(taught, progress=progress), tested)
+        return cls(training_set(over(taught, "standardize", progress)), tested)
 
     def errors(self, method: LearnedCorrector | None) -> tuple[float, float]:
         """Return ``mean_error`` [cm] of each group."""

@@ -1,0 +1,58 @@
+"""Arrays larger than memory: they grow on a disk and are read as if they were there."""
+
+from __future__ import annotations
+
+import tempfile
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from kinefilter.characters import InputError
+
+__all__ = ["Spool"]
+
+
+class Spool:
+    """Rows put aside one part after another, in a file that nobody else sees.
+
+    The file lies where temporary files lie (``TMPDIR``), has no name, and is gone with
+    the last array that shows it.
+
+    Args:
+        dtype: What a number is kept as.
+    """
+
+    def __init__(self, dtype: DTypeLike) -> None:
+        self._dtype = np.dtype(dtype)
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as this
+        self._count, self._shape = 0, (0,)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Put rows after those that are there, all of one shape.
+
+        Raises:
+            InputError: The disk is full.
+        """
+        self._shape = rows.shape[1:]
+        self._count += len(rows)
+        try:
+            np.ascontiguousarray(rows, dtype=self._dtype).tofile(self._file)
+            self._file.flush()
+        except OSError as error:
+            raise InputError(
+                f"{tempfile.gettempdir()}: cannot keep what was read so far "
+                f"({error.strerror or error}); make room or set TMPDIR to a larger disk"
+            ) from None
+
+    def array(self) -> NDArray[Any]:
+        """Return all rows, to be read; what is looked at comes into memory."""
+        shape = (self._count, *self._shape)
+        if 0 in shape:
+            return np.empty(shape, dtype=self._dtype)
+        return np.asarray(
+            np.memmap(self._file, dtype=self._dtype, mode="r", shape=shape)
+        )
