@@ -62,7 +62,7 @@ class Browser:
             self._profile.cleanup()
 
     def open(self, page: Path | str) -> None:
-        """Open a file or an address; what the browser's own first page did is not logged."""
+        """Open a file or an address; what the browser did before is not logged."""
         address = page.as_uri() if isinstance(page, Path) else page
         self._send("POST", "/url", {"url": "about:blank"})
         self.console()

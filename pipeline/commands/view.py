@@ -65,7 +65,9 @@ class View:
     def _check(self, save: Path) -> None:
         """Raise what is wrong before any work is done."""
         from kinefilter.pipeline.formats import check_folder
+        from kinefilter.pipeline.view.address import check_address
 
+        check_address(self.bind, self.port)
         if self.save_contacts is not None:
             check_folder(save)
             if save.suffix.lower() != ".csv":

@@ -24,7 +24,7 @@ Color = tuple[float, float, float]
 _JOINT, _BONE = 0.026, 0.011  # m, radii of what is drawn
 _AXIS = np.array([0.0, 1.0, 0.0])  # of the cylinder that a bone is
 _BONE_COLOR = (0.32, 0.33, 0.37)
-_SKIN = (0.42, 0.60, 0.78)
+_SKIN = (0.60, 0.76, 0.93)
 _TRANSLUCENT = 0.4  # of the skin, where a figure is inside it
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -97,7 +97,7 @@ class StickFigure:
         self._bones.batched_wxyzs = _float32(between(_AXIS, bones))
         self._bones.batched_scales = _float32(scales)
         if self._reliability is not None:
-            colors = reliability_colors(self._reliability[frame])
+            colors = reliability_colors(np.nan_to_num(self._reliability[frame]))
             self._joints.batched_colors = _bytes(colors)
 
     def move(self, way: Array) -> None:

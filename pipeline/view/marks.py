@@ -16,7 +16,7 @@ __all__ = ["FootMarks", "ForceBar"]
 Array = NDArray[np.float64]
 
 _RADIUS, _THICK = 0.055, 0.006  # m, of what marks a part of a foot that stands
-_STANDS = np.array([40, 190, 70], dtype=np.uint8)
+_STANDS = np.array([0, 100, 36], dtype=np.uint8)
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _BAR = 0.025  # m, radius of the bar
 _METERS = 1.0  # that the bar is high for a force of one body weight

@@ -35,30 +35,29 @@ class Panel:
             control_width="large", show_logo=False, show_share_button=False
         )
         gui.set_panel_label("kinefilter")
+        gui.main_panel.dock_right()
         last = max(frames, 2)  # a slider from 1 to 1 cannot be drawn
         self.status = gui.add_html("")
         self.frame = gui.add_slider("frame", 1, last, 1, 1)
         self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         self.step = gui.add_button_group("step", tuple(STEPS))
         self.speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
+        with gui.add_folder("Foot contacts"):
+            self.timeline = gui.add_html("")
+            self.span = gui.add_multi_slider("frames", 1, last, 1, (1, last))
+            self.ends = gui.add_button_group("set", ("from here", "to here", "all"))
+            self.part = gui.add_dropdown("part", tuple(PARTS))
+            self.edit = gui.add_button_group("edit", ("stands", "lifts", "undo"))
+            self.save = gui.add_button("Save contacts")
+            self.again = gui.add_button("Save and clean again", visible=cleans)
+            self.said = gui.add_html("")
+            self.busy = gui.add_progress_bar(0.0, visible=False, animated=True)
         with gui.add_folder("Show"):
             self.layers = {
                 name: gui.add_checkbox(name, shown) for name, shown in layers.items()
             }
             if "raw" in layers:
                 self.layers[BESIDE] = gui.add_checkbox(BESIDE, True)
-        with gui.add_folder("Foot contacts"):
-            self.timeline = gui.add_html("")
-            self.span = gui.add_multi_slider("frames", 1, last, 1, (1, last))
-            self.ends = gui.add_button_group("set", ("from here", "to here", "all"))
-            self.part = gui.add_dropdown("part", tuple(PARTS))
-            self.stands = gui.add_button("Stands", color="green")
-            self.lifts = gui.add_button("Does not stand", color="gray")
-            self.undo = gui.add_button("Undo")
-            self.save = gui.add_button("Save")
-            self.again = gui.add_button("Save and clean again", visible=cleans)
-            self.said = gui.add_html("")
-        self.busy = gui.add_progress_bar(0.0, visible=False, animated=True)
 
     @property
     def chosen(self) -> set[str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
@@ -17,6 +15,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request
 
 from kinefilter.characters import InputError
+
+from .address import check_address, is_loopback, taken
 
 __all__ = ["address_of", "opened_server"]
 
@@ -48,15 +48,15 @@ def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
     Raises:
         InputError: Nothing can listen there.
     """
-    _check_free(bind, port)
+    check_address(bind, port)
     console = rich.get_console()
     quiet, console.quiet = console.quiet, True  # viser prints a panel of its own
     try:
-        with _own_pages_only(loopback=_is_loopback(bind)):
+        with _own_pages_only(loopback=is_loopback(bind)):
             server = _Server(host=bind, port=port, verbose=False)
         try:
             if port not in (0, server.get_port()):
-                raise _taken(bind, port)
+                raise taken(bind, port)
             yield server
         finally:
             server.stop()
@@ -85,40 +85,6 @@ def may_connect(origin: str | None, host: str | None, *, loopback: bool) -> bool
     if loopback and urlsplit(f"//{host}").hostname not in _LOOPBACK:
         return False
     return origin == f"http://{host}"
-
-
-def _check_free(bind: str, port: int) -> None:
-    """Raise if nothing can listen there: viser would try other ports in silence."""
-    if not 0 <= port < 2**16:
-        raise InputError(f"--port {port}: expected 0 (any free one) to {2**16 - 1}")
-    try:
-        family, kind, protocol, _, where = socket.getaddrinfo(
-            bind, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(where)
-    except OSError as error:
-        if isinstance(error, socket.gaierror) or not port:
-            raise InputError(
-                f"--bind {bind}: no address of this machine ({error.strerror}); "
-                "127.0.0.1 is for this machine alone, 0.0.0.0 for the whole network"
-            ) from None
-        raise _taken(bind, port, error.strerror) from None
-
-
-def _taken(bind: str, port: int, reason: str | None = "in use") -> InputError:
-    return InputError(
-        f"cannot listen at {bind}, port {port} ({reason}); give another --port, "
-        "0 for any that is free"
-    )
-
-
-def _is_loopback(bind: str) -> bool:
-    try:
-        return ipaddress.ip_address(bind).is_loopback
-    except ValueError:
-        return bind == "localhost"
 
 
 @contextmanager

@@ -11,11 +11,13 @@ from kinefilter.pipeline.reliability import Term
 
 __all__ = ["status_html"]
 
+_TERMS = {int(term): term.name.lower().replace("_", " ") for term in Term}
+
 
 def status_html(clip: Clip, frame: int) -> str:
     """Return a few lines about a frame as HTML."""
     worst = int(np.argmin(clip.reliability[frame]))
-    term = Term(clip.deciding_term[frame, worst]).name.lower().replace("_", " ")
+    term = _TERMS.get(int(clip.deciding_term[frame, worst]), "unknown")
     force = float(clip.external_force[frame])
     rows = {
         "time": f"{clip.time[frame] - clip.time[0]:.2f} s, frame {frame + 1} of "

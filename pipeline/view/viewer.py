@@ -113,9 +113,7 @@ class Viewer:
             self._on(box.on_update, self._choose)
         self._on(panel.span.on_update, lambda: None)
         self._on(panel.ends.on_click, self._set_end)
-        self._on(panel.stands.on_click, lambda: self._put(True))
-        self._on(panel.lifts.on_click, lambda: self._put(False))
-        self._on(panel.undo.on_click, self._undo)
+        self._on(panel.edit.on_click, self._edit)
         self._on(panel.save.on_click, self._save_contacts)
         self._on(panel.again.on_click, self._clean_again)
         command = self._server.gui.add_command("Play or pause", hotkey="K")
@@ -172,21 +170,17 @@ class Viewer:
         }
         self._panel.choose_frames(*spans[self._panel.ends.value])
 
-    def _put(self, stands: bool) -> None:
-        first, last = self._panel.first_and_last
-        self._edits.put(self._panel.part.value, first, last, stands=stands)
-        self._edited()
-
-    def _undo(self) -> None:
-        if not self._edits.undo():
-            self._say("nothing to undo")
-            return
-        self._edited()
-
-    def _edited(self) -> None:
-        self._layers.mark(self._edits.contacts)
-        self._timeline = Timeline(self._edits.contacts)
-        self._say("not saved" if self._edits.unsaved else "")
+    def _edit(self) -> None:
+        """Change the contacts, or take the last change back."""
+        asked, edits = self._panel.edit.value, self._edits
+        if asked == "undo":
+            edits.undo()
+        else:
+            first, last = self._panel.first_and_last
+            edits.put(self._panel.part.value, first, last, stands=asked == "stands")
+        self._layers.mark(edits.contacts)
+        self._timeline = Timeline(edits.contacts)
+        self._say("not saved" if edits.unsaved else "")
 
     def _save_contacts(self) -> bool:
         """Write the contacts; return whether they are there."""

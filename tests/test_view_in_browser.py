@@ -1,0 +1,147 @@
+"""The page of kinefilter view in a headless Chromium."""
+
+from __future__ import annotations
+
+import io
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from time import monotonic
+
+import av
+import numpy as np
+import pytest
+from browser import Browser, missing
+from numpy.typing import NDArray
+
+from kinefilter.pipeline import CleanConfig, clean, read_take
+from kinefilter.pipeline.bench import sample_path
+from kinefilter.pipeline.formats.contacts import read_contacts
+from kinefilter.pipeline.progress import Progress
+from kinefilter.pipeline.view import Viewed, Viewer, cleaned, opened_viewer
+
+_PATIENCE = 60.0  # s: WebGL on a busy processor is slow
+_CANVAS = (slice(200, 700), slice(0, 860))  # the scene, without panel and messages
+
+_PRESS = """
+const named = [...document.querySelectorAll('button')].filter(
+  (b) => b.textContent.trim() === arguments[0]);
+named[0].click();
+"""
+_CHECK = """
+const label = [...document.querySelectorAll('label')].find(
+  (l) => l.textContent.trim() === arguments[0]);
+let row = label;
+while (!row.querySelector('input[type=checkbox]')) row = row.parentElement;
+row.querySelector('input[type=checkbox]').click();
+"""
+_TEXT = "return document.body.innerText"
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("view") / "contacts.csv"
+
+
+@pytest.fixture(scope="module")
+def viewer(saved: Path) -> Iterator[Viewer]:
+    take = read_take(sample_path())
+
+    def again(contacts: Path, progress: Progress) -> Viewed:
+        return cleaned(take, CleanConfig(contacts=contacts), progress=progress)
+
+    viewed = cleaned(take, CleanConfig())
+    with opened_viewer(viewed, saved, again=again) as opened:
+        work = threading.Thread(target=opened.run)
+        work.start()
+        yield opened
+        opened.stop()
+        work.join()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    reason = missing()
+    if reason is not None:
+        pytest.skip(reason)
+    with Browser(size=(1280, 900), webgl=True) as opened:
+        yield opened
+
+
+@pytest.fixture
+def page(browser: Browser, viewer: Viewer) -> Browser:
+    browser.open(viewer.address)
+    _wait(lambda: "frame 1 of 298" in browser.run(_TEXT))
+    _wait(lambda: _pixels(browser).std() > 10.0)  # the scene is there
+    return browser
+
+
+def _wait(reached: Callable[[], bool]) -> None:
+    end = monotonic() + _PATIENCE
+    while not reached():
+        assert monotonic() < end, "the page did not get there"
+
+
+def _pixels(browser: Browser) -> NDArray[np.float64]:
+    """Return the scene as it is seen."""
+    with av.open(io.BytesIO(browser.screenshot())) as file:
+        frame = next(file.decode(video=0))
+    return frame.to_ndarray(format="rgb24")[_CANVAS].astype(float)
+
+
+def _changed(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
+    """Return how many pixels differ visibly."""
+    return int((np.abs(one - other).max(axis=2) > 30.0).sum())
+
+
+def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
+    page: Browser, viewer: Viewer
+) -> None:
+    start = _pixels(page)
+    red, green, blue = np.moveaxis(start, 2, 0)
+    assert ((green > red + 40) & (green > blue + 40)).sum() > 300  # reliable joints
+    assert ((blue > red + 30) & (blue > 100)).sum() > 5000  # the skin
+    for name in ("mesh", "raw", "cleaned", "physics", "contacts", "forces"):
+        shown = _pixels(page)
+        page.run(_CHECK, name)
+        _wait(lambda shown=shown: _changed(shown, _pixels(page)) > 150)
+    bare = _pixels(page)
+    assert _changed(bare, start) > 5000
+    page.run(_PRESS, "Play")
+    _wait(lambda: "frame 1 of" not in page.run(_TEXT))
+    page.run(_PRESS, "Pause")
+    _wait(lambda: "Pause" not in page.run(_TEXT))
+    own = (f"{viewer.address}/", f"blob:{viewer.address}/", "data:")
+    assert all(address.startswith(own) for address in page.requests())
+    assert not [line for line in page.console() if "SEVERE" in line]
+
+
+def test_contacts_are_edited_and_saved_and_the_take_is_cleaned_with_them(
+    page: Browser, saved: Path
+) -> None:
+    take = read_take(sample_path())
+    before = clean(take, CleanConfig()).clip.contacts
+    bars = (
+        "return [...document.querySelectorAll('#timeline .stands')]"
+        ".map((row) => row.getAttribute('d'))"
+    )
+    whole = page.run(bars)
+    page.run(_PRESS, "+10")
+    page.run(_PRESS, "+10")
+    _wait(lambda: "frame 21 of" in page.run(_TEXT))
+    page.run(_PRESS, "from here")
+    page.run(_PRESS, "lifts")
+    _wait(lambda: page.run(bars) != whole)
+    assert not saved.exists()
+    page.run(_PRESS, "Save contacts")
+    _wait(lambda: f"saved {saved}" in page.run(_TEXT))
+    expected = before.copy()
+    expected[20:] = False
+    np.testing.assert_array_equal(read_contacts(saved, take.time), expected)
+    page.run(_PRESS, "Save and clean again")
+    _wait(lambda: f"cleaned with {saved}" in page.run(_TEXT))
+    again = clean(take, CleanConfig(contacts=saved)).clip.contacts
+    ends = [row.count("M") for row in page.run(bars)]
+    runs = (np.diff(again.astype(int), axis=0) == 1).sum(axis=0) + again[0]
+    assert ends == runs.tolist()
+    assert ends != [row.count("M") for row in whole] or page.run(bars) != whole
