@@ -39,8 +39,14 @@ class Panel:
         last = max(frames, 2)  # a slider from 1 to 1 cannot be drawn
         self.status = gui.add_html("")
         self.frame = gui.add_slider("frame", 1, last, 1, 1)
-        self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
-        self.step = gui.add_button_group("step", tuple(STEPS))
+        self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="key K")
+        self.step = gui.add_button_group("step", tuple(STEPS), hint="keys J and L")
+        # As in editors of videos; space would press the button that was last used too.
+        self.keys = {
+            "play": gui.add_command("Play or pause", hotkey="K"),
+            "back": gui.add_command("A frame back", hotkey="J"),
+            "on": gui.add_command("A frame on", hotkey="L"),
+        }
         self.speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
         with gui.add_folder("Foot contacts"):
             self.timeline = gui.add_html("")

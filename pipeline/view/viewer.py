@@ -32,7 +32,8 @@ __all__ = ["Again", "Viewer", "opened_viewer"]
 
 Again = Callable[[Path, Progress], Viewed]
 """Cleans the take once more, with the contacts of a file."""
-Action = Callable[[], object]
+Action = Callable[[Any], object]
+"""What is to be done, given what the button or slider that asked for it then said."""
 
 _TOLD_EVERY = 0.1  # s between two words on how far work is
 
@@ -58,7 +59,7 @@ class Viewer:
         again: Again | None = None,
     ) -> None:
         self._server, self._save, self._again = server, save, again
-        self._asked: queue.Queue[Action | None] = queue.Queue()
+        self._asked: queue.Queue[tuple[Action, Any] | None] = queue.Queue()
         self._playback = Playback(viewed.clip.time)
         self._edits = ContactEdits(viewed.clip.contacts)
         self._panel = Panel(
@@ -77,11 +78,12 @@ class Viewer:
         while True:
             self._show()
             try:
-                action = self._asked.get(timeout=self._playback.until_next(_clock()))
-                while action is not None:
-                    action()
+                asked = self._asked.get(timeout=self._playback.until_next(_clock()))
+                while asked is not None:
+                    action, said = asked
+                    action(said)
                     # What came meanwhile first: of many scrubs only the last is drawn.
-                    action = self._asked.get_nowait()
+                    asked = self._asked.get_nowait()
                 return
             except queue.Empty:
                 pass
@@ -108,21 +110,22 @@ class Viewer:
         self._on(panel.frame.on_update, self._scrub)
         self._on(panel.play.on_click, self._play_or_pause)
         self._on(panel.step.on_click, self._step)
+        self._on(panel.keys["play"].on_trigger, self._play_or_pause)
+        self._on(panel.keys["back"].on_trigger, lambda _: self._step("-1"))
+        self._on(panel.keys["on"].on_trigger, lambda _: self._step("+1"))
         self._on(panel.speed.on_update, self._change_speed)
         for box in panel.layers.values():
             self._on(box.on_update, self._choose)
-        self._on(panel.span.on_update, lambda: None)
+        self._on(panel.span.on_update, lambda _: None)
         self._on(panel.ends.on_click, self._set_end)
         self._on(panel.edit.on_click, self._edit)
         self._on(panel.save.on_click, self._save_contacts)
         self._on(panel.again.on_click, self._clean_again)
-        command = self._server.gui.add_command("Play or pause", hotkey="K")
-        self._on(command.on_trigger, self._play_or_pause)
 
     def _on(self, register: Callable[[Any], Any], action: Action) -> None:
         async def ask(event: Any) -> None:
             if event.client is not None:  # what this program itself changes is done
-                self._asked.put(action)
+                self._asked.put((action, getattr(event.target, "value", None)))
 
         register(ask)
 
@@ -132,34 +135,33 @@ class Viewer:
         panel = self._panel
         with self._server.atomic():
             self._layers.show(frame)
-            panel.show_frame(frame)
+            if self._asked.empty():  # or a slider that is pulled on would jump back
+                panel.show_frame(frame)
             panel.status.content = status_html(self._viewed.clip, frame)
             panel.timeline.content = self._timeline.html(frame, panel.first_and_last)
             panel.show_playing(self._playback.playing)
 
-    def _scrub(self) -> None:
-        # The slider's word as it is now: it may have gone on since it asked.
-        self._playback.seek(int(self._panel.frame.value) - 1)
+    def _scrub(self, number: int) -> None:
+        self._playback.seek(int(number) - 1)
 
-    def _play_or_pause(self) -> None:
+    def _play_or_pause(self, _: object) -> None:
         if self._playback.playing:
             self._playback.pause(_clock())
         else:
             self._playback.play(_clock())
 
-    def _step(self) -> None:
-        frame = self._playback.frame(_clock())
-        self._playback.seek(frame + STEPS[self._panel.step.value])
+    def _step(self, way: str) -> None:
+        self._playback.seek(self._playback.frame(_clock()) + STEPS[way])
 
-    def _change_speed(self) -> None:
-        self._playback.change_speed(float(self._panel.speed.value), _clock())
+    def _change_speed(self, times: str) -> None:
+        self._playback.change_speed(float(times), _clock())
 
-    def _choose(self) -> None:
+    def _choose(self, _: object = None) -> None:
         chosen = self._panel.chosen
         aside = self._aside if BESIDE in chosen else np.zeros(3)
         self._layers.choose(chosen, aside)
 
-    def _set_end(self) -> None:
+    def _set_end(self, which: str) -> None:
         """Let the frames to edit begin or end at the present one."""
         first, last = self._panel.first_and_last
         here = self._playback.frame(_clock())
@@ -168,11 +170,11 @@ class Viewer:
             "to here": (min(first, here), here),
             "all": (0, len(self._viewed.clip) - 1),
         }
-        self._panel.choose_frames(*spans[self._panel.ends.value])
+        self._panel.choose_frames(*spans[which])
 
-    def _edit(self) -> None:
+    def _edit(self, asked: str) -> None:
         """Change the contacts, or take the last change back."""
-        asked, edits = self._panel.edit.value, self._edits
+        edits = self._edits
         if asked == "undo":
             edits.undo()
         else:
@@ -182,7 +184,7 @@ class Viewer:
         self._timeline = Timeline(edits.contacts)
         self._say("not saved" if edits.unsaved else "")
 
-    def _save_contacts(self) -> bool:
+    def _save_contacts(self, _: object = None) -> bool:
         """Write the contacts; return whether they are there."""
         clip = replace(self._viewed.clip, contacts=self._edits.contacts)
         try:
@@ -194,7 +196,7 @@ class Viewer:
         self._say(f"saved {self._save}")
         return True
 
-    def _clean_again(self) -> None:
+    def _clean_again(self, _: object) -> None:
         """Save, and clean as ``clean --contacts`` would with that file."""
         self._playback.pause(_clock())
         if self._again is None or not self._save_contacts():
