@@ -149,6 +149,21 @@ def test_the_timeline_has_a_bar_for_each_stance_and_a_mark_at_the_frame() -> Non
     assert '<rect x="120.0" width="120.0"' in html
 
 
+def test_of_a_long_motion_the_frames_around_are_shown_closer() -> None:
+    contacts = np.zeros((3000, 4), dtype=bool)
+    contacts[1000:1030, 1] = True
+    html = Timeline(contacts).html(1010, (1005, 2999))
+    assert Timeline(contacts[:600]).html(10, (0, 599)).count("<svg") == 1
+    near = html.split('id="close-up"')[1]
+    # 300 frames around the marked one, from 860 on, two steps each.
+    assert re.findall(r'class="stands" d="([^"]*)"', near)[1] == "M280.0 24h60.0"
+    assert 'd="M301.0 0V' in near
+    assert '<rect x="290.0" width="310.0"' in near
+    for frame, first in ((0, 0), (2999, 2700)):  # it stays within the motion
+        near = Timeline(contacts).html(frame, (0, 2999)).split('id="close-up"')[1]
+        assert f'd="M{2 * (frame - first) + 1}.0 0V' in near
+
+
 def test_the_status_names_the_least_reliable_joint_and_the_force(
     make_clip: MakeClip,
 ) -> None:
