@@ -58,13 +58,13 @@ def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> 
     Raises:
         InputError: As ``clean``.
     """
-    from kinefilter.pipeline.report.placed import placed_as
+    from kinefilter.pipeline.placing import placed_by_distances
     from kinefilter.pipeline.run import clean
 
     result = clean(take, config, progress=progress)
     target = result.target if config.physics else None
     try:
-        raw = placed_as(result.clip, take)
+        raw = placed_by_distances(result.clip, take)
     except InputError as error:
         raise InputError(f"{take.source}: {error}") from None
     return Viewed(result.clip, raw, target)
