@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from viewing import ended, viewing
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from kinefilter.characters import KINECT_V2, Clip, InputError
+from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
@@ -159,9 +159,16 @@ def test_of_a_long_motion_the_frames_around_are_shown_closer() -> None:
     assert re.findall(r'class="stands" d="([^"]*)"', near)[1] == "M280.0 24h60.0"
     assert 'd="M301.0 0V' in near
     assert '<rect x="290.0" width="310.0"' in near
+    whole = html.split('id="close-up"')[0]
+    assert re.findall(r'class="stands" d="([^"]*)"', whole)[1] == "M200.0 24h6.0"
     for frame, first in ((0, 0), (2999, 2700)):  # it stays within the motion
         near = Timeline(contacts).html(frame, (0, 2999)).split('id="close-up"')[1]
         assert f'd="M{2 * (frame - first) + 1}.0 0V' in near
+
+
+def test_the_picture_of_an_hour_stays_small() -> None:
+    contacts = np.random.default_rng(0).random((108_000, 4)) < 0.5
+    assert len(Timeline(contacts).html(70_000, (0, 107_999))) < 50_000
 
 
 def test_the_status_names_the_least_reliable_joint_and_the_force(
@@ -301,15 +308,19 @@ def test_an_impossible_address_is_refused(bind: str, port: int, words: str) -> N
         pass
 
 
-@pytest.mark.parametrize("skeleton", ["kinect_v1", "kinect_v2"])
+@pytest.mark.parametrize(
+    ("skeleton", "frames"), [(KINECT_V1, 9), (KINECT_V2, 9), (KINECT_V1, 1)]
+)
 def test_a_motion_with_things_and_gaps_is_put_on_a_page(
-    skeleton: str, make_clip: MakeClip, furnish: object, tmp_path: Path
+    skeleton: Skeleton,
+    frames: int,
+    make_clip: MakeClip,
+    furnish: Callable[[Clip], Clip],
+    tmp_path: Path,
 ) -> None:
-    assert callable(furnish)
-    clip = make_clip(9, KINECT_V2) if skeleton == "kinect_v2" else make_clip(9)
-    clip = furnish(clip)
+    clip = furnish(make_clip(frames, skeleton))
     raw = clip.positions.copy()
-    raw[0], raw[3, 4], raw[5, 2, 1] = np.nan, np.nan, np.nan
+    raw[0], raw[frames // 2, 4], raw[frames // 2, 2, 1] = np.nan, np.nan, np.nan
     with opened_viewer(Viewed(clip, raw, clip.positions), tmp_path / "c.csv") as viewer:
         viewer.stop()
         viewer.run()

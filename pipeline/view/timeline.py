@@ -27,7 +27,10 @@ class Timeline:
 
     def __init__(self, contacts: NDArray[np.bool_]) -> None:
         self._contacts = contacts
-        self._bars = _bars(contacts)  # only the mark moves
+        # However long the motion, its picture is not sent in more steps than are seen.
+        columns = min(len(contacts), _WIDTH)
+        starts = np.arange(columns) * len(contacts) // columns
+        self._bars = _bars(np.logical_or.reduceat(contacts, starts, axis=0))
 
     def html(self, frame: int, chosen: tuple[int, int]) -> str:
         """Return the picture as HTML.
