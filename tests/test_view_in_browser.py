@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from time import monotonic
 
 import av
 import numpy as np
 import pytest
+import viser
 from browser import Browser, missing
 from numpy.typing import NDArray
 
@@ -156,3 +159,26 @@ def test_contacts_are_edited_and_saved_and_the_take_is_cleaned_with_them(
     shown = [row.count("M") for row in page.run(bars)]
     runs = (np.diff(again.astype(int), axis=0) == 1).sum(axis=0) + again[0]
     assert shown == runs.tolist()
+
+
+def test_a_page_from_elsewhere_cannot_connect(
+    browser: Browser, viewer: Viewer, tmp_path: Path
+) -> None:
+    files = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with ThreadingHTTPServer(("127.0.0.1", 0), files) as elsewhere:
+        threading.Thread(target=elsewhere.serve_forever, daemon=True).start()
+        browser.open(f"http://127.0.0.1:{elsewhere.server_port}")
+        assert not _connects(browser, viewer.address)
+        _wait(lambda: any("403" in line for line in browser.console()))
+        elsewhere.shutdown()
+
+
+def _connects(browser: Browser, address: str) -> bool:
+    script = (
+        "const socket = new WebSocket(arguments[0], arguments[1]);"
+        "return new Promise((done) => {"
+        " socket.onopen = () => done(true);"
+        " socket.onerror = () => done(false); })"
+    )
+    words = f"viser-v{viser.__version__}"
+    return bool(browser.run(script, address.replace("http:", "ws:"), words))

@@ -13,7 +13,7 @@ __all__ = ["set_stage"]
 
 Array = NDArray[np.float64]
 
-_ASPECT = 1.2  # of the page beside its panel, about
+_ASPECT = 1.0  # of the page beside its panel, or more: there is room for a label
 _ROOM = 0.15  # m between a joint and the skin's farthest point
 _SKY = ((0.80, 0.86, 0.92), (0.97, 0.98, 0.99))  # overhead, at the horizon
 _SKY_ROWS = 64

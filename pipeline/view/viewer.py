@@ -67,6 +67,8 @@ class Viewer:
         )
         self._look_at(viewed)
         self._listen()
+        there = ", which is there and will be replaced" if save.exists() else ""
+        self._say(f"to be saved as {save.name}{there}")
 
     @property
     def address(self) -> str:

@@ -40,7 +40,7 @@ CLOSE = "document.querySelectorAll('.mantine-CloseButton-root').forEach(b => b.c
 def take_view(take: Take, out: Path) -> Clip:
     """Write the picture of view; return the clip."""
     viewed = cleaned(take, CleanConfig())
-    with opened_viewer(viewed, out.with_suffix(".contacts.csv")) as viewer:
+    with opened_viewer(viewed, Path("wave_punch_bend.contacts.csv")) as viewer:
         work = threading.Thread(target=viewer.run)
         work.start()
         with Browser(size=VIEW, webgl=True) as browser:
