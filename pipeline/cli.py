@@ -23,6 +23,7 @@ from .commands import (
     Reproduce,
     Simulate,
     Train,
+    View,
 )
 from .commands.terminal import err
 from .workers import one_thread
@@ -34,6 +35,7 @@ Command = (
     | Annotated[Info, subcommand("info")]
     | Annotated[Render, subcommand("render")]
     | Annotated[Report, subcommand("report")]
+    | Annotated[View, subcommand("view")]
     | Annotated[Database, subcommand("database")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Evaluate, subcommand("evaluate")]

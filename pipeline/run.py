@@ -47,6 +47,8 @@ class CleanResult:
 
     clip: Clip
     """The motion."""
+    target: Array
+    """Joint positions [m] before physics, the clip's frame, shape (T, J, 3)."""
     stages: dict[str, Quality]
     """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``."""
     coverage: Array
@@ -150,7 +152,9 @@ def clean(
         source=source.source,
     )
     notes = _notes(reference, trace, target)
-    return CleanResult(clip, stages, coverage[frames], trace, failures, notes)
+    return CleanResult(
+        clip, before[frames], stages, coverage[frames], trace, failures, notes
+    )
 
 
 def _simulated(

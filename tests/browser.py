@@ -19,9 +19,16 @@ class Browser:
     """One window of Chromium; use as a context, which ends it.
 
     Logs what its pages request and say on the console.
+
+    Args:
+        size: Width and height of the window in pixels.
+        webgl: Whether pages can draw with WebGL, on the processor.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, *, size: tuple[int, int] = (1360, 900), webgl: bool = False
+    ) -> None:
+        gl = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
         self._profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self._driver = subprocess.Popen(
             ["chromedriver", "--port=0"], stdout=subprocess.PIPE, text=True
@@ -30,8 +37,10 @@ class Browser:
         options = {
             "binary": shutil.which("chromium"),
             "args": [
-                *("--headless=new", "--no-sandbox", "--disable-gpu"),
-                *("--window-size=1360,900", f"--user-data-dir={self._profile.name}"),
+                *("--headless=new", "--no-sandbox", "--hide-scrollbars"),
+                *(gl if webgl else ("--disable-gpu",)),
+                "--window-size={},{}".format(*size),
+                f"--user-data-dir={self._profile.name}",
             ],
         }
         asked = {
@@ -52,12 +61,13 @@ class Browser:
             self._driver.communicate()
             self._profile.cleanup()
 
-    def open(self, page: Path) -> None:
-        """Open a page; what the browser's own first page did is not logged."""
+    def open(self, page: Path | str) -> None:
+        """Open a file or an address; what the browser did before is not logged."""
+        address = page.as_uri() if isinstance(page, Path) else page
         self._send("POST", "/url", {"url": "about:blank"})
         self.console()
         self.requests()
-        self._send("POST", "/url", {"url": page.as_uri()})
+        self._send("POST", "/url", {"url": address})
 
     def run(self, script: str, *arguments: Any) -> Any:
         """Return what a JavaScript function body returns, waited for."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
+from viewing import ended, viewing
 
 from kinefilter.characters import KINECT_V1, KINECT_V2
 from kinefilter.pipeline.bench import sample_path
@@ -259,7 +261,7 @@ def test_every_command_is_in_the_readme() -> None:
     for command in (
         *("clean", "info", "database build", "train", "evaluate"),
         *("simulate", "reproduce", "bench", "character", "render"),
-        "report",
+        *("report", "view"),
     ):
         assert f"kinefilter {command}" in readme
 
@@ -282,8 +284,19 @@ def test_every_readme_command_runs(
         if "cmu.npz" in command and not (tmp_path / "cmu.npz").exists():
             embedded_database(KINECT_V1).save(tmp_path / "cmu.npz")
         recorded = "shared" in command or "model" in command
-        if not recorded or (ROOT.parent / "shared").is_dir():
+        if recorded and not (ROOT.parent / "shared").is_dir():
+            continue
+        if command.startswith("kinefilter view "):  # which serves until it is ended
+            _serves_until_ended(_arguments(command)[1:])
+        else:
             assert main(_arguments(command)) == 0, command
+
+
+def _serves_until_ended(arguments: list[str]) -> None:
+    with viewing(arguments) as (process, address):
+        with urllib.request.urlopen(address, timeout=20) as page:
+            assert page.status == 200
+        assert ended(process) == (0, "")
 
 
 def _arguments(command: str) -> list[str]:

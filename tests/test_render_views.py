@@ -127,11 +127,19 @@ def test_a_wrong_camera_file_is_refused(
         camera_path(str(file), clip, clip.positions, aspect=1.0, rate=30.0)
 
 
+@pytest.mark.parametrize("keeps_distances", [False, True])
 @pytest.mark.parametrize("tilt", [0.0, -0.15, 0.2])
 def test_the_raw_take_is_put_where_cleaning_put_it(
-    tilt: float, make_clip: MakeClip, tmp_path: Path
+    tilt: float, keeps_distances: bool, make_clip: MakeClip, tmp_path: Path
 ) -> None:
     clip = make_clip(40)
+    moved_by = np.full(clip.state.shape, np.nan)
+    if keeps_distances:
+        moved_by[:] = 0.0
+        moved_by[10:20, 3] = np.sqrt(3.0)
+    clip = replace(
+        clip, moved_by_correction=moved_by, moved_by_physics=np.zeros_like(moved_by)
+    )
     y, z = clip.positions[..., 1] - 0.8, clip.positions[..., 2]
     raw = clip.positions.copy()
     raw[..., 1] = np.cos(tilt) * y + np.sin(tilt) * z
@@ -284,6 +292,8 @@ def test_the_raw_take_stands_beside_the_character_and_in_the_picture(
     make_clip: MakeClip, tmp_path: Path
 ) -> None:
     clip = make_clip(20)
+    still = np.zeros(clip.state.shape)
+    clip = replace(clip, moved_by_correction=still, moved_by_physics=still)
     write_clip(clip, tmp_path / "clip.npz")
     write_take_csv(clip, tmp_path / "take.csv")
     look = Look(compare=tmp_path / "take.csv", camera="front")
@@ -297,6 +307,17 @@ def test_the_raw_take_stands_beside_the_character_and_in_the_picture(
     over = replace(look, place="over")
     staged = Staged(Shot(tmp_path / "clip.npz", tmp_path / "clip.mp4", over))
     assert staged.raw == pytest.approx(staged.clip.positions, abs=1e-6)
+
+
+def test_a_take_of_another_clip_is_not_drawn_beside_it(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip = make_clip(20)
+    still = np.zeros(clip.state.shape)
+    clip = replace(clip, moved_by_correction=still, moved_by_physics=still)
+    write_take_csv(make_clip(20, seed=1), tmp_path / "take.csv")
+    with pytest.raises(InputError, match=r"--compare .*take\.csv.* cm or more from"):
+        raw_positions(tmp_path / "take.csv", clip, clip.time)
 
 
 def test_a_scene_stands_where_the_clip_begins(make_clip: MakeClip) -> None:

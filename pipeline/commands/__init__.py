@@ -11,6 +11,7 @@ from .report import Report
 from .reproduce import Reproduce
 from .simulate import Simulate
 from .train import Train
+from .view import View
 
 __all__ = [
     "Bench",
@@ -24,4 +25,5 @@ __all__ = [
     "Reproduce",
     "Simulate",
     "Train",
+    "View",
 ]

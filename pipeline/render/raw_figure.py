@@ -10,6 +10,8 @@ from kinefilter.characters import Clip, Skeleton
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.retarget.rotations import between, matrix_from_wxyz
 
+from .reliability_colors import reliability_colors
+
 __all__ = ["RawFigure", "figure_names"]
 
 Array = NDArray[np.float64]
@@ -17,7 +19,6 @@ Array = NDArray[np.float64]
 _JOINT, _BONE = 0.032, 0.012  # m, radii of what is drawn
 _AXIS = np.array([0.0, 0.0, 1.0])  # of a capsule
 _BONE_COLOR = (0.25, 0.25, 0.28)
-_UNRELIABLE, _RELIABLE = np.array([0.90, 0.15, 0.12]), np.array([0.16, 0.68, 0.20])
 
 
 def figure_names(skeleton: Skeleton) -> list[str]:
@@ -37,7 +38,7 @@ class RawFigure:
 
     def __init__(self, model: mujoco.MjModel, positions: Array, clip: Clip) -> None:
         self._model, self._positions = model, to_mujoco(positions)
-        self._reliability = np.clip(clip.reliability, 0.0, 1.0)
+        self._reliability = clip.reliability
         skeleton = clip.skeleton
         self._ends, self._starts = skeleton.segments, skeleton.segment_parents
         geoms = np.array([model.geom(name).id for name in figure_names(skeleton)])
@@ -51,8 +52,8 @@ class RawFigure:
         """Put the figure where the take has it; what is missing is not drawn."""
         model, points = self._model, self._positions[frame]
         known = np.isfinite(points).all(axis=-1)
-        share = self._reliability[frame][:, None]
-        model.geom_rgba[self._joints, :3] = _mixed(share)
+        colors = reliability_colors(self._reliability[frame])
+        model.geom_rgba[self._joints, :3] = colors
         model.geom_rgba[self._joints, 3] = known
         model.geom_rgba[self._bones, 3] = known[self._ends] & known[self._starts]
         points = np.where(known[:, None], points, 0.0)
@@ -63,10 +64,3 @@ class RawFigure:
         data.geom_xpos[self._bones] = 0.5 * (points[self._ends] + points[self._starts])
         along = matrix_from_wxyz(between(_AXIS, bones))
         data.geom_xmat[self._bones] = along.reshape(-1, 9)
-
-
-def _mixed(share: Array) -> Array:
-    """Return colors from red over yellow to green, shape (J, 3)."""
-    mixed = _UNRELIABLE + share * (_RELIABLE - _UNRELIABLE)
-    mixed[:, :2] += (share * (1.0 - share)) * 1.1  # or the middle would be brown
-    return np.asarray(np.minimum(mixed, 1.0))

@@ -13,8 +13,8 @@ from kinefilter.pipeline.contacts import feet_of
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.formats.files import check_file
 from kinefilter.pipeline.metrics import measure
+from kinefilter.pipeline.placing import placed_by_distances
 
-from .placed import placed_as
 from .table import figures_of
 
 __all__ = ["Compared", "compare", "read_compared"]
@@ -76,7 +76,7 @@ def compare(clip: Clip, take: Take) -> Compared:
             finite, or too few frames to be a motion.
     """
     _check(clip, take)
-    raw = placed_as(clip, take)
+    raw = placed_by_distances(clip, take)
     distinct = np.concatenate([[True], np.diff(clip.time) > 0])
     time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
     seen, positions = raw[distinct], clip.positions[distinct]

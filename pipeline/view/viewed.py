@@ -1,0 +1,70 @@
+"""What is looked at: a clip, and what it was before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Clip, InputError, Take
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.progress import Progress, silent
+
+__all__ = ["Viewed", "cleaned", "read_viewed"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Viewed:
+    """A clip with what there is beside it, all in the clip's frame."""
+
+    clip: Clip
+    """The motion."""
+    raw: Array | None = None
+    """Measured joint positions [m], NaN: missing, shape (T, J, 3)."""
+    target: Array | None = None
+    """Joint positions [m] before physics, shape (T, J, 3)."""
+
+
+def read_viewed(
+    clip_path: Path, take_path: Path | None = None, *, body: int | None = None
+) -> Viewed:
+    """Read a clip, and the take that it was made of if it is given.
+
+    Args:
+        clip_path: The clip, npz.
+        take_path: The take.
+        body: Whose, counted from 1; None: who is seen in most frames.
+
+    Raises:
+        InputError: One cannot be read, or they do not belong together.
+    """
+    if take_path is None:
+        from kinefilter.pipeline.render.motions import read_motion
+
+        return Viewed(read_motion(clip_path))
+    from kinefilter.pipeline.report import read_compared
+
+    compared = read_compared(clip_path, take_path, body=body)
+    return Viewed(compared.clip, compared.raw)
+
+
+def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> Viewed:
+    """Clean a take and keep what it was on the way.
+
+    Raises:
+        InputError: As ``clean``.
+    """
+    from kinefilter.pipeline.placing import placed_by_distances
+    from kinefilter.pipeline.run import clean
+
+    result = clean(take, config, progress=progress)
+    target = result.target if config.physics else None
+    try:
+        raw = placed_by_distances(result.clip, take)
+    except InputError as error:
+        raise InputError(f"{take.source}: {error}") from None
+    return Viewed(result.clip, raw, target)

@@ -1,0 +1,411 @@
+"""What is shown on the page, without a browser: frames, edits, files, who may come."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import viser
+from conftest import MakeClip
+from hypothesis import given
+from hypothesis import strategies as st
+from viewing import ended, viewing
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
+from kinefilter.pipeline import CleanConfig, clean, read_take
+from kinefilter.pipeline.bench import sample_path
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.formats import write_clip
+from kinefilter.pipeline.formats.contacts import read_contacts, write_contacts
+from kinefilter.pipeline.view import Viewed, cleaned, opened_viewer, read_viewed
+from kinefilter.pipeline.view.contact_edits import PARTS, ContactEdits
+from kinefilter.pipeline.view.layers import names_of, way_aside
+from kinefilter.pipeline.view.playback import Playback
+from kinefilter.pipeline.view.server import may_connect, opened_server
+from kinefilter.pipeline.view.status import status_html
+from kinefilter.pipeline.view.timeline import Timeline
+
+QUICK = CleanConfig(method="none", physics=False)
+TIME = np.array([5.0, 5.1, 5.2, 5.2, 5.5, 5.6])  # a repeated stamp and a gap
+
+
+def test_every_frame_is_shown_from_its_time_to_the_next_ones() -> None:
+    playback = Playback(TIME)
+    playback.play(100.0)
+    shown = [playback.frame(100.0 + s) for s in (0.0, 0.05, 0.15, 0.25, 0.45, 0.55)]
+    assert shown == [0, 0, 1, 3, 3, 4]
+    assert playback.frame(100.65) == 5
+    assert playback.frame(100.75) == 0  # and so on from the beginning
+
+
+@given(st.integers(0, 5), st.floats(0.1, 4.0), st.floats(0.0, 10.0))
+def test_a_pause_keeps_the_frame_and_playing_goes_on_from_it(
+    frame: int, speed: float, clock: float
+) -> None:
+    playback = Playback(TIME)
+    playback.change_speed(speed, clock)
+    playback.seek(frame)
+    assert playback.frame(clock) == frame
+    playback.play(clock)
+    later = clock + 0.03 / speed
+    seen = playback.frame(later)
+    playback.pause(later)
+    assert playback.frame(later + 99.0) == seen
+    assert seen == {5: 0, 2: 3}.get(frame, frame)
+
+
+def test_a_change_of_speed_keeps_the_frame() -> None:
+    playback = Playback(np.arange(100) / 10.0)
+    playback.play(0.0)
+    assert playback.frame(2.05) == 20
+    playback.change_speed(2.0, 2.05)
+    assert playback.frame(2.05) == 20
+    assert playback.frame(3.06) == 40
+
+
+def test_a_picture_waits_for_the_next_frame_and_at_rest_for_ever() -> None:
+    playback = Playback(TIME)
+    assert playback.until_next(7.0) is None
+    playback.play(7.0)
+    assert playback.until_next(7.02) == pytest.approx(0.08)
+    assert playback.until_next(7.30) == pytest.approx(0.20)
+    assert playback.until_next(7.60) == pytest.approx(0.10)  # then the beginning
+
+
+@pytest.mark.parametrize(("asked", "got"), [(-3, 0), (4, 4), (99, 5)])
+def test_stepping_stays_within_the_motion(asked: int, got: int) -> None:
+    playback = Playback(TIME)
+    playback.seek(asked)
+    assert playback.frame(0.0) == got
+
+
+def test_a_motion_of_one_frame_plays() -> None:
+    playback = Playback(np.array([3.0]))
+    playback.play(0.0)
+    assert playback.frame(12.3) == 0
+
+
+@given(st.sampled_from(list(PARTS)), st.integers(0, 9), st.integers(0, 9))
+def test_an_edit_changes_its_part_in_its_frames_and_nothing_else(
+    part: str, one: int, other: int
+) -> None:
+    before = np.random.default_rng(0).random((10, 4)) < 0.5
+    first, last = sorted((one, other))
+    for stands in (True, False):
+        edits = ContactEdits(before)
+        edits.put(part, first, last, stands=stands)
+        inside = np.zeros((10, 4), dtype=bool)
+        inside[first : last + 1, list(PARTS[part])] = True
+        np.testing.assert_array_equal(edits.contacts, np.where(inside, stands, before))
+        edits.undo()
+        np.testing.assert_array_equal(edits.contacts, before)
+
+
+def test_edits_are_undone_in_turn_until_there_are_none() -> None:
+    edits = ContactEdits(np.zeros((5, 4), dtype=bool))
+    assert not edits.unsaved
+    edits.put("left foot", 0, 2, stands=True)
+    edits.put("ToeRight", 4, 4, stands=True)
+    edits.put("ToeRight", 4, 4, stands=True)  # changes nothing: no step
+    edits.mark_saved()
+    assert edits.undo()
+    assert edits.contacts.sum() == 6
+    assert edits.unsaved
+    assert edits.undo()
+    assert not edits.contacts.any()
+    assert not edits.undo()
+
+
+def test_nobody_changes_contacts_past_the_edits() -> None:
+    given_ones = np.zeros((3, 4), dtype=bool)
+    edits = ContactEdits(given_ones)
+    given_ones[:] = True
+    assert not edits.contacts.any()
+    with pytest.raises(ValueError, match="read-only"):
+        edits.contacts[0, 0] = True
+
+
+def test_the_timeline_has_a_bar_for_each_stance_and_a_mark_at_the_frame() -> None:
+    contacts = np.zeros((100, 4), dtype=bool)
+    contacts[10:30, 0] = contacts[50:100, 0] = contacts[20:25, 3] = True
+    html = Timeline(contacts).html(75, (20, 39))
+    rows = re.findall(r'class="stands" d="([^"]*)"', html)
+    bars = [re.findall(r"M([\d.]+) \d+h([\d.]+)", row) for row in rows]
+    assert [len(row) for row in bars] == [2, 0, 0, 1]
+    spans = [(float(x) / 6.0, float(w) / 6.0) for x, w in bars[0]]  # 600 wide
+    assert spans == [(10.0, 20.0), (50.0, 50.0)]
+    assert 'd="M453.0 0V' in html  # the middle of frame 75
+    assert '<rect x="120.0" width="120.0"' in html
+
+
+def test_of_a_long_motion_the_frames_around_are_shown_closer() -> None:
+    contacts = np.zeros((3000, 4), dtype=bool)
+    contacts[1000:1030, 1] = True
+    html = Timeline(contacts).html(1010, (1005, 2999))
+    assert Timeline(contacts[:600]).html(10, (0, 599)).count("<svg") == 1
+    near = html.split('id="close-up"')[1]
+    # 300 frames around the marked one, from 860 on, two steps each.
+    assert re.findall(r'class="stands" d="([^"]*)"', near)[1] == "M280.0 24h60.0"
+    assert 'd="M301.0 0V' in near
+    assert '<rect x="290.0" width="310.0"' in near
+    whole = html.split('id="close-up"')[0]
+    assert re.findall(r'class="stands" d="([^"]*)"', whole)[1] == "M200.0 24h6.0"
+    for frame, first in ((0, 0), (2999, 2700)):  # it stays within the motion
+        near = Timeline(contacts).html(frame, (0, 2999)).split('id="close-up"')[1]
+        assert f'd="M{2 * (frame - first) + 1}.0 0V' in near
+
+
+def test_the_picture_of_an_hour_stays_small() -> None:
+    contacts = np.random.default_rng(0).random((108_000, 4)) < 0.5
+    assert len(Timeline(contacts).html(70_000, (0, 107_999))) < 50_000
+
+
+def test_the_status_names_the_least_reliable_joint_and_the_force(
+    make_clip: MakeClip,
+) -> None:
+    clip = make_clip(4)
+    html = status_html(clip, 2)
+    worst = int(np.argmin(clip.reliability[2]))
+    assert clip.skeleton.joints[worst] in html
+    assert f"{clip.reliability[2, worst]:.2f}" in html
+    assert f"{clip.external_force[2]:.2f} body weights" in html
+
+
+def test_a_take_is_viewed_with_its_target_where_the_clip_is() -> None:
+    take = read_take(sample_path())
+    result = clean(take, CleanConfig())
+    viewed = cleaned(take, CleanConfig())
+    assert viewed.target is not None
+    assert viewed.raw is not None
+    np.testing.assert_array_equal(viewed.target, result.target)
+    moved = np.linalg.norm(viewed.clip.positions - viewed.target, axis=2)
+    np.testing.assert_allclose(moved, viewed.clip.moved_by_physics, atol=1e-9)
+    moved = np.linalg.norm(viewed.target - viewed.raw, axis=2)
+    known = np.isfinite(moved)
+    np.testing.assert_allclose(
+        moved[known], viewed.clip.moved_by_correction[known], atol=2e-3
+    )
+    assert names_of(viewed).keys() == {
+        *("mesh", "raw", "cleaned", "physics", "contacts", "forces"),
+    }
+
+
+def test_without_physics_there_is_no_force_and_no_second_figure() -> None:
+    viewed = cleaned(read_take(sample_path()), QUICK)
+    assert viewed.target is None
+    assert names_of(viewed).keys() == {"mesh", "raw", "cleaned", "contacts"}
+
+
+def test_the_take_beside_a_clip_never_touches_it(make_clip: MakeClip) -> None:
+    clip = make_clip(30)
+    aside = way_aside(Viewed(clip, raw=clip.positions))
+    assert aside[1] == 0.0
+    along = aside / np.linalg.norm(aside)
+    reach = clip.positions @ along
+    assert ((reach + aside @ along).min(axis=1) > reach.max(axis=1)).all()
+    assert not way_aside(Viewed(clip)).any()
+
+
+def test_a_clip_is_read_with_its_take_and_without(tmp_path: Path) -> None:
+    take = read_take(sample_path())
+    clip = clean(take, QUICK).clip
+    path = tmp_path / "clip.npz"
+    write_clip(clip, path)
+    assert read_viewed(path).raw is None
+    viewed = read_viewed(path, sample_path())
+    assert viewed.raw is not None
+    np.testing.assert_array_equal(viewed.clip.positions, clip.positions)
+    np.testing.assert_allclose(viewed.raw, cleaned(take, QUICK).raw, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "loopback", "allowed"),
+    [
+        ("http://127.0.0.1:80", "127.0.0.1:80", True, True),
+        ("http://localhost:80", "localhost:80", True, True),
+        ("http://[::1]:80", "[::1]:80", True, True),
+        ("https://example.org", "127.0.0.1:80", True, False),
+        ("http://127.0.0.1:81", "127.0.0.1:80", True, False),
+        ("http://127.0.0.1.example.org:80", "127.0.0.1:80", True, False),
+        ("http://example.org:80", "example.org:80", True, False),  # rebound DNS
+        ("null", "127.0.0.1:80", True, False),
+        (None, "127.0.0.1:80", True, False),
+        ("http://studio:80", None, True, False),
+        ("http://studio:80", "studio:80", False, True),
+        ("http://example.org", "studio:80", False, False),
+    ],
+)
+def test_only_pages_of_its_own_may_connect(
+    origin: str | None, host: str | None, loopback: bool, allowed: bool
+) -> None:
+    assert may_connect(origin, host, loopback=loopback) is allowed
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    with opened_server("127.0.0.1", 0) as opened:
+        yield opened
+
+
+def test_the_server_talks_to_its_page_and_refuses_foreign_ones(
+    server: viser.ViserServer,
+) -> None:
+    here = f"127.0.0.1:{server.get_port()}"
+    words = {"subprotocols": [f"viser-v{viser.__version__}"]}
+    with connect(f"ws://{here}", origin=f"http://{here}", **words) as page:
+        assert page.recv(timeout=10)
+    for origin in ("https://example.org", "http://127.0.0.1:1", None):
+        with (
+            pytest.raises(InvalidStatus) as caught,
+            connect(f"ws://{here}", origin=origin, **words),
+        ):
+            pass
+        assert caught.value.response.status_code == 403
+
+
+def test_a_page_cannot_make_the_server_public(server: viser.ViserServer) -> None:
+    assert server.request_share_url() is None
+
+
+def test_the_server_listens_on_loopback_alone(server: viser.ViserServer) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.2", server.get_port()))  # not taken
+
+
+def test_a_taken_port_is_an_error_and_no_other_is_tried() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with (
+            pytest.raises(InputError, match=f"port {port} .*--port"),
+            opened_server("127.0.0.1", port),
+        ):
+            pass
+
+
+@pytest.mark.parametrize(
+    ("bind", "port", "words"),
+    [
+        ("192.0.2.1", 0, "no address of this machine"),
+        ("127.0.0.1", 65536, "--port 65536"),
+        ("127.0.0.1", -1, "--port -1"),
+    ],
+)
+def test_an_impossible_address_is_refused(bind: str, port: int, words: str) -> None:
+    with pytest.raises(InputError, match=words), opened_server(bind, port):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("skeleton", "frames"), [(KINECT_V1, 9), (KINECT_V2, 9), (KINECT_V1, 1)]
+)
+def test_a_motion_with_things_and_gaps_is_put_on_a_page(
+    skeleton: Skeleton,
+    frames: int,
+    make_clip: MakeClip,
+    furnish: Callable[[Clip], Clip],
+    tmp_path: Path,
+) -> None:
+    clip = furnish(make_clip(frames, skeleton))
+    raw = clip.positions.copy()
+    raw[0], raw[frames // 2, 4], raw[frames // 2, 2, 1] = np.nan, np.nan, np.nan
+    with opened_viewer(Viewed(clip, raw, clip.positions), tmp_path / "c.csv") as viewer:
+        viewer.stop()
+        viewer.run()
+        with urllib.request.urlopen(viewer.address, timeout=10) as page:
+            assert b"<html" in page.read()
+    assert list(tmp_path.iterdir()) == []
+
+
+def _refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["view", *arguments]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    return printed
+
+
+@pytest.fixture(scope="module")
+def clip_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("view") / "clip.npz"
+    write_clip(clean(read_take(sample_path()), QUICK).clip, path)
+    return path
+
+
+def test_what_cannot_be_viewed_is_refused_in_one_line(
+    clip_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clip, take = str(clip_path), str(sample_path())
+    contacts = tmp_path / "take.contacts.csv"
+    write_contacts(read_viewed(clip_path).clip, contacts)
+    copied = tmp_path / "take.csv"
+    copied.write_bytes(sample_path().read_bytes())
+    for arguments, words in (
+        ([str(tmp_path / "absent.npz")], "no such file"),
+        ([str(tmp_path / "absent.csv")], "no such file"),
+        ([clip, "--method", "none"], "options of cleaning"),
+        ([take, "--take", take], "is for a clip"),
+        ([take, "--save-contacts", take], "would overwrite"),
+        ([clip, "--save-contacts", clip], "name it .csv"),
+        ([clip, "--save-contacts", str(tmp_path / "none" / "c.csv")], "not exist"),
+        ([str(copied), "--contacts", str(contacts)], "would overwrite"),
+        ([clip, "--bind", "192.0.2.1"], "no address of this machine"),
+        ([clip, "--port", "70000"], "--port 70000"),
+    ):
+        assert words in _refused(arguments, capsys), arguments
+
+
+def test_without_viser_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert 'pip install "kinefilter[view]"' in _refused([str(sample_path())], capsys)
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_viewer_says_where_it_is_and_ends_in_peace(
+    clip_path: Path, sent: signal.Signals
+) -> None:
+    before = sorted(clip_path.parent.iterdir())
+    with viewing([str(clip_path)]) as (process, address):
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+", address)
+        with urllib.request.urlopen(address, timeout=10) as page:
+            assert page.status == 200
+        assert ended(process, sent) == (0, "")
+    assert sorted(clip_path.parent.iterdir()) == before
+
+
+def test_help_and_the_other_commands_do_not_load_viser() -> None:
+    code = (
+        "import sys, kinefilter.pipeline, kinefilter.pipeline.view\n"
+        "from kinefilter.pipeline.cli import main\n"
+        "try: main(['view', '--help'])\n"
+        "except SystemExit: pass\n"
+        "print([m for m in ('viser', 'websockets', 'mujoco') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_saved_contacts_are_those_that_clean_reads(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip: Clip = make_clip(50)
+    edits = ContactEdits(clip.contacts)
+    edits.put("HeelRight", 10, 19, stands=True)
+    write_contacts(replace(clip, contacts=edits.contacts), tmp_path / "c.csv")
+    read = read_contacts(tmp_path / "c.csv", clip.time)
+    np.testing.assert_array_equal(read, edits.contacts)

@@ -1,0 +1,184 @@
+"""The page of kinefilter view in a headless Chromium."""
+
+from __future__ import annotations
+
+import io
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from time import monotonic
+
+import av
+import numpy as np
+import pytest
+import viser
+from browser import Browser, missing
+from numpy.typing import NDArray
+
+from kinefilter.pipeline import CleanConfig, clean, read_take
+from kinefilter.pipeline.bench import sample_path
+from kinefilter.pipeline.formats.contacts import read_contacts
+from kinefilter.pipeline.progress import Progress
+from kinefilter.pipeline.view import Viewed, Viewer, cleaned, opened_viewer
+
+_PATIENCE = 60.0  # s: WebGL on a busy processor is slow
+_CANVAS = (slice(190, 490), slice(0, 510))  # the scene, without panel and messages
+
+_PRESS = """
+const named = [...document.querySelectorAll('button')].filter(
+  (b) => b.textContent.trim() === arguments[0]);
+named[0].click();
+"""
+_CHECK = """
+const label = [...document.querySelectorAll('label')].find(
+  (l) => l.textContent.trim() === arguments[0]);
+let row = label;
+while (!row.querySelector('input[type=checkbox]')) row = row.parentElement;
+row.querySelector('input[type=checkbox]').click();
+"""
+_TEXT = "return document.body.innerText"
+
+
+@pytest.fixture(scope="module")
+def viewed() -> Viewed:
+    return cleaned(read_take(sample_path()), CleanConfig())
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    return tmp_path / "contacts.csv"
+
+
+@pytest.fixture
+def viewer(viewed: Viewed, saved: Path) -> Iterator[Viewer]:
+    def again(contacts: Path, progress: Progress) -> Viewed:
+        take = read_take(sample_path())
+        return cleaned(take, CleanConfig(contacts=contacts), progress=progress)
+
+    with opened_viewer(viewed, saved, again=again) as opened:
+        work = threading.Thread(target=opened.run)
+        work.start()
+        yield opened
+        opened.stop()
+        work.join()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    reason = missing()
+    if reason is not None:
+        pytest.skip(reason)
+    with Browser(size=(900, 640), webgl=True) as opened:
+        yield opened
+
+
+@pytest.fixture
+def page(browser: Browser, viewer: Viewer) -> Browser:
+    browser.open(viewer.address)
+    _wait(lambda: "frame 1 of 298" in browser.run(_TEXT))
+    return browser
+
+
+def _wait(reached: Callable[[], bool]) -> None:
+    end = monotonic() + _PATIENCE
+    while not reached():
+        assert monotonic() < end, "the page did not get there"
+
+
+def _pixels(browser: Browser) -> NDArray[np.float64]:
+    """Return the scene as it is seen."""
+    with av.open(io.BytesIO(browser.screenshot())) as file:
+        frame = next(file.decode(video=0))
+    return frame.to_ndarray(format="rgb24")[_CANVAS].astype(float)
+
+
+def _seen(
+    browser: Browser, expected: Callable[[NDArray[np.float64]], bool]
+) -> NDArray[np.float64]:
+    """Return the scene as soon as it is as expected."""
+    pixels = [_pixels(browser)]
+    _wait(lambda: expected(pixels[-1]) or bool(pixels.append(_pixels(browser))))
+    return pixels[-1]
+
+
+def _greens(pixels: NDArray[np.float64]) -> int:
+    """Return how many pixels are green, as reliable joints are."""
+    red, green, blue = np.moveaxis(pixels, 2, 0)
+    return int(((green > red + 40) & (green > blue + 40)).sum())
+
+
+def _changed(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
+    """Return how many pixels differ visibly."""
+    return int((np.abs(one - other).max(axis=2) > 30.0).sum())
+
+
+def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
+    page: Browser, viewer: Viewer
+) -> None:
+    start = _seen(page, lambda pixels: _greens(pixels) > 100)
+    shown = start
+    for name in ("mesh", "raw", "cleaned", "physics", "contacts", "forces"):
+        page.run(_CHECK, name)
+        shown = _seen(page, lambda now, shown=shown: _changed(shown, now) > 150)
+    assert _changed(shown, start) > 5000
+    page.run(_PRESS, "Play")
+    _wait(lambda: "frame 1 of" not in page.run(_TEXT))
+    page.run(_PRESS, "Pause")
+    _wait(lambda: "Pause" not in page.run(_TEXT))
+    own = (f"{viewer.address}/", f"blob:{viewer.address}/", "data:")
+    assert all(address.startswith(own) for address in page.requests())
+    assert not [line for line in page.console() if "SEVERE" in line]
+
+
+def test_contacts_are_edited_and_saved_and_the_take_is_cleaned_with_them(
+    page: Browser, viewed: Viewed, saved: Path
+) -> None:
+    take, before = read_take(sample_path()), viewed.clip.contacts
+    bars = (
+        "return [...document.querySelectorAll('#timeline .stands')]"
+        ".map((row) => row.getAttribute('d'))"
+    )
+    whole = page.run(bars)
+    page.run(_PRESS, "+10")
+    page.run(_PRESS, "+10")
+    _wait(lambda: "frame 21 of" in page.run(_TEXT))
+    page.run(_PRESS, "from here")
+    page.run(_PRESS, "lifts")
+    _wait(lambda: page.run(bars) != whole)
+    assert not saved.exists()
+    page.run(_PRESS, "Save contacts")
+    _wait(lambda: f"saved {saved}" in page.run(_TEXT))
+    expected = before.copy()
+    expected[20:] = False
+    np.testing.assert_array_equal(read_contacts(saved, take.time), expected)
+    page.run(_PRESS, "Save and clean again")
+    _wait(lambda: f"cleaned with {saved}" in page.run(_TEXT))
+    again = clean(take, CleanConfig(contacts=saved)).clip.contacts
+    shown = [row.count("M") for row in page.run(bars)]
+    runs = (np.diff(again.astype(int), axis=0) == 1).sum(axis=0) + again[0]
+    assert shown == runs.tolist()
+
+
+def test_a_page_from_elsewhere_cannot_connect(
+    browser: Browser, viewer: Viewer, tmp_path: Path
+) -> None:
+    files = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with ThreadingHTTPServer(("127.0.0.1", 0), files) as elsewhere:
+        threading.Thread(target=elsewhere.serve_forever, daemon=True).start()
+        browser.open(f"http://127.0.0.1:{elsewhere.server_port}")
+        assert not _connects(browser, viewer.address)
+        _wait(lambda: any("403" in line for line in browser.console()))
+        elsewhere.shutdown()
+
+
+def _connects(browser: Browser, address: str) -> bool:
+    script = (
+        "const socket = new WebSocket(arguments[0], arguments[1]);"
+        "return new Promise((done) => {"
+        " socket.onopen = () => done(true);"
+        " socket.onerror = () => done(false); })"
+    )
+    words = f"viser-v{viser.__version__}"
+    return bool(browser.run(script, address.replace("http:", "ws:"), words))
