@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 from rich.table import Table
 from tyro.conf import Positional, arg
 
+from kinefilter.characters import InputError
+
 from .terminal import out, progress_bars
 
 if TYPE_CHECKING:
@@ -20,15 +22,31 @@ __all__ = ["Reproduce"]
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Repeat the studies of the papers on simulated takes: a table and a plot each."""
+    """Measure again what README and the papers say: a table and a plot a study.
 
-    out: Annotated[Path, arg(aliases=["-o"])]
-    """Folder to write STUDY.csv and STUDY.png into; made if it is missing."""
+    Studies of takes and of marker mocap: cleaned-takes, marker-mocap, untrained,
+    methods-new-people, methods-known-people, failures; of speed: speed,
+    million-postures; of the papers, on simulated takes: reliability, shum-table-3,
+    shum-table-4, shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5,
+    chiang-figure-5.
+
+    With --all every study and picture is made, and every figure of README compared with
+    what was found; exit code 1 if one does not hold. The same command again makes only
+    what is missing, or what other code or recordings made.
+    """
+
     studies: Positional[tuple[str, ...]] = ()
-    """shum-table-3, shum-table-4, shum-figure-8, liu-figure-3, liu-figure-7,
-    liu-table-5, chiang-figure-5, reliability; default: all, in some five minutes."""
+    """Names of studies."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Folder to write STUDY.csv and STUDY.png into; made if it is missing."""
+    all: Path | None = None
+    """Make everything in this folder, and claims.csv: what README says, and what was
+    measured."""
+    data: Path | None = None
+    """Folder of recordings; default: ../shared/data, if it is there. Without any,
+    people are simulated, and what only recordings tell is not measured."""
     seed: int = 0
-    """Draws people, performances and the sensor's errors."""
+    """Draws simulated people, performances and the sensor's errors."""
     quick: bool = False
     """Take a small part of everything, to see how it works; figures mean little."""
 
@@ -36,31 +54,72 @@ class Reproduce:
         """Study, write, print."""
         from kinefilter.pipeline.studies import (
             STUDIES,
-            as_table,
             check_drawing,
             check_names,
             check_studies_folder,
-            reproduce,
-            write_study,
+            recordings_folder,
         )
 
-        names = self.studies or tuple(STUDIES)
+        folder = self._folder()
+        names = tuple(STUDIES) if self.all is not None else self.studies
         check_names(names)
         check_drawing()
-        check_studies_folder(self.out)
+        check_studies_folder(folder)
+        data = recordings_folder(self.data)
+        bars = self._study(names, folder, data)
+        if bars:
+            out.print(_held(bars))
+        return 0 if self.all is None else self._judge(folder, data)
+
+    def _folder(self) -> Path:
+        """Return where to write."""
+        if self.all is not None:
+            if self.studies or self.out is not None:
+                raise InputError("give --all FOLDER alone, or studies and -o FOLDER")
+            return self.all
+        if not self.studies or self.out is None:
+            raise InputError("give studies and -o FOLDER, or --all FOLDER")
+        return self.out
+
+    def _study(
+        self, names: Sequence[str], folder: Path, data: Path | None
+    ) -> list[Bar]:
+        """Run studies, write and print them; return the targets that they have."""
+        from kinefilter.pipeline.studies import as_table, made, reproduce, write_study
+
+        stamp = made.fingerprint(data, seed=self.seed, quick=self.quick)
         bars: list[Bar] = []
         for name in names:
+            if self.all is not None and made.is_made(name, folder, stamp):
+                out.print(f"{folder / name}.csv is there already\n", markup=False)
+                continue
             with progress_bars() as progress:
                 study = reproduce(
-                    name, seed=self.seed, quick=self.quick, progress=progress
+                    name,
+                    seed=self.seed,
+                    quick=self.quick,
+                    data=data,
+                    progress=progress,
                 )
-            written = write_study(study, self.out)
+            written = write_study(study, folder)
+            made.say_made(name, folder, stamp)
             out.print(as_table(study))
             out.print(f"wrote {' and '.join(map(str, written))}\n", markup=False)
             bars += study.bars
-        if bars:
-            out.print(_held(bars))
-        return 0
+        return bars
+
+    def _judge(self, folder: Path, data: Path | None) -> int:
+        """Make the pictures, compare the claims; return the exit code."""
+        from kinefilter.pipeline.studies import claims, make_pictures
+
+        with progress_bars() as progress:
+            for line in make_pictures(folder, progress=progress):
+                out.print(line, markup=False)
+        verdicts = claims.judge(folder, recordings=data is not None, quick=self.quick)
+        written = claims.write_verdicts(verdicts, folder)
+        out.print(claims.verdicts_table(verdicts))
+        out.print(f"wrote {written}", markup=False)
+        return int(any(verdict.held is False for verdict in verdicts))
 
 
 def _held(bars: Sequence[Bar]) -> Table:

@@ -1,8 +1,18 @@
-"""The studies of the papers, on simulated takes: a table and a plot each."""
+"""What README and the papers say, measured again: a table and a plot a study.
 
+A study is a function of a seed and of sizes that returns a ``Study``; ``catalog`` has
+them by name. Those of the papers take simulated people. Those of README's figures take
+recordings where there are some (``recordings``), and simulated people elsewhere; what
+README says of them stands in ``claims.toml``, which ``claims`` compares with what was
+found.
+"""
+
+from . import claims, made
 from .catalog import STUDIES, check_names, reproduce
 from .drawing import check_drawing
 from .files import check_studies_folder, write_study
+from .pictures import make_pictures
+from .recordings import recordings_folder
 from .study import Bar, Study, as_table
 
 __all__ = [
@@ -13,6 +23,10 @@ __all__ = [
     "check_drawing",
     "check_names",
     "check_studies_folder",
+    "claims",
+    "made",
+    "make_pictures",
+    "recordings_folder",
     "reproduce",
     "write_study",
 ]

@@ -24,6 +24,7 @@ _PAPER = ("#BBBBBB", "#777777")
 _WIDTH, _HEIGHT = 4.4, 3.2  # of a panel, inches
 _BARS = 0.8  # of the distance between two groups
 _LEGEND = 5  # entries side by side
+_LEVEL_NAMES = 6  # names of groups that fit side by side
 
 
 def check_drawing() -> None:
@@ -93,4 +94,5 @@ def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> No
     width = _BARS / count
     left = places + (k - (count - 1) / 2.0) * width
     axis.bar(left, series.y, width, color=color, label=series.label)
-    axis.set_xticks(places, [str(name) for name in series.x])
+    turn = 0.0 if len(series.x) <= _LEVEL_NAMES else 60.0
+    axis.set_xticks(places, [str(name) for name in series.x], rotation=turn)
