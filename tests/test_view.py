@@ -3,36 +3,26 @@
 from __future__ import annotations
 
 import re
-import signal
-import socket
-import subprocess
-import sys
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import viser
 from conftest import MakeClip
 from hypothesis import given
 from hypothesis import strategies as st
-from viewing import ended, viewing
-from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
+from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
 from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.pipeline.bench import sample_path
-from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import read_contacts, write_contacts
 from kinefilter.pipeline.view import Viewed, cleaned, opened_viewer, read_viewed
 from kinefilter.pipeline.view.contact_edits import PARTS, ContactEdits
 from kinefilter.pipeline.view.layers import names_of, way_aside
 from kinefilter.pipeline.view.playback import Playback
-from kinefilter.pipeline.view.server import may_connect, opened_server
 from kinefilter.pipeline.view.status import status_html
 from kinefilter.pipeline.view.timeline import Timeline
 
@@ -230,85 +220,6 @@ def test_a_clip_is_read_with_its_take_and_without(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("origin", "host", "loopback", "allowed"),
-    [
-        ("http://127.0.0.1:80", "127.0.0.1:80", True, True),
-        ("http://localhost:80", "localhost:80", True, True),
-        ("http://[::1]:80", "[::1]:80", True, True),
-        ("https://example.org", "127.0.0.1:80", True, False),
-        ("http://127.0.0.1:81", "127.0.0.1:80", True, False),
-        ("http://127.0.0.1.example.org:80", "127.0.0.1:80", True, False),
-        ("http://example.org:80", "example.org:80", True, False),  # rebound DNS
-        ("null", "127.0.0.1:80", True, False),
-        (None, "127.0.0.1:80", True, False),
-        ("http://studio:80", None, True, False),
-        ("http://studio:80", "studio:80", False, True),
-        ("http://example.org", "studio:80", False, False),
-    ],
-)
-def test_only_pages_of_its_own_may_connect(
-    origin: str | None, host: str | None, loopback: bool, allowed: bool
-) -> None:
-    assert may_connect(origin, host, loopback=loopback) is allowed
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[viser.ViserServer]:
-    with opened_server("127.0.0.1", 0) as opened:
-        yield opened
-
-
-def test_the_server_talks_to_its_page_and_refuses_foreign_ones(
-    server: viser.ViserServer,
-) -> None:
-    here = f"127.0.0.1:{server.get_port()}"
-    words = {"subprotocols": [f"viser-v{viser.__version__}"]}
-    with connect(f"ws://{here}", origin=f"http://{here}", **words) as page:
-        assert page.recv(timeout=10)
-    for origin in ("https://example.org", "http://127.0.0.1:1", None):
-        with (
-            pytest.raises(InvalidStatus) as caught,
-            connect(f"ws://{here}", origin=origin, **words),
-        ):
-            pass
-        assert caught.value.response.status_code == 403
-
-
-def test_a_page_cannot_make_the_server_public(server: viser.ViserServer) -> None:
-    assert server.request_share_url() is None
-
-
-def test_the_server_listens_on_loopback_alone(server: viser.ViserServer) -> None:
-    with socket.socket() as other:
-        other.bind(("127.0.0.2", server.get_port()))  # not taken
-
-
-def test_a_taken_port_is_an_error_and_no_other_is_tried() -> None:
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-        with (
-            pytest.raises(InputError, match=f"port {port} .*--port"),
-            opened_server("127.0.0.1", port),
-        ):
-            pass
-
-
-@pytest.mark.parametrize(
-    ("bind", "port", "words"),
-    [
-        ("192.0.2.1", 0, "no address of this machine"),
-        ("127.0.0.1", 65536, "--port 65536"),
-        ("127.0.0.1", -1, "--port -1"),
-    ],
-)
-def test_an_impossible_address_is_refused(bind: str, port: int, words: str) -> None:
-    with pytest.raises(InputError, match=words), opened_server(bind, port):
-        pass
-
-
-@pytest.mark.parametrize(
     ("skeleton", "frames"), [(KINECT_V1, 9), (KINECT_V2, 9), (KINECT_V1, 1)]
 )
 def test_a_motion_with_things_and_gaps_is_put_on_a_page(
@@ -327,77 +238,6 @@ def test_a_motion_with_things_and_gaps_is_put_on_a_page(
         with urllib.request.urlopen(viewer.address, timeout=10) as page:
             assert b"<html" in page.read()
     assert list(tmp_path.iterdir()) == []
-
-
-def _refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    assert main(["view", *arguments]) == 2
-    printed = capsys.readouterr().err
-    assert printed.count("\n") == 1
-    return printed
-
-
-@pytest.fixture(scope="module")
-def clip_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("view") / "clip.npz"
-    write_clip(clean(read_take(sample_path()), QUICK).clip, path)
-    return path
-
-
-def test_what_cannot_be_viewed_is_refused_in_one_line(
-    clip_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    clip, take = str(clip_path), str(sample_path())
-    contacts = tmp_path / "take.contacts.csv"
-    write_contacts(read_viewed(clip_path).clip, contacts)
-    copied = tmp_path / "take.csv"
-    copied.write_bytes(sample_path().read_bytes())
-    for arguments, words in (
-        ([str(tmp_path / "absent.npz")], "no such file"),
-        ([str(tmp_path / "absent.csv")], "no such file"),
-        ([clip, "--method", "none"], "options of cleaning"),
-        ([take, "--take", take], "is for a clip"),
-        ([take, "--save-contacts", take], "would overwrite"),
-        ([clip, "--save-contacts", clip], "name it .csv"),
-        ([clip, "--save-contacts", str(tmp_path / "none" / "c.csv")], "not exist"),
-        ([str(copied), "--contacts", str(contacts)], "would overwrite"),
-        ([clip, "--bind", "192.0.2.1"], "no address of this machine"),
-        ([clip, "--port", "70000"], "--port 70000"),
-    ):
-        assert words in _refused(arguments, capsys), arguments
-
-
-def test_without_viser_the_extra_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert 'pip install "kinefilter[view]"' in _refused([str(sample_path())], capsys)
-
-
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_a_viewer_says_where_it_is_and_ends_in_peace(
-    clip_path: Path, sent: signal.Signals
-) -> None:
-    before = sorted(clip_path.parent.iterdir())
-    with viewing([str(clip_path)]) as (process, address):
-        assert re.fullmatch(r"http://127\.0\.0\.1:\d+", address)
-        with urllib.request.urlopen(address, timeout=10) as page:
-            assert page.status == 200
-        assert ended(process, sent) == (0, "")
-    assert sorted(clip_path.parent.iterdir()) == before
-
-
-def test_help_and_the_other_commands_do_not_load_viser() -> None:
-    code = (
-        "import sys, kinefilter.pipeline, kinefilter.pipeline.view\n"
-        "from kinefilter.pipeline.cli import main\n"
-        "try: main(['view', '--help'])\n"
-        "except SystemExit: pass\n"
-        "print([m for m in ('viser', 'websockets', 'mujoco') if m in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_saved_contacts_are_those_that_clean_reads(

@@ -8,12 +8,14 @@ import viser
 
 from .contact_edits import PARTS
 
-__all__ = ["BESIDE", "STEPS", "Panel"]
+__all__ = ["BESIDE", "SHADOWS", "STEPS", "Panel"]
 
 STEPS = {"-10": -10, "-1": -1, "+1": 1, "+10": 10}
 """Frames that the buttons go on by, by what is written on them."""
 BESIDE = "raw beside"
 """Checkbox that puts the raw take beside the character."""
+SHADOWS = "shadows"
+"""Checkbox of the shadows, half of the work where no GPU draws."""
 
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
@@ -64,6 +66,7 @@ class Panel:
             }
             if "raw" in layers:
                 self.layers[BESIDE] = gui.add_checkbox(BESIDE, True)
+            self.layers[SHADOWS] = gui.add_checkbox(SHADOWS, True)
 
     @property
     def chosen(self) -> set[str]:

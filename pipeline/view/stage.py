@@ -14,6 +14,7 @@ __all__ = ["set_stage"]
 Array = NDArray[np.float64]
 
 _ASPECT = 1.0  # of the page beside its panel, or more: there is room for a label
+_FRAMES = 1000  # at least, of a long motion, that the first view is to hold
 _ROOM = 0.15  # m between a joint and the skin's farthest point
 _SKY = ((0.80, 0.86, 0.92), (0.97, 0.98, 0.99))  # overhead, at the horizon
 _SKY_ROWS = 64
@@ -21,13 +22,18 @@ _SKY_LIGHT, _GROUND_LIGHT = (255, 255, 255), (190, 186, 180)
 _FLOOR = 12.0  # m, the side of what catches shadows
 
 
-def set_stage(server: viser.ViserServer, clip: Clip, beside: Array) -> None:
+def set_stage(
+    server: viser.ViserServer, clip: Clip, beside: Array
+) -> viser.DirectionalLightHandle:
     """Set the floor, the light, and where one looks from at first.
 
     Args:
         server: The page.
         clip: What is looked at.
         beside: How far [m] from the clip its take stands, shape (3,).
+
+    Returns:
+        The light that casts shadows.
     """
     scene = server.scene
     scene.set_up_direction("+y")
@@ -50,9 +56,10 @@ def set_stage(server: viser.ViserServer, clip: Clip, beside: Array) -> None:
         fade_distance=25.0,
         shadow_opacity=0.2,
     )
-    joints = np.concatenate([clip.positions, clip.positions + beside], axis=1)
+    some = clip.positions[:: max(1, len(clip) // _FRAMES)]
+    joints = np.concatenate([some, some + beside], axis=1)
     around = _ROOM * np.array([[1, 1, 1], [-1, -1, -1]])
-    points = (joints[:, :, None] + around).reshape(len(clip), -1, 3)
+    points = (joints[:, :, None] + around).reshape(len(some), -1, 3)
     scene.configure_default_lights(False)
     scene.add_light_hemisphere(
         "/sky", sky_color=_SKY_LIGHT, ground_color=_GROUND_LIGHT, intensity=1.7
@@ -62,12 +69,12 @@ def set_stage(server: viser.ViserServer, clip: Clip, beside: Array) -> None:
     front = (position - target) * [1.0, 0.0, 1.0]
     front /= np.linalg.norm(front)
     left = np.array([-front[2], 0.0, front[0]])  # in the picture
-    scene.add_light_directional(
+    server.initial_camera.position = position
+    server.initial_camera.look_at = target
+    server.initial_camera.fov = np.radians(camera.fov)
+    return scene.add_light_directional(
         "/sun",
         intensity=2.0,
         cast_shadow=True,
         position=tuple(0.5 * front + 0.45 * left + [0.0, 1.0, 0.0]),
     )
-    server.initial_camera.position = position
-    server.initial_camera.look_at = target
-    server.initial_camera.fov = np.radians(camera.fov)

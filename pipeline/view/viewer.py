@@ -20,7 +20,7 @@ from kinefilter.pipeline.progress import Progress
 
 from .contact_edits import ContactEdits
 from .layers import Layers, names_of, way_aside
-from .panel import BESIDE, STEPS, Panel
+from .panel import BESIDE, SHADOWS, STEPS, Panel
 from .playback import Playback
 from .server import address_of, opened_server
 from .stage import set_stage
@@ -99,7 +99,7 @@ class Viewer:
         self._viewed, self._aside = viewed, way_aside(viewed)
         with self._server.atomic():
             self._server.scene.reset()
-            set_stage(self._server, viewed.clip, self._aside)
+            self._sun = set_stage(self._server, viewed.clip, self._aside)
             self._layers = Layers(
                 self._server.scene, viewed, np.asarray(self._edits.contacts)
             )
@@ -162,6 +162,7 @@ class Viewer:
         chosen = self._panel.chosen
         aside = self._aside if BESIDE in chosen else np.zeros(3)
         self._layers.choose(chosen, aside)
+        self._sun.cast_shadow = SHADOWS in chosen
 
     def _set_end(self, which: str) -> None:
         """Let the frames to edit begin or end at the present one."""
