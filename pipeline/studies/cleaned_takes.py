@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -111,7 +111,7 @@ def _figures(result: CleanResult) -> list[float]:
     ]
 
 
-def _row(name: str, k: int, groups: Iterator[list[list[float]]]) -> tuple[Cell, ...]:
+def _row(name: str, k: int, groups: Iterable[list[list[float]]]) -> tuple[Cell, ...]:
     """Return mean and worst of a figure for each group, None without takes."""
     cells: list[Cell] = [name]
     for takes in groups:

@@ -1,4 +1,4 @@
-"""Every correction against marker mocap, of people or repetitions never learned from."""
+"""Every correction against marker mocap, on people or repetitions not learned from."""
 
 from __future__ import annotations
 
