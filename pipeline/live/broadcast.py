@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Broadcast"]
 
 _WAITING = 32  # lines that wait for a reader: a second of one person; poses get old
+_DEAD = 10.0  # s: who reads nothing for as long makes room, and may come again
 _SENT_AHEAD = 2**17  # bytes that the system keeps for a slow reader, two seconds of one
 
 
@@ -73,7 +74,10 @@ class Broadcast:
                     await reader.wake.wait()
                     reader.wake.clear()
                     while reader.lines:
-                        await connection.send(reader.lines.popleft())
+                        async with asyncio.timeout(_DEAD):
+                            await connection.send(reader.lines.popleft())
+        except TimeoutError:
+            connection.transport.abort()
         finally:
             self._readers.discard(reader)
             closed.cancel()

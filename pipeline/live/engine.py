@@ -33,7 +33,7 @@ class Engine:
             figure = self._figures[live.slot] = VmcFigure(live.body)
         if self._since is None:
             self._since = live.time
-        return figure.bundles(live.pose, live.time, self._since)
+        return figure.bundles(live.pose, live.time - self._since)
 
     def send(self, live: LivePose, encoded: list[bytes]) -> None:
         """Send the datagrams of a pose."""

@@ -9,15 +9,20 @@ the quaternion (w, x, y, z) becomes (w, x, -y, -z).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, State
 from kinefilter.pipeline.avatar import Pose
-from kinefilter.retarget.retargeting import retarget
-from kinefilter.retarget.rig_map import load_rig_map
-from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate
+from kinefilter.retarget.rest_difference import segment_of, turned
+from kinefilter.retarget.rig_map import SIDES, load_rig_map
+from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate, slerp
 from kinefilter.retarget.target_rig import built_rig
+
+if TYPE_CHECKING:
+    from pythonosc.osc_message import OscMessage
 
 __all__ = ["VmcFigure", "absence"]
 
@@ -33,6 +38,10 @@ _TURNED = np.array([1.0, 1.0, -1.0, -1.0])  # wxyz
 class VmcFigure:
     """One person as VMC sends them.
 
+    Each bone turns as the segment of ours that turns it in ``retarget``. As arms and
+    legs are as long as the person's and point where the person's do, hands and feet are
+    where they are relative to shoulders and hips.
+
     Args:
         body: The person's body.
     """
@@ -40,108 +49,138 @@ class VmcFigure:
     def __init__(self, body: Body) -> None:
         self.body = body
         self.rig = built_rig(load_rig_map("vrm"), body)
-        self._parents = np.array(self.rig.rest.parents)
-        names = self.rig.rest.names
-        self._names = [name[0].upper() + name[1:] for name in names]
+        rest, skeleton = self.rig.rest, body.skeleton
+        self._names = [name[0].upper() + name[1:] for name in rest.names]
+        self._parents = np.maximum(rest.parents, 0)
+        self._root = np.array(rest.parents) < 0
+        self._local = rest.positions - rest.positions[self._parents]
+        at_rest = turned(_at_rest(body), self.rig)
+        # Every bone of VRM is turned by a part.
+        self._rest_turns = np.array([at_rest[n][0] for n in range(len(rest))])
+        segments = np.zeros(len(rest), dtype=np.intp)
+        for part, joints in self.rig.parts.items():
+            if part != "spine":
+                segments[list(joints)] = segment_of(skeleton, part)
+        self._segments = segments
+        self._spine = list(self.rig.parts["spine"])
+        self._shares = np.linspace(0.0, 1.0, len(self._spine))
+        chest = skeleton.parents[skeleton.index("ShoulderLeft")]
+        self._trunk = (skeleton.parents[chest], chest)
+        self._hips = [skeleton.index(f"Hip{side.capitalize()}") for side in SIDES]
+        self._over_hips = self._rest_over_hips()
 
-    def bones(self, pose: Pose, time: float) -> dict[str, tuple[Array, Array]]:
+    def _rest_over_hips(self) -> tuple[Array, Array]:
+        """Return what takes our hips to VRM's.
+
+        Returns:
+            The hips bone over the middle of the thighs [m], which turns with it, and by
+            how much VRM's ankles are higher over flat soles than ours [m].
+        """
+        rest, rig, skeleton = self.rig.rest.positions, self.rig, self.body.skeleton
+        thighs = [rig.joint(f"{side} thigh") for side in SIDES]
+        feet = [rig.joint(f"{side} foot") for side in SIDES]
+        ankles = [skeleton.index(f"Ankle{side.capitalize()}") for side in SIDES]
+        ours = self.body.rest_positions[ankles, 1].mean()
+        higher = rest[feet, 1].mean() - rig.floor - ours
+        over = rest[rig.joint("pelvis")] - rest[thighs].mean(axis=0)
+        return over, np.array([0.0, higher, 0.0])
+
+    def bones(self, pose: Pose) -> dict[str, tuple[Array, Array]]:
         """Return where each bone is relative to its parent, in Unity's axes.
 
         Args:
             pose: The pose of the body.
-            time: Its stamp [s].
 
         Returns:
             By bone: position [m], shape (3,), and rotation wxyz, shape (4,).
         """
-        there = retarget(_clip(pose, self.body, time), self.rig)
-        rotations, positions = there.rotations[0], there.positions[0]
-        root = self._parents < 0
-        above = np.where(root[:, None], IDENTITY, rotations[self._parents])
-        start = np.where(root[:, None], 0.0, positions[self._parents])
-        local = rotate(inverse(above), positions - start) * _MIRRORED
-        turns = multiply(inverse(above), rotations) * _TURNED
-        return dict(zip(self._names, zip(local, turns, strict=True), strict=True))
+        segments = pose.rotations[self._segments]
+        lower, upper = pose.rotations[list(self._trunk)]
+        segments[self._spine] = slerp(lower, upper, self._shares)
+        turns = multiply(segments, self._rest_turns)
+        above = np.where(self._root[:, None], IDENTITY, turns[self._parents])
+        local = self._local.copy()
+        over, higher = self._over_hips
+        hips = pose.positions[self._hips].mean(axis=0) + higher
+        local[self._root] = hips + rotate(turns[self._root], over)
+        places = local * _MIRRORED
+        rotations = multiply(inverse(above), turns) * _TURNED
+        return dict(zip(self._names, zip(places, rotations, strict=True), strict=True))
 
-    def bundles(self, pose: Pose, time: float, since: float) -> list[bytes]:
+    def bundles(self, pose: Pose, seconds: float) -> list[bytes]:
         """Return a pose as bundles of messages, each of which fits into a datagram.
 
         Args:
             pose: The pose of the body.
-            time: Its stamp [s].
-            since: The stamp of the first pose [s]; VMC's times are short floats.
+            seconds: Time since the first pose [s].
         """
         messages = [
             _message("/VMC/Ext/OK", 1),
-            _message("/VMC/Ext/T", time - since),
+            _message("/VMC/Ext/T", seconds),
             _place("/VMC/Ext/Root/Pos", "root", np.zeros(3), IDENTITY),
         ]
-        for name, (position, turn) in self.bones(pose, time).items():
+        for name, (position, turn) in self.bones(pose).items():
             messages.append(_place("/VMC/Ext/Bone/Pos", name, position, turn))
         return _bundled(messages)
 
 
 def absence() -> bytes:
     """Return the message that nobody is there."""
-    return _message("/VMC/Ext/OK", 0)
+    return bytes(_message("/VMC/Ext/OK", 0).dgram)
 
 
-def _clip(pose: Pose, body: Body, time: float) -> Clip:
-    """Return the one pose as a clip."""
-    joints = len(body.skeleton)
-    ones = np.ones((1, joints))
-    ranks = np.full((1, joints), State.TRACKED, dtype=np.uint8)
-    none = np.zeros((1, joints), dtype=np.uint8)
+def _at_rest(body: Body) -> Clip:
+    """Return the body in T-pose as a clip of one frame."""
+    shape = (1, len(body.skeleton))
+    none = np.zeros(shape, dtype=np.uint8)
     return Clip(
-        time=np.array([time]),
-        positions=pose.positions[None],
-        rotations=pose.rotations[None],
+        time=np.zeros(1),
+        positions=body.rest_positions[None],
+        rotations=np.broadcast_to(IDENTITY, (*shape, 4)).copy(),
         skeleton=body.skeleton,
         body=body,
-        state=ranks,
-        reliability=ones,
+        state=np.full(shape, State.TRACKED, dtype=np.uint8),
+        reliability=np.ones(shape),
         deciding_term=none,
         origin=none,
-        moved_by_correction=0.0 * ones,
-        moved_by_physics=0.0 * ones,
-        contacts=np.repeat(pose.stands, 2)[None],
-        external_force=np.array([pose.external_force]),
-        source="live",
+        moved_by_correction=np.zeros(shape),
+        moved_by_physics=np.zeros(shape),
+        contacts=np.ones((1, 4), dtype=np.bool_),
+        external_force=np.zeros(1),
     )
 
 
-def _place(address: str, name: str, position: Array, turn: Array) -> bytes:
+def _place(address: str, name: str, position: Array, turn: Array) -> OscMessage:
     """Return a message of a place; the quaternion wxyz is sent as xyzw."""
     return _message(address, name, *position.tolist(), *np.roll(turn, -1).tolist())
 
 
-def _message(address: str, *values: str | int | float) -> bytes:
+def _message(address: str, *values: str | int | float) -> OscMessage:
     from pythonosc.osc_message_builder import OscMessageBuilder
 
     builder = OscMessageBuilder(address)
     for value in values:
         builder.add_arg(value)
-    return bytes(builder.build().dgram)
+    return builder.build()
 
 
-def _bundled(messages: list[bytes]) -> list[bytes]:
+def _bundled(messages: list[OscMessage]) -> list[bytes]:
     """Return as few bundles as hold the messages in their order."""
-    bundles: list[list[bytes]] = []
+    bundles: list[list[OscMessage]] = []
     size = LARGEST_BUNDLE + 1
     for message in messages:
-        size += _PREFIX + len(message)
+        size += _PREFIX + message.size
         if size > LARGEST_BUNDLE:
             bundles.append([])
-            size = _HEAD + _PREFIX + len(message)
+            size = _HEAD + _PREFIX + message.size
         bundles[-1].append(message)
     return [_bundle(bundle) for bundle in bundles]
 
 
-def _bundle(messages: list[bytes]) -> bytes:
+def _bundle(messages: list[OscMessage]) -> bytes:
     from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
-    from pythonosc.osc_message import OscMessage
 
     builder = OscBundleBuilder(IMMEDIATELY)
     for message in messages:
-        builder.add_content(OscMessage(message))
+        builder.add_content(message)
     return bytes(builder.build().dgram)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -51,9 +52,18 @@ async def open_server(
     from websockets.asyncio.server import serve
 
     scheme = "ws" if access.tls is None else "wss"
+    there: set[ServerConnection] = set()
+
+    async def handle(connection: ServerConnection) -> None:
+        there.add(connection)
+        try:
+            await handler(connection)
+        finally:
+            there.discard(connection)
+
     try:
         server = await serve(
-            handler,
+            handle,
             address.host,
             address.port,
             # websockets declares origins more narrowly than it takes them.
@@ -73,8 +83,22 @@ async def open_server(
             f"{address}: cannot listen there ({error.strerror or error}); "
             "choose another port or address"
         ) from None
-    async with server:
+    try:
         yield Address(scheme, address.host, _port(server))
+    finally:
+        await _close(server, there)
+
+
+async def _close(server: Server, there: set[ServerConnection]) -> None:
+    """End all connections; with whoever does not read there is no goodbye."""
+    server.close()
+    try:
+        async with asyncio.timeout(_GOODBYE):
+            await server.wait_closed()
+    except TimeoutError:
+        for connection in there:
+            connection.transport.abort()
+        await server.wait_closed()
 
 
 def _guard(
