@@ -168,11 +168,15 @@ def _write_whole(file: BinaryIO, data: bytes) -> None:
     """Write all of it, or, where that fails, leave the file as it was."""
     before = file.seek(0, os.SEEK_END)
     try:
-        while data:
-            data = data[file.write(data) :]
+        _written(file, data)
     except OSError:
         file.truncate(before)
         raise
+
+
+def _written(file: BinaryIO, data: bytes) -> None:
+    while data:
+        data = data[file.write(data) :]
 
 
 def _plain(name: str) -> str:
