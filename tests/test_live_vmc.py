@@ -208,7 +208,9 @@ def test_a_left_arm_raised_is_unitys_left_arm_raised() -> None:
     raised = BODY.rest_positions.copy()
     for joint, length in (("Elbow", 0.3), ("Wrist", 0.55), ("Hand", 0.65)):
         shoulder = raised[KINECT_V1.index("ShoulderLeft")]
-        raised[KINECT_V1.index(f"{joint}Left")] = shoulder + [0.0, length, 0.0]
+        raised[KINECT_V1.index(f"{joint}Left")] = shoulder + np.array(
+            [0.0, length, 0.0]
+        )
     figure, avatar = VmcFigure(BODY), Avatar(BODY, floor=0.0)
     for k in range(10):
         there = figure.bones(avatar.step(raised, k / 30.0))

@@ -33,25 +33,27 @@ class Broadcast:
 
     def __init__(self, skeleton: Skeleton, tally: Tally) -> None:
         self._first, self._tally = skeleton_line(skeleton), tally
-        self._readers: set[_Reader] = set()
+        self.readers: set[_Reader] = set()
+        """Who is connected."""
 
     def encode(self, live: LivePose) -> str:
         """Return the line of a pose."""
         return pose_line(live)
 
     def send(self, live: LivePose, encoded: str) -> None:  # noqa: ARG002 - as all sinks
-        """Give a line to all readers."""
-        self._give(encoded)
+        """Give a pose to all readers."""
+        self.give(encoded)
 
     def gone(self, body: str, slot: int) -> None:  # noqa: ARG002 - as all sinks
         """Tell all readers that somebody is gone."""
-        self._give(gone_line(body))
+        self.give(gone_line(body))
 
     async def flushed(self) -> None:
         """Do not wait: readers come and go as they like."""
 
-    def _give(self, line: str) -> None:
-        for reader in self._readers:
+    def give(self, line: str) -> None:
+        """Give a line to all readers."""
+        for reader in self.readers:
             if len(reader.lines) == _WAITING:
                 self._tally.count(Event.SLOW)
             reader.lines.append(line)
@@ -66,7 +68,7 @@ class Broadcast:
         reader = _Reader()
         closed = asyncio.ensure_future(connection.wait_closed())
         closed.add_done_callback(lambda _: reader.wake.set())
-        self._readers.add(reader)
+        self.readers.add(reader)
         try:
             with contextlib.suppress(ConnectionClosed):
                 await connection.send(self._first)
@@ -79,7 +81,7 @@ class Broadcast:
         except TimeoutError:
             connection.transport.abort()
         finally:
-            self._readers.discard(reader)
+            self.readers.discard(reader)
             closed.cancel()
 
 

@@ -37,7 +37,7 @@ class Printer:
         self._loop = asyncio.get_running_loop()
         self._change = threading.Condition()
         self._lines: deque[str] = deque()
-        self._busy = False
+        self._busy, self._over = False, False
         self._idle = asyncio.Event()
         first = skeleton_line(skeleton)
         # A daemon: nothing ends a write that nobody reads.
@@ -63,6 +63,9 @@ class Printer:
         """Wait a moment for the last lines."""
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._idle.wait(), _GOODBYE)
+        with self._change:
+            self._over = True
+            self._change.notify()
 
     def _put(self, line: str) -> None:
         with self._change:
@@ -82,7 +85,9 @@ class Printer:
                     self._busy = False
                     if not self._lines:
                         self._loop.call_soon_threadsafe(self._settle)
-                    self._change.wait_for(lambda: self._lines)
+                    self._change.wait_for(lambda: self._lines or self._over)
+                    if self._over:
+                        return
                     text, self._busy = "\n".join(self._lines), True
                     self._lines.clear()
         except OSError:

@@ -78,7 +78,10 @@ async def open_sender(
 class _Printed:
     async def send(self, line: str) -> bool:
         """Write a line; wait where nobody reads."""
-        await asyncio.to_thread(write_out, f"{line}\n".encode())
+        try:
+            await asyncio.to_thread(write_out, f"{line}\n".encode())
+        except BrokenPipeError:
+            raise InputError("-: nobody reads what is written any more") from None
         return True
 
 

@@ -187,7 +187,14 @@ class Session:
         person = presence.person
         if waiting.anew:
             person.start()
-        pose = person.step(waiting.seen, waiting.time)
+        try:
+            pose = person.step(waiting.seen, waiting.time)
+        except (InputError, ArithmeticError, ValueError):
+            # Measured as no human is, or beyond what numbers hold: one person's
+            # frames must not end the session of the others.
+            presence.person = None
+            self.tally.count(Event.FAILED)
+            return None, []
         if pose is None or person.body is None:
             return None, []
         live = LivePose(

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
+from concurrent.futures import CancelledError
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -162,7 +163,7 @@ class _Stdin:
         """Run something in the loop and wait for it; tell whether it could."""
         try:
             asyncio.run_coroutine_threadsafe(work, self._loop).result()
-        except RuntimeError:  # the loop is closed
+        except (RuntimeError, CancelledError):  # the loop is closed, or closing
             work.close()
             return False
         return True

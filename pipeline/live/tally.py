@@ -34,6 +34,7 @@ class Event(StrEnum):
     REFUSED = "connections refused"
     SLOW = "lost by slow readers"
     UNSENT = "not sent"
+    FAILED = "people measured or followed anew"
     DIVERGED = "simulations begun anew"
     UNRECORDED = "not recorded"
 
