@@ -5,21 +5,25 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tyro
 from live_session import PATIENCE, SAMPLE, Sender, sample_frame
 
 from kinefilter.pipeline import read_take
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.commands import Live, Replay
 from kinefilter.pipeline.commands.live_status import status, summary
 from kinefilter.pipeline.commands.signals import stopped_by_signals
 from kinefilter.pipeline.live import LiveConfig, Session, format_frame
@@ -122,6 +126,22 @@ def test_what_cannot_be_done_is_told_in_one_line_with_code_2(
     said = capsys.readouterr().err
     assert said.startswith("kinefilter: ")
     assert said.count("\n") == 1
+
+
+def test_the_commands_of_the_readme_are_possible() -> None:
+    readme = Path(__file__).parents[1].joinpath("README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```console\n(.*?)```", readme, re.DOTALL)
+    live, replay = (shlex.split(line) for line in block.splitlines())
+    assert (live[1], replay[1]) == ("live", "replay")
+    following = tyro.cli(Live, args=live[2:])
+    session = Session(replace(following.config, record=None), following.access)
+    assert [a.scheme for a in (session.source, *session.targets)] == [
+        "udp",
+        "vmc",
+        "ws",
+    ]
+    sending = tyro.cli(Replay, args=replay[2:])
+    assert str(session.source) == sending.out
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

@@ -9,7 +9,7 @@ the quaternion (w, x, y, z) becomes (w, x, -y, -z).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +21,13 @@ from kinefilter.retarget.rig_map import SIDES, load_rig_map
 from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate, slerp
 from kinefilter.retarget.target_rig import built_rig
 
-if TYPE_CHECKING:
-    from pythonosc.osc_message import OscMessage
+from .packets import Packets, message
 
 __all__ = ["VmcFigure", "absence"]
 
 Array = NDArray[np.float64]
 
-LARGEST_BUNDLE = 1400
-"""Bytes: what an Ethernet packet holds, so that no datagram is split."""
-_HEAD, _PREFIX = 16, 4  # bytes of a bundle's head, and before each message in it
+_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # x, y, z [m], then xyzw
 _MIRRORED = np.array([-1.0, 1.0, 1.0])
 _TURNED = np.array([1.0, 1.0, -1.0, -1.0])  # wxyz
 
@@ -68,6 +65,15 @@ class VmcFigure:
         self._trunk = (skeleton.parents[chest], chest)
         self._hips = [skeleton.index(f"Hip{side.capitalize()}") for side in SIDES]
         self._over_hips = self._rest_over_hips()
+        bones = [("/VMC/Ext/Bone/Pos", (name, *_AT_ORIGIN)) for name in self._names]
+        self._packets = Packets(
+            [
+                ("/VMC/Ext/OK", (1,)),
+                ("/VMC/Ext/T", (0.0,)),
+                ("/VMC/Ext/Root/Pos", ("root", *_AT_ORIGIN)),
+                *bones,
+            ]
+        )
 
     def _rest_over_hips(self) -> tuple[Array, Array]:
         """Return what takes our hips to VRM's.
@@ -114,19 +120,14 @@ class VmcFigure:
             pose: The pose of the body.
             seconds: Time since the first pose [s].
         """
-        messages = [
-            _message("/VMC/Ext/OK", 1),
-            _message("/VMC/Ext/T", seconds),
-            _place("/VMC/Ext/Root/Pos", "root", np.zeros(3), IDENTITY),
-        ]
-        for name, (position, turn) in self.bones(pose).items():
-            messages.append(_place("/VMC/Ext/Bone/Pos", name, position, turn))
-        return _bundled(messages)
+        bones = self.bones(pose).values()
+        places = [[*place, *turn[1:], turn[0]] for place, turn in bones]
+        return self._packets.filled([seconds, *_AT_ORIGIN, *chain(*places)])
 
 
 def absence() -> bytes:
     """Return the message that nobody is there."""
-    return bytes(_message("/VMC/Ext/OK", 0).dgram)
+    return message("/VMC/Ext/OK", 0)
 
 
 def _at_rest(body: Body) -> Clip:
@@ -148,39 +149,3 @@ def _at_rest(body: Body) -> Clip:
         contacts=np.ones((1, 4), dtype=np.bool_),
         external_force=np.zeros(1),
     )
-
-
-def _place(address: str, name: str, position: Array, turn: Array) -> OscMessage:
-    """Return a message of a place; the quaternion wxyz is sent as xyzw."""
-    return _message(address, name, *position.tolist(), *np.roll(turn, -1).tolist())
-
-
-def _message(address: str, *values: str | int | float) -> OscMessage:
-    from pythonosc.osc_message_builder import OscMessageBuilder
-
-    builder = OscMessageBuilder(address)
-    for value in values:
-        builder.add_arg(value)
-    return builder.build()
-
-
-def _bundled(messages: list[OscMessage]) -> list[bytes]:
-    """Return as few bundles as hold the messages in their order."""
-    bundles: list[list[OscMessage]] = []
-    size = LARGEST_BUNDLE + 1
-    for message in messages:
-        size += _PREFIX + message.size
-        if size > LARGEST_BUNDLE:
-            bundles.append([])
-            size = _HEAD + _PREFIX + message.size
-        bundles[-1].append(message)
-    return [_bundle(bundle) for bundle in bundles]
-
-
-def _bundle(messages: list[OscMessage]) -> bytes:
-    from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
-
-    builder = OscBundleBuilder(IMMEDIATELY)
-    for message in messages:
-        builder.add_content(message)
-    return bytes(builder.build().dgram)
