@@ -9,8 +9,9 @@ For example::
 and its state (0 not tracked, 1 inferred, 2 tracked), which may be left out. Joints that
 are not seen are left out, null, or at the origin. Instead of by name, ``joints`` may
 list all of the skeleton in the SDK's order: ``[[x, y, z, state], null, ...]``. An
-``id`` is a text of up to 32 characters or a whole number. Who is alone may be written
-short: ``{"time": 12.034, "joints": ...}``, and is body 1.
+``id`` is a text of up to 32 characters or a whole number, and means the same person
+whoever sends it. Who is alone may be written short: ``{"time": 12.034, "joints":
+...}``, and is body 1.
 """
 
 from __future__ import annotations

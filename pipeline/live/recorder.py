@@ -100,22 +100,22 @@ class Recorder:
     def finish(self) -> list[Path]:
         """Write all, give the files their names, and return them."""
         self.flush()
-        for part in self._parts:
-            os.fsync(part.file.fileno())
-            part.file.close()
         kept = [part for part in self._parts if part.frames >= _LEAST]
-        for part in self._parts:
-            if part not in kept:
-                part.path.unlink()
         names = [self._path]
         if len(kept) > 1:
             stem = self._path.stem
             numbers = range(1, len(kept) + 1)
             names = [self._path.with_name(f"{stem}.{n}.csv") for n in numbers]
-        for part, name in zip(kept, names, strict=False):
-            part.path.replace(name)
+        places = dict(zip((part.path for part in kept), names, strict=False))
+        for part in self._parts:
+            try:
+                _close(part, places.get(part.path))
+            except OSError as error:
+                self._fail(part.path, error)
+                places.pop(part.path, None)
         self._parts.clear()
-        return names[: len(kept)]
+        self._current.clear()
+        return list(places.values())
 
     def _part(self, time: float, seen: SeenBody) -> _Part | None:
         """Return a body's file, a new one where there is none or time goes back."""
@@ -162,6 +162,16 @@ class Recorder:
             f"{path}: the recording ends here ({error.strerror or error}); make room "
             "and record again"
         )
+
+
+def _close(part: _Part, name: Path | None) -> None:
+    """Give a file its name, or delete it where it has none."""
+    with part.file as file:
+        os.fsync(file.fileno())
+    if name is None:
+        part.path.unlink()
+    else:
+        part.path.replace(name)
 
 
 def _write_whole(file: BinaryIO, data: bytes) -> None:
