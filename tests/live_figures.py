@@ -6,7 +6,8 @@
     python tests/live_figures.py slow [--seconds 60]
 
 Frames of the sample take go round and round, at their own rate. Latencies are from the
-sending of a frame here to its pose's coming back by WebSocket, this process included.
+sending of a frame here to its pose's coming back by WebSocket, this process included;
+how late the machine wakes who sleeps, other work on it included, is told beside them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import asyncio
 import contextlib
 import json
+import os
 import re
 import socket
 import sys
@@ -114,6 +116,7 @@ class Stopwatch:
         self.live = running
         self.sent: dict[float, float] = {}
         self.times: list[float] = []
+        self.late: list[float] = []
         self.memory: list[float] = []
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._place = ("127.0.0.1", running.udp)
@@ -135,7 +138,9 @@ class Stopwatch:
             passed = frame.time - first
             if passed > seconds:
                 return
-            await asyncio.sleep(began + passed / speed - time.perf_counter())
+            due = began + passed / speed
+            await asyncio.sleep(due - time.perf_counter())
+            self.late.append(time.perf_counter() - due)
             line = format_frame(frame).encode()
             if len(self.sent) > _REMEMBERED:
                 del self.sent[next(iter(self.sent))]
@@ -153,6 +158,13 @@ def told(watch: Stopwatch, counts: dict[str, Any]) -> None:
         f"99 % {np.percentile(times, 99):.1f}, most {times.max():.1f}; "
         f"over 15 ms: {np.mean(times > 15):.3%}"
     )
+    if watch.late:
+        late = np.array(watch.late) * 1e3
+        _say(
+            "ms by which this machine woke the sender late: median "
+            f"{np.median(late):.1f}, 99 % {np.percentile(late, 99):.1f}, "
+            f"most {late.max():.1f}; load {os.getloadavg()[0]:.1f}"
+        )
     memory = watch.memory
     middle = memory[len(memory) // 2]
     _say(f"memory MB: {memory[1]:.1f}, midway {middle:.1f}, end {memory[-1]:.1f}")

@@ -135,13 +135,11 @@ def test_the_commands_of_the_readme_are_possible() -> None:
     assert (live[1], replay[1]) == ("live", "replay")
     following = tyro.cli(Live, args=live[2:])
     session = Session(replace(following.config, record=None), following.access)
-    assert [a.scheme for a in (session.source, *session.targets)] == [
-        "udp",
-        "vmc",
-        "ws",
-    ]
+    ends = session.places
+    schemes = [place.scheme for place in (ends.source, *ends.targets)]
+    assert schemes == ["udp", "vmc", "ws"]
     sending = tyro.cli(Replay, args=replay[2:])
-    assert str(session.source) == sending.out
+    assert str(ends.source) == sending.out
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

@@ -75,7 +75,7 @@ def _tell(session: Session, places: list[Address]) -> None:
     """Print where frames are expected and poses go."""
     source, *targets = places
     err.print(f"from {source} to {', '.join(map(str, targets))}", markup=False)
-    access = session.access
+    access = session.places.access
     if access.token is not None and any(p.scheme in ("ws", "wss") for p in places):
         err.print(f"token {access.token}", markup=False)
         if access.tls is None:

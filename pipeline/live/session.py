@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,12 @@ from kinefilter.characters import (
     standard_body,
 )
 
-from .access import Access, make_access
-from .addresses import STANDARD, Address, listening_host, read_address
+from .addresses import Address
 from .config import LiveConfig, OpenConfig
 from .crowd import Crowd, Presence, Waiting
-from .extras import require
 from .messages import MalformedError, parse_frame
 from .person import Person, Stature
+from .places import find_places
 from .poses import LivePose
 from .recorder import Recorder
 from .sinks import Sink, open_sink
@@ -57,23 +55,12 @@ class Session:
     def __init__(
         self, config: LiveConfig, open_config: OpenConfig | None = None
     ) -> None:
-        opened = open_config or OpenConfig()
         self.tally = Tally()
         self.recorded: list[Path] = []
         """Files of the recording, once it is finished."""
-        self.source = _listening(read_address(config.source, _SOURCES), opened)
-        self.targets = [
-            _listening(read_address(out, _SINKS), opened) for out in config.out
-        ]
-        _check(config, self.source, self.targets)
-        self.access: Access = make_access(
-            opened.bind,
-            token_file=opened.token_file,
-            certificate=opened.certificate,
-            key=opened.key,
-            origins=opened.origin,
-        )
-        _check_encrypted([self.source, *self.targets], self.access)
+        self.places = find_places(config, open_config or OpenConfig())
+        if not 1 <= config.bodies <= _MOST_BODIES:
+            raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
         self._skeleton = skeleton_named(config.skeleton)
         self._bodies = config.bodies
         self._stature = Stature(
@@ -123,21 +110,21 @@ class Session:
         stop: asyncio.Event,
         started: Callable[[list[Address]], None],
     ) -> None:
-        places = []
-        for target in self.targets:
+        access, used = self.places.access, []
+        for target in self.places.targets:
             sink, place = await stack.enter_async_context(
-                open_sink(target, self.access, self._skeleton, self.tally, stop.set)
+                open_sink(target, access, self._skeleton, self.tally, stop.set)
             )
             self._sinks.append(sink)
-            places.append(place)
+            used.append(place)
         intake = Intake(self.receive, self._done, stop.set, self.tally)
         tasks = [
             asyncio.ensure_future(work)
             for work in (self._pump(worker), self._tick(), self._record(), stop.wait())
         ]
         try:
-            async with open_source(self.source, self.access, intake) as place:
-                started([place, *places])
+            async with open_source(self.places.source, access, intake) as place:
+                started([place, *used])
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in tasks:
                 if task.done():
@@ -230,43 +217,10 @@ class Session:
     def _warm_up(self) -> None:
         """Load what the first pose needs; what is there then is no garbage."""
         height, mass = self._stature.height, self._stature.mass
-        body = standard_body(
-            self._skeleton, height=height or STANDARD_HEIGHT, mass=mass
-        )
+        height = STANDARD_HEIGHT if height is None else height
+        body = standard_body(self._skeleton, height=height, mass=mass)
         avatar = self._stature.avatar(body)
         for k in range(_WARM_UP):
             avatar.step(body.rest_positions, k / 30.0)
         gc.collect()
         gc.freeze()
-
-
-_SOURCES = ("udp", "ws", "wss", STANDARD)
-_SINKS = ("vmc", "ws", "wss", STANDARD)
-
-
-def _listening(address: Address, opened: OpenConfig) -> Address:
-    """Return the address that is listened on, or sent to."""
-    if address.scheme in (STANDARD, "vmc"):
-        return address
-    return replace(address, host=listening_host(address, opened.bind))
-
-
-def _check(config: LiveConfig, source: Address, targets: list[Address]) -> None:
-    """Raise an InputError for what is no session."""
-    if not targets:
-        raise InputError("--out is missing; give one, such as --out -")
-    if not 1 <= config.bodies <= _MOST_BODIES:
-        raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
-    if config.height is None and config.mass is not None and not 2 < config.mass < 500:
-        raise InputError(f"--mass {config.mass:g} is outside 2 to 500 kg")
-    schemes = {address.scheme for address in (source, *targets)}
-    if schemes & {"ws", "wss"}:
-        require("websockets", "a WebSocket")
-    if "vmc" in schemes:
-        require("pythonosc", "VMC")
-
-
-def _check_encrypted(addresses: list[Address], access: Access) -> None:
-    for address in addresses:
-        if address.scheme == "wss" and access.tls is None:
-            raise InputError(f"{address} needs --certificate")
