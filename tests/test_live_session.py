@@ -48,6 +48,7 @@ from kinefilter.pipeline.live.broadcast import Broadcast
 from kinefilter.pipeline.live.limits import MOST_CONNECTIONS
 from kinefilter.pipeline.live.messages import Reason
 from kinefilter.pipeline.live.playback import frames_of
+from kinefilter.pipeline.live.sources import Datagrams, Intake
 from kinefilter.pipeline.live.tally import Event, Tally
 from kinefilter.pipeline.live.websocket import open_server
 
@@ -122,6 +123,22 @@ def test_malformed_messages_are_counted_and_the_next_frame_has_its_pose() -> Non
     do(session())
 
 
+def test_a_sender_that_starts_again_is_followed_from_its_first_frame() -> None:
+    async def session() -> None:
+        async with (
+            running(config()) as (run, (source, out)),
+            reading(out) as stream,
+        ):
+            sender = Sender(source)
+            for time in (1000.0, 1000.033, 0.0, 0.033):
+                sender.send(sample_frame(0, time=time))
+                assert (await pose(stream))["time"] == time
+            assert run.tally.events[Event.RESTARTED] == 1
+            assert run.tally.events[Event.FAILED] == 0
+
+    do(session())
+
+
 def test_who_is_no_human_is_measured_anew_and_others_go_on() -> None:
     async def session() -> None:
         async with (
@@ -169,6 +186,23 @@ def test_a_flood_is_cut_to_the_rate_and_counted() -> None:
         assert 60 <= taken < 1500
 
     do(session())
+
+
+def test_a_flood_of_datagrams_is_cut_for_each_sender() -> None:
+    taken, tally = [], Tally()
+
+    async def done() -> None:
+        """Nothing to wait for."""
+
+    intake = Intake(taken.append, done, lambda: None, tally)
+    port = Datagrams(intake)
+    for _ in range(1000):
+        port.datagram_received(b"{}", ("127.0.0.1", 1))
+    assert 60 <= len(taken) < 500
+    assert len(taken) + tally.events[Event.TOO_FAST] == 1000
+    for n in range(2, 2 + MOST_CONNECTIONS):
+        port.datagram_received(b"{}", ("127.0.0.1", n))
+    assert tally.events[Event.REFUSED] == 1
 
 
 def test_who_never_reads_loses_lines_is_let_go_and_costs_others_nothing(

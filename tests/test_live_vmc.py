@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import MakeClip
 from live_session import (
     PATIENCE,
     WS,
@@ -27,9 +28,10 @@ from pythonosc.osc_server import AsyncIOOSCUDPServer
 from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline import Avatar
+from kinefilter.pipeline import Avatar, Pose
 from kinefilter.pipeline.live.packets import LARGEST_BUNDLE
 from kinefilter.pipeline.live.vmc import VmcFigure
+from kinefilter.retarget.rest_difference import turned
 from kinefilter.retarget.rig_map import load_rig_map
 from kinefilter.retarget.target_rig import built_rig
 
@@ -203,6 +205,23 @@ def test_hips_chest_head_and_feet_turn_and_stand_as_ours(
         toes = min(_at(places, f"{side}Toes")[1] for side in ("Left", "Right"))
         sole = BODY.radii[index("FootLeft")]
         assert -0.03 < toes - sole < 0.04
+
+
+def test_every_bone_turns_as_retargeting_turns_it(make_clip: MakeClip) -> None:
+    clip = make_clip(20, KINECT_V1, seed=4, body=BODY, wild=True)
+    wanted, figure = turned(clip, RIG), VmcFigure(BODY)
+    for k in range(len(clip)):
+        pose = Pose(
+            clip.positions[k], clip.rotations[k], clip.contacts[k, :2], 0.0, False
+        )
+        received = Received(root=(0, 0, 0, 0, 0, 0, 1))
+        for name, (place, turn) in figure.bones(pose).items():
+            received.bones[name] = (*place, *np.roll(turn, -1))
+        _, turns = world(received)
+        for n, bone in enumerate(UNITY):
+            w, x, y, z = wanted[n][k]
+            away = turns[n].inv() * Rotation.from_quat([x, -y, -z, w])
+            assert away.magnitude() < 1e-6, bone
 
 
 def test_a_left_arm_raised_is_unitys_left_arm_raised() -> None:

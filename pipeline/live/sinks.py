@@ -61,8 +61,10 @@ async def open_sink(
     """
     if address.scheme == STANDARD:
         printer = Printer(skeleton, tally, lost)
-        yield printer, address
-        await printer.finish()
+        try:
+            yield printer, address
+        finally:
+            await printer.finish()
     elif address.scheme == "vmc":
         with open_datagrams(address) as out:
             yield Engine(out, tally), address

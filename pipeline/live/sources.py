@@ -24,7 +24,7 @@ from .websocket import open_server
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
-__all__ = ["Intake", "open_source"]
+__all__ = ["Datagrams", "Intake", "open_source"]
 
 _STDIN = 0
 _CHUNK = 2**16  # bytes
@@ -72,11 +72,14 @@ async def open_source(
             yield actual
 
 
-class _Datagrams(asyncio.DatagramProtocol):
+class Datagrams(asyncio.DatagramProtocol):
+    """Hands over the datagrams of a few senders, each up to a rate."""
+
     def __init__(self, intake: Intake) -> None:
         self._intake, self._peers = intake, Peers()
 
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
+        """Take a datagram."""
         now = time.perf_counter()
         rate = self._peers.rate(addr, now)
         if rate is None:
@@ -92,7 +95,7 @@ async def _datagrams(address: Address, intake: Intake) -> AsyncIterator[Address]
     loop = asyncio.get_running_loop()
     try:
         transport, _ = await loop.create_datagram_endpoint(
-            lambda: _Datagrams(intake), local_addr=(address.host, address.port)
+            lambda: Datagrams(intake), local_addr=(address.host, address.port)
         )
     except OSError as error:
         raise InputError(
