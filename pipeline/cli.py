@@ -18,7 +18,9 @@ from .commands import (
     Database,
     Evaluate,
     Info,
+    Live,
     Render,
+    Replay,
     Report,
     Reproduce,
     Simulate,
@@ -33,6 +35,8 @@ __all__ = ["main"]
 Command = (
     Annotated[Clean, subcommand("clean")]
     | Annotated[Info, subcommand("info")]
+    | Annotated[Live, subcommand("live")]
+    | Annotated[Replay, subcommand("replay")]
     | Annotated[Render, subcommand("render")]
     | Annotated[Report, subcommand("report")]
     | Annotated[View, subcommand("view")]

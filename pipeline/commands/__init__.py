@@ -6,7 +6,9 @@ from .clean import Clean
 from .database import Database
 from .evaluate import Evaluate
 from .info import Info
+from .live import Live
 from .render import Render
+from .replay import Replay
 from .report import Report
 from .reproduce import Reproduce
 from .simulate import Simulate
@@ -20,7 +22,9 @@ __all__ = [
     "Database",
     "Evaluate",
     "Info",
+    "Live",
     "Render",
+    "Replay",
     "Report",
     "Reproduce",
     "Simulate",

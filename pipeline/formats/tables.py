@@ -7,11 +7,13 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, Origin, State, Take
+from kinefilter.characters import Clip, Origin, Skeleton, State, Take
 
 from .files import atomic_path
 
-__all__ = ["write_take_csv"]
+__all__ = ["take_header", "take_rows", "write_take_csv"]
+
+Array = NDArray[np.float64]
 
 _FRAMES_AT_ONCE = 1000  # about a megabyte of text
 
@@ -27,26 +29,45 @@ def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    joints = motion.skeleton.joints
-    row = ",".join(["%r", *["%.9f,%.9f,%.9f,%d"] * len(joints)]) + "\n"
     with (
         atomic_path(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
-        columns = (f"{j}.{part}" for j in joints for part in ("x", "y", "z", "state"))
-        file.write(",".join(["time", *columns]) + "\n")
+        file.write(take_header(motion.skeleton))
         for start in range(0, len(motion), _FRAMES_AT_ONCE):
-            numbers = _numbers(motion, slice(start, start + _FRAMES_AT_ONCE))
-            text = row * len(numbers) % tuple(numbers.ravel().tolist())
-            file.write(text.replace("nan", ""))
+            frames = slice(start, start + _FRAMES_AT_ONCE)
+            state = _states(motion, frames)
+            file.write(take_rows(motion.time[frames], motion.positions[frames], state))
 
 
-def _numbers(motion: Take | Clip, frames: slice) -> NDArray[np.float64]:
-    """Return the rows of some frames, shape (T, 1 + 4 J)."""
-    time, state = motion.time[frames], motion.state[frames]
+def take_header(skeleton: Skeleton) -> str:
+    """Return the line of the columns' names."""
+    parts = ("x", "y", "z", "state")
+    columns = (f"{joint}.{part}" for joint in skeleton.joints for part in parts)
+    return ",".join(["time", *columns]) + "\n"
+
+
+def take_rows(time: Array, positions: Array, state: NDArray[np.uint8]) -> str:
+    """Return the lines of some frames.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+        state: Tracking states (State), shape (T, J).
+    """
+    count, joints = state.shape
+    row = ",".join(["%r", *["%.9f,%.9f,%.9f,%d"] * joints]) + "\n"
+    each = np.concatenate([positions, state[..., None]], axis=-1)
+    numbers = np.concatenate([time[:, None], each.reshape(count, -1)], axis=1)
+    text: str = row * count % tuple(numbers.ravel().tolist())
+    return text.replace("nan", "")
+
+
+def _states(motion: Take | Clip, frames: slice) -> NDArray[np.uint8]:
+    """Return the states of some frames, shape (T, J)."""
+    state = motion.state[frames]
     if isinstance(motion, Clip):
         # What the sensor did not see has a place now, but only inferred.
         measured = motion.origin[frames] == Origin.MEASURED
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
-    joints = np.concatenate([motion.positions[frames], state[..., None]], axis=-1)
-    return np.concatenate([time[:, None], joints.reshape(len(time), -1)], axis=1)
+    return state

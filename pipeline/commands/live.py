@@ -1,0 +1,84 @@
+"""``kinefilter live``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import OmitArgPrefixes
+
+from kinefilter.pipeline.live.config import LiveConfig, OpenConfig
+
+from .terminal import err, progress_bars, write_json
+
+if TYPE_CHECKING:
+    from kinefilter.pipeline.live import Session
+    from kinefilter.pipeline.live.addresses import Address
+
+__all__ = ["Live"]
+
+
+@dataclass(frozen=True)
+class Live:
+    """Follow people frame by frame: for games, engines and browsers."""
+
+    config: OmitArgPrefixes[LiveConfig]
+    access: OmitArgPrefixes[OpenConfig]
+    json: Path | None = None
+    """Write the counts and latencies at the end to this file too."""
+
+    def run(self) -> int:
+        """Follow until Ctrl-C, SIGTERM or the end of the input."""
+        import asyncio
+
+        from kinefilter.characters import skeleton_named
+        from kinefilter.pipeline.formats import check_folder
+        from kinefilter.pipeline.library import embedded_database
+        from kinefilter.pipeline.live import Session
+
+        if self.json is not None:
+            check_folder(self.json)
+        session = Session(self.config, self.access)
+        with progress_bars() as progress:
+            embedded_database(skeleton_named(self.config.skeleton), progress)
+        asyncio.run(self._followed(session))
+        return self._ended(session)
+
+    async def _followed(self, session: Session) -> None:
+        import asyncio
+
+        from .live_status import shown
+        from .signals import stopped_by_signals
+
+        stop = asyncio.Event()
+        with stopped_by_signals(stop):
+            async with shown(session):
+                await session.run(stop, lambda places: _tell(session, places))
+
+    def _ended(self, session: Session) -> int:
+        """Print what happened and return the exit code."""
+        from .live_status import summary
+
+        err.print(summary(session.tally))
+        for path in session.recorded:
+            err.print(f"wrote {path}", markup=False)
+        if self.json is not None:
+            write_json(session.tally.as_json(), self.json)
+        failure = session.recorder.failure if session.recorder is not None else None
+        if failure is not None:
+            err.print(f"kinefilter: {failure}", markup=False)
+        return 0 if failure is None else 1
+
+
+def _tell(session: Session, places: list[Address]) -> None:
+    """Print where frames are expected and poses go."""
+    source, *targets = places
+    err.print(f"from {source} to {', '.join(map(str, targets))}", markup=False)
+    access = session.places.access
+    if access.token is not None and any(p.scheme in ("ws", "wss") for p in places):
+        err.print(f"token {access.token}", markup=False)
+        if access.tls is None:
+            err.print(
+                "without --certificate, who is on the network reads token and poses"
+            )

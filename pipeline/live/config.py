@@ -1,0 +1,60 @@
+"""What a live session is to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import UseAppendAction, arg
+
+from .limits import MOST_BODIES
+
+__all__ = ["LiveConfig", "OpenConfig"]
+
+
+@dataclass(frozen=True)
+class OpenConfig:
+    """Who may connect."""
+
+    bind: str | None = None
+    """Listen on this address of the machine instead of on loopback, so that others can
+    connect. WebSockets then ask for a token."""
+    token_file: Path | None = None
+    """File with the token that WebSockets ask for: as Authorization: Bearer, or as
+    ?token= of the address; default: with --bind a new one, which is printed."""
+    certificate: Path | None = None
+    """Certificate chain (PEM) of encrypted WebSockets (wss)."""
+    key: Path | None = None
+    """The certificate's private key (PEM); default: in the same file."""
+    origin: UseAppendAction[tuple[str, ...]] = ()
+    """Let pages of this origin connect, such as https://studio.example, beside those of
+    this machine; may be given several times."""
+
+
+@dataclass(frozen=True)
+class LiveConfig:
+    """Where frames come from, who is in them, and where poses go."""
+
+    source: Annotated[str, arg(name="in", metavar="ADDRESS")]
+    """udp://HOST:PORT or ws://HOST:PORT, on which senders are waited for, or - for the
+    standard input."""
+    out: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="ADDRESS")]]
+    """vmc://HOST:PORT, an engine, ws://HOST:PORT, on which browsers are waited for, or
+    - for the standard output; may be given several times."""
+    record: Path | None = None
+    """Write the raw frames to this take (.csv) too; of several bodies take.1.csv,
+    take.2.csv and so on."""
+    skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
+    """The joints of the frames."""
+    scene: str | None = None
+    """Scene that each person is in, alone: basic, box, flip_chart, basketball, chair,
+    office, or an MJCF file (.xml)."""
+    height: float | None = None
+    """Stature of everybody [m]; default: each is measured in the first second."""
+    mass: float | None = None
+    """Mass of everybody [kg]; default: from the stature."""
+    floor_height: float | None = None
+    """Height of the floor in the sensor's frame [m]; default: under the feet."""
+    bodies: int = MOST_BODIES
+    """People that are followed at once."""

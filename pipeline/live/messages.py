@@ -1,0 +1,209 @@
+"""Frames as messages, a line of JSON each.
+
+For example::
+
+    {"time": 12.034, "bodies": [{"id": "1", "joints": {
+        "SpineBase": [0.11, -0.24, 2.31, 2], "SpineMid": [0.12, 0.05, 2.3], ...}}]}
+
+``time`` is the sensor's own [s]. A joint is x, y, z [m] in the sensor's frame, y up,
+and its state (0 not tracked, 1 inferred, 2 tracked), which may be left out. Joints that
+are not seen are left out, null, or at the origin. Instead of by name, ``joints`` may
+list all of the skeleton in the SDK's order: ``[[x, y, z, state], null, ...]``. An
+``id`` is a text of up to 32 characters or a whole number, and means the same person
+whoever sends it. Who is alone may be written short: ``{"time": 12.034, "joints":
+...}``, and is body 1.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import KinefilterError, Skeleton, State
+from kinefilter.pipeline.formats.recording import missing_marked
+
+from .limits import LARGEST_MESSAGE, MOST_BODIES
+
+__all__ = [
+    "Frame",
+    "MalformedError",
+    "Reason",
+    "SeenBody",
+    "format_frame",
+    "parse_frame",
+]
+
+Array = NDArray[np.float64]
+
+_FARTHEST = 100.0  # m: no sensor of people sees that far
+_LATEST = 1e12  # s: clocks count from 1970, in seconds
+_LONGEST_ID = 32
+_LARGEST_ID = 2.0**53  # whole numbers are exact up to it
+_STATES = {float(state) for state in State}
+_DECIMALS = 5  # 0.01 mm
+
+
+class Reason(StrEnum):
+    """What is wrong with a message."""
+
+    TOO_LONG = "too long"
+    NOT_JSON = "not JSON"
+    TOO_DEEP = "nested too deep"
+    NOT_A_FRAME = "not a frame"
+    TIME = "no time"
+    NUMBER = "a number out of range"
+    JOINT = "an unknown joint"
+    BODIES = "bodies or their ids"
+
+
+class MalformedError(KinefilterError):
+    """A message is no frame; it is counted and left out."""
+
+    def __init__(self, reason: Reason) -> None:
+        super().__init__(reason.value)
+        self.reason = reason
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBody:
+    """A person in a frame."""
+
+    id: str
+    """What the sender calls the person."""
+    positions: Array
+    """Joint positions [m], sensor frame with y up, NaN where missing, shape (J, 3)."""
+    state: NDArray[np.uint8]
+    """Tracking states (State), shape (J,)."""
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether any joint of the person is."""
+        return bool((self.state > State.NOT_TRACKED).any())
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a sensor saw at one time."""
+
+    time: float
+    """The sensor's time stamp [s]."""
+    bodies: tuple[SeenBody, ...]
+    """The people, each id once."""
+
+
+def parse_frame(
+    message: str | bytes, skeleton: Skeleton, most_bodies: int = MOST_BODIES
+) -> Frame:
+    """Return the frame that a message holds.
+
+    Args:
+        message: A line of JSON, as above.
+        skeleton: The joints that there are.
+        most_bodies: How many people a frame may hold.
+
+    Raises:
+        MalformedError: The message is anything else.
+    """
+    data = _data(message)
+    if not isinstance(data, dict):
+        raise MalformedError(Reason.NOT_A_FRAME)
+    if set(data) == {"time", "joints"}:
+        data = {"time": data["time"], "bodies": [{"id": 1.0, "joints": data["joints"]}]}
+    if set(data) != {"time", "bodies"} or not isinstance(data["bodies"], list):
+        raise MalformedError(Reason.NOT_A_FRAME)
+    time = data["time"]
+    if type(time) is not float or not abs(time) < _LATEST:
+        raise MalformedError(Reason.TIME)
+    if len(data["bodies"]) > most_bodies:
+        raise MalformedError(Reason.BODIES)
+    bodies = tuple(_body(body, skeleton) for body in data["bodies"])
+    if len({body.id for body in bodies}) < len(bodies):
+        raise MalformedError(Reason.BODIES)
+    return Frame(time, bodies)
+
+
+def _data(message: str | bytes) -> Any:
+    """Return what JSON says; all numbers are floats."""
+    if len(message) > LARGEST_MESSAGE:
+        raise MalformedError(Reason.TOO_LONG)
+    try:
+        text = message.decode("utf-8") if isinstance(message, bytes) else message
+        # Floats alone: a whole number of thousands of digits takes long to read.
+        return json.loads(text, parse_int=float, parse_constant=_no_number)
+    except RecursionError:
+        raise MalformedError(Reason.TOO_DEEP) from None
+    except ValueError:
+        raise MalformedError(Reason.NOT_JSON) from None
+
+
+def _no_number(_: str) -> NoReturn:
+    raise MalformedError(Reason.NUMBER)
+
+
+def _body(data: Any, skeleton: Skeleton) -> SeenBody:
+    if not isinstance(data, dict) or set(data) != {"id", "joints"}:
+        raise MalformedError(Reason.NOT_A_FRAME)
+    joints = data["joints"]
+    if isinstance(joints, list) and len(joints) == len(skeleton):
+        rows = [_row(joint) for joint in joints]
+    elif isinstance(joints, dict):
+        if not joints.keys() <= set(skeleton.joints):
+            raise MalformedError(Reason.JOINT)
+        rows = [_row(joints.get(name)) for name in skeleton.joints]
+    else:
+        raise MalformedError(Reason.NOT_A_FRAME)
+    numbers = np.array(rows)
+    positions, state = missing_marked(numbers[:, :3], numbers[:, 3].astype(np.uint8))
+    return SeenBody(_id(data["id"]), positions, state)
+
+
+_MISSING = (math.nan, math.nan, math.nan, 0.0)
+
+
+def _row(joint: Any) -> tuple[float, float, float, float]:
+    """Return x, y, z [m] and state of a joint."""
+    if joint is None:
+        return _MISSING
+    if not isinstance(joint, list) or len(joint) not in (3, 4):
+        raise MalformedError(Reason.NOT_A_FRAME)
+    if not all(type(number) is float for number in joint):
+        raise MalformedError(Reason.NOT_A_FRAME)
+    x, y, z, state = (*joint, float(State.TRACKED))[:4]
+    # Infinite numbers, such as 1e999, are beyond it too.
+    if not max(abs(x), abs(y), abs(z)) < _FARTHEST or state not in _STATES:
+        raise MalformedError(Reason.NUMBER)
+    return x, y, z, state
+
+
+def _id(data: Any) -> str:
+    if type(data) is float and data.is_integer() and 0.0 <= data < _LARGEST_ID:
+        return str(int(data))
+    if isinstance(data, str) and 0 < len(data) <= _LONGEST_ID and data.isprintable():
+        return data
+    raise MalformedError(Reason.BODIES)
+
+
+def format_frame(frame: Frame) -> str:
+    """Return a frame as a message, without a line end.
+
+    Joints are listed in the SDK's order, to 0.01 mm.
+    """
+    bodies = [
+        {"id": body.id, "joints": _joints(body.positions, body.state)}
+        for body in frame.bodies
+    ]
+    return json.dumps({"time": frame.time, "bodies": bodies}, separators=(",", ":"))
+
+
+def _joints(positions: Array, state: NDArray[np.uint8]) -> list[list[float] | None]:
+    places = np.round(positions, _DECIMALS).tolist()
+    return [
+        None if place[0] != place[0] else [*place, rank]
+        for place, rank in zip(places, state.tolist(), strict=True)
+    ]

@@ -1,0 +1,194 @@
+"""The raw frames as takes, a file a body, which ``clean`` reads."""
+
+from __future__ import annotations
+
+import os
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from kinefilter.characters import InputError, Skeleton
+from kinefilter.pipeline.formats.files import check_folder
+from kinefilter.pipeline.formats.tables import take_header, take_rows
+
+from .messages import SeenBody
+from .tally import Event, Tally
+
+__all__ = ["Recorder"]
+
+_MOST_FILES = 64  # bodies in one recording
+_MOST_WAITING = 10_000  # frames: what a disk may be behind
+_LEAST = 2  # frames of a take
+
+
+@dataclass
+class _Part:
+    """One body's file while it is written."""
+
+    path: Path
+    file: BinaryIO
+    last: float
+    """The last frame's stamp [s]."""
+    frames: int = 0
+    waiting: list[tuple[float, SeenBody]] = field(default_factory=list)
+
+
+class Recorder:
+    """Writes frames once a second into parts beside the file, named at the end.
+
+    Parts are called ``take.1.part.csv``. They hold whole rows only, so that one of a
+    session that was killed is a take that lacks its last second. At the end they become
+    ``take.csv``, or of several bodies ``take.1.csv``, ``take.2.csv`` and so on as they
+    appeared.
+
+    Args:
+        path: The recording (.csv).
+        skeleton: The joints.
+        tally: What counts frames that are not recorded.
+
+    Raises:
+        InputError: It cannot be written there, or a recording of that name is there.
+    """
+
+    def __init__(self, path: Path, skeleton: Skeleton, tally: Tally) -> None:
+        check_folder(path)
+        if path.suffix != ".csv":
+            raise InputError(f"{path}: expected a name that ends in .csv")
+        there = [path] if path.exists() else []
+        there += sorted(path.parent.glob(f"{_plain(path.stem)}.*.csv"))
+        if there:
+            raise InputError(
+                f"{there[0]}: is there already, and nobody performs twice the same; "
+                "give another name, or move it away"
+            )
+        self._path, self._skeleton, self._tally = path, skeleton, tally
+        self._parts: list[_Part] = []
+        self._current: dict[str, _Part] = {}
+        self._waiting, self._lock = 0, threading.Lock()
+        self.failure: str | None = None
+        """Why nothing more can be written; None while it can."""
+
+    def add(self, time: float, seen: SeenBody) -> None:
+        """Keep a frame for the next ``flush``.
+
+        Args:
+            time: Its stamp [s].
+            seen: What the sensor sees of one person.
+        """
+        part = self._part(time, seen)
+        if part is None or self._waiting >= _MOST_WAITING:
+            self._tally.count(Event.UNRECORDED)
+            return
+        part.last = time
+        with self._lock:
+            part.waiting.append((time, seen))
+            self._waiting += 1
+
+    def flush(self) -> None:
+        """Write what came since the last time; another thread may do it, but one."""
+        for part in list(self._parts):
+            with self._lock:
+                rows, part.waiting = part.waiting, []
+            if rows and self.failure is None:
+                self._write(part, rows)
+            with self._lock:
+                self._waiting -= len(rows)
+
+    def finish(self) -> list[Path]:
+        """Write all, give the files their names, and return them."""
+        self.flush()
+        kept = [part for part in self._parts if part.frames >= _LEAST]
+        names = [self._path]
+        if len(kept) > 1:
+            stem = self._path.stem
+            numbers = range(1, len(kept) + 1)
+            names = [self._path.with_name(f"{stem}.{n}.csv") for n in numbers]
+        places = dict(zip((part.path for part in kept), names, strict=False))
+        for part in self._parts:
+            try:
+                _close(part, places.get(part.path))
+            except OSError as error:
+                self._fail(part.path, error)
+                places.pop(part.path, None)
+        self._parts.clear()
+        self._current.clear()
+        return list(places.values())
+
+    def _part(self, time: float, seen: SeenBody) -> _Part | None:
+        """Return a body's file, a new one where there is none or time goes back."""
+        part = self._current.get(seen.id)
+        if self.failure is not None:
+            return None
+        if part is None or time < part.last:
+            part = self._begun(time)
+            if part is not None:
+                self._current[seen.id] = part
+        return part
+
+    def _begun(self, time: float) -> _Part | None:
+        """Return a new file with the names of the columns, if there may be more."""
+        number = len(self._parts) + 1
+        if number > _MOST_FILES:
+            return None
+        path = self._path.with_name(f"{self._path.stem}.{number}.part.csv")
+        try:
+            file = path.open("xb", buffering=0)
+            part = _Part(path, file, time)
+            self._parts.append(part)
+            _write_whole(file, take_header(self._skeleton).encode())
+        except OSError as error:
+            self._fail(path, error)
+            return None
+        return part
+
+    def _write(self, part: _Part, rows: list[tuple[float, SeenBody]]) -> None:
+        text = take_rows(
+            np.array([time for time, _ in rows]),
+            np.array([seen.positions for _, seen in rows]),
+            np.array([seen.state for _, seen in rows]),
+        )
+        try:
+            _write_whole(part.file, text.encode())
+        except OSError as error:
+            self._fail(part.path, error)
+        else:
+            part.frames += len(rows)
+
+    def _fail(self, path: Path, error: OSError) -> None:
+        self.failure = (
+            f"{path}: the recording ends here ({error.strerror or error}); make room "
+            "and record again"
+        )
+
+
+def _close(part: _Part, name: Path | None) -> None:
+    """Give a file its name, or delete it where it has none."""
+    with part.file as file:
+        os.fsync(file.fileno())
+    if name is None:
+        part.path.unlink()
+    else:
+        part.path.replace(name)
+
+
+def _write_whole(file: BinaryIO, data: bytes) -> None:
+    """Write all of it, or, where that fails, leave the file as it was."""
+    before = file.seek(0, os.SEEK_END)
+    try:
+        _written(file, data)
+    except OSError:
+        file.truncate(before)
+        raise
+
+
+def _written(file: BinaryIO, data: bytes) -> None:
+    while data:
+        data = data[file.write(data) :]
+
+
+def _plain(name: str) -> str:
+    """Return a name of which ``glob`` takes no character for a pattern."""
+    return "".join(f"[{c}]" if c in "*?[" else c for c in name)

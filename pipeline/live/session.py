@@ -1,0 +1,226 @@
+"""A live session: frames in, poses out, until it is told to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+from kinefilter.characters import (
+    STANDARD_HEIGHT,
+    InputError,
+    skeleton_named,
+    standard_body,
+)
+
+from .addresses import Address
+from .config import LiveConfig, OpenConfig
+from .crowd import Crowd, Presence, Waiting
+from .messages import MalformedError, parse_frame
+from .person import Person, Stature
+from .places import find_places
+from .poses import LivePose
+from .recorder import Recorder
+from .sinks import Sink, open_sink
+from .sources import Intake, open_source
+from .tally import Event, Tally
+
+__all__ = ["Session"]
+
+_TICK = 0.25  # s between looks at who is gone
+_FLUSH = 1.0  # s between writes of the recording: what a kill may cost
+_WARM_UP = 10  # frames; the first of a process take a hundred times as long
+_MOST_BODIES = 32
+
+
+class Session:
+    """Follows the people of a stream.
+
+    Poses are made in one thread beside the loop, which goes on taking frames: while
+    poses are late, the newest frame of each person waits and older ones are dropped.
+
+    Args:
+        config: Where frames come from, who is in them, and where poses go.
+        open_config: Who may connect.
+
+    Raises:
+        InputError: The configuration is wrong, or a package is not installed.
+    """
+
+    def __init__(
+        self, config: LiveConfig, open_config: OpenConfig | None = None
+    ) -> None:
+        self.tally = Tally()
+        self.recorded: list[Path] = []
+        """Files of the recording, once it is finished."""
+        self.places = find_places(config, open_config or OpenConfig())
+        if not 1 <= config.bodies <= _MOST_BODIES:
+            raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
+        self._skeleton = skeleton_named(config.skeleton)
+        self._bodies = config.bodies
+        self._stature = Stature(
+            self._skeleton,
+            config.height,
+            config.mass,
+            config.scene,
+            config.floor_height,
+        )
+        self.crowd = Crowd(self._stature, config.bodies, self.tally)
+        self.recorder: Recorder | None = None
+        if config.record is not None:
+            self.recorder = Recorder(config.record, self._skeleton, self.tally)
+        self._sinks: list[Sink] = []
+        self._came, self._idle = asyncio.Event(), asyncio.Event()
+        self._idle.set()
+
+    async def run(
+        self,
+        stop: asyncio.Event,
+        started: Callable[[list[Address]], None] = lambda _: None,
+    ) -> None:
+        """Follow until it is told to stop or the input ends; finish the recording.
+
+        Args:
+            stop: Set by whoever wants the session to end.
+            started: Told the addresses in use, of the input, then of the outputs.
+
+        Raises:
+            InputError: A port is taken, or a host not known.
+        """
+        worker = ThreadPoolExecutor(1, "poses")
+        try:
+            await asyncio.get_running_loop().run_in_executor(worker, self._warm_up)
+            async with AsyncExitStack() as stack:
+                await self._serve(stack, worker, stop, started)
+        finally:
+            worker.shutdown()
+            gc.unfreeze()
+            if self.recorder is not None:
+                self.recorded = self.recorder.finish()
+
+    async def _serve(
+        self,
+        stack: AsyncExitStack,
+        worker: ThreadPoolExecutor,
+        stop: asyncio.Event,
+        started: Callable[[list[Address]], None],
+    ) -> None:
+        access, used = self.places.access, []
+        for target in self.places.targets:
+            sink, place = await stack.enter_async_context(
+                open_sink(target, access, self._skeleton, self.tally, stop.set)
+            )
+            self._sinks.append(sink)
+            used.append(place)
+        intake = Intake(self.receive, self._done, stop.set, self.tally)
+        tasks = [
+            asyncio.ensure_future(work)
+            for work in (self._pump(worker), self._tick(), self._record(), stop.wait())
+        ]
+        try:
+            async with open_source(self.places.source, access, intake) as place:
+                started([place, *used])
+                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in tasks:
+                if task.done():
+                    task.result()
+            await self._idle.wait()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    def receive(self, message: bytes | str) -> None:
+        """Take in a message; what is no frame is counted."""
+        try:
+            frame = parse_frame(message, self._skeleton, self._bodies)
+        except MalformedError as error:
+            self.tally.malformed[error.reason] += 1
+            return
+        for seen in self.crowd.arrive(frame, time.perf_counter()):
+            if self.recorder is not None:
+                self.recorder.add(frame.time, seen)
+            self._idle.clear()
+            self._came.set()
+
+    async def _done(self) -> None:
+        await self._idle.wait()
+        for sink in self._sinks:
+            await sink.flushed()
+
+    async def _pump(self, worker: ThreadPoolExecutor) -> None:
+        """Make the pose of whoever's frame has waited longest, again and again."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await self._came.wait()
+            self._came.clear()
+            while (turn := self.crowd.next()) is not None:
+                live, encoded = await loop.run_in_executor(worker, self._pose, *turn)
+                if live is not None:
+                    self._publish(live, encoded, turn[1].arrived)
+            self._idle.set()
+
+    def _pose(
+        self, presence: Presence, waiting: Waiting
+    ) -> tuple[LivePose | None, list[Any]]:
+        """Return somebody's pose, as it is and as each sink sends it."""
+        if presence.person is None:
+            presence.person = Person(self._stature)
+        person = presence.person
+        if waiting.anew:
+            person.start()
+        try:
+            pose = person.step(waiting.seen, waiting.time)
+        except (InputError, ArithmeticError, ValueError):
+            # Measured as no human is, or beyond what numbers hold: one person's
+            # frames must not end the session of the others.
+            presence.person = None
+            self.tally.count(Event.FAILED)
+            return None, []
+        if pose is None or person.body is None:
+            return None, []
+        live = LivePose(
+            presence.id,
+            presence.slot,
+            waiting.time,
+            person.body,
+            pose,
+            time.perf_counter() - waiting.arrived,
+        )
+        return live, [sink.encode(live) for sink in self._sinks]
+
+    def _publish(self, live: LivePose, encoded: list[Any], arrived: float) -> None:
+        for sink, data in zip(self._sinks, encoded, strict=True):
+            sink.send(live, data)
+        self.tally.count(Event.POSES)
+        self.tally.count(Event.DIVERGED, int(live.pose.reset))
+        self.tally.latency.add(time.perf_counter() - arrived)
+
+    async def _tick(self) -> None:
+        while True:
+            await asyncio.sleep(_TICK)
+            for gone in self.crowd.rest(time.perf_counter()):
+                for sink in self._sinks:
+                    sink.gone(gone.id, gone.slot)
+
+    async def _record(self) -> None:
+        while True:
+            await asyncio.sleep(_FLUSH)
+            if self.recorder is not None:
+                await asyncio.to_thread(self.recorder.flush)
+
+    def _warm_up(self) -> None:
+        """Load what the first pose needs; what is there then is no garbage."""
+        height, mass = self._stature.height, self._stature.mass
+        height = STANDARD_HEIGHT if height is None else height
+        body = standard_body(self._skeleton, height=height, mass=mass)
+        avatar = self._stature.avatar(body)
+        for k in range(_WARM_UP):
+            avatar.step(body.rest_positions, k / 30.0)
+        gc.collect()
+        gc.freeze()

@@ -1,0 +1,151 @@
+"""Poses for engines: the VMC protocol, OSC messages in datagrams (protocol.vmc.info).
+
+A pose is the person on VRM's skeleton (``retarget/rigs/vrm.toml``), in the person's own
+size: of each bone the name that Unity has for it, and position [m] and rotation (xyzw)
+relative to its parent, of the hips relative to the root, which stays at the world's
+origin. Unity's axes are left-handed: x is mirrored, so (x, y, z) becomes (-x, y, z) and
+the quaternion (w, x, y, z) becomes (w, x, -y, -z).
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body, Clip, State
+from kinefilter.pipeline.avatar import Pose
+from kinefilter.retarget.rest_difference import segment_of, turned
+from kinefilter.retarget.rig_map import SIDES, load_rig_map
+from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate, slerp
+from kinefilter.retarget.target_rig import built_rig
+
+from .packets import Packets, message
+
+__all__ = ["VmcFigure", "absence"]
+
+Array = NDArray[np.float64]
+
+_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # x, y, z [m], then xyzw
+_MIRRORED = np.array([-1.0, 1.0, 1.0])
+_TURNED = np.array([1.0, 1.0, -1.0, -1.0])  # wxyz
+
+
+class VmcFigure:
+    """One person as VMC sends them.
+
+    Each bone turns as the segment of ours that turns it in ``retarget``. As arms and
+    legs are as long as the person's and point where the person's do, hands and feet are
+    where they are relative to shoulders and hips.
+
+    Args:
+        body: The person's body.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.rig = built_rig(load_rig_map("vrm"), body)
+        rest, skeleton = self.rig.rest, body.skeleton
+        self._names = [name[0].upper() + name[1:] for name in rest.names]
+        self._parents = np.maximum(rest.parents, 0)
+        self._root = np.array(rest.parents) < 0
+        self._local = rest.positions - rest.positions[self._parents]
+        at_rest = turned(_at_rest(body), self.rig)
+        # Every bone of VRM is turned by a part.
+        self._rest_turns = np.array([at_rest[n][0] for n in range(len(rest))])
+        segments = np.zeros(len(rest), dtype=np.intp)
+        for part, joints in self.rig.parts.items():
+            if part != "spine":
+                segments[list(joints)] = segment_of(skeleton, part)
+        self._segments = segments
+        self._spine = list(self.rig.parts["spine"])
+        self._shares = np.linspace(0.0, 1.0, len(self._spine))
+        chest = skeleton.parents[skeleton.index("ShoulderLeft")]
+        self._trunk = (skeleton.parents[chest], chest)
+        self._hips = [skeleton.index(f"Hip{side.capitalize()}") for side in SIDES]
+        self._over_hips = self._rest_over_hips()
+        bones = [("/VMC/Ext/Bone/Pos", (name, *_AT_ORIGIN)) for name in self._names]
+        self._packets = Packets(
+            [
+                ("/VMC/Ext/OK", (1,)),
+                ("/VMC/Ext/T", (0.0,)),
+                ("/VMC/Ext/Root/Pos", ("root", *_AT_ORIGIN)),
+                *bones,
+            ]
+        )
+
+    def _rest_over_hips(self) -> tuple[Array, Array]:
+        """Return what takes our hips to VRM's.
+
+        Returns:
+            The hips bone over the middle of the thighs [m], which turns with it, and by
+            how much VRM's ankles are higher over flat soles than ours [m].
+        """
+        rest, rig, skeleton = self.rig.rest.positions, self.rig, self.body.skeleton
+        thighs = [rig.joint(f"{side} thigh") for side in SIDES]
+        feet = [rig.joint(f"{side} foot") for side in SIDES]
+        ankles = [skeleton.index(f"Ankle{side.capitalize()}") for side in SIDES]
+        ours = self.body.rest_positions[ankles, 1].mean()
+        higher = rest[feet, 1].mean() - rig.floor - ours
+        over = rest[rig.joint("pelvis")] - rest[thighs].mean(axis=0)
+        return over, np.array([0.0, higher, 0.0])
+
+    def bones(self, pose: Pose) -> dict[str, tuple[Array, Array]]:
+        """Return where each bone is relative to its parent, in Unity's axes.
+
+        Args:
+            pose: The pose of the body.
+
+        Returns:
+            By bone: position [m], shape (3,), and rotation wxyz, shape (4,).
+        """
+        segments = pose.rotations[self._segments]
+        lower, upper = pose.rotations[list(self._trunk)]
+        segments[self._spine] = slerp(lower, upper, self._shares)
+        turns = multiply(segments, self._rest_turns)
+        above = np.where(self._root[:, None], IDENTITY, turns[self._parents])
+        local = self._local.copy()
+        over, higher = self._over_hips
+        hips = pose.positions[self._hips].mean(axis=0) + higher
+        local[self._root] = hips + rotate(turns[self._root], over)
+        places = local * _MIRRORED
+        rotations = multiply(inverse(above), turns) * _TURNED
+        return dict(zip(self._names, zip(places, rotations, strict=True), strict=True))
+
+    def bundles(self, pose: Pose, seconds: float) -> list[bytes]:
+        """Return a pose as bundles of messages, each of which fits into a datagram.
+
+        Args:
+            pose: The pose of the body.
+            seconds: Time since the first pose [s].
+        """
+        bones = self.bones(pose).values()
+        places = [[*place, *turn[1:], turn[0]] for place, turn in bones]
+        return self._packets.filled([seconds, *_AT_ORIGIN, *chain(*places)])
+
+
+def absence() -> bytes:
+    """Return the message that nobody is there."""
+    return message("/VMC/Ext/OK", 0)
+
+
+def _at_rest(body: Body) -> Clip:
+    """Return the body in T-pose as a clip of one frame."""
+    shape = (1, len(body.skeleton))
+    none = np.zeros(shape, dtype=np.uint8)
+    return Clip(
+        time=np.zeros(1),
+        positions=body.rest_positions[None],
+        rotations=np.broadcast_to(IDENTITY, (*shape, 4)).copy(),
+        skeleton=body.skeleton,
+        body=body,
+        state=np.full(shape, State.TRACKED, dtype=np.uint8),
+        reliability=np.ones(shape),
+        deciding_term=none,
+        origin=none,
+        moved_by_correction=np.zeros(shape),
+        moved_by_physics=np.zeros(shape),
+        contacts=np.ones((1, 4), dtype=np.bool_),
+        external_force=np.zeros(1),
+    )
