@@ -49,18 +49,23 @@ Command = (
     | Annotated[Bench, subcommand("bench")]
 )
 
+_DESCRIPTION = """Turn noisy Kinect takes into clips that animators ship.
+
+Exit codes: 0 done; 1 done, but of several takes or clips some were left out, a metric
+is beyond --fail-on, or a figure of README did not hold; 2 the input or the command was
+wrong, and nothing was written."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0: done. 1: done, but for somebody of ``--body all``, or with a metric beyond
-    ``--fail-on``. 2: the input or the command was wrong; nothing was written.
+    ``--help`` says which there are.
     """
     try:
         command = tyro.cli(
             Command,
             prog="kinefilter",
-            description="Turn noisy Kinect takes into clips that animators ship.",
+            description=_DESCRIPTION,
             args=arguments,
         )
         with one_thread():

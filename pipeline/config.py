@@ -61,11 +61,14 @@ class CleanConfig:
     """Let a model of local-gp learn on from the take, where it is sure."""
     scoring: Literal["shum", "chiang", "noise", "learned"] = "shum"
     """How reliability is scored: after Shum 2013, after Chiang 2017, by noise and
-    segment lengths, or as learned on simulated people."""
+    segment lengths, or as learned on simulated people. learned doubts also what is
+    always misplaced: it tells best where a take is wrong, but corrects worse."""
     search: Literal["solver", "stochastic"] = "solver"
     """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
     database: Path | None = None
-    """Motion database (.npz) of 'kinefilter database build'; default: the embedded."""
+    """Motion database (.npz) of 'kinefilter database build'; default: the embedded, of
+    scripted motions, built the first time in some twenty seconds and then kept. One of
+    recorded mocap also takes back what no posture does."""
     cutoff: float = 6.0
     """Frequency [Hz] over which movement is smoothed away, without lag; 0: nothing,
     otherwise 0.5 or more."""

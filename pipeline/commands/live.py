@@ -21,7 +21,15 @@ __all__ = ["Live"]
 
 @dataclass(frozen=True)
 class Live:
-    """Follow people frame by frame: for games, engines and browsers."""
+    """Follow people frame by frame: for games, engines and browsers.
+
+    --out vmc://127.0.0.1:39539 moves a VMC receiver, the second person that on the next
+    port; --out ws://127.0.0.1:9001 sends poses to pages of this machine, which read
+    them by new WebSocket("ws://127.0.0.1:9001").onmessage = e => JSON.parse(e.data).
+    Each person is measured in the first second, or --height says it. The newest frame
+    wins; what is late, missing, malformed or dropped is counted. Needs pip install
+    "kinefilter[live]".
+    """
 
     config: OmitArgPrefixes[LiveConfig]
     access: OmitArgPrefixes[OpenConfig]

@@ -18,7 +18,10 @@ __all__ = ["Render"]
 
 @dataclass(frozen=True)
 class Render:
-    """Draw clips as videos, animations or pictures; needs no screen."""
+    """Draw clips as videos, animations or pictures.
+
+    Needs no screen: EGL draws or, where no GPU is, OSMesa (Debian's libosmesa6).
+    """
 
     clips: Positional[tuple[Path, ...]]
     """Clips: .npz (with props and reliability), .csv or .bvh."""

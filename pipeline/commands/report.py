@@ -15,7 +15,12 @@ __all__ = ["Report"]
 
 @dataclass(frozen=True)
 class Report:
-    """Show a clip beside its take in one web page, which needs no network."""
+    """Show a clip beside its take in one web page, which needs no network.
+
+    Raw and clean play side by side over reliability and origin of every joint,
+    contacts, distances moved, and the metrics, passed or failed. clean --report writes
+    it too.
+    """
 
     clip: Positional[Path]
     """Clip, .npz."""

@@ -23,7 +23,13 @@ __all__ = ["View"]
 
 @dataclass(frozen=True)
 class View:
-    """Look at a motion in the browser, and edit when its feet stand."""
+    """Look at a motion in the browser, and edit when its feet stand.
+
+    Prints the address of a page: play and scrub raw, cleaned and simulated motion,
+    skin, contacts and forces, turn them with the mouse, edit when which part of a foot
+    stands, save that for clean --contacts, or clean again at once. Needs pip install
+    "kinefilter[view]".
+    """
 
     motion: Annotated[Positional[Path], arg(metavar="TAKE|CLIP")]
     """A take in any of the formats of --format, which is cleaned first; or a clip,

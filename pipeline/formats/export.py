@@ -41,7 +41,8 @@ class Export:
     """Unit of length of USD and BVH."""
     fps: float | None = None
     """Frames a second of the clip, between the take's; default: the take's own frames,
-    where they are."""
+    where they are, and in BVH the mean frame time. Blender keeps its own rate when it
+    imports USD: set it to the clip's."""
     rest: Literal["own", "t"] = "own"
     """Rest pose of USD and BVH: a T-pose with trunk, shoulders and hips as this person
     has them, or a strict T, upright and square."""
@@ -53,7 +54,10 @@ class Export:
     there. Default: the clip holds both itself."""
     rig: str | None = None
     """Skeleton of USD and BVH: mixamo, unreal, unity, vrm, smpl, or a map (.toml) such
-    as those in retarget/rigs; default: the sensor's joints."""
+    as those in retarget/rigs; default: the sensor's joints. Skeleton and animation
+    without skin and props: hands and feet at the same place relative to limb length,
+    standing feet still; bones that no map names, such as fingers, keep their rest
+    pose."""
     target: Path | None = None
     """File (.bvh or USD) whose skeleton at rest the clip is for, its joints called as
     in --rig; default: an average one, as tall as the person. Axes and unit of the clip
