@@ -19,7 +19,9 @@ from kinefilter.characters import InputError
 
 __all__ = ["CHAINS", "PARTS", "RIGS", "SIDES", "MapBone", "RigMap", "load_rig_map"]
 
-RIGS = ("mixamo", "unreal", "unity", "vrm", "smpl")
+RIGS = tuple(
+    sorted(path.stem for path in (Path(__file__).parent / "rigs").glob("*.toml"))
+)
 """Names of the maps that kinefilter has."""
 
 SIDES = ("left", "right")

@@ -15,10 +15,11 @@ from kinefilter.characters.humanoid import Tracking, build_humanoid
 
 __all__ = ["SCENES", "load_scene", "props", "scene_xml"]
 
-SCENES = ("basic", "box", "flip_chart", "basketball", "chair", "office")
+_FOLDER = Path(__file__).parent
+
+SCENES = tuple(sorted(path.stem for path in _FOLDER.glob("*.xml")))
 """Names of the scenes that ship: the settings of Shum et al. 2013, table II."""
 
-_FOLDER = Path(__file__).parent
 _ATTACHED = "attached--"  # taken off again: no name of a scene begins so
 _SKIN = [0.37, 0.53, 0.60, 1.0]  # a quiet color that no prop has
 
