@@ -259,7 +259,7 @@ def test_every_command_is_in_the_readme() -> None:
     for command in (
         *("clean", "info", "database build", "train", "evaluate"),
         *("simulate", "reproduce", "bench", "character", "render"),
-        "report",
+        *("report", "batch"),
     ):
         assert f"kinefilter {command}" in readme
 

@@ -1,5 +1,6 @@
 """The commands of the command line, one a file: they parse and print, nothing else."""
 
+from .batch import Batch
 from .bench import Bench
 from .character import Character
 from .clean import Clean
@@ -13,6 +14,7 @@ from .simulate import Simulate
 from .train import Train
 
 __all__ = [
+    "Batch",
     "Bench",
     "Character",
     "Clean",

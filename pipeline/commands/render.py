@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from kinefilter.characters import InputError
 from kinefilter.pipeline.render.look import Look
 
-from .terminal import err, keep, out, progress_bars
+from .terminal import ended_gently, err, keep, out, progress_bars
 
 __all__ = ["Render"]
 
@@ -43,7 +39,7 @@ class Render:
             raise InputError(f"--jobs {self.jobs}: expected 1 or more")
         keep(self.out, *self.clips, self.look.compare)
         try:
-            with _ended_gently(), progress_bars() as progress:
+            with ended_gently(), progress_bars() as progress:
                 done = render_clips(
                     self.clips, self.out, self.look, jobs=self.jobs, progress=progress
                 )
@@ -58,16 +54,3 @@ class Render:
         for failure in done.failures:
             err.print(f"kinefilter: {failure}; left out", markup=False)
         return 1 if done.failures else 0
-
-
-@contextmanager
-def _ended_gently() -> Iterator[None]:
-    """Take a request to end, as batch systems send it, for Ctrl-C."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # others may not say what a signal does
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

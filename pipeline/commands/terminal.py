@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Skeletons",
+    "ended_gently",
     "err",
     "keep",
     "out",
@@ -55,6 +58,19 @@ def progress_bars() -> Iterator[Progress]:
         *columns, console=err, transient=True, disable=not err.is_terminal
     ) as bars:
         yield lambda stage, count: bars.track(range(count), count, description=stage)
+
+
+@contextmanager
+def ended_gently() -> Iterator[None]:
+    """Take a request to end, as batch systems send it, for Ctrl-C."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # others may not say what a signal does
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def read_all(files: Sequence[Path]) -> list[PairedTake]:
