@@ -43,7 +43,7 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
         out: Folder to write to, which is not searched.
 
     Raises:
-        InputError: An input is not there, or ``out`` is one of them.
+        InputError: An input is not there, nothing is in it, or it is ``out``.
     """
     sources: list[Source] = []
     seen: set[str] = set()
@@ -57,6 +57,11 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
             if path not in seen:
                 seen.add(path)
                 sources.append(_labeled(source, label))
+    if not sources:
+        raise InputError(
+            f"{', '.join(inputs)}: no file with an extension of takes ("
+            f"{', '.join(_TAKES)}, or .gz of these); check the name"
+        )
     return _apart(sources)
 
 
@@ -81,10 +86,11 @@ def _same(one: str, other: str) -> bool:
 
 def _in_folder(place: str, out: str) -> list[Source]:
     store = store_at(place)
+    inside = _below(out, place)
     return [
         Source(file.name, store, file, named=False)
         for file in _candidates(store)
-        if not _below(store.path(file.name), out)
+        if not (inside and _below(store.path(file.name), out))
     ]
 
 
@@ -94,10 +100,10 @@ def _candidates(store: Store) -> Iterator[Found]:
             yield file
 
 
-def _below(path: str, out: str) -> bool:
-    if is_url(path) or is_url(out):
-        return path.startswith(out.rstrip("/") + "/")
-    return Path(path).is_relative_to(Path(out).absolute())
+def _below(path: str, folder: str) -> bool:
+    if is_url(path) or is_url(folder):
+        return path.startswith(folder.rstrip("/") + "/")
+    return Path(path).resolve().is_relative_to(Path(folder).resolve())
 
 
 def _alone(place: str) -> list[Source]:
