@@ -22,7 +22,7 @@ from kinefilter.pipeline.settings import Settings, fingerprint
 from .naming import clip_names
 from .row import Row
 from .sources import Source
-from .store import Found, LocalStore, Store, is_url
+from .store import Found, LocalStore, Store, real
 
 __all__ = ["Job", "is_done", "plan_jobs", "uses_embedded_database"]
 
@@ -86,7 +86,7 @@ def plan_jobs(
         Job(source, store, name, *own)
         for source, name, own in zip(sources, names, chosen, strict=True)
     ]
-    _keep_takes(jobs)
+    _keep_takes(jobs, store)
     return sorted(jobs, key=lambda job: (-job.size, job.source.take))
 
 
@@ -143,18 +143,15 @@ def _check(settings: Settings, out: Store, suffix: str) -> None:
         )
 
 
-def _keep_takes(jobs: Sequence[Job]) -> None:
+def _keep_takes(jobs: Sequence[Job], store: Store) -> None:
     """Raise an InputError if a clip would overwrite a take."""
-    takes = {_place(job.source.store.path(job.source.file.name)) for job in jobs}
+    takes, root = {job.source.place for job in jobs}, real(store.root)
     for job in jobs:
-        if (path := _place(job.store.path(job.output))) in takes:
+        if f"{root}/{job.output}" in takes:
             raise InputError(
-                f"{path}: would overwrite a take; write into another folder"
+                f"{job.store.path(job.output)}: would overwrite a take; write into "
+                "another folder"
             )
-
-
-def _place(path: str) -> str:
-    return path if is_url(path) else str(Path(path).resolve())
 
 
 def is_done(job: Job, row: Row | None, written: Mapping[str, Found]) -> bool:

@@ -113,11 +113,13 @@ def clean_files(
     with open_manifest(store) as manifest:
         outcome, todo = _sifted(planned, manifest, store)
         try:
+            _tidy(store)
             if todo:
                 if any(uses_embedded_database(job.settings) for job in todo):
                     _build_database(progress)
                 with _crew(scheduler, min(jobs or cores(), len(todo))) as crew:
                     _clean(todo, crew, manifest, outcome, told)
+                _tidy(store)
             write_csv(manifest.rows.values(), store)
         except BaseException:
             with suppress(InputError):
@@ -130,8 +132,6 @@ def _sifted(
     planned: Sequence[Job], manifest: Manifest, store: Store
 ) -> tuple[Outcome, list[Job]]:
     """Return the rows of what is done already, and the jobs that are left."""
-    if isinstance(store, LocalStore):
-        store.remove_unfinished()
     written = {file.name: file for file in store.files()} if manifest.rows else {}
     outcome, todo = Outcome(), []
     for job in planned:
@@ -141,6 +141,12 @@ def _sifted(
         else:
             todo.append(job)
     return outcome, todo
+
+
+def _tidy(store: Store) -> None:
+    """Remove what processes that were killed had begun to write."""
+    if isinstance(store, LocalStore):
+        store.remove_unfinished()
 
 
 def _build_database(progress: Progress) -> None:

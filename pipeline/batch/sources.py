@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from kinefilter.characters import InputError
 
 from .naming import apart
-from .store import Found, LocalStore, Store, is_url, kind_of, store_at
+from .store import Found, Store, is_url, kind_of, real, store_at
 
 __all__ = ["Source", "find_sources"]
 
@@ -26,6 +26,8 @@ class Source:
     """Path below the folder that was searched, by which the manifest knows it."""
     store: Store
     """What it lies in."""
+    place: str
+    """Its path without links, or its URL."""
     file: Found
     """Where in the store."""
     named: bool
@@ -52,10 +54,8 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
         found = _in_folder(place, out) if _is_folder(place, out) else _alone(place)
         label = _label(place, found, names) if len(inputs) > 1 else ""
         for source in found:
-            path = source.store.path(source.file.name)
-            path = path if is_url(path) else str(Path(path).resolve())
-            if path not in seen:
-                seen.add(path)
+            if source.place not in seen:
+                seen.add(source.place)
                 sources.append(_labeled(source, label))
     if not sources:
         raise InputError(
@@ -70,7 +70,7 @@ def _is_folder(place: str, out: str) -> bool:
     kind = kind_of(place)
     if kind is None:
         raise InputError(f"{place}: there is no such file or folder; check the name")
-    if kind == "folder" and _same(place, out):
+    if kind == "folder" and real(place) == real(out):
         raise InputError(
             f"{out}: is searched for takes itself; write into a folder of its own, "
             "which may lie in it"
@@ -78,19 +78,14 @@ def _is_folder(place: str, out: str) -> bool:
     return kind == "folder"
 
 
-def _same(one: str, other: str) -> bool:
-    if is_url(one) or is_url(other):
-        return one.rstrip("/") == other.rstrip("/")
-    return Path(one).resolve() == Path(other).resolve()
-
-
 def _in_folder(place: str, out: str) -> list[Source]:
-    store = store_at(place)
-    inside = _below(out, place)
+    store, root = store_at(place), real(place)
+    # What is written is not searched, if it lies in what is.
+    written = f"{real(out)}/".removeprefix(f"{root}/")
     return [
-        Source(file.name, store, file, named=False)
+        Source(file.name, store, f"{root}/{file.name}", file, named=False)
         for file in _candidates(store)
-        if not (inside and _below(store.path(file.name), out))
+        if not file.name.startswith(written)
     ]
 
 
@@ -100,22 +95,15 @@ def _candidates(store: Store) -> Iterator[Found]:
             yield file
 
 
-def _below(path: str, folder: str) -> bool:
-    if is_url(path) or is_url(folder):
-        return path.startswith(folder.rstrip("/") + "/")
-    return Path(path).resolve().is_relative_to(Path(folder).resolve())
-
-
 def _alone(place: str) -> list[Source]:
     """Return a file that the user named, whatever its extension."""
-    folder, _, name = place.rpartition("/") if is_url(place) else ("", "", "")
-    if not is_url(place):
-        folder, name = str(Path(place).absolute().parent), Path(place).name
-    store = store_at(folder) if is_url(place) else LocalStore(folder)
+    path = place if is_url(place) else str(Path(place).absolute())
+    folder, _, name = path.rpartition("/")
+    store = store_at(folder or "/")
     file = store.found(name)
     if file is None:
         raise InputError(f"{place}: there is no such file; check the name")
-    return [Source(name, store, file, named=True)]
+    return [Source(name, store, real(place), file, named=True)]
 
 
 def _label(place: str, found: Sequence[Source], names: Counter[str]) -> str:
@@ -128,8 +116,9 @@ def _label(place: str, found: Sequence[Source], names: Counter[str]) -> str:
     """
     if len(found) == 1 and found[0].named:
         return ""
-    name = place.rstrip("/").rpartition("/")[2] if is_url(place) else ""
-    name = name or Path(place).resolve().name
+    name = PurePosixPath(place).name
+    if name in ("", ".."):
+        name = PurePosixPath(real(place)).name
     names[name] += 1
     return name if names[name] == 1 else f"{name}-{names[name]}"
 

@@ -14,7 +14,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.settings import hash_of
 
-__all__ = ["Found", "LocalStore", "Store", "is_url", "kind_of", "store_at"]
+__all__ = ["Found", "LocalStore", "Store", "is_url", "kind_of", "real", "store_at"]
 
 _TEMPORARY = 33  # characters of the stem of what ``atomic_path`` writes first
 
@@ -69,6 +69,11 @@ class Store(Protocol):
 def is_url(place: str) -> bool:
     """Tell a URL such as ``s3://bucket/folder`` from a path."""
     return "://" in place
+
+
+def real(place: str) -> str:
+    """Return a path without links, or a URL as it is, without a slash at the end."""
+    return place.rstrip("/") if is_url(place) else str(Path(place).resolve())
 
 
 def store_at(place: str) -> Store:

@@ -65,15 +65,13 @@ def _badness(clip: ClipRow) -> tuple[float, float]:
 
 
 def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
-    table = Table(
-        "take",
-        "pulled, body weights",
-        "outside the database",
-        "feet slide, mm/frame",
-        "jitter, of raw",
-        "tracker failures",
-        title="worst takes",
-        title_justify="left",
+    table = Table(title="worst takes", title_justify="left")
+    table.add_column("take", overflow="fold")
+    for name in ("force", "outside", "slide", "jitter", "failures"):
+        table.add_column(name, no_wrap=True, justify="right")
+    table.caption = (
+        "force from outside in body weights; frames outside the database; feet slide "
+        "in mm a frame; jitter as a share of raw; failures of the tracker"
     )
     for row, clip in worst:
         table.add_row(
@@ -88,7 +86,9 @@ def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
 
 
 def _failed_table(failed: Sequence[Row]) -> Table:
-    table = Table("take", "why", title="failed", title_justify="left")
+    table = Table(title="failed", title_justify="left")
+    table.add_column("take", overflow="fold")
+    table.add_column("why", overflow="fold")
     for row in failed[:_MOST_FAILED]:
         table.add_row(Text(row.take), Text(row.error))
     if len(failed) > _MOST_FAILED:

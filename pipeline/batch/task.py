@@ -28,6 +28,7 @@ from .row import ClipRow, Row, clip_row
 __all__ = ["clean_file"]
 
 _KEPT = 4  # correction methods in memory: two skeletons, of two folders at a time
+_LONGEST = 1000  # characters of an error that a row keeps
 _CERTAIN = (".skeleton", ".bvh")
 """Extensions that nothing but takes has."""
 
@@ -65,7 +66,7 @@ def clean_file(job: Job) -> Row:
         settings=job.fingerprint,
         seconds=perf_counter() - start,
         clips=clips,
-        error=error,
+        error=error[:_LONGEST],
     )
 
 

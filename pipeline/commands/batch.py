@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,11 +16,12 @@ from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.formats.export import Export
 from kinefilter.pipeline.settings import Settings
 
-from .terminal import ended_gently, err, out, progress_bars
+from .terminal import ended_gently, err, out
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.batch import Standing
     from kinefilter.pipeline.batch.run import Told
+    from kinefilter.pipeline.progress import Progress
 
 __all__ = ["Batch"]
 
@@ -65,7 +66,7 @@ class Batch:
 
         self._check()
         try:
-            with ended_gently(), progress_bars() as progress, _bar() as told:
+            with ended_gently(), _bars() as (progress, told):
                 outcome = clean_files(
                     self.inputs,
                     self.out,
@@ -94,7 +95,7 @@ class Batch:
 
 
 @contextmanager
-def _bar() -> Iterator[Told]:
+def _bars() -> Iterator[tuple[Progress, Told]]:
     """Yield what shows how many takes are done, and when all will be."""
     columns = (
         rich_progress.TextColumn("{task.description}"),
@@ -106,6 +107,9 @@ def _bar() -> Iterator[Told]:
         *columns, console=err, transient=True, disable=not err.is_terminal
     ) as bars:
         task = bars.add_task("clean", visible=False)
+
+        def progress(stage: str, count: int) -> Iterable[int]:
+            return bars.track(range(count), count, description=stage)
 
         def told(standing: Standing) -> None:
             words = f"clean {standing.takes_done}/{standing.takes}"
@@ -119,4 +123,4 @@ def _bar() -> Iterator[Told]:
                 visible=True,
             )
 
-        yield told
+        yield progress, told
