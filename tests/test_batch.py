@@ -27,6 +27,7 @@ from kinefilter.pipeline.batch.store import LocalStore, store_at
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
 from kinefilter.pipeline.formats.takes import claims_take
+from kinefilter.pipeline.run import make_corrector
 from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.simulate import simulate
 
@@ -100,6 +101,25 @@ def test_a_clip_of_a_batch_is_that_of_clean(takes: Path, tmp_path: Path) -> None
         write_clip(result.clip, alone)
         written = tmp_path / "clips" / f"{name}.bvh"
         assert written.read_bytes() == alone.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        CleanConfig(),
+        CleanConfig(method="local-pca", search="stochastic"),
+        CleanConfig(method="kalman"),
+        CleanConfig(method="one-euro"),
+        CleanConfig(method="nearest"),
+    ],
+)
+def test_a_method_forgets_the_take_before(config: CleanConfig) -> None:
+    config = replace(config, physics=False)
+    one, other = short_take(30), short_take(30, start=150, seed=1)
+    method = make_corrector(one.skeleton, config)
+    clean(one, config, corrector=method)
+    again = clean(other, config, corrector=method).clip.positions
+    np.testing.assert_array_equal(again, clean(other, config).clip.positions)
 
 
 @pytest.mark.usefixtures("here")
@@ -381,6 +401,7 @@ def test_exit_codes_say_what_became_of_the_batch(
         ([".", "--up", "z", "--to", "csv"], "--up"),
         ([".", "--character", "sam.usda"], "--character sam.usda"),
         ([".", "--scheduler", "tcp://x:1", "--jobs", "2"], "--scheduler"),
+        ([".", "--cutoff", "0.1"], "--cutoff"),
     ],
 )
 def test_wrong_commands_write_nothing(

@@ -6,6 +6,7 @@ your own.
 
 from __future__ import annotations
 
+import logging
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from types import TracebackType
 from typing import Any, Self
@@ -43,6 +44,8 @@ class Cluster:
             raise InputError(
                 "--scheduler needs Dask; pip install 'kinefilter[cluster]'"
             ) from None
+        # What it logs when a scheduler goes is told in a line, see ``finished_row``.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self.room = _ROOM
         try:
             client: Any = distributed.Client

@@ -110,21 +110,20 @@ def clean_files(
     planned = plan_jobs(
         sources, store, settings or Settings(), suffix, files=files, given=given
     )
-    with open_manifest(store) as manifest:
+    # The crew first: where nobody answers, nothing is written.
+    with _crew(scheduler, jobs or cores()) as crew, open_manifest(store) as manifest:
         outcome, todo = _sifted(planned, manifest, store)
         try:
             _tidy(store)
-            if todo:
-                if any(uses_embedded_database(job.settings) for job in todo):
-                    _build_database(progress)
-                with _crew(scheduler, min(jobs or cores(), len(todo))) as crew:
-                    _clean(todo, crew, manifest, outcome, told)
-                _tidy(store)
-            write_csv(manifest.rows.values(), store)
+            if any(uses_embedded_database(job.settings) for job in todo):
+                _build_database(progress)
+            _clean(todo, crew, manifest, outcome, told)
+            _tidy(store)
         except BaseException:
             with suppress(InputError):
                 write_csv(manifest.rows.values(), store)
             raise
+        write_csv(manifest.rows.values(), store)
     return outcome
 
 

@@ -72,26 +72,30 @@ def clean_file(job: Job) -> Row:
 
 def _read(job: Job) -> tuple[Recording | None, str]:
     """Return what a file holds, nothing if it is no take, and the hash of its bytes."""
-    source, layout = job.source, job.settings.format
+    source = job.source
     with source.store.reading(source.file.name) as path:
         sha256 = hash_of(path)
-        certain = source.named or path.name.lower().removesuffix(".gz").endswith(
-            _CERTAIN
-        )
         try:
-            if not certain and layout is None and not claims_take(path):
+            if not (_is_certain(job) or claims_take(path)):
                 return None, sha256
-            recording = read_recording(path, format=layout)
+            recording = read_recording(path, format=job.settings.format)
         except InputError as error:
             # A copy's name means nothing to anybody.
             where = source.store.path(source.file.name)
             raise InputError(str(error).replace(str(path), where)) from None
-        takes = [
-            # The clip must not depend on where the folder lies, or a copy of the file.
-            replace(take, source=take.source.replace(str(path), source.take))
-            for take in recording.takes
-        ]
-        return replace(recording, takes=tuple(takes)), sha256
+    takes = [
+        # The clip must not depend on where the folder lies, or a copy of the file.
+        replace(take, source=take.source.replace(str(path), source.take))
+        for take in recording.takes
+    ]
+    return replace(recording, takes=tuple(takes)), sha256
+
+
+def _is_certain(job: Job) -> bool:
+    """Tell a file that is a take, or a broken one, whatever is in it."""
+    name = job.source.file.name.lower().removesuffix(".gz")
+    chosen = job.source.named or job.settings.format is not None
+    return chosen or name.endswith(_CERTAIN)
 
 
 def _cleaned(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], str]:
