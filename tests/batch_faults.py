@@ -24,6 +24,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from batch_takes import make_takes
 
@@ -48,12 +49,16 @@ def begin(command: Sequence[str]) -> subprocess.Popen[bytes]:
     )
 
 
-def rows_done(out: Path) -> list[str]:
-    """Return the takes of whole rows that say done."""
+def rows(out: Path) -> list[dict[str, Any]]:
+    """Return the whole rows of a manifest, which may not be there yet."""
     lines = out / "manifest.jsonl"
     text = lines.read_text() if lines.exists() else ""
-    rows = [json.loads(row) for row in text.split("\n")[:-1]]
-    return [row["take"] for row in rows if row["status"] == "done"]
+    return [json.loads(row) for row in text.split("\n")[:-1]]
+
+
+def rows_done(out: Path) -> list[str]:
+    """Return the takes of whole rows that say done."""
+    return [row["take"] for row in rows(out) if row["status"] == "done"]
 
 
 def clip_hashes(out: Path) -> dict[str, str]:

@@ -3,7 +3,8 @@
 Usage: python tests/batch_figures.py FOLDER [--takes 1000] [--frames 300] [--jobs 2]
 
 The takes are made, cleaned by one process alone (before and after), and by a batch; the
-memory of the batch's workers is read while it runs.
+memory of the batch's workers is read while it runs. Where other programs run too, the
+time means little: then compare seconds of processors, and how long workers waited.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ import os
 import shutil
 import statistics
 import sys
-import time
 from collections import defaultdict
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, getrusage
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
-from time import perf_counter
+from time import perf_counter, process_time
 
-from batch_faults import batch, rows_done
+from batch_faults import batch, rows, rows_done
 from batch_takes import make_takes
 
 from kinefilter.pipeline.batch.plan import plan_jobs
@@ -33,18 +34,24 @@ _WARM_UP = 4  # takes until a process has loaded what it needs
 _ALONE = 40  # takes that one process cleans
 
 
-def seconds_a_take(takes: Path) -> float:
-    """Return what one process needs for a take, once it has begun [s]."""
+def seconds_a_take(takes: Path) -> tuple[float, float]:
+    """Return what one process needs for a take, of time and of a processor [s]."""
     with TemporaryDirectory() as out:
         sources = find_sources([str(takes)], out)
         jobs = plan_jobs(sources, LocalStore(out), Settings(), ".usdc")
         chosen = jobs[:: max(1, len(jobs) // (_WARM_UP + _ALONE))]
         for job in chosen[:_WARM_UP]:
             clean_file(job)
-        start = perf_counter()
+        count, start, busy = len(chosen) - _WARM_UP, perf_counter(), process_time()
         for job in chosen[_WARM_UP:]:
             clean_file(job)
-        return (perf_counter() - start) / len(chosen[_WARM_UP:])
+        return (perf_counter() - start) / count, (process_time() - busy) / count
+
+
+def seconds_of_children() -> float:
+    """Return the seconds of a processor that ended processes took."""
+    used = getrusage(RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def megabytes(process: int, key: str) -> float:
@@ -82,24 +89,30 @@ def main() -> None:
     make_takes(takes, options.takes, options.frames)
     say = sys.stdout.write
     before = seconds_a_take(takes)
-    say(f"alone, before: {before:.3f} s a take\n")
+    say(f"alone, before: {before[0]:.3f} s a take, {before[1]:.3f} of a processor\n")
     memory: dict[int, list[float]] = defaultdict(list)
-    done, start = Event(), time.perf_counter()
+    done, start, used = Event(), perf_counter(), seconds_of_children()
     command = batch(takes, out, "--jobs", str(options.jobs))
     pid = os.spawnv(os.P_NOWAIT, command[0], command)
     watcher = Thread(target=_watch, args=(pid, done, memory))
     watcher.start()
     code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    seconds = time.perf_counter() - start
+    seconds, used = perf_counter() - start, seconds_of_children() - used
     done.set()
     watcher.join()
     after = seconds_a_take(takes)
-    say(f"alone, after: {after:.3f} s a take\n")
+    say(f"alone, after: {after[0]:.3f} s a take, {after[1]:.3f} of a processor\n")
     count = len(rows_done(out))
-    alone = statistics.mean([before, after])
+    alone, busy = statistics.mean([before[0], after[0]]), [before[1], after[1]]
     say(f"exit code {code}, {count} takes in {seconds:.1f} s, start and end too\n")
     share = count / seconds * alone / options.jobs
     say(f"throughput {share:.2f} x {options.jobs} x that of one process alone\n")
+    work = sum(row["seconds"] for row in rows(out))
+    say(
+        f"{used / count:.3f} s of a processor a take, with beginning and end; alone over "
+        f"that: {statistics.mean(busy) * count / used:.2f}; workers cleaned in "
+        f"{work / seconds / options.jobs:.1%} of the time\n"
+    )
     for worker, values in memory.items():
         tenth = max(1, len(values) // 10)
         first, last = values[tenth : 2 * tenth], values[-tenth:]

@@ -19,7 +19,7 @@ from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.takes import claims_take, read_recording
 from kinefilter.pipeline.run import clean, make_corrector
 from kinefilter.pipeline.settings import hash_of
-from kinefilter.pipeline.workers import given_up, one_thread
+from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
 from .naming import numbered
 from .plan import Job
@@ -57,6 +57,8 @@ def clean_file(job: Job) -> Row:
             recording = None
             error = f"cannot be cleaned ({type(unforeseen).__name__}: {unforeseen})"
     other = recording is None and not error
+    del recording
+    give_back_memory()
     return Row(
         take=job.source.take,
         status="failed" if error else "no take" if other else "done",
