@@ -107,12 +107,10 @@ def main() -> None:
     say(f"exit code {code}, {count} takes in {seconds:.1f} s, start and end too\n")
     share = count / seconds * alone / options.jobs
     say(f"throughput {share:.2f} x {options.jobs} x that of one process alone\n")
-    work = sum(row["seconds"] for row in rows(out))
-    say(
-        f"{used / count:.3f} s of a processor a take, with beginning and end; alone over "
-        f"that: {statistics.mean(busy) * count / used:.2f}; workers cleaned in "
-        f"{work / seconds / options.jobs:.1%} of the time\n"
-    )
+    work = sum(row["seconds"] for row in rows(out)) / seconds / options.jobs
+    ratio = statistics.mean(busy) * count / used
+    say(f"{used / count:.3f} s of a processor a take, start and end too\n")
+    say(f"alone over that: {ratio:.2f}; workers cleaned in {work:.1%} of the time\n")
     for worker, values in memory.items():
         tenth = max(1, len(values) // 10)
         first, last = values[tenth : 2 * tenth], values[-tenth:]
