@@ -18,12 +18,13 @@ from published_layouts import ntu_text
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig, clean, read_take, write_clip
 from kinefilter.pipeline.batch import Outcome, as_tables, clean_files, manifest, run
-from kinefilter.pipeline.batch.manifest import open_manifest, parse_rows, write_csv
+from kinefilter.pipeline.batch.local import LocalStore
+from kinefilter.pipeline.batch.manifest import open_manifest, write_csv
 from kinefilter.pipeline.batch.naming import clip_names, numbered
+from kinefilter.pipeline.batch.places import store_at
 from kinefilter.pipeline.batch.plan import Job
-from kinefilter.pipeline.batch.row import Row, row_from_json
+from kinefilter.pipeline.batch.row import Row, parse_rows, row_from_json
 from kinefilter.pipeline.batch.sources import find_sources
-from kinefilter.pipeline.batch.store import LocalStore, store_at
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
 from kinefilter.pipeline.formats.takes import claims_take
