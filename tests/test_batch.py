@@ -22,9 +22,10 @@ from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.manifest import open_manifest, write_csv
 from kinefilter.pipeline.batch.naming import clip_names, numbered
 from kinefilter.pipeline.batch.places import store_at
-from kinefilter.pipeline.batch.plan import Job
+from kinefilter.pipeline.batch.plan import Job, plan_jobs
 from kinefilter.pipeline.batch.row import Row, parse_rows, row_from_json
 from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
 from kinefilter.pipeline.formats.takes import claims_take
@@ -533,3 +534,13 @@ def test_rows_say_all_there_is_to_say_as_json() -> None:
     assert row_from_json(row.as_json()) == row
     assert "\n" not in row.as_json()
     assert json.loads(row.as_json())["take"] == "é"
+
+
+def test_a_worker_that_would_do_another_thing_refuses(takes: Path) -> None:
+    out = LocalStore(str(takes.parent / "clips"))
+    sources = find_sources([str(takes / "a.csv")], out.root)
+    (job,) = plan_jobs(sources, out, QUICK, ".bvh")
+    elsewhere = clean_file(replace(job, fingerprint="of another kinefilter"))
+    assert (elsewhere.status, elsewhere.clips) == ("failed", ())
+    assert "another kinefilter" in elsewhere.error
+    assert clean_file(job).status == "done"
