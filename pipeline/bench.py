@@ -16,7 +16,6 @@ from kinefilter.retarget.body_size import Standardizer, measured_body
 from kinefilter.retarget.bone_lengths import BoneLengths
 from kinefilter.retarget.orientation import rotations_from_positions
 
-from .batch import clean_takes
 from .correct import Corrector, LocalPCA, Observation
 from .correct.posture_space import PostureSpace
 from .correct.search import solve, stochastic_search
@@ -26,6 +25,7 @@ from .formats import read_take
 from .library import embedded_database
 from .pulled_character import PulledCharacter, substeps_in
 from .reliability import ReliabilityScorer, measure_reference
+from .run import clean
 from .workers import cores, workers
 
 __all__ = ["as_table", "bench", "sample_path"]
@@ -62,9 +62,9 @@ def _time_offline(take: Take) -> dict[str, float]:
     """Return how many frames a second whole takes are cleaned at, on all cores."""
     count = cores()
     with workers(count) as pool:
-        list(clean_takes([take] * 2 * count, pool=pool))  # imports, database
+        list(pool.map(clean, [take] * 2 * count))  # imports, database
         start = perf_counter()
-        done = list(clean_takes([take] * _TAKES_PER_CORE * count, pool=pool))
+        done = list(pool.map(clean, [take] * _TAKES_PER_CORE * count))
         seconds = perf_counter() - start
     frames = sum(len(result.clip) for result in done)
     return {"cores": count, "frames_per_second": frames / seconds}

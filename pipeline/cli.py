@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import tyro
@@ -12,6 +13,7 @@ from tyro.conf import subcommand
 from kinefilter.characters import InputError
 
 from .commands import (
+    Batch,
     Bench,
     Character,
     Clean,
@@ -27,6 +29,7 @@ from .commands import (
     Train,
     View,
 )
+from .commands.given import given_options
 from .commands.terminal import err
 from .workers import one_thread
 
@@ -34,6 +37,7 @@ __all__ = ["main"]
 
 Command = (
     Annotated[Clean, subcommand("clean")]
+    | Annotated[Batch, subcommand("batch")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Live, subcommand("live")]
     | Annotated[Replay, subcommand("replay")]
@@ -53,7 +57,8 @@ _DESCRIPTION = """Turn noisy Kinect takes into clips that animators ship.
 
 Exit codes: 0 done; 1 done, but of several takes or clips some were left out, a metric
 is beyond --fail-on, or a figure of README did not hold; 2 the input or the command was
-wrong, and nothing was written."""
+wrong, and nothing was written; 130 a batch was interrupted, and goes on with the same
+command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,6 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             description=_DESCRIPTION,
             args=arguments,
         )
+        if isinstance(command, Batch | Clean):
+            named = sys.argv[1:] if arguments is None else arguments
+            command = replace(command, given=given_options(named))
         with one_thread():
             return command.run()
     except InputError as error:

@@ -69,13 +69,19 @@ class CleanResult:
 
 
 def clean(
-    take: Take, config: CleanConfig | None = None, *, progress: Progress = silent
+    take: Take,
+    config: CleanConfig | None = None,
+    *,
+    corrector: Corrector | WholeTakeCorrector | None = None,
+    progress: Progress = silent,
 ) -> CleanResult:
     """Clean a take.
 
     Args:
         take: The recording.
         config: What to do; by default joint offsets, local PCA, then physics.
+        corrector: What ``make_corrector`` returned for this config and skeleton, to
+            make it once for many takes, one after the other; by default made here.
         progress: Wraps the frame loops, for a progress bar.
 
     Raises:
@@ -83,7 +89,8 @@ def clean(
     """
     config = config or CleanConfig()
     _check(take)
-    corrector = make_corrector(take.skeleton, config, progress)
+    if corrector is None:
+        corrector = make_corrector(take.skeleton, config, progress)
     distinct = np.concatenate([[True], np.diff(take.time) > 0])
     # Which distinct frame each of the take's shows; a slice copies nothing.
     frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1

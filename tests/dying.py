@@ -1,9 +1,13 @@
-"""A process that draws and dies over some clips, for the tests of ``render``."""
+"""Processes that die over some clips or takes, for the tests of render and batch."""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
+from kinefilter.pipeline.batch.plan import Job
+from kinefilter.pipeline.batch.row import Row
+from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.render.codec import Coded
 from kinefilter.pipeline.render.parts import Parts
 from kinefilter.pipeline.render.shot import Shot
@@ -14,3 +18,13 @@ def draw_or_die(shot: Shot, parts: Parts, fingerprint: str) -> list[list[Coded]]
         os._exit(1)
     shot.out.with_name(f"{shot.clip.stem}.drawn").write_text(fingerprint)
     return [[] for _ in parts]
+
+
+def clean_or_die(job: Job) -> Row:
+    """Die over one take whenever it comes, and over another the first time."""
+    name = Path(job.source.take).stem
+    met = Path(job.store.root) / "met"
+    if name == "deadly" or (name == "unlucky" and not met.exists()):
+        met.touch()
+        os._exit(1)
+    return clean_file(job)

@@ -261,7 +261,7 @@ def test_every_command_is_in_the_readme() -> None:
     for command in (
         *("clean", "info", "database build", "train", "evaluate"),
         *("simulate", "reproduce", "bench", "character", "render"),
-        *("report", "view", "live", "replay"),
+        *("report", "view", "live", "replay", "batch"),
     ):
         assert f"kinefilter {command}" in readme
 

@@ -1,5 +1,6 @@
 """The commands of the command line, one a file: they parse and print, nothing else."""
 
+from .batch import Batch
 from .bench import Bench
 from .character import Character
 from .clean import Clean
@@ -16,6 +17,7 @@ from .train import Train
 from .view import View
 
 __all__ = [
+    "Batch",
     "Bench",
     "Character",
     "Clean",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
@@ -44,9 +44,14 @@ class Clean:
     """Write a web page that shows clip and take side by side, .html."""
     json: Path | None = None
     """Write the printed figures to this file too."""
+    settings: Annotated[Path | None, arg(name="config")] = None
+    """TOML file of options such as cutoff = 4.0; options given here are stronger."""
+    given: Suppress[frozenset[str]] = frozenset()
 
     def run(self) -> int:
         """Clean, write, print."""
+        if self.settings is not None:
+            return self._as_in(self.settings).run()
         from kinefilter.pipeline.formats import check_folder, check_writable
         from kinefilter.pipeline.formats.takes import read_recording
         from kinefilter.pipeline.report import check_report
@@ -87,6 +92,22 @@ class Clean:
         for note in (*recording.notes, *self._others(recording)):
             out.print(note, markup=False)
         return 1 if several and len(results) < len(recording.takes) else 0
+
+    def _as_in(self, file: Path) -> Clean:
+        """Return the command with what a file says where no option does."""
+        from kinefilter.pipeline.config_files import overlaid, read_settings
+        from kinefilter.pipeline.settings import Settings
+
+        own = Settings(self.config, self.export, self.format, self.body)
+        chosen = overlaid(own, [read_settings(file)], self.given)
+        return replace(
+            self,
+            config=chosen.config,
+            export=chosen.export,
+            format=chosen.format,
+            body=chosen.body,
+            settings=None,
+        )
 
     def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
         """Return what became of each person asked for, by their number."""

@@ -113,14 +113,18 @@ def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
         yield _lines(io.TextIOWrapper(stream, encoding="utf-8-sig"), path)
 
 
-def beginning(path: str | os.PathLike[str]) -> str:
+def beginning(path: str | os.PathLike[str], most: int = 100) -> str:
     """Return the first characters of a file's text, blanks and blank lines left out.
+
+    Args:
+        path: The file.
+        most: How many, at most about 60,000.
 
     Raises:
         InputError: As ``open_text``.
     """
     with _readable(check_file(path)) as stream:
-        return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:100]
+        return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
 def read_limited(path: str | os.PathLike[str], most: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator
 
 from kinefilter.characters import InputError, Take
@@ -17,10 +18,14 @@ from .ntu import read_ntu
 from .recording import Recording
 from .sheets import read_sheet
 
-__all__ = ["FORMATS", "read_recording", "read_take", "read_takes"]
+__all__ = ["FORMATS", "claims_take", "read_recording", "read_take", "read_takes"]
 
 _MSRC_CELLS = 81
 _MSR_CELLS = 4
+_NAMES = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")
+"""Joints that headers of takes name: the root or what hangs on it."""
+_AZURE_KEYS = ('"bone_list"', '"joint_names"', '"timestamp_usec"', '"joint_positions"')
+_AZURE_BEGINNING = 2**16  # characters: a bone list is a tenth of it
 
 # Path of a file, number and text of its first line that is not blank, those after it.
 _Reader = Callable[[str, tuple[int, str], Iterator[str]], Recording]
@@ -101,6 +106,37 @@ def read_recording(
         if name in _WHOLE:
             return _WHOLE[name](source)
         return _BY_LINE[name](source, head, lines)
+
+
+def claims_take(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file claims by how it begins to be a recording.
+
+    What is said before the joints must be there: names of joints in a header, or
+    numbers, so that notes and other tables are told from a recording that is damaged.
+
+    Raises:
+        InputError: The file is missing, empty, or cannot be read as text.
+    """
+    start = beginning(path, _AZURE_BEGINNING)
+    if start.startswith("{"):
+        return any(key in start for key in _AZURE_KEYS)
+    source = os.fspath(path)
+    with open_text(path) as lines:
+        line = _first_line(lines, source)[1]
+    try:
+        name = _detected(line, source)
+    except InputError:
+        return False
+    if name in ("kinefilter", "kinect-v1"):
+        return _NAMES.search(line) is not None
+    return name == "bvh" or _all_numbers(line)
+
+
+def _all_numbers(line: str) -> bool:
+    try:
+        return bool([float(word) for word in line.replace(",", " ").split()])
+    except ValueError:
+        return False
 
 
 def _first_line(lines: Iterator[str], source: str) -> tuple[int, str]:

@@ -81,7 +81,8 @@ def write_usd(
             write(clip, moved, temporary, export, reference)
     except Tf.ErrorException as error:
         raise InputError(
-            f"{path}: cannot be written ({error}); write elsewhere or make room"
+            f"{path}: cannot be written ({error.args[0].commentary}); write elsewhere "
+            "or make room"
         ) from error
 
 

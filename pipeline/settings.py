@@ -1,0 +1,86 @@
+"""What is done with a take, from reading to writing, and a fingerprint of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal, TypeGuard
+
+from kinefilter.characters import InputError
+
+from .config import CleanConfig, TakeFormat
+from .formats.export import Export
+
+__all__ = ["Settings", "fingerprint", "hash_of"]
+
+_BLOCK = 2**20  # bytes read at a time
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a take is read, cleaned and written."""
+
+    config: CleanConfig = field(default_factory=CleanConfig)
+    """How it is cleaned."""
+    export: Export = field(default_factory=Export)
+    """How the clip is written."""
+    format: TakeFormat | None = None
+    """Layout of the take; None: detected from its content."""
+    body: int | Literal["all"] | None = None
+    """Which person, counted from 1, or all; None: who is seen in most frames."""
+
+
+def fingerprint(settings: Settings, suffix: str) -> str:
+    """Return a hash of all that decides the bytes of a clip beside the take.
+
+    Files that the settings name count by what is in them, not by where they are.
+
+    Args:
+        settings: What is done.
+        suffix: Extension of the clip, such as ``.usdc``.
+
+    Raises:
+        InputError: A file that the settings name is not there.
+    """
+    known: dict[str, Any] = {
+        **asdict(settings),
+        "suffix": suffix,
+        "kinefilter": version("kinefilter"),
+    }
+    text = json.dumps(known, sort_keys=True, default=_by_content)
+    scene, rig = settings.config.scene, settings.export.rig
+    files = [hash_of(Path(name)) for name in (scene, rig) if _names_file(name)]
+    return hashlib.sha256("\n".join([text, *files]).encode()).hexdigest()[:32]
+
+
+def hash_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while block := file.read(_BLOCK):
+                digest.update(block)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(
+            f"{path}: cannot be read ({reason}); check the name"
+        ) from error
+    return digest.hexdigest()
+
+
+def _by_content(path: object) -> str:
+    if not isinstance(path, Path):
+        raise TypeError(f"{path!r} is no setting")
+    return hash_of(path)
+
+
+def _names_file(name: str | None) -> TypeGuard[str]:
+    """Tell a file from the name of a scene or rig that comes with kinefilter."""
+    return name is not None and Path(name).suffix in (".xml", ".toml")

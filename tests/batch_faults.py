@@ -1,0 +1,198 @@
+"""Kills batches and Dask workers at random moments, and compares what comes out.
+
+Usage: python tests/batch_faults.py FOLDER [--takes 60] [--frames 100] [--kills 20]
+
+First a batch runs undisturbed. Then one is killed (SIGKILL) again and again and begun
+again, until it is done; then one runs on a Dask cluster on loopback whose two workers
+are killed and replaced in turn. Every take must have one row that says done, and
+every clip the bytes of the undisturbed run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from batch_takes import make_takes
+
+_ALONE = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+_PATIENCE = 60.0  # s for a scheduler or worker to be there
+
+
+def batch(takes: Path, out: Path, *options: str) -> list[str]:
+    """Return the command that cleans a folder."""
+    command = [sys.executable, "-m", "kinefilter.pipeline.cli", "batch", str(takes)]
+    return [*command, "-o", str(out), *options]
+
+
+def begin(command: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Run a command in a session of its own, so that it can be ended alone."""
+    return subprocess.Popen(
+        command,
+        env=_ALONE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def rows(out: Path) -> list[dict[str, Any]]:
+    """Return the whole rows of a manifest, which may not be there yet."""
+    lines = out / "manifest.jsonl"
+    text = lines.read_text() if lines.exists() else ""
+    return [json.loads(row) for row in text.split("\n")[:-1]]
+
+
+def rows_done(out: Path) -> list[str]:
+    """Return the takes of whole rows that say done."""
+    return [row["take"] for row in rows(out) if row["status"] == "done"]
+
+
+def clip_hashes(out: Path) -> dict[str, str]:
+    """Return a hash of each file that is no manifest."""
+    return {
+        path.relative_to(out).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and not path.name.startswith("manifest")
+    }
+
+
+def killed_until_done(
+    command: Sequence[str], out: Path, count: int, kills: int, seed: int = 0
+) -> int:
+    """Kill a batch so many times, spread over its takes; return how often it was.
+
+    Args:
+        command: The batch.
+        out: Where it writes.
+        count: How many takes it has.
+        kills: How often it is killed.
+        seed: Draws the moments.
+    """
+    rng = random.Random(seed)
+    killed = 0
+    for k in range(kills):
+        process = begin(command)
+        mark = count * (k + 1) / (kills + 1)
+        while process.poll() is None and len(rows_done(out)) < mark:
+            time.sleep(0.005)
+        time.sleep(rng.uniform(0.0, 0.5))
+        if process.poll() is None:
+            process.kill()
+            killed += 1
+        process.wait()
+    assert begin(command).wait() == 0
+    return killed
+
+
+@contextmanager
+def scheduler() -> Iterator[str]:
+    """Yield the address of a Dask scheduler on loopback."""
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show"]
+    process = subprocess.Popen(
+        [*command, *options], env=_ALONE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stderr is not None
+        yield next(
+            found[1]
+            for line in process.stderr
+            if (found := re.search(r"Scheduler at: +(tcp://\S+)", line))
+        )
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def begin_worker(address: str, folder: Path) -> subprocess.Popen[bytes]:
+    """Start a Dask worker of one thread, which nobody but us starts again."""
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", address]
+    options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
+    return begin([*command, *options, "--local-directory", str(folder)])
+
+
+def killed_workers(
+    takes: Path, out: Path, *options: str, every: float, seed: int = 0
+) -> int:
+    """Run a batch on two workers, one of which is killed now and then.
+
+    Args:
+        takes: Folder of takes.
+        out: Folder for the clips.
+        options: Those of the batch.
+        every: Seconds between two kills, the first after that long of work.
+        seed: Draws who is killed.
+    """
+    rng = random.Random(seed)
+    folder = out.with_name(out.name + "-workers")
+    killed = 0
+    with scheduler() as address:
+        workers = [begin_worker(address, folder) for _ in range(2)]
+        run = begin(batch(takes, out, "--scheduler", address, *options))
+        try:
+            while run.poll() is None and not rows_done(out):
+                time.sleep(0.01)
+            while run.poll() is None:
+                time.sleep(every)
+                if run.poll() is None:
+                    victim = rng.randrange(2)
+                    workers[victim].kill()
+                    workers[victim].wait()
+                    workers[victim] = begin_worker(address, folder)
+                    killed += 1
+            assert run.returncode == 0
+        finally:
+            for process in (run, *workers):
+                process.send_signal(signal.SIGKILL)
+                process.wait()
+    return killed
+
+
+def check(out: Path, undisturbed: Path, what: str) -> None:
+    """Assert that each take was done once, and came out as it should."""
+    often = Counter(rows_done(out))
+    twice = [take for take, count in often.items() if count != 1]
+    assert not twice, f"{what}: rows that say done twice: {twice}"
+    assert set(often) == set(rows_done(undisturbed)), what
+    assert clip_hashes(out) == clip_hashes(undisturbed), what
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--takes", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--every", type=float, default=4.0)
+    options = parser.parse_args()
+    folder: Path = options.folder
+    takes, whole = folder / "takes", folder / "undisturbed"
+    make_takes(takes, options.takes, options.frames)
+    assert begin(batch(takes, whole, "--jobs", "2")).wait() == 0
+    say = sys.stdout.write
+    say(f"{len(rows_done(whole))} takes undisturbed\n")
+    command = batch(takes, folder / "killed", "--jobs", "2")
+    count = killed_until_done(command, folder / "killed", options.takes, options.kills)
+    check(folder / "killed", whole, "killed")
+    say(f"the run killed {count} times: each take done once, the same bytes\n")
+    count = killed_workers(takes, folder / "cluster", every=options.every)
+    check(folder / "cluster", whole, "cluster")
+    say(f"workers killed {count} times: each take done once, the same bytes\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""Batches whose processes die, are killed, or are told to end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from batch_faults import (
+    batch,
+    begin,
+    check,
+    clip_hashes,
+    killed_until_done,
+    killed_workers,
+    rows_done,
+)
+from batch_takes import short_take
+from dying import clean_or_die
+
+from kinefilter.pipeline import CleanConfig
+from kinefilter.pipeline.batch import clean_files, crew
+from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.settings import Settings
+
+QUICK = ("--method", "none", "--no-physics", "--to", "bvh")
+needs_dask = pytest.mark.skipif(
+    find_spec("distributed") is None, reason="Dask, of the extra cluster, is not here"
+)
+
+
+def _takes(folder: Path, *names: str) -> Path:
+    folder.mkdir()
+    for k, name in enumerate(names):
+        write_take_csv(short_take(100, seed=k), folder / f"{name}.csv")
+    return folder
+
+
+def test_a_take_that_kills_its_process_fails_and_the_others_are_cleaned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    takes = _takes(tmp_path / "takes", "deadly", "one", "two", "unlucky")
+    monkeypatch.setattr(crew, "clean_file", clean_or_die)
+    monkeypatch.setattr(sys, "path", [*sys.path, str(Path(__file__).parent)])
+    settings = Settings(CleanConfig(method="none", physics=False))
+    outcome = clean_files(
+        [str(takes)], str(tmp_path / "clips"), settings, suffix=".bvh", jobs=2
+    )
+    assert {row.take: row.status for row in outcome.rows} == {
+        "deadly.csv": "failed",
+        "one.csv": "done",
+        "two.csv": "done",
+        "unlucky.csv": "done",
+    }
+    assert len(outcome.rows) == 4
+    assert "died" in outcome.failed[0].error
+
+
+def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
+    names = [f"take_{k}" for k in range(8)]
+    takes = _takes(tmp_path / "takes", *names)
+    command = batch(takes, tmp_path / "clips", *QUICK, "--jobs", "2")
+    killed = killed_until_done(command, tmp_path / "clips", len(names), 2)
+    assert begin(batch(takes, tmp_path / "whole", *QUICK, "--jobs", "1")).wait() == 0
+    assert killed >= 1
+    assert len(clip_hashes(tmp_path / "clips")) == len(names)
+    check(tmp_path / "clips", tmp_path / "whole", "killed")
+
+
+def test_a_run_that_is_told_to_end_says_so_and_leaves_its_table(tmp_path: Path) -> None:
+    takes = _takes(tmp_path / "takes", "short")
+    for k in range(4):
+        write_take_csv(short_take(298, seed=k), takes / f"long_{k}.csv")
+    out = tmp_path / "clips"
+    process = begin(batch(takes, out, "--jobs", "1"))
+    while process.poll() is None and not rows_done(out):
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGTERM)  # as a batch system does
+    assert process.wait() == 130
+    assert (out / "manifest.csv").exists()
+    assert 1 <= len(rows_done(out)) < 5
+    assert set(clip_hashes(out)) >= {
+        take.replace(".csv", ".usdc") for take in rows_done(out)
+    }
+
+
+@needs_dask
+def test_a_cluster_whose_workers_die_does_every_take_once(tmp_path: Path) -> None:
+    takes = _takes(tmp_path / "takes", *(f"take_{k}" for k in range(12)))
+    options = ("--method", "low-rank", "--to", "bvh")
+    killed = killed_workers(takes, tmp_path / "clips", *options, every=0.7)
+    assert begin(batch(takes, tmp_path / "whole", *options)).wait() == 0
+    assert killed >= 1
+    check(tmp_path / "clips", tmp_path / "whole", "cluster")
