@@ -18,11 +18,13 @@ from kinefilter.pipeline.studies import (
     pictures,
     recordings_folder,
     reproduce,
+    verdicts,
 )
+from kinefilter.pipeline.studies.study import Panel, Series, Study
 
 ROOT = Path(__file__).parents[1]
-DATA = ROOT.parent / "shared" / "data"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
+PANEL = Panel("what", "cm", (Series("one", ["one"], [0.5], "bars"),))
 CLAIM = claims.Claim(
     *("distance, cm", "0.50", "small", "one", "cm", "is", 0.01, "rounding", False)
 )
@@ -95,15 +97,15 @@ def test_a_claim_is_judged_by_the_cell_of_its_study(
 ) -> None:
     recorded = claims.Claim(**{**vars(CLAIM), "row": "two", "recordings": True})
     absent = claims.Claim(**{**vars(CLAIM), "row": "three"})
-    monkeypatch.setattr(claims, "read_claims", lambda: [CLAIM, recorded, absent])
+    monkeypatch.setattr(verdicts, "read_claims", lambda: [CLAIM, recorded, absent])
     (tmp_path / "small.csv").write_text("what,cm\none,0.503\ntwo,0.9\n", "utf-8")
-    one, two, three = claims.judge(tmp_path, recordings=True)
+    one, two, three = verdicts.judge(tmp_path, recordings=True)
     assert (one.measured, one.held, one.words) == (0.503, True, "yes")
     assert (two.measured, two.held, two.words) == (0.9, False, "no")
     assert (three.measured, three.held) == (None, False)
-    two = claims.judge(tmp_path, recordings=False)[1]
+    two = verdicts.judge(tmp_path, recordings=False)[1]
     assert (two.held, two.words) == (None, "not measured: no recordings")
-    assert [v.held for v in claims.judge(tmp_path, recordings=True, quick=True)] == [
+    assert [v.held for v in verdicts.judge(tmp_path, recordings=True, quick=True)] == [
         *(None, None, False)
     ]
 
@@ -121,28 +123,31 @@ def test_every_claim_has_its_cell_in_the_study() -> None:
 def test_all_says_which_claims_held_and_goes_on_where_it_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kept = {"shum-table-3": STUDIES["shum-table-3"]}
-    monkeypatch.setattr("kinefilter.pipeline.studies.STUDIES", kept)
-    monkeypatch.setattr(
-        "kinefilter.pipeline.studies.make_pictures", lambda *_, **__: iter(["drawn"])
-    )
-    measured = [claim for claim in claims.read_claims() if claim.study in kept]
-    monkeypatch.setattr(claims, "read_claims", lambda: measured)
+    made_of: list[str] = []
+
+    def measured(name: str, **_: object) -> Study:
+        made_of.append(name)
+        return Study(name, "Made up", ("what", "cm"), (("one", 0.5),), (PANEL,))
+
+    studies = "kinefilter.pipeline.studies"
+    monkeypatch.setattr(f"{studies}.STUDIES", {"small": STUDIES["speed"]})
+    monkeypatch.setattr(f"{studies}.check_names", lambda _: None)
+    monkeypatch.setattr(f"{studies}.reproduce", measured)
+    monkeypatch.setattr(f"{studies}.make_pictures", lambda *_, **__: iter(["drawn"]))
+    monkeypatch.setattr(verdicts, "read_claims", lambda: [CLAIM])
     arguments = ["reproduce", "--all", str(tmp_path / "all")]
     assert main(arguments) == 0
-    assert f"{len(measured)} of {len(measured)} claims of README held" in (
-        capsys.readouterr().out
-    )
+    assert "1 of 1 claims of README held" in capsys.readouterr().out
     with (tmp_path / "all" / "claims.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["README"] for row in rows] == [claim.figure for claim in measured]
-    assert {row["held"] for row in rows} == {"yes"}
-    table = tmp_path / "all" / "shum-table-3.csv"
-    table.write_text(table.read_text("utf-8").replace("(a) left hand", "(x)"), "utf-8")
-    assert main(arguments) == 1  # taken as it is, and a claim misses its row
+        (row,) = csv.DictReader(file)
+    assert (row["README"], row["measured"], row["held"]) == ("0.50", "0.5", "yes")
+    (tmp_path / "all" / "small.csv").write_text("what,cm\none,0.6\n", "utf-8")
+    assert main(arguments) == 1  # taken as it is, and 0.6 is not 0.5
     assert "is there already" in capsys.readouterr().out
+    assert made_of == ["small"]
     assert main([*arguments, "--quick"]) == 0  # not of the same making
     assert "not judged" in capsys.readouterr().out
+    assert made_of == ["small", "small"]
 
 
 def test_the_fingerprint_changes_with_what_is_measured(tmp_path: Path) -> None:

@@ -110,16 +110,16 @@ class Reproduce:
 
     def _judge(self, folder: Path, data: Path | None) -> int:
         """Make the pictures, compare the claims; return the exit code."""
-        from kinefilter.pipeline.studies import claims, make_pictures
+        from kinefilter.pipeline.studies import make_pictures, verdicts
 
         with progress_bars() as progress:
             for line in make_pictures(folder, progress=progress):
                 out.print(line, markup=False)
-        verdicts = claims.judge(folder, recordings=data is not None, quick=self.quick)
-        written = claims.write_verdicts(verdicts, folder)
-        out.print(claims.verdicts_table(verdicts))
+        found = verdicts.judge(folder, recordings=data is not None, quick=self.quick)
+        written = verdicts.write_verdicts(found, folder)
+        out.print(verdicts.verdicts_table(found))
         out.print(f"wrote {written}", markup=False)
-        return int(any(verdict.held is False for verdict in verdicts))
+        return int(any(verdict.held is False for verdict in found))
 
 
 def _held(bars: Sequence[Bar]) -> Table:

@@ -3,11 +3,11 @@
 A study is a function of a seed and of sizes that returns a ``Study``; ``catalog`` has
 them by name. Those of the papers take simulated people. Those of README's figures take
 recordings where there are some (``recordings``), and simulated people elsewhere; what
-README says of them stands in ``claims.toml``, which ``claims`` compares with what was
-found.
+README says of them stands in ``claims.toml``, and ``verdicts`` compares it with what
+was found.
 """
 
-from . import claims, made
+from . import made, verdicts
 from .catalog import STUDIES, check_names, reproduce
 from .drawing import check_drawing
 from .files import check_studies_folder, write_study
@@ -23,10 +23,10 @@ __all__ = [
     "check_drawing",
     "check_names",
     "check_studies_folder",
-    "claims",
     "made",
     "make_pictures",
     "recordings_folder",
     "reproduce",
+    "verdicts",
     "write_study",
 ]
