@@ -79,7 +79,9 @@ def _draw_panel(panel: Panel, axis: Axes) -> None:
         axis.set_xscale("log")
         axis.set_xticks(values, [f"{x:g}" for x in values])
         axis.set_xticks([], minor=True)
-    if panel.zero:
+    if panel.log_y:
+        axis.set_yscale("log")
+    elif panel.zero:
         axis.set_ylim(bottom=0.0)
     axis.set_xlabel(panel.x_label)
     axis.set_ylabel(panel.y_label)
@@ -94,5 +96,8 @@ def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> No
     width = _BARS / count
     left = places + (k - (count - 1) / 2.0) * width
     axis.bar(left, series.y, width, color=color, label=series.label)
-    turn = 0.0 if len(series.x) <= _LEVEL_NAMES else 60.0
-    axis.set_xticks(places, [str(name) for name in series.x], rotation=turn)
+    axis.set_xticks(places, [str(name) for name in series.x])
+    if len(series.x) > _LEVEL_NAMES:
+        axis.tick_params("x", rotation=60.0)
+        for label in axis.get_xticklabels():
+            label.set_horizontalalignment("right")

@@ -42,8 +42,10 @@ class Panel:
     """What is drawn."""
     log_x: bool = False
     """The axis of what is varied is logarithmic."""
+    log_y: bool = False
+    """The axis of what is measured is logarithmic."""
     zero: bool = True
-    """The axis of what is measured begins at 0."""
+    """The axis of what is measured begins at 0, unless it is logarithmic."""
 
 
 @dataclass(frozen=True)
