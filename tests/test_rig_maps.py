@@ -181,5 +181,5 @@ def test_what_is_no_text_no_map_or_no_file_is_refused(
 
 
 def test_an_unknown_rig_is_refused_with_those_that_are_known() -> None:
-    with pytest.raises(InputError, match="mixamo, unreal, unity, vrm, smpl"):
+    with pytest.raises(InputError, match="mixamo, smpl, unity, unreal, vrm"):
         load_rig_map("maya")

@@ -11,12 +11,13 @@ from pathlib import Path
 from kinefilter.characters import InputError
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.formats import read_take, write_clip
-from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.run import clean
 
 __all__ = ["make_pictures"]
 
 _SIZE, _RATE = "480x270", 10.0  # a moving picture that loads quickly
+_LONGEST = 600.0  # s that a script may take, ten times what it needs. A guess.
 _CHECKOUT = Path(__file__).parents[2]
 _SCRIPTS = {"pages.py": "", "scenes.py": "scenes.png"}
 """Scripts of the checkout that draw, and what each is told to write in the folder."""
@@ -38,8 +39,9 @@ def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]
         yield f"wrote {path}"
     except InputError as error:
         yield f"not made: {path.name} ({error})"
-    for script, out in _SCRIPTS.items():
-        yield _run(_CHECKOUT / "tests" / "pictures" / script, folder / out)
+    for script in over(tuple(_SCRIPTS), "pages and scenes", progress):
+        path = _CHECKOUT / "tests" / "pictures" / script
+        yield _run(path, folder / _SCRIPTS[script])
 
 
 def _draw(path: Path, progress: Progress) -> None:
@@ -59,9 +61,11 @@ def _run(script: Path, out: Path) -> str:
     """Run a script of the checkout, and return what became of it."""
     if not script.is_file():
         return f"not made: what {script.name} draws (a script of the checkout)"
-    done = subprocess.run(
-        [sys.executable, str(script), str(out)], capture_output=True, text=True
-    )
+    command = [sys.executable, str(script), str(out)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST)
+    except subprocess.TimeoutExpired:
+        return f"not made: what {script.name} draws (not done in {_LONGEST:g} s)"
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
         return f"not made: what {script.name} draws ({reason})"
