@@ -31,8 +31,10 @@ class Reproduce:
     chiang-figure-5.
 
     With --all every study and picture is made, and every figure of README compared with
-    what was found; exit code 1 if one does not hold. The same command again makes only
-    what is missing, or what other code or recordings made.
+    what was found, in some forty minutes on two cores; exit code 1 if one does not
+    hold. The same command again makes only what is missing, or what other code or
+    recordings made. Plots need pip install "kinefilter[reproduce]", the moving picture
+    OpenGL, pictures of pages Chromium and a checkout.
     """
 
     studies: Positional[tuple[str, ...]] = ()
