@@ -51,22 +51,22 @@ def failures(
     files = recorded_takes(data)
     failed = [file for file in files if file.stem.endswith("_failure")][:count]
     quick = [file for file in files if file.parent.name == "precog16"][:count]
-    groups: dict[str, list[bool]] = {}
-    alone: list[bool] = []
-    for name, chosen in (("recorded failures", failed), ("punches and kicks", quick)):
-        takes = (read_take(file) for file in over(chosen, name, progress))
-        found = [_kinds(take) for take in takes]
-        groups[name] = [len(kinds) > 0 for kinds in found]
-        if chosen is failed:
-            alone = [kinds == {FailureKind.LEAPING} for kinds in found]
-    groups["recorded failures, by leaps alone"] = alone
-    names = people(data)[:count]
-    groups["near the mocap"] = [
-        len(_kinds(pair.take)) > 0
-        for name in over(names, "people", progress)
+    lost = [_kinds(read_take(file)) for file in over(failed, "failures", progress)]
+    alarms = [_kinds(read_take(file)) for file in over(quick, "kicks", progress)]
+    near = [
+        _kinds(pair.take)
+        for name in over(people(data)[:count], "people", progress)
         for pair in person(data, name, seed, movements)
         if _near(pair)
     ]
+    groups = {
+        "recorded failures": [bool(kinds) for kinds in lost],
+        "recorded failures, by leaps alone": [
+            kinds == {FailureKind.LEAPING} for kinds in lost
+        ],
+        "punches and kicks": [bool(kinds) for kinds in alarms],
+        "near the mocap": [bool(kinds) for kinds in near],
+    }
     return Study(
         name="failures",
         title="Takes in which a gross failure is found",

@@ -1,0 +1,73 @@
+"""The studies of README's figures: what they count, on motions made for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinefilter.characters import KINECT_V1
+from kinefilter.pipeline.studies import recordings
+from kinefilter.pipeline.studies.cleaned_takes import _FIGURES, _row
+from kinefilter.pipeline.studies.failures import _near
+from kinefilter.pipeline.studies.methods import _study
+from kinefilter.pipeline.studies.takes import study_takes
+
+WRIST = KINECT_V1.index("WristLeft")
+DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.mark.parametrize(("frames", "off", "near"), [(9, 0.21, 0), (8, 0.9, 1)])
+def test_a_clip_is_near_unless_a_joint_is_far_off_for_long(
+    frames: int, off: float, near: int
+) -> None:
+    (pair,) = study_takes("a", count=1)
+    away = pair.truth.copy()
+    away[20 : 20 + frames, WRIST, 1] += off
+    moved = replace(pair.take, positions=away + np.array([3.0, 0.0, 1.0]))
+    assert _near(replace(pair, take=moved)) is bool(near)
+
+
+def test_errors_are_means_over_people_and_the_worst_person_counts_too() -> None:
+    def errors(value: float) -> dict[str, float]:
+        return {"E": value, "E_std": 1.0, "E_var": 2.0}
+
+    raw = {"one": errors(4.0), "two": errors(8.0)}
+    found = {"one": errors(4.4), "two": errors(4.0)}
+    rows = _study("made", "Made up", {"raw": raw, "method": found}).rows
+    columns = _study("made", "Made up", {"raw": raw}).columns
+    row = dict(zip(columns, rows[1], strict=True))
+    assert row["E_cm"] == pytest.approx(4.2)
+    assert row["E_change_percent"] == pytest.approx(-30.0)
+    assert row["E_worst_person_percent"] == pytest.approx(10.0)
+    assert row["E_std_change_percent"] == 0.0
+
+
+def test_the_worst_take_is_at_the_end_that_is_worse() -> None:
+    slide, kept = next(iter(_FIGURES)), "amplitude, after over before physics"
+    takes = [[0.1] * len(_FIGURES), [0.3] * len(_FIGURES), [np.nan] * len(_FIGURES)]
+    assert _row(slide, 0, [takes]) == (slide, pytest.approx(0.2), 0.3)
+    assert _row(kept, 7, [takes]) == (kept, pytest.approx(0.2), 0.1)
+    assert _row(slide, 0, [[]]) == (slide, None, None)
+
+
+def test_who_stands_in_for_recorded_people_repeats_movements(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(recordings, "_REPETITIONS", 2)
+    first, second = recordings.people(None)[:2]
+    clips = recordings.person(None, first, 0, 1)
+    assert [pair.clip for pair in clips] == ["m01_s01_e01", "m01_s01_e02"]
+    assert {pair.subject for pair in clips} == {first}
+    again = recordings.person(None, first, 0, 1)[1]
+    np.testing.assert_array_equal(again.take.positions, clips[1].take.positions)
+    assert first != second
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="no recordings in ../shared/data")
+def test_the_first_movements_of_a_recorded_person_are_read() -> None:
+    clips = recordings.person(DATA, recordings.people(DATA)[0], 0, 1)
+    assert {pair.clip[:3] for pair in clips} == {"m01"}
+    assert len(recordings.recorded_takes(DATA)) > 90
