@@ -9,18 +9,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.pipeline.formats import Bvh, read_bvh, write_clip
 from kinefilter.pipeline.formats.euler import continuous_euler, wxyz_from_euler
 
 MakeClip = Callable[..., Clip]
-
 CMU = Path(__file__).parents[2] / "shared" / "data" / "mocap" / "cmu"
 recorded = pytest.mark.skipif(
     not CMU.is_dir(), reason="no motion capture in ../shared/data"
 )
-
 SMALL = """HIERARCHY
 ROOT Hips
 {
@@ -41,11 +40,6 @@ Frame Time: 0.04
 1 2 3 0 0 0 0 5 0 0
 0 0 0 90 0 0 0 5 90 0
 """
-
-
-def write_text(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def round_trip(clip: Clip, folder: Path) -> Bvh:
