@@ -41,10 +41,12 @@ every_skeleton = pytest.mark.parametrize(
 HAND = KINECT_V1.index("HandLeft")
 
 
-def still_take(frames: int = 20, skeleton: Skeleton = KINECT_V1) -> Take:
+def still_take(
+    frames: int = 20, skeleton: Skeleton = KINECT_V1, fps: float = 30.0
+) -> Take:
     rest = standard_body(skeleton).rest_positions
     return Take(
-        time=np.arange(frames) / 30.0,
+        time=np.arange(frames) / fps,
         positions=np.tile(rest, (frames, 1, 1)),
         state=np.full((frames, len(skeleton)), int(State.TRACKED), dtype=np.uint8),
         skeleton=skeleton,

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scored_takes import average, blind, still_take
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -35,15 +36,6 @@ HAND, WRIST = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
 LIMIT = 0.03  # m, the paper's T
 
 
-def still_take(frames: int = 12, skeleton: Skeleton = KINECT_V1) -> Take:
-    return Take(
-        time=np.arange(frames) / 30.0,
-        positions=np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1)),
-        state=np.full((frames, len(skeleton)), int(State.TRACKED), dtype=np.uint8),
-        skeleton=skeleton,
-    )
-
-
 def moved(path: Array, joint: int = HAND) -> Take:
     """Return a still take with a joint's x displaced, path (T,)."""
     take = still_take(len(path))
@@ -56,17 +48,6 @@ def with_state(take: Take, frames: slice, state: State) -> Take:
     states = take.state.copy()
     states[frames, HAND] = state
     return replace(take, state=states)
-
-
-def average(skeleton: Skeleton = KINECT_V1) -> Reference:
-    lengths = standard_body(skeleton).lengths.copy()
-    lengths[skeleton.root] = np.nan
-    return Reference(lengths, np.full((len(skeleton), 3), np.nan), False)
-
-
-def blind() -> Reference:
-    """Return a reference that knows no segment, so that no length can be wrong."""
-    return replace(average(), lengths=np.full(JOINTS, np.nan))
 
 
 def score(take: Take, reference: Reference) -> Reliability:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,9 @@ from offset_lessons import (
     lessons_of,
     local_gp,
     moves_of,
+    paired,
     postures_of,
+    recorded_lessons,
 )
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError
@@ -29,9 +30,8 @@ from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.exemplar import Exemplar
 from kinefilter.pipeline.correct.full_gp import FullGP
 from kinefilter.pipeline.correct.local_gp import LocalGP
-from kinefilter.pipeline.training import TrainingSet, read_pairs, training_set
+from kinefilter.pipeline.training import TrainingSet
 
-DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
 METHODS: dict[str, Callable[[], Method]] = {
     "local": local_gp,
     "full": lambda: FullGP(KINECT_V1, samples=300),
@@ -145,20 +145,9 @@ def test_too_few_pairs_and_other_skeletons_are_refused(name: str) -> None:
         METHODS[name]().fit(foreign)
 
 
-def _real(keep: Callable[[int], bool]) -> TrainingSet:
-    pairs = [
-        pair
-        for pair in read_pairs(DATA / "s02.npz")
-        if pair.clip[:3] in ("m01", "m07")
-        and "_inc" not in pair.clip
-        and keep(int(pair.clip[9:11]))
-    ]
-    return training_set(pairs)
-
-
-@pytest.mark.skipif(not DATA.is_dir(), reason="paired recordings are not here")
+@paired
 def test_known_people_are_corrected_on_real_recordings() -> None:
-    train, test = _real(lambda e: e <= 7), _real(lambda e: e > 7)
+    train, test = recorded_lessons(lambda e: e <= 7), recorded_lessons(lambda e: e > 7)
     accuracy = Accuracy(KINECT_V1)
     raw = np.nanmean(accuracy.standardized(test.positions, test.truth))
     for make in (
