@@ -126,6 +126,16 @@ def test_measuring_collects_the_figures_with_their_units() -> None:
     )
 
 
+def test_penetration_is_that_of_the_deepest_frame_and_the_mean_over_all() -> None:
+    time, raw = stamps(60), standing(60)
+    clean = raw.copy()
+    clean[:, :, 1] += np.repeat([0.01, -0.02, -0.06], 20)[:, None]
+    quality = measure(time, clean, raw, BODY, np.ones((60, 2), dtype=np.bool_))
+    assert quality.penetration_mm == pytest.approx(60.0)
+    assert quality.lowest_point_mm == pytest.approx(-60.0)
+    assert quality.penetration_mean_mm == pytest.approx(80.0 / 3.0)
+
+
 def test_raw_beside_itself_keeps_all_and_empty_frames_do_not_count() -> None:
     time, raw = stamps(60), standing(60)
     raw[:, :4, 0] += 0.1 * np.sin(7.0 * time)[:, None]

@@ -82,6 +82,15 @@ def test_without_enough_posed_frames_the_median_over_the_take_serves() -> None:
     np.testing.assert_allclose(reference.lengths[ends], body.lengths[ends])
 
 
+@pytest.mark.parametrize("side", ["Left", "Right"])
+def test_one_arm_down_and_one_sideways_is_no_reference_posture(side: str) -> None:
+    pose = arms_down()
+    arm = [KINECT_V1.index(part + side) for part in ("Elbow", "Wrist", "Hand")]
+    rest = standard_body(KINECT_V1).rest_positions
+    pose[arm] = rest[arm] - rest[KINECT_V1.root]
+    assert not measure_reference(take_of(*[pose] * 20)).from_reference_posture
+
+
 def test_posed_frames_with_an_inferred_joint_do_not_count() -> None:
     rest = standard_body(KINECT_V1).rest_positions
     take = take_of(*[1.2 * rest] * 8, *[squatting()] * 20)
@@ -137,6 +146,16 @@ def test_trunk_directions_are_those_of_the_body_whatever_the_heading(
     )
     assert {skeleton.joints[j] for j in known} == names
     np.testing.assert_allclose(directions[known], body.directions[known], atol=1e-12)
+
+
+def test_trunk_directions_are_of_frames_in_which_all_of_the_trunk_is_tracked() -> None:
+    body, hip = standard_body(KINECT_V1), KINECT_V1.index("HipLeft")
+    wrong = body.rest_positions.copy()
+    wrong[hip] += [0.0, 0.3, 0.0]
+    take = take_of(*[wrong] * 15, *[body.rest_positions] * 5)
+    take = with_state(take, slice(0, 15), hip, State.INFERRED)
+    directions = measure_reference(take).directions
+    np.testing.assert_allclose(directions[hip], body.directions[hip], atol=1e-12)
 
 
 def test_measuring_a_reference_of_the_sample_finds_the_performer() -> None:
