@@ -68,6 +68,11 @@ def test_filtering_to_a_count_hits_it_within_two_percent(
     assert kept[0] == 0
 
 
+def test_postures_that_lead_one_way_are_filtered_to_two() -> None:
+    rising = np.cumsum(np.full((300, 20, 3), 0.01), axis=0)
+    assert len(filter_to_count(rising, 2)) == 2
+
+
 def test_few_postures_are_all_kept() -> None:
     positions = np.random.default_rng(0).normal(size=(30, 20, 3))
     for count in (30, 31):
@@ -93,9 +98,12 @@ def test_giving_up_thresholds_leaves_the_count_right(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(threshold_rule, "_TOO_MANY", 0)
-    kept = filter_to_count(walk(6000), 100)
-    assert abs(len(kept) - 100) <= 2
-    assert kept[-1] > 5500
+    # In sixty dimensions all are about as far apart: from a threshold that keeps few,
+    # the next keeps far too many.
+    positions = np.random.default_rng(0).normal(size=(3000, 20, 3))
+    kept = filter_to_count(positions, 60)
+    assert abs(len(kept) - 60) <= 1
+    assert kept[-1] > 2500
 
 
 def test_postures_on_a_disk_are_filtered_as_those_in_memory(tmp_path: Path) -> None:
