@@ -32,34 +32,42 @@ def fitted() -> LocalGP:
     return local_gp().fit(lessons_of(bent))
 
 
-def test_one_local_model_is_the_process_of_scikit_learn() -> None:
-    model = LocalGP(KINECT_V1, clusters=1, samples=120, redundancy=0.0)
+@pytest.mark.parametrize("clusters", [1, 4])
+def test_a_local_model_is_the_process_of_scikit_learn(clusters: int) -> None:
+    model = LocalGP(KINECT_V1, clusters=clusters, samples=120, redundancy=0.0)
     model.fit(lessons_of(bent, count=120))
-    assert model.counts_.min() == 120
+    assert (model.counts_.sum(axis=1) == 120).all()
     features = JointFeatures(KINECT_V1, model.joints_, model.seen_)
     queries = features(postures_of(20, seed=5))
-    compared = 0
-    for m, joint in enumerate(model.joints_):
-        if joint not in (WRIST, ELBOW):
-            continue
-        size = features.sizes[m]
-        theta0, theta1, noise, *roots = model.kernels_.table[m, : 3 + size]
-        same = (
-            ConstantKernel(theta0) * RBF(1.0 / np.array(roots))
-            + ConstantKernel(theta1)
-            + WhiteKernel(noise)
-        )
-        other = GaussianProcessRegressor(same, optimizer=None, alpha=0.0)
-        other.fit(model.features_[m, 0, :, :size], model.offsets_[m, 0])
-        means, deviations = other.predict(queries[:, m, :size], return_std=True)
-        for k, query in enumerate(queries):
-            mean, variance = model._models.predict(query * model.kernels_.roots, 9)
-            np.testing.assert_allclose(mean[m], means[k], atol=1e-6)
-            np.testing.assert_allclose(
-                variance[m], deviations[k] ** 2, rtol=1e-6, atol=1e-9
-            )
-            compared += 1
-    assert compared == 40
+    models, found = model._models, set()
+    for m in np.flatnonzero(np.isin(model.joints_, [WRIST, ELBOW])):
+        for query in queries:
+            scaled = query * model.kernels_.roots
+            mean, variance = models.predict(scaled, 1)
+            apart = np.linalg.norm(models.centers[m, :clusters] - scaled[m], axis=1)
+            q = int(apart.argmin())
+            means, deviation = _reference(model, features.sizes[m], m, q, query[m])
+            np.testing.assert_allclose(mean[m], means, atol=1e-6)
+            np.testing.assert_allclose(variance[m], deviation**2, rtol=1e-6, atol=1e-9)
+            found.add((m, q))
+    assert len(found) > clusters
+
+
+def _reference(
+    model: LocalGP, size: int, m: int, q: int, query: Array
+) -> tuple[Array, Array]:
+    """Return mean [m] and deviation [m] of a joint's nearest process, shape (3,)."""
+    theta0, theta1, noise, *roots = model.kernels_.table[m, : 3 + size]
+    same = (
+        ConstantKernel(theta0) * RBF(1.0 / np.array(roots))
+        + ConstantKernel(theta1)
+        + WhiteKernel(noise)
+    )
+    other = GaussianProcessRegressor(same, optimizer=None, alpha=0.0)
+    count = model.counts_[m, q]
+    other.fit(model.features_[m, q, :count, :size], model.offsets_[m, q, :count])
+    means, deviations = other.predict(query[None, :size], return_std=True)
+    return means[0], deviations[0]
 
 
 def test_the_trend_is_the_ridge_regression_of_scikit_learn() -> None:
