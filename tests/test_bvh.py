@@ -111,23 +111,6 @@ def test_two_full_turns_about_an_axis_are_720_degrees_without_a_jump(
     np.testing.assert_allclose(angles, expected, atol=1e-7)
 
 
-@settings(max_examples=50, deadline=None)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    lock=st.sampled_from([-90.0, 90.0, 89.9999999, 30.0]),
-)
-def test_angles_give_the_rotation_back_even_where_two_axes_meet(
-    seed: int, lock: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    triples = rng.uniform(-np.pi, np.pi, (20, 3))
-    triples[5:15, 1] = np.radians(lock)
-    rotations = wxyz_from_euler(triples, "ZYX")
-    again = wxyz_from_euler(continuous_euler(rotations, "ZYX"), "ZYX")
-    dots = np.abs(np.sum(rotations * again, axis=-1))
-    np.testing.assert_allclose(dots, 1.0, atol=1e-12)
-
-
 def test_each_frame_has_the_nearest_of_the_equivalent_angles(
     make_clip: MakeClip,
 ) -> None:

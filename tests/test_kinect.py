@@ -177,6 +177,23 @@ def test_a_person_seen_from_behind_is_mirrored():
     np.testing.assert_allclose(take.positions, truth[:, KINECT_V1.mirror], atol=1e-12)
 
 
+@pytest.mark.parametrize(("aside", "mirrored"), [(1.0, True), (-1.0, False)])
+def test_behind_is_where_the_sensor_is_not_and_not_a_direction_of_the_room(
+    aside: float, mirrored: bool
+) -> None:
+    # Turned by 70 degrees to the left: on the left of the room from the sensor, which
+    # is 22 degrees off then, on the right towards it.
+    act = posed(yaw=np.radians(70.0))
+    act = replace(act, positions=act.positions + np.array([aside, 0, 0]))
+    errors = replace(NO_ERRORS, mirrored_beyond=np.radians(74.0))
+    take = observe(act, seed=0, sensor=EXACT, errors=errors)
+    truth = in_sensor_frame(act.positions, EXACT)
+    tracked = take.state == State.TRACKED
+    assert tracked.sum() > 10
+    expected = truth[:, KINECT_V1.mirror] if mirrored else truth
+    np.testing.assert_allclose(take.positions[tracked], expected[tracked], atol=1e-12)
+
+
 def test_limbs_that_cross_in_the_image_are_swapped_now_and_then():
     down = posed(300, yaw=np.pi / 2, ElbowLeft=[0, -1, 0], ElbowRight=[0, -1, 0])
     errors = replace(NO_ERRORS, swap_rate=2.0, swap_time=0.3)
