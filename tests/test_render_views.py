@@ -80,6 +80,21 @@ def test_an_orbit_ends_where_it_began(make_clip: MakeClip) -> None:
     assert steps == pytest.approx(steps[0])
     closing = np.linalg.norm(path.positions[0] - path.positions[-1])
     assert closing == pytest.approx(steps[0])
+    assert (path.positions[:, 1] > path.targets[:, 1]).all()
+
+
+@pytest.mark.parametrize("camera", [c for c in CAMERAS if c not in ("orbit", "follow")])
+def test_a_camera_that_stays_leaves_as_much_room_on_either_side(
+    camera: str, make_clip: MakeClip
+) -> None:
+    clip = make_clip(90, seed=3)
+    path = camera_path(camera, clip, clip.positions, aspect=ASPECT, rate=30.0)
+    position, target = path.at(0)
+    toward = (position - target) / np.linalg.norm(position - target)
+    away = clip.positions.reshape(-1, 3) - position
+    for axis in axes_toward(toward):
+        edge = away @ axis / -(away @ toward)
+        assert edge.max() == pytest.approx(-edge.min(), rel=0.01)
 
 
 def test_a_camera_file_says_where_the_camera_is(
