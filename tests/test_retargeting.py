@@ -323,6 +323,21 @@ def test_a_rig_without_toes_stands_and_walks_too(clips: dict[str, Clip]) -> None
 
 
 @every_rig
+def test_feet_that_turn_to_and_fro_where_they_stand_are_held(
+    name: str, clips: dict[str, Clip]
+) -> None:
+    clip, rng = clips["squat"], np.random.default_rng(0)
+    rotations = clip.rotations.copy()
+    for side in SIDES:
+        foot = clip.skeleton.index(f"Foot{side.capitalize()}")
+        turns = about_y(rng.normal(0.0, 0.02, len(clip)))
+        rotations[:, foot] = multiply(turns, rotations[:, foot])
+    restless = replace(clip, rotations=rotations)
+    rig = built_rig(load_rig_map(name), clip.body)
+    assert slides(restless, rig, retarget(restless, rig)).max() < SLIDE
+
+
+@every_rig
 def test_toes_in_the_air_turn_with_the_foot(name: str, clips: dict[str, Clip]) -> None:
     clip = clips["kick"]
     rig = built_rig(load_rig_map(name), clip.body)
