@@ -168,6 +168,13 @@ def test_who_sits_down_and_gets_up_stands_on_feet_that_tremble_up_and_down() -> 
     assert stance_of(act.time, path).mean() > 0.95
 
 
+def test_a_short_stance_keeps_its_half_in_the_middle() -> None:
+    stands = np.zeros((60, 2), dtype=np.bool_)
+    stands[20:26] = True
+    shorter = contacts._unloaded(stamps(60), stands)
+    assert runs(shorter[:, 0]) == runs(shorter[:, 1]) == [slice(22, 24)]
+
+
 @pytest.mark.parametrize("foot", [0, 1])
 def test_frame_by_frame_a_change_has_to_gather_evidence(foot: int) -> None:
     def stands(lifted: slice) -> Flags:
