@@ -208,22 +208,6 @@ def test_curves_are_the_derivatives_of_closed_forms(make_pair: MakePair) -> None
     assert np.flatnonzero(np.isnan(first)).tolist() == [59]
 
 
-def test_a_curve_of_one_joint_is_that_joints() -> None:
-    from kinefilter.pipeline.report.contents import _derivative
-
-    time, positions = np.arange(10) / 30.0, np.zeros((10, 20, 3))
-    positions[:, :, 0] = time[:, None]
-    positions[:, 1:] = np.nan
-    np.testing.assert_allclose(_derivative(time, positions, 1)[:-1], 1.0)
-
-
-def test_joints_out_of_the_reach_of_a_page_are_at_its_edge() -> None:
-    from kinefilter.pipeline.report.contents import _millimeters
-
-    written = _millimeters(np.array([0.25, 40.0, -40.0, np.nan]))
-    assert written.tolist() == [250.0, 32767.0, -32767.0, -32768.0]
-
-
 def test_the_page_of_five_minutes_is_under_15_mb(
     make_pair: MakePair, tmp_path: Path
 ) -> None:
