@@ -134,7 +134,8 @@ def killed_workers(
         takes: Folder of takes.
         out: Folder for the clips.
         options: Those of the batch.
-        every: Seconds between two kills, the first after that long of work.
+        every: Seconds to wait before a kill, once a take is done since the one before:
+            on a busy machine workers start slowly, and those killed first do nothing.
         seed: Draws who is killed.
     """
     rng = random.Random(seed)
@@ -144,11 +145,13 @@ def killed_workers(
         workers = [begin_worker(address, folder) for _ in range(2)]
         run = begin(batch(takes, out, "--scheduler", address, *options))
         try:
-            while run.poll() is None and not rows_done(out):
-                time.sleep(0.01)
+            done = 0
             while run.poll() is None:
+                while run.poll() is None and len(rows_done(out)) <= done:
+                    time.sleep(0.01)
                 time.sleep(every)
                 if run.poll() is None:
+                    done = len(rows_done(out))
                     victim = rng.randrange(2)
                     workers[victim].kill()
                     workers[victim].wait()

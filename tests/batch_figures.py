@@ -24,9 +24,9 @@ from time import perf_counter, process_time
 from batch_faults import batch, rows, rows_done
 from batch_takes import make_takes
 
+from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.plan import plan_jobs
 from kinefilter.pipeline.batch.sources import find_sources
-from kinefilter.pipeline.batch.store import LocalStore
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.settings import Settings
 

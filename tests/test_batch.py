@@ -15,8 +15,11 @@ from published_layouts import ntu_text
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig, clean, read_take, write_clip
 from kinefilter.pipeline.batch import Outcome, as_tables, clean_files, run
-from kinefilter.pipeline.batch.plan import Job
+from kinefilter.pipeline.batch.local import LocalStore
+from kinefilter.pipeline.batch.plan import Job, plan_jobs
 from kinefilter.pipeline.batch.row import Row
+from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
 from kinefilter.pipeline.run import make_corrector
@@ -324,3 +327,13 @@ def test_a_store_by_url_gives_the_same_clips_as_its_folder(
     again = clean_files([f"file://{takes}"], url, QUICK, suffix=".bvh")
     assert not again.rows
     assert len(again.kept) == 6
+
+
+def test_a_worker_that_would_do_another_thing_refuses(takes: Path) -> None:
+    out = LocalStore(str(takes.parent / "clips"))
+    sources = find_sources([str(takes / "a.csv")], out.root)
+    (job,) = plan_jobs(sources, out, QUICK, ".bvh")
+    elsewhere = clean_file(replace(job, fingerprint="of another kinefilter"))
+    assert (elsewhere.status, elsewhere.clips) == ("failed", ())
+    assert "another kinefilter" in elsewhere.error
+    assert clean_file(job).status == "done"

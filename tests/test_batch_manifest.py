@@ -14,9 +14,10 @@ from batch_takes import Here
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig
 from kinefilter.pipeline.batch import manifest, run
-from kinefilter.pipeline.batch.manifest import open_manifest, parse_rows, write_csv
-from kinefilter.pipeline.batch.row import Row, row_from_json
-from kinefilter.pipeline.batch.store import LocalStore, store_at
+from kinefilter.pipeline.batch.local import LocalStore
+from kinefilter.pipeline.batch.manifest import open_manifest, write_csv
+from kinefilter.pipeline.batch.places import store_at
+from kinefilter.pipeline.batch.row import Row, parse_rows, row_from_json
 from kinefilter.pipeline.settings import Settings
 
 

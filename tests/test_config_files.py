@@ -10,9 +10,9 @@ from batch_takes import Here, short_take
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig, Export
 from kinefilter.pipeline.batch import run
+from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.plan import Job, plan_jobs
 from kinefilter.pipeline.batch.sources import find_sources
-from kinefilter.pipeline.batch.store import LocalStore
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands.given import given_options
 from kinefilter.pipeline.config_files import overlaid, parse_settings, read_settings

@@ -18,10 +18,12 @@ from typing import Protocol
 
 from kinefilter.characters import InputError
 
-from .row import ClipRow, Row, row_from_json
-from .store import LocalStore, Store
+from .local import LocalStore
+from .remote_manifest import PartedManifest
+from .row import ClipRow, Row, parse_rows
+from .store import Store
 
-__all__ = ["CSV", "LINES", "Manifest", "open_manifest", "parse_rows", "write_csv"]
+__all__ = ["CSV", "LINES", "Manifest", "open_manifest", "write_csv"]
 
 LINES = "manifest.jsonl"
 """Name of the file of lines, which a resumed run reads."""
@@ -55,8 +57,6 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
         with _opened(store) as file:
             yield _Appended(file, store.path(LINES))
     else:
-        from .remote_manifest import PartedManifest
-
         yield PartedManifest(store)
 
 
@@ -113,34 +113,6 @@ def _write_all(file: io.FileIO, data: memoryview) -> None:
     """Write bytes, however many of them the system takes at a time."""
     while data:
         data = data[file.write(data) or 0 :]
-
-
-def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
-    """Return the rows of a manifest, and how many bytes are whole lines.
-
-    A last line that is torn is dropped: whoever wrote it was killed.
-
-    Raises:
-        InputError: Another line is damaged.
-    """
-    rows = []
-    start = 0
-    for number, line in enumerate(data.splitlines(keepends=True), start=1):
-        end = start + len(line)
-        try:
-            rows.append(row_from_json(line.decode()))
-        except ValueError as error:
-            if end == len(data):
-                break
-            raise InputError(
-                f"{name}: line {number} is damaged ({error}); delete it, and its take "
-                "is cleaned again"
-            ) from None
-        if not line.endswith(b"\n"):
-            rows.pop()
-            break
-        start = end
-    return rows, start
 
 
 def write_csv(rows: Iterable[Row], store: Store) -> None:

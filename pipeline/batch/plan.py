@@ -19,10 +19,11 @@ from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import read_limited
 from kinefilter.pipeline.settings import Settings, fingerprint
 
+from .local import LocalStore
 from .naming import clip_names
 from .row import Row
 from .sources import Source
-from .store import Found, LocalStore, Store, real
+from .store import Found, Store, real
 
 __all__ = ["Job", "is_done", "plan_jobs", "uses_embedded_database"]
 

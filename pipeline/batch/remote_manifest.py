@@ -10,8 +10,9 @@ import time
 import uuid
 from collections.abc import Sequence
 
-from .row import Row
-from .store import Store, store_at
+from .places import store_at
+from .row import Row, parse_rows
+from .store import Store
 
 __all__ = ["PARTS", "PartedManifest"]
 
@@ -44,7 +45,5 @@ class PartedManifest:
             self._full, self._lines = self._full + 1, []
 
     def _part(self, name: str) -> list[Row]:
-        from .manifest import parse_rows
-
         with self._store.reading(name) as path:
             return parse_rows(path.read_bytes(), self._store.path(name))[0]

@@ -8,9 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from kinefilter.characters import InputError
 from kinefilter.pipeline.run import CleanResult
 
-__all__ = ["ClipRow", "Row", "clip_row", "row_from_json"]
+__all__ = ["ClipRow", "Row", "clip_row", "parse_rows", "row_from_json"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,3 +123,31 @@ def clip_row(
 def _finite(value: float) -> float | None:
     """Return the value, or None (JSON has no NaN) where nothing could be measured."""
     return value if np.isfinite(value) else None
+
+
+def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
+    """Return the rows of a manifest, and how many bytes are whole lines.
+
+    A last line that is torn is dropped: whoever wrote it was killed.
+
+    Raises:
+        InputError: Another line is damaged.
+    """
+    rows = []
+    start = 0
+    for number, line in enumerate(data.splitlines(keepends=True), start=1):
+        end = start + len(line)
+        try:
+            rows.append(row_from_json(line.decode()))
+        except ValueError as error:
+            if end == len(data):
+                break
+            raise InputError(
+                f"{name}: line {number} is damaged ({error}); delete it, and its take "
+                "is cleaned again"
+            ) from None
+        if not line.endswith(b"\n"):
+            rows.pop()
+            break
+        start = end
+    return rows, start

@@ -18,11 +18,13 @@ from kinefilter.pipeline.workers import cores
 
 from .cluster import Cluster
 from .crew import Crew, Processes, failed_row
+from .local import LocalStore
 from .manifest import Manifest, open_manifest, write_csv
+from .places import store_at
 from .plan import Job, is_done, plan_jobs, uses_embedded_database
 from .row import Row
 from .sources import find_sources
-from .store import LocalStore, Store, store_at
+from .store import Store
 
 __all__ = ["Outcome", "Standing", "clean_files"]
 

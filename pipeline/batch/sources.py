@@ -10,7 +10,8 @@ from pathlib import Path, PurePosixPath
 from kinefilter.characters import InputError
 
 from .naming import apart
-from .store import Found, Store, is_url, kind_of, real, store_at
+from .places import kind_of, store_at
+from .store import Found, Store, is_url, real
 
 __all__ = ["Source", "find_sources"]
 

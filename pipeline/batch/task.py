@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import PurePosixPath
 from time import perf_counter
 
 from kinefilter.characters import InputError, skeleton_named
@@ -18,7 +19,7 @@ from kinefilter.pipeline.correct import Corrector, WholeTakeCorrector
 from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.takes import claims_take, read_recording
 from kinefilter.pipeline.run import clean, make_corrector
-from kinefilter.pipeline.settings import hash_of
+from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
 from .naming import numbered
@@ -46,6 +47,8 @@ def clean_file(job: Job) -> Row:
     sha256, clips, error = "", tuple[ClipRow, ...](), ""
     with _one_at_a_time, one_thread():
         try:
+            suffix = PurePosixPath(job.output).suffix
+            _check_same(job.settings, suffix, job.fingerprint)
             recording, sha256 = _read(job)
             if recording is not None:
                 clips, error = _cleaned(recording, job)
@@ -138,6 +141,16 @@ def _corrector(
     """Return a correction method; the fingerprint tells changed files apart."""
     del fingerprint
     return make_corrector(skeleton_named(skeleton), config)
+
+
+@lru_cache(maxsize=_KEPT)
+def _check_same(settings: Settings, suffix: str, fingerprint_there: str) -> None:
+    """Raise an InputError if this worker would do another thing than was planned."""
+    if fingerprint(settings, suffix) != fingerprint_there:
+        raise InputError(
+            "this worker has another kinefilter, model or database than the machine "
+            "that gave it the take; install and copy the same"
+        )
 
 
 def _watched(stage: str, count: int) -> Iterator[int]:
