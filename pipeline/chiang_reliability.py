@@ -52,17 +52,7 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         state: NDArray[np.uint8],
         time: float | None = None,  # noqa: ARG002 - made for 30 Hz
     ) -> tuple[Array, NDArray[np.uint8], Array]:
-        """Score the next frame.
-
-        Args:
-            positions: Joint positions [m], NaN where missing, shape (J, 3).
-            state: Tracking states (State), shape (J,).
-            time: Time stamp [s], for scorers that go by it.
-
-        Returns:
-            The rate (J,), the deciding term (J,) and the rate of the geometry alone
-            (J,); see Reliability.
-        """
+        """Score the next frame; see ``ReliabilityScorer.step``."""
         temporal = self._temporal(positions)
         kinematics = self._kinematics(positions)  # eq. 6-7
         # Eq. 11; 1, the neutral element of the minimum, for what is unknown.

@@ -184,9 +184,11 @@ def _unloaded(time: Array, stands: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _split(time: Array, path: Array, stands: NDArray[np.bool_], stance: slice) -> None:
     """Part a stance (in place) whose foot is elsewhere at its end."""
     points = path[stance]
-    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     count = len(points)
-    if count < 4 or away.max() < _DRIFT:
+    if count < 4:
+        return
+    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    if away.max() < _DRIFT:
         return
     # Where two resting places fit best.
     sums = np.cumsum(points, axis=0)
@@ -200,5 +202,4 @@ def _split(time: Array, path: Array, stands: NDArray[np.bool_], stance: slice) -
     first, last = max(first, stance.start), min(last, stance.stop)
     stands[first:last] = False
     for part in (slice(stance.start, first), slice(last, stance.stop)):
-        if part.stop - part.start > 3:
-            _split(time, path, stands, part)
+        _split(time, path, stands, part)

@@ -18,6 +18,7 @@ __all__ = [
     "amplitude",
     "bone_length_cv",
     "distances",
+    "even_differences",
     "flight_error",
     "floating",
     "jitter",
@@ -97,19 +98,31 @@ def jitter(time: Array, positions: Array) -> float:
         time: Time stamps [s], shape (T,).
         positions: Joint positions [m], NaN where missing, shape (T, J, 3).
     """
-    if len(time) < 4:
-        return float("nan")
+    third, nominal = even_differences(time, positions, 3)
+    third = third.T[~np.isnan(third.T)]
+    return float(third.mean() / nominal**3) if len(third) else float("nan")
+
+
+def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, float]:
+    """Return magnitudes of a difference [m], and the nominal step [s].
+
+    NaN where a step is off the nominal one by half of it or more, and where the joint
+    is missing in one of the frames; shape (T - order, J), empty for too short motions.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+        order: Of the difference, 1 or more.
+    """
+    count, joints = max(len(time) - order, 0), positions.shape[1]
     steps, nominal = np.diff(time), _nominal_step(time)
     even = np.abs(steps - nominal) < 0.5 * nominal
-    runs = even[:-2] & even[1:-1] & even[2:]
-    third = np.concatenate(
-        [
-            np.linalg.norm(np.diff(positions[:, j], n=3, axis=0)[runs], axis=1)
-            for j in range(positions.shape[1])
-        ]
-    )
-    third = third[~np.isnan(third)]
-    return float(third.mean() / nominal**3) if len(third) else float("nan")
+    sizes = np.full((count, joints), np.nan)
+    whole = np.all([even[k : k + count] for k in range(order)], axis=0)
+    for j in range(joints if count else 0):
+        size = np.linalg.norm(np.diff(positions[:, j], n=order, axis=0), axis=1)
+        sizes[whole, j] = size[whole]
+    return sizes, nominal
 
 
 def lowest_point(positions: Array, body: Body) -> Array:

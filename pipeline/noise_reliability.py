@@ -78,17 +78,7 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         state: NDArray[np.uint8],
         time: float | None = None,
     ) -> tuple[Array, NDArray[np.uint8], Array]:
-        """Score the next frame.
-
-        Args:
-            positions: Joint positions [m], NaN where missing, shape (J, 3).
-            state: Tracking states (State), shape (J,).
-            time: Time stamp [s], later than the last; without, 30 frames a second.
-
-        Returns:
-            The rate (J,), the deciding term (J,) and the rate of the geometry alone
-            (J,); see Reliability.
-        """
+        """Score the next frame; see ``ReliabilityScorer.step``."""
         elapsed = self._elapsed(time)
         share = 1.0 - np.exp(-elapsed / MEMORY)
         noise, lengths = self._square_errors(positions, share)

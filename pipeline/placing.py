@@ -12,7 +12,12 @@ from scipy.optimize import least_squares
 from kinefilter.characters import Clip, InputError, Take
 from kinefilter.pipeline.floor import leveled
 
-__all__ = ["nearest_frames", "placed_by_distances", "placed_by_heights"]
+__all__ = [
+    "nearest_frames",
+    "placed_by_distances",
+    "placed_by_heights",
+    "same_stamps",
+]
 
 Array = NDArray[np.float64]
 
@@ -20,6 +25,7 @@ _POINTS = 6000  # measured joints that are fitted, of all: two unknowns need no 
 _SCATTER = 1e-3  # m: what rounding in files may do
 _LEAST_TILT = np.radians(1.5)  # below, it is what cleaning moved
 _STEPS = 8  # each leaves the square of the angle before
+_SKEW = 1e-3  # s between the time stamps of a take and of its clip: rounding
 _OFF = 0.01  # m: farther than physics explains, and the take is another one. A guess.
 
 
@@ -93,6 +99,13 @@ def placed_by_heights(clip: Clip, take: Take) -> Array:
         raise InputError(f"{take.source}: holds no joint in the time of the clip")
     tilt, floor = _tilt_and_floor(raw[known], clean[known])
     return leveled(take.positions, tilt) - [0.0, floor, 0.0]
+
+
+def same_stamps(clip: Clip, take: Take) -> bool:
+    """Return whether a clip has a frame for each of a take, at the same times."""
+    return len(clip) == len(take) and np.allclose(
+        clip.time, take.time, rtol=0.0, atol=_SKEW
+    )
 
 
 def nearest_frames(stamps: Array, times: Array) -> NDArray[np.intp]:

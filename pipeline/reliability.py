@@ -228,7 +228,8 @@ class ReliabilityScorer:
         Args:
             positions: Joint positions [m], NaN where missing, shape (J, 3).
             state: Tracking states (State), shape (J,).
-            time: Time stamp [s], for scorers that go by it.
+            time: Time stamp [s], later than the last, for scorers that go by it;
+                without, 30 frames a second.
 
         Returns:
             The rate (J,), the deciding term (J,) and the rate of the geometry alone

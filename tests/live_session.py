@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Coroutine
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -41,6 +41,16 @@ def config(*out: str, source: str = UDP, **others: Any) -> LiveConfig:
     """Return a session of the sample's skeleton."""
     others = {"height": 1.8, **others}
     return LiveConfig(source, out or (WS,), skeleton="kinect_v1", **others)
+
+
+def do(work: Coroutine[Any, Any, None]) -> None:
+    """Run a test that waits, for some time at most."""
+
+    async def bounded() -> None:
+        async with asyncio.timeout(PATIENCE):
+            await work
+
+    asyncio.run(bounded())
 
 
 @asynccontextmanager

@@ -1,41 +1,32 @@
-"""Folders of takes into folders of clips: what is found, done, kept and told."""
+"""Folders of takes into folders of clips: what is done, kept and told."""
 
 from __future__ import annotations
 
-import csv
-import errno
-import gzip
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from batch_folders import QUICK, clean_folder, make_folder, rows_of, table_of
 from batch_takes import Here, short_take
 from published_layouts import ntu_text
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig, clean, read_take, write_clip
-from kinefilter.pipeline.batch import Outcome, as_tables, clean_files, manifest, run
+from kinefilter.pipeline.batch import Outcome, as_tables, clean_files, run
 from kinefilter.pipeline.batch.local import LocalStore
-from kinefilter.pipeline.batch.manifest import open_manifest, write_csv
-from kinefilter.pipeline.batch.naming import clip_names, numbered
-from kinefilter.pipeline.batch.places import store_at
 from kinefilter.pipeline.batch.plan import Job, plan_jobs
-from kinefilter.pipeline.batch.row import Row, parse_rows, row_from_json
+from kinefilter.pipeline.batch.row import Row
 from kinefilter.pipeline.batch.sources import find_sources
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
-from kinefilter.pipeline.formats.takes import claims_take
 from kinefilter.pipeline.run import make_corrector
 from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.simulate import simulate
 
-QUICK = Settings(CleanConfig(method="none", physics=False))
 FLAGS = ["--method", "none", "--no-physics"]
-DATA = Path(__file__).parents[1].parent / "shared" / "data"
 
 
 @pytest.fixture
@@ -46,17 +37,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def takes(tmp_path: Path) -> Path:
-    """Return a folder with three takes and what else lies in such folders."""
-    folder = tmp_path / "takes"
-    (folder / "monday" / "late").mkdir(parents=True)
-    for k, name in enumerate(("a", "monday/b", "monday/late/c")):
-        write_take_csv(short_take(20 + k, seed=k), folder / f"{name}.csv")
-    (folder / "notes.txt").write_text("what we did today\n")
-    (folder / "labels.csv").write_text("take,label\na,wave\n")
-    (folder / "about.json").write_text('{"studio": 4, "frames": 20}\n')
-    (folder / "clip.npz").write_bytes(b"PK")
-    (folder / ".hidden.csv").write_text("no take\n")
-    return folder
+    return make_folder(tmp_path / "takes")
 
 
 def _files(folder: Path) -> set[str]:
@@ -67,25 +48,11 @@ def _files(folder: Path) -> set[str]:
     }
 
 
-def _rows(out: Path) -> list[Row]:
-    lines = (out / "manifest.jsonl").read_text().splitlines()
-    return [row_from_json(line) for line in lines]
-
-
-def _table(out: Path) -> list[dict[str, str]]:
-    with (out / "manifest.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def _clean(takes: Path, out: Path, settings: Settings = QUICK) -> Outcome:
-    return clean_files([str(takes)], str(out), settings, suffix=".bvh")
-
-
 @pytest.mark.usefixtures("here")
 def test_the_tree_of_takes_is_mirrored_and_the_rest_passed_over(
     takes: Path, tmp_path: Path
 ) -> None:
-    outcome = _clean(takes, tmp_path / "clips")
+    outcome = clean_folder(takes, tmp_path / "clips")
     assert _files(tmp_path / "clips") == {"a.bvh", "monday/b.bvh", "monday/late/c.bvh"}
     assert not outcome.failed
     passed = {row.take for row in outcome.rows if row.status == "no take"}
@@ -96,7 +63,7 @@ def test_the_tree_of_takes_is_mirrored_and_the_rest_passed_over(
 @pytest.mark.usefixtures("here")
 def test_a_clip_of_a_batch_is_that_of_clean(takes: Path, tmp_path: Path) -> None:
     settings = Settings(CleanConfig())
-    _clean(takes / "monday", tmp_path / "clips", settings)
+    clean_folder(takes / "monday", tmp_path / "clips", settings)
     for name in ("b", "late/c"):
         result = clean(read_take(takes / "monday" / f"{name}.csv"))
         alone = tmp_path / "alone.bvh"
@@ -125,32 +92,11 @@ def test_a_method_forgets_the_take_before(config: CleanConfig) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_the_manifest_holds_every_take_once_with_its_figures(
-    takes: Path, tmp_path: Path
-) -> None:
-    (takes / "broken.csv").write_text((takes / "a.csv").read_text()[:2000])
-    _clean(takes, tmp_path / "clips", Settings(CleanConfig(method="none")))
-    table = {row["take"]: row for row in _table(tmp_path / "clips")}
-    assert set(table) == {"a.csv", "broken.csv", "monday/b.csv", "monday/late/c.csv"}
-    assert [row.take for row in _rows(tmp_path / "clips")].count("a.csv") == 1
-    assert table["broken.csv"]["status"] == "failed"
-    assert "broken.csv: row" in table["broken.csv"]["error"]
-    done = table["monday/b.csv"]
-    assert done["status"] == "done"
-    assert done["output"] == "monday/b.bvh"
-    assert done["frames"] == "21"
-    assert float(done["motion_seconds"]) == pytest.approx(20 / 30, rel=0.1)
-    assert 0.0 < float(done["jitter"]) < float(done["jitter_raw"])
-    assert float(done["external_force_body_weights"]) > 0.0
-    assert float(done["seconds"]) > 0.0
-
-
-@pytest.mark.usefixtures("here")
 def test_what_is_done_is_not_done_again(takes: Path, tmp_path: Path) -> None:
     out = tmp_path / "clips"
-    _clean(takes, out)
+    clean_folder(takes, out)
     lines = (out / "manifest.jsonl").read_bytes()
-    again = _clean(takes, out)
+    again = clean_folder(takes, out)
     assert not again.rows
     assert len(again.kept) == 6
     assert (out / "manifest.jsonl").read_bytes() == lines
@@ -172,7 +118,7 @@ def test_only_what_changed_is_done_again(
     takes: Path, tmp_path: Path, change: str, redone: set[str]
 ) -> None:
     out = tmp_path / "clips"
-    _clean(takes, out)
+    clean_folder(takes, out)
     before = (out / "monday" / "late" / "c.bvh").read_bytes()
     settings = QUICK
     if change == "take":
@@ -189,7 +135,7 @@ def test_only_what_changed_is_done_again(
         settings = Settings(replace(QUICK.config, cutoff=3.0))
     else:
         (takes / "monday" / "kinefilter.toml").write_text("cutoff = 3.0\n")
-    again = _clean(takes, out, settings)
+    again = clean_folder(takes, out, settings)
     assert {row.take for row in again.rows if row.status == "done"} == redone
     assert _files(out) == {"a.bvh", "monday/b.bvh", "monday/late/c.bvh"}
     after = (out / "monday" / "late" / "c.bvh").read_bytes()
@@ -201,11 +147,11 @@ def test_a_database_counts_by_its_content(takes: Path, tmp_path: Path) -> None:
     contacts = tmp_path / "contacts.csv"
     contacts.write_text("time,HeelLeft,ToeLeft,HeelRight,ToeRight\n0,1,1,1,1\n")
     settings = Settings(replace(QUICK.config, contacts=contacts))
-    _clean(takes, tmp_path / "clips", settings)
+    clean_folder(takes, tmp_path / "clips", settings)
     os.utime(contacts, (1e9, 1e9))
-    assert not _clean(takes, tmp_path / "clips", settings).rows
+    assert not clean_folder(takes, tmp_path / "clips", settings).rows
     contacts.write_text("time,HeelLeft,ToeLeft,HeelRight,ToeRight\n0,0,0,1,1\n")
-    assert len(_clean(takes, tmp_path / "clips", settings).rows) == 6
+    assert len(clean_folder(takes, tmp_path / "clips", settings).rows) == 6
 
 
 @pytest.mark.usefixtures("here")
@@ -214,63 +160,12 @@ def test_a_failed_take_is_tried_again_and_then_counts_as_done(
 ) -> None:
     whole = (takes / "a.csv").read_text()
     (takes / "a.csv").write_text(whole[:2000])
-    assert len(_clean(takes, tmp_path / "clips").failed) == 1
-    assert len(_clean(takes, tmp_path / "clips").failed) == 1
+    assert len(clean_folder(takes, tmp_path / "clips").failed) == 1
+    assert len(clean_folder(takes, tmp_path / "clips").failed) == 1
     (takes / "a.csv").write_text(whole)
-    again = _clean(takes, tmp_path / "clips")
+    again = clean_folder(takes, tmp_path / "clips")
     assert [row.status for row in again.rows] == ["done"]
-    assert {row["status"] for row in _table(tmp_path / "clips")} == {"done"}
-
-
-@pytest.mark.usefixtures("here")
-@pytest.mark.parametrize("cut", [1, 40, 200])
-def test_a_torn_last_line_is_dropped_and_its_take_done_again(
-    takes: Path, tmp_path: Path, cut: int
-) -> None:
-    lines = tmp_path / "clips" / "manifest.jsonl"
-    _clean(takes, tmp_path / "clips")
-    whole = lines.read_bytes()
-    last = row_from_json(whole.splitlines()[-1].decode()).take
-    lines.write_bytes(whole[:-cut])
-    again = _clean(takes, tmp_path / "clips")
-    assert [row.take for row in again.rows] == [last]
-    assert len(_rows(tmp_path / "clips")) == 6
-
-
-def test_a_damaged_line_that_is_not_the_last_is_refused() -> None:
-    row = Row("a", "done", "a.bvh", "1", "", "", 1.0).as_json() + "\n"
-    with pytest.raises(InputError, match=r"m\.jsonl: line 2 is damaged"):
-        parse_rows((row + "{\n" + row).encode(), "m.jsonl")
-    rows, length = parse_rows((row + row + "{").encode(), "m.jsonl")
-    assert len(rows) == 2
-    assert length == 2 * len(row)
-
-
-def test_two_runs_do_not_write_into_one_folder(tmp_path: Path) -> None:
-    store = LocalStore(str(tmp_path / "clips"))
-    refused = pytest.raises(InputError, match="another run")
-    with open_manifest(store), refused, open_manifest(store):
-        pass
-    with open_manifest(store):
-        pass  # let go of
-
-
-def test_a_full_disk_leaves_the_manifest_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    store = LocalStore(str(tmp_path))
-    row = Row("a", "done", "a.bvh", "1", "", "", 1.0)
-    with open_manifest(store) as opened:
-        opened.append([row])
-        with monkeypatch.context() as patched:
-            patched.setattr(manifest.os, "fsync", full)
-            with pytest.raises(InputError, match="No space left"):
-                opened.append([replace(row, take="b")])
-        opened.append([replace(row, take="c")])
-    assert [row.take for row in _rows(tmp_path)] == ["a", "c"]
+    assert {row["status"] for row in table_of(tmp_path / "clips")} == {"done"}
 
 
 def test_where_nothing_can_be_written_nothing_is_begun(
@@ -280,39 +175,6 @@ def test_where_nothing_can_be_written_nothing_is_begun(
     out = str(tmp_path / "file" / "clips")
     assert main(["batch", str(takes), "-o", out, *FLAGS]) == 2
     assert "cannot be written" in capsys.readouterr().err
-
-
-def test_names_that_would_be_the_same_are_kept_apart() -> None:
-    takes = ["a.csv", "a.bvh", "a.csv.gz", "b.csv.gz", "s/a.csv", "B.txt", "a.csv.txt"]
-    names = clip_names(takes, ".bvh")
-    assert len({name.casefold() for name in names}) == len(takes)
-    assert names[4] == "s/a.bvh"
-    assert clip_names(takes[::-1], ".bvh") == names[::-1]
-    assert clip_names(["x.csv", "X.csv"], ".bvh") == ["x.csv.bvh", "2-X.csv.bvh"]
-    assert clip_names(["t.1.csv", "t.2.csv"], ".bvh") == ["t.1.bvh", "t.2.bvh"]
-    people = clip_names(["t.csv", "t.1.csv"], ".bvh", several=True)
-    assert len({numbered(name, 1) for name in people} | set(people)) == 4
-
-
-def test_files_of_several_folders_are_kept_apart(takes: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other" / "takes"
-    other.mkdir(parents=True)
-    (other / "a.csv").write_text("a take")
-    inputs = [str(takes), str(other), str(takes / "monday"), str(other / "a.csv")]
-    found = {s.take for s in find_sources(inputs, str(tmp_path / "out"))}
-    assert {"takes/a.csv", "takes-2/a.csv"} <= found
-    assert len(found) == 7  # once each, and what is no take by its name not at all
-
-
-def test_the_output_folder_is_not_searched(takes: Path, tmp_path: Path) -> None:
-    out = takes / "clips"
-    out.mkdir()
-    (out / "old.csv").write_text("a clip of an earlier run")
-    assert "clips/old.csv" not in {s.take for s in find_sources([str(takes)], str(out))}
-    with pytest.raises(InputError, match="searched for takes itself"):
-        find_sources([str(takes)], str(takes))
-    with pytest.raises(InputError, match="no such file or folder"):
-        find_sources([str(tmp_path / "absent")], str(out))
 
 
 @pytest.mark.usefixtures("here")
@@ -325,41 +187,6 @@ def test_a_take_is_never_overwritten(takes: Path) -> None:
     assert (takes / "monday" / "b.csv").read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("text", "claims"),
-    [
-        ("time,SpineBase.x,SpineBase.y\n", True),
-        ("time,HeelLeft,ToeLeft\n", False),
-        ("HipCenter; Spine; Head\n", True),
-        ("take;label\n", False),
-        ("1 2 3 4\n", True),
-        ("what we did today\n", False),
-        ("12\n", True),
-        ('{"bone_list": []', True),
-        ('{"frames": 20}', False),
-        ("HIERARCHY\n", True),
-    ],
-)
-def test_takes_are_told_from_notes_by_how_they_begin(
-    text: str, claims: bool, tmp_path: Path
-) -> None:
-    plain, zipped = tmp_path / "plain.txt", tmp_path / "zipped.txt.gz"
-    plain.write_text(text)
-    zipped.write_bytes(gzip.compress(text.encode()))
-    assert claims_take(plain) == claims
-    assert claims_take(zipped) == claims
-
-
-@pytest.mark.skipif(not DATA.exists(), reason="recordings (../shared/data) not here")
-def test_recordings_claim_to_be_takes_and_what_lies_beside_them_does_not() -> None:
-    files = sorted((DATA / "takes").rglob("*.*"))
-    texts = [p for p in files if p.name.endswith((".csv", ".csv.gz", ".txt"))]
-    notes = ("LICEN", "SOURCE", "README")
-    assert len(texts) > 50
-    for path in texts:
-        assert claims_take(path) != path.name.startswith(notes), path
-
-
 @pytest.mark.usefixtures("here")
 def test_all_people_of_a_take_get_a_clip_each(tmp_path: Path) -> None:
     two = tmp_path / "two.skeleton"
@@ -370,7 +197,7 @@ def test_all_people_of_a_take_get_a_clip_each(tmp_path: Path) -> None:
     outcome = clean_files([str(two)], str(tmp_path / "c"), settings, suffix=".bvh")
     assert _files(tmp_path / "c") == {"two.1.bvh", "two.2.bvh"}
     assert [clip.body for clip in outcome.rows[0].clips] == [1, 2]
-    assert [row["body"] for row in _table(tmp_path / "c")] == ["1", "2"]
+    assert [row["body"] for row in table_of(tmp_path / "c")] == ["1", "2"]
     again = clean_files([str(two)], str(tmp_path / "c"), settings, suffix=".bvh")
     assert not again.rows
 
@@ -429,7 +256,7 @@ def test_the_worst_takes_come_first(
 ) -> None:
     from rich.console import Console
 
-    outcome = _clean(takes, tmp_path / "clips")
+    outcome = clean_folder(takes, tmp_path / "clips")
     rows = [row for row in outcome.rows if row.clips]
     for k, row in enumerate(rows):
         clip = replace(row.clips[0], external_force_body_weights=float(k))
@@ -452,7 +279,7 @@ def test_the_longest_take_is_begun_first(
 
     monkeypatch.setattr(run, "_crew", Watched)
     write_take_csv(short_take(60), takes / "z.csv")
-    _clean(takes, tmp_path / "clips")
+    clean_folder(takes, tmp_path / "clips")
     assert begun[0] == "z.csv"
     assert begun[1] == "monday/late/c.csv"
 
@@ -470,12 +297,12 @@ def test_an_interrupted_run_writes_its_table_and_goes_on(
     command = ["batch", str(takes), "-o", str(out), *FLAGS]
     monkeypatch.setattr(run, "_crew", Tired)
     assert main(command) == 130
-    done = {row.take for row in _rows(out)}
+    done = {row.take for row in rows_of(out)}
     assert 0 < len(done) < 6
-    assert {row["take"] for row in _table(out)} <= done
+    assert {row["take"] for row in table_of(out)} <= done
     monkeypatch.setattr(run, "_crew", Here)
     assert main(command) == 0
-    assert len(_rows(out)) == 6
+    assert len(rows_of(out)) == 6
 
 
 @pytest.mark.usefixtures("here")
@@ -484,7 +311,7 @@ def test_a_store_by_url_gives_the_same_clips_as_its_folder(
 ) -> None:
     """``file://`` is one that other processes reach too."""
     pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
-    _clean(takes, tmp_path / "here")
+    clean_folder(takes, tmp_path / "here")
     url = f"file://{tmp_path}/there"
     (takes / "monday" / "kinefilter.toml").write_text("cutoff = 6.0\n")
     outcome = clean_files([f"file://{takes}"], url, QUICK, suffix=".bvh")
@@ -500,40 +327,6 @@ def test_a_store_by_url_gives_the_same_clips_as_its_folder(
     again = clean_files([f"file://{takes}"], url, QUICK, suffix=".bvh")
     assert not again.rows
     assert len(again.kept) == 6
-
-
-def test_a_protocol_that_is_not_installed_is_named(tmp_path: Path) -> None:
-    pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
-    with pytest.raises(InputError, match="no-such-thing"):
-        find_sources(["no-such-thing://bucket/takes"], str(tmp_path))
-
-
-def test_what_a_killed_process_left_is_cleared_away(tmp_path: Path) -> None:
-    left = tmp_path / "a" / ".0b0f7d1c5d8e4c6e9a6f1f0c8d2b3a4e.usdc"
-    left.parent.mkdir()
-    left.write_text("half a clip")
-    others = [tmp_path / ".hidden", tmp_path / "a" / ".config.toml"]
-    for other in others:
-        other.write_text("somebody's")
-    LocalStore(str(tmp_path)).remove_unfinished()
-    assert not left.exists()
-    assert all(other.exists() for other in others)
-
-
-def test_the_table_is_written_whole(tmp_path: Path) -> None:
-    store = store_at(str(tmp_path))
-    rows = [Row("b, c", "failed", "", "1", "", "", 1.0, error='"x"\ny')]
-    write_csv(rows, store)
-    assert [row["take"] for row in _table(tmp_path)] == ["b, c"]
-    assert _table(tmp_path)[0]["error"] == '"x"\ny'
-    assert [path.name for path in tmp_path.iterdir()] == ["manifest.csv"]
-
-
-def test_rows_say_all_there_is_to_say_as_json() -> None:
-    row = Row("é", "failed", "é.bvh", "1-2", "", "f", 0.5, error="no\nway")
-    assert row_from_json(row.as_json()) == row
-    assert "\n" not in row.as_json()
-    assert json.loads(row.as_json())["take"] == "é"
 
 
 def test_a_worker_that_would_do_another_thing_refuses(takes: Path) -> None:

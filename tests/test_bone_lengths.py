@@ -89,6 +89,22 @@ def test_projecting_twice_is_projecting_once() -> None:
     np.testing.assert_allclose(projector.project(once, trust), once, atol=1e-6)
 
 
+def test_what_does_not_converge_is_laid_bone_by_bone_from_the_root(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    body, positions = standard_body(KINECT_V1), noisy(KINECT_V1, 5, 0.05)
+    monkeypatch.setattr(bone_lengths, "_MOST_STEPS", 0)
+    laid = BoneLengths(body).project(positions, np.ones(positions.shape[:2]))
+    ends = KINECT_V1.segments
+    expected = np.broadcast_to(body.lengths[ends], (5, 19))
+    np.testing.assert_allclose(lengths_of(laid, KINECT_V1), expected, atol=1e-9)
+    np.testing.assert_array_equal(laid[:, KINECT_V1.root], positions[:, KINECT_V1.root])
+    bones = positions[:, ends] - positions[:, KINECT_V1.segment_parents]
+    bones *= (expected / lengths_of(positions, KINECT_V1))[..., None]
+    found = laid[:, ends] - laid[:, KINECT_V1.segment_parents]
+    np.testing.assert_allclose(found, bones, atol=1e-9)
+
+
 def test_arguments_are_not_modified() -> None:
     positions, trust = noisy(KINECT_V1, 4, 0.01), np.full((4, 20), 0.5)
     before = positions.copy(), trust.copy()

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scored_takes import average, blind, still_take
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -35,15 +36,6 @@ HAND, WRIST = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
 LIMIT = 0.03  # m, the paper's T
 
 
-def still_take(frames: int = 12, skeleton: Skeleton = KINECT_V1) -> Take:
-    return Take(
-        time=np.arange(frames) / 30.0,
-        positions=np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1)),
-        state=np.full((frames, len(skeleton)), int(State.TRACKED), dtype=np.uint8),
-        skeleton=skeleton,
-    )
-
-
 def moved(path: Array, joint: int = HAND) -> Take:
     """Return a still take with a joint's x displaced, path (T,)."""
     take = still_take(len(path))
@@ -56,17 +48,6 @@ def with_state(take: Take, frames: slice, state: State) -> Take:
     states = take.state.copy()
     states[frames, HAND] = state
     return replace(take, state=states)
-
-
-def average(skeleton: Skeleton = KINECT_V1) -> Reference:
-    lengths = standard_body(skeleton).lengths.copy()
-    lengths[skeleton.root] = np.nan
-    return Reference(lengths, np.full((len(skeleton), 3), np.nan), False)
-
-
-def blind() -> Reference:
-    """Return a reference that knows no segment, so that no length can be wrong."""
-    return replace(average(), lengths=np.full(JOINTS, np.nan))
 
 
 def score(take: Take, reference: Reference) -> Reliability:
@@ -212,24 +193,13 @@ def test_stepping_equals_scoring_bit_for_bit_and_start_forgets() -> None:
     take = sample_take()
     reference = measure_reference(take)
     scorer = ChiangReliabilityScorer(take.skeleton, reference)
-    whole = scorer.score(take)
+    whole, buffer = scorer.score(take), np.empty_like(take.positions[0])
     for _ in range(2):
         scorer.start()
         for k in range(len(take)):
-            rate, term, geometry = scorer.step(take.positions[k], take.state[k])
+            buffer[:] = take.positions[k]
+            rate, term, geometry = scorer.step(buffer, take.state[k])
             np.testing.assert_array_equal(rate, whole.rate[k])
             np.testing.assert_array_equal(term, whole.term[k])
             np.testing.assert_array_equal(geometry, whole.geometry[k])
     assert 0.05 < (whole.rate < 0.7).mean() < 0.95
-
-
-def test_a_buffer_that_is_filled_anew_for_each_frame_scores_alike() -> None:
-    take = sample_take()
-    reference = measure_reference(take)
-    scorer = ChiangReliabilityScorer(take.skeleton, reference)
-    whole, buffer = scorer.score(take), np.empty_like(take.positions[0])
-    scorer.start()
-    for k in range(60):
-        buffer[:] = take.positions[k]
-        rate = scorer.step(buffer, take.state[k])[0]
-        np.testing.assert_array_equal(rate, whole.rate[k])

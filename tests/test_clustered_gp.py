@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from offset_lessons import (
+    ELBOW,
+    ONES,
+    SPINE,
+    WRIST,
+    paired,
+    postures_of,
+    recorded_lessons,
+)
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -16,30 +23,16 @@ from kinefilter.characters import KINECT_V1, InputError, standard_body
 from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.clustered_gp import BoneWalk, ClusteredGP
-from kinefilter.pipeline.training import TrainingSet, read_pairs, training_set
+from kinefilter.pipeline.training import TrainingSet
 
 Array = NDArray[np.float64]
 
-DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
-ONES = np.ones(len(KINECT_V1))
-WRIST, ELBOW = KINECT_V1.index("WristLeft"), KINECT_V1.index("ElbowLeft")
-SPINE = KINECT_V1.index("Spine")
 SHIFT = np.array([0.1, -0.15, 0.1])
-
-
-def _postures(count: int, seed: int) -> Array:
-    """Return postures that vary along three directions, bones of odd lengths."""
-    rest = standard_body(KINECT_V1).rest_positions
-    directions = np.random.default_rng(99).normal(0.0, 0.1, (3, *rest.shape))
-    latent = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 3))
-    postures = rest - rest[KINECT_V1.root] + np.tensordot(latent, directions, axes=1)
-    postures[:, KINECT_V1.root] = 0.0
-    return np.asarray(postures)
 
 
 def _lessons(shift: Array, count: int = 400, seed: int = 0) -> TrainingSet:
     """Return postures on standard bones whose left wrist is off."""
-    seen = BoneWalk(KINECT_V1).standardized(_postures(count, seed))
+    seen = BoneWalk(KINECT_V1).standardized(postures_of(count, seed))
     truth = seen.copy()
     truth[:, WRIST] += shift
     truth[:, SPINE] = np.nan
@@ -59,7 +52,7 @@ def _step(model: ClusteredGP, posture: Array) -> Correction:
 
 
 def test_bones_come_back_from_standard_lengths() -> None:
-    walk, postures = BoneWalk(KINECT_V1), _postures(10, seed=1)
+    walk, postures = BoneWalk(KINECT_V1), postures_of(10, seed=1)
     directions, lengths = walk.measure(postures)
     standard = walk.lay(directions, walk.lengths)
     np.testing.assert_allclose(
@@ -81,7 +74,7 @@ def test_a_bone_without_a_length_points_as_at_rest() -> None:
 
 def test_corrected_bones_have_the_standard_lengths(model: ClusteredGP) -> None:
     walk = BoneWalk(KINECT_V1)
-    for posture in _postures(10, seed=1):
+    for posture in postures_of(10, seed=1):
         corrected = _step(model, posture).positions
         np.testing.assert_allclose(walk.measure(corrected)[1], walk.lengths, atol=1e-12)
 
@@ -103,7 +96,7 @@ def test_a_constant_shift_is_learned_as_a_direction(model: ClusteredGP) -> None:
 
 def test_no_shift_is_learned_from_none() -> None:
     still = ClusteredGP(KINECT_V1, centroids=40).fit(_lessons(np.zeros(3)))
-    posture = BoneWalk(KINECT_V1).standardized(_postures(1, seed=5)[0])
+    posture = BoneWalk(KINECT_V1).standardized(postures_of(1, seed=5)[0])
     np.testing.assert_allclose(_step(still, posture).positions, posture, atol=1e-9)
 
 
@@ -146,7 +139,7 @@ def test_unreliable_postures_teach_nothing() -> None:
         KINECT_V1,
         "good half",
     )
-    posture = _postures(1, seed=5)[0]
+    posture = postures_of(1, seed=5)[0]
     one, two = (
         _step(ClusteredGP(KINECT_V1, centroids=50).fit(part), posture).positions
         for part in (mixed, half)
@@ -172,7 +165,7 @@ def test_coverage_is_high_on_training_postures_and_none_far_away() -> None:
 
 
 def test_missing_joints_are_filled_with_their_last_bones(model: ClusteredGP) -> None:
-    first, second = BoneWalk(KINECT_V1).standardized(_postures(2, seed=7))
+    first, second = BoneWalk(KINECT_V1).standardized(postures_of(2, seed=7))
     second[[WRIST, WRIST + 1]] = np.nan
     model.start()
     model.step(Observation(first, ONES, ONES))
@@ -187,7 +180,7 @@ def test_missing_joints_are_filled_with_their_last_bones(model: ClusteredGP) -> 
 
 def test_the_arrays_bring_the_same_corrections_back(model: ClusteredGP) -> None:
     again = ClusteredGP.from_arrays(KINECT_V1, model.arrays())
-    for posture in _postures(10, seed=8):
+    for posture in postures_of(10, seed=8):
         one, two = _step(model, posture), _step(again, posture)
         np.testing.assert_array_equal(one.positions, two.positions)
         assert one.coverage == two.coverage
@@ -199,20 +192,9 @@ def test_the_seed_decides_everything(model: ClusteredGP) -> None:
         np.testing.assert_array_equal(twin[key], array)
 
 
-def _real(keep: Callable[[int], bool]) -> TrainingSet:
-    pairs = [
-        pair
-        for pair in read_pairs(DATA / "s02.npz")
-        if pair.clip[:3] in ("m01", "m07")
-        and "_inc" not in pair.clip
-        and keep(int(pair.clip[9:11]))
-    ]
-    return training_set(pairs)
-
-
-@pytest.mark.skipif(not DATA.is_dir(), reason="paired recordings are not here")
+@paired
 def test_known_people_are_corrected_on_real_recordings() -> None:
-    train, test = _real(lambda e: e <= 7), _real(lambda e: e > 7)
+    train, test = recorded_lessons(lambda e: e <= 7), recorded_lessons(lambda e: e > 7)
     accuracy = Accuracy(KINECT_V1)
     model = ClusteredGP(KINECT_V1, centroids=300).fit(train)
     found = np.array(

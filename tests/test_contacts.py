@@ -123,6 +123,14 @@ def test_a_foot_that_crept_elsewhere_has_stepped_unseen() -> None:
         assert np.ptp(path[stance, LEFT[0], 0]) < 0.2
 
 
+def test_a_step_that_nobody_saw_takes_as_long_as_a_step() -> None:
+    path, stands = np.zeros((120, 2)), np.ones(120, dtype=np.bool_)
+    path[60:, 0] = 0.3
+    contacts._split(stamps(120), path, stands, slice(0, 120))
+    # Three tenths of a second about the 60th frame.
+    assert runs(~stands) == [slice(56, 65)]
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), reach=st.floats(0.0, 1.5))
 def test_no_stance_strays_by_twice_the_drift(seed: int, reach: float) -> None:
@@ -158,6 +166,28 @@ def test_who_sits_down_and_gets_up_stands_on_feet_that_tremble_up_and_down() -> 
     low = act.positions[:, 0, 1].max() - act.positions[:, 0, 1]
     path[:, [*LEFT, *RIGHT], 1] += 0.25 * low[:, None]
     assert stance_of(act.time, path).mean() > 0.95
+
+
+def test_a_short_stance_keeps_its_half_in_the_middle() -> None:
+    stands = np.zeros((60, 2), dtype=np.bool_)
+    stands[20:26] = True
+    shorter = contacts._unloaded(stamps(60), stands)
+    assert runs(shorter[:, 0]) == runs(shorter[:, 1]) == [slice(22, 24)]
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+def test_frame_by_frame_a_change_has_to_gather_evidence(foot: int) -> None:
+    def stands(lifted: slice) -> Flags:
+        tracker, path = contacts.StanceTracker(), np.tile([0.0, 0.08, 2.0], (60, 2, 1))
+        path[lifted, foot, 1] += 0.3
+        return np.array([tracker.step(ankles, 0.08, 1.0 / 30.0) for ankles in path])
+
+    assert stands(slice(20, 21)).all()
+    found = stands(slice(20, 40))
+    assert found[:20].all()
+    assert not found[25:40, foot].any()
+    assert found[-1].all()
+    assert found[:, 1 - foot].all()
 
 
 @settings(max_examples=150, deadline=None)

@@ -100,6 +100,35 @@ def test_gains_and_bounds_follow_from_mass_and_frequency() -> None:
     assert compared == 60
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "meet"),
+    [
+        ("WristLeft", "Spine", True),
+        ("HandRight", "ShoulderCenter", True),
+        ("HandLeft", "Head", True),
+        ("WristLeft", "WristRight", True),
+        ("HandRight", "KneeLeft", True),
+        ("HandLeft", "AnkleRight", True),
+        ("AnkleLeft", "FootRight", True),
+        ("ElbowLeft", "Spine", False),
+        ("KneeLeft", "KneeRight", False),
+        ("AnkleLeft", "Spine", False),
+        ("WristLeft", "HandLeft", False),
+        ("AnkleRight", "FootRight", False),
+    ],
+)
+def test_hands_meet_all_but_the_own_arm_and_shanks_each_other(
+    one: str, other: str, meet: bool
+) -> None:
+    model = build_humanoid(standard_body(KINECT_V1)).compile()
+    bits = [
+        (int(geom.contype[0]), int(geom.conaffinity[0]))
+        for geom in (model.geom(one), model.geom(other))
+    ]
+    (type_one, like_one), (type_other, like_other) = bits
+    assert bool(type_one & like_other or type_other & like_one) == meet
+
+
 def test_without_forces_it_falls_freely() -> None:
     body = standard_body(KINECT_V1)
     model = build_humanoid(body).compile()

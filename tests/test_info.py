@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from published_layouts import azure_json, msrc_12_text, ntu_text
+from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, State, Take
 from kinefilter.pipeline.cli import main
@@ -21,11 +22,6 @@ from kinefilter.pipeline.simulate import simulate, write_pairs
 
 MakeClip = Callable[..., Clip]
 TAKES = Path(__file__).parents[2] / "shared" / "data" / "takes"
-
-
-def write_text(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def told(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from posed_people import BODY, EXACT, NO_ERRORS, every_skeleton, index, posed, room_with
 
 from kinefilter.characters import (
     KINECT_V1,
-    KINECT_V2,
-    Body,
     Skeleton,
     State,
     standard_body,
 )
-from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import about_y, between, multiply
 from kinefilter.scenes import (
     SENSORS,
     Errors,
-    Performance,
     Sensor,
     in_sensor_frame,
     in_world_frame,
@@ -33,44 +28,6 @@ from kinefilter.scenes.misplacement import kinship, misplacements, unsteadiness
 from kinefilter.scenes.visibility import look
 
 Array = NDArray[np.float64]
-
-BODY = standard_body(KINECT_V1)
-index = KINECT_V1.index
-NO_ERRORS = Errors(
-    **{f.name: 0.0 for f in fields(Errors)} | {"mirrored_beyond": float(np.pi)}
-)
-EXACT = replace(
-    Sensor(),
-    depth_noise=type(Sensor().depth_noise)(0.0, 0.0, 0.0),
-    dropped_share=0.0,
-    stamp_jitter=0.0,
-)
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
-
-
-def posed(frames: int = 1, *, body: Body = BODY, yaw: float = 0.0, **arms: Array):
-    """Stand in T-pose, turned by yaw, limbs pointing where the keywords say."""
-    skeleton = body.skeleton
-    turn = np.tile(about_y(yaw), (frames, len(skeleton), 1))
-    for limb, direction in arms.items():
-        joint = skeleton.index(limb)
-        tail = [joint]
-        for j in tail:
-            tail.extend(skeleton.children[j])
-            bent = between(body.directions[j], np.asarray(direction, float))
-            turn[:, j] = multiply(about_y(yaw), bent)
-    root = np.tile(body.rest_positions[skeleton.root], (frames, 1))
-    positions = positions_from_rotations(turn, root, body)
-    return Performance("posed", np.arange(frames) / 30.0, positions, turn, body)
-
-
-def room_with(name: str, size: tuple[float, float, float]) -> mujoco.MjSpec:
-    scene = mujoco.MjSpec()
-    prop = scene.worldbody.add_body(name=name)
-    prop.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size)
-    return scene
 
 
 # The sensor --------------------------------------------------------------------
@@ -218,6 +175,23 @@ def test_a_person_seen_from_behind_is_mirrored():
     )
     truth = in_sensor_frame(act.positions, EXACT)
     np.testing.assert_allclose(take.positions, truth[:, KINECT_V1.mirror], atol=1e-12)
+
+
+@pytest.mark.parametrize(("aside", "mirrored"), [(1.0, True), (-1.0, False)])
+def test_behind_is_where_the_sensor_is_not_and_not_a_direction_of_the_room(
+    aside: float, mirrored: bool
+) -> None:
+    # Turned by 70 degrees to the left: on the left of the room from the sensor, which
+    # is 22 degrees off then, on the right towards it.
+    act = posed(yaw=np.radians(70.0))
+    act = replace(act, positions=act.positions + np.array([aside, 0, 0]))
+    errors = replace(NO_ERRORS, mirrored_beyond=np.radians(74.0))
+    take = observe(act, seed=0, sensor=EXACT, errors=errors)
+    truth = in_sensor_frame(act.positions, EXACT)
+    tracked = take.state == State.TRACKED
+    assert tracked.sum() > 10
+    expected = truth[:, KINECT_V1.mirror] if mirrored else truth
+    np.testing.assert_allclose(take.positions[tracked], expected[tracked], atol=1e-12)
 
 
 def test_limbs_that_cross_in_the_image_are_swapped_now_and_then():

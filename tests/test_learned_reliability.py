@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scored_takes import average
 from sklearn.metrics import roc_auc_score
 
 from kinefilter.characters import (
@@ -26,7 +27,7 @@ from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.doubt import DoubtWeights
 from kinefilter.pipeline.evaluate import reliability_auc
 from kinefilter.pipeline.learned_reliability import TERMS, LearnedReliabilityScorer
-from kinefilter.pipeline.reliability import Reference, Term, measure_reference
+from kinefilter.pipeline.reliability import Term, measure_reference
 from kinefilter.pipeline.reliability_lessons import learned_weights, untaught
 from kinefilter.pipeline.simulate import furnished_pairs, simulate
 from kinefilter.pipeline.training import PairedTake, read_pairs
@@ -40,12 +41,6 @@ paired = pytest.mark.skipif(
     not (DATA / "ui-prmd").is_dir(), reason="no paired data in ../shared/data"
 )
 WRIST = KINECT_V1.index("WristLeft")
-
-
-def average(skeleton: Skeleton = KINECT_V1) -> Reference:
-    lengths = standard_body(skeleton).lengths.copy()
-    lengths[skeleton.root] = np.nan
-    return Reference(lengths, np.full((len(skeleton), 3), np.nan), False)
 
 
 def performed(motion: str, skeleton: Skeleton = KINECT_V1, seed: int = 0) -> Take:

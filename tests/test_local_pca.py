@@ -239,6 +239,8 @@ def test_a_frame_in_which_nothing_is_seen_still_gives_a_posture(
     )
     result = corrector.step(blind)
     assert np.isfinite(result.positions).all()
+    corrector.start()  # nothing speaks against the database
+    assert corrector.step(blind).coverage == 1.0
     assert np.linalg.norm(result.positions - last, axis=1).mean() < 0.15
 
 

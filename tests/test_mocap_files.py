@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from text_files import write_text
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -27,19 +28,10 @@ from kinefilter.pipeline.library import database_from_mocap
 from kinefilter.retarget.source_rig import find_rig, load_rig
 
 Array = NDArray[np.float64]
-
 every_skeleton = pytest.mark.parametrize(
     "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
 )
-
-
-def write_text(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 # ASF and AMC
-
 ARM = """# comment
 :version 1.10
 :name ARM

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scored_takes import average, blind, still_take
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -53,34 +54,12 @@ RELIABLE = 0.85  # correction moves such joints little
 UNRELIABLE = 0.6  # correction moves such joints much
 
 
-def still_take(
-    frames: int = 60, skeleton: Skeleton = KINECT_V1, fps: float = 30.0
-) -> Take:
-    return Take(
-        time=np.arange(frames) / fps,
-        positions=np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1)),
-        state=np.full((frames, len(skeleton)), int(State.TRACKED), dtype=np.uint8),
-        skeleton=skeleton,
-    )
-
-
 def moved(path: Array, joint: int = HAND, fps: float = 30.0) -> Take:
     """Return a still take with one joint displaced, path (T, 3)."""
     take = still_take(len(path), fps=fps)
     positions = take.positions.copy()
     positions[:, joint] += path
     return replace(take, positions=positions)
-
-
-def average(skeleton: Skeleton = KINECT_V1) -> Reference:
-    lengths = standard_body(skeleton).lengths.copy()
-    lengths[skeleton.root] = np.nan
-    return Reference(lengths, np.full((len(skeleton), 3), np.nan), False)
-
-
-def blind() -> Reference:
-    """Return a reference that knows no segment, so that no length can be wrong."""
-    return replace(average(), lengths=np.full(JOINTS, np.nan))
 
 
 def score(take: Take, reference: Reference) -> Reliability:
@@ -123,7 +102,7 @@ def test_a_cubic_keeps_full_trust_at_any_speed_and_any_stamps(seed: int) -> None
 
 
 def test_a_person_who_walks_through_the_room_keeps_full_trust() -> None:
-    take = still_take()
+    take = still_take(60)
     walk = np.outer(take.time, [1.5, 0.0, -4.0])
     walking = replace(take, positions=take.positions + walk[:, None])
     np.testing.assert_allclose(score(walking, average()).rate, 1.0, atol=1e-9)

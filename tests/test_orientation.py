@@ -9,7 +9,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
-from kinefilter.retarget import positions_from_rotations, rotations_from_positions
+from kinefilter.retarget import (
+    orientation,
+    positions_from_rotations,
+    rotations_from_positions,
+)
 from kinefilter.retarget.rotations import (
     IDENTITY,
     about_y,
@@ -175,3 +179,9 @@ def test_leading_axes_pass_through(shape: tuple[int, ...]) -> None:
                 flat[k], body, None if one is None else one[k]
             )
             np.testing.assert_allclose(rows[k], single, atol=1e-15)
+
+
+def test_hips_and_spine_in_a_line_leave_the_pelvis_as_at_rest() -> None:
+    line = np.array([0.1, -0.2, 0.3])
+    for across, up in ((line, 2.0 * line), (0.0 * line, line), (line, 0.0 * line)):
+        np.testing.assert_array_equal(orientation._frame(across, up), IDENTITY)

@@ -22,6 +22,7 @@ from kinefilter.retarget.rotations import (
     multiply,
     rotation_vector,
 )
+from kinefilter.retarget.two_bone import bent_limb
 from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]
@@ -123,12 +124,18 @@ def test_a_hand_pulled_into_the_trunk_stays_outside() -> None:
     time, positions, rotations = _standing(60, lift=1.0)
     spine, center = KINECT_V1.index("Spine"), KINECT_V1.index("ShoulderCenter")
     inside = 0.5 * (positions[0, spine] + positions[0, center])
-    share = np.minimum(time / 1.0, 1.0)[:, None]
-    for joint in ("WristLeft", "HandLeft"):
-        j = KINECT_V1.index(joint)
-        positions[:, j] += share * (inside - positions[:, j])
-    elbow = KINECT_V1.index("ElbowLeft")
-    positions[:, elbow] += share * [-0.2, 0.0, 0.25]
+    arm = [KINECT_V1.index(f"{part}Left") for part in ("Elbow", "Wrist", "Hand")]
+    upper, forearm, fingers = BODY.lengths[arm]
+    shoulder = positions[0, KINECT_V1.index("ShoulderLeft")]
+    elbow, hand = bent_limb(
+        shoulder,
+        inside,
+        np.array([0.5, -0.5, 1.0]),
+        np.array([upper, forearm + fingers]),
+    )
+    wrist = hand + fingers / (forearm + fingers) * (elbow - hand)
+    share = np.minimum(time / 1.0, 1.0)[:, None, None]
+    positions[:, arm] += share * (np.array([elbow, wrist, hand]) - positions[:, arm])
     result = PhysicsFilter(BODY).run(time, positions, rotations)
     hand = result.positions[-1, KINECT_V1.index("HandLeft")]
     trunk = result.positions[-1, [spine, center]]
@@ -205,6 +212,45 @@ def test_a_diverging_simulation_is_reset_reported_and_never_written(
     after = np.flatnonzero(result.trace.reset)[0]
     np.testing.assert_allclose(result.positions[after], positions[after], atol=1e-9)
     assert list(tmp_path.iterdir()) == []  # the engine keeps no log
+
+
+def test_starting_again_forgets_the_last_frames_and_pushes() -> None:
+    _, positions, rotations = _standing(1)
+
+    def followed(character: PhysicsFilter) -> Array:
+        character.start(positions[0], rotations[0])
+        for _ in range(10):
+            character.step(positions[0] + [0.05, 0.0, 0.0], rotations[0], 1 / 30)
+        return character.positions.copy()
+
+    character = PhysicsFilter(BODY)
+    first = followed(character)
+    character.push("Head", np.array([300.0, 0.0, 0.0]), 60.0)
+    character.step(positions[0], rotations[0], 1 / 30)
+    np.testing.assert_array_equal(followed(character), first)
+
+
+def test_a_limp_character_falls_and_one_that_is_held_does_not() -> None:
+    _, positions, rotations = _standing(1, lift=0.5)
+    character = PhysicsFilter(BODY)
+    fallen = []
+    for limp in (False, True, False):
+        character.limp = limp
+        assert character.limp is limp
+        character.start(positions[0], rotations[0])
+        for _ in range(6):
+            character.step(positions[0], rotations[0], 1 / 30)
+        fallen.append(float((positions[0] - character.positions)[:, 1].mean()))
+    # Six thirtieths of a second of free fall.
+    assert fallen[1] == pytest.approx(0.5 * GRAVITY * 0.2**2, rel=0.1)
+    np.testing.assert_allclose([fallen[0], fallen[2]], 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("dt", "steps"), [(1e-4, 1), (1 / 240, 1), (1 / 120, 2), (1 / 60, 4), (1 / 24, 12)]
+)
+def test_no_step_is_longer_than_it_may_be(dt: float, steps: int) -> None:
+    assert substeps_in(dt) == steps
 
 
 def test_a_long_gap_takes_more_steps_not_longer_ones() -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.pipeline import planting
 from kinefilter.pipeline.contacts import SIDES, ankles_and_toes, find_stance, runs
 from kinefilter.pipeline.planting import plant_feet
 from kinefilter.retarget.rotations import about_y, rotate
@@ -153,6 +154,30 @@ def test_steps_are_no_quicker_than_the_measured_ones_by_much(motion: str) -> Non
         for p in (path, planted)
     )
     assert quick < 1.4 * raw
+
+
+def test_a_foot_stays_over_its_place_while_it_is_lifted_and_set_down() -> None:
+    time = np.arange(100) / 100.0
+    path = np.zeros((100, 2, 3))
+    path[:, :, 2] = np.linspace(0.0, 1.0, 100)[:, None]
+    stances = [slice(0, 30), slice(70, 100)]
+    resting = [np.zeros((30, 2, 3)), np.ones((30, 2, 3))]
+    joined = planting._joined(time, path, resting, stances)
+    np.testing.assert_allclose(joined[30:38], 0.0, atol=1e-9)
+    np.testing.assert_allclose(joined[62:70], 1.0, atol=1e-9)
+    assert 0.3 < joined[50, 0, 2] < 0.7
+
+
+def test_a_lift_rises_and_sinks_at_an_even_speed() -> None:
+    time, toe = np.arange(100) / 100.0, np.zeros((100, 3))
+    stands = np.ones(100, dtype=np.bool_)
+    stands[20:80] = False
+    toe[20:80, 2] = np.linspace(0.0, 0.6, 60)
+    lift = planting._lift(time, toe, 0.0, stands)[:, 0]
+    assert not lift[stands].any()
+    assert lift.max() == pytest.approx(planting._CLEARANCE)
+    steepest = planting._CLEARANCE / planting._LIFT_TIME
+    assert np.abs(np.diff(lift)).max() * 100.0 == pytest.approx(steepest)
 
 
 def test_a_foot_that_was_dragged_is_lifted_on_its_way_and_only_there() -> None:

@@ -203,6 +203,9 @@ def test_curves_are_the_derivatives_of_closed_forms(make_pair: MakePair) -> None
     first = _numbers(speed["clean"], "<f4")
     np.testing.assert_allclose(first[30], 6.0 * clip.time[30] ** 2, rtol=0.05)
     assert np.nanmax(_numbers(jitter["raw"], "<f4")) == 0.0
+    # A difference of three steps is that of the second of its four frames.
+    assert np.flatnonzero(np.isnan(third)).tolist() == [0, 58, 59]
+    assert np.flatnonzero(np.isnan(first)).tolist() == [59]
 
 
 def test_the_page_of_five_minutes_is_under_15_mb(

@@ -13,19 +13,24 @@ from rig_motions import ARM, LEG, SIDES, performed
 
 from kinefilter.characters import CONTACTS, KINECT_V1, KINECT_V2, Clip, standard_body
 from kinefilter.pipeline import CleanConfig, clean, read_take
-from kinefilter.retarget import positions_from_rotations
+from kinefilter.retarget import positions_from_rotations, retargeting
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
 from kinefilter.retarget.rotations import about_y, multiply, rotate, rotation_vector
-from kinefilter.retarget.stance import held, near_stance
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, found_rig
-from kinefilter.retarget.two_bone import bent_limb
 
 Array = NDArray[np.float64]
+
+
 Limb = tuple[tuple[str, str, str], tuple[str, str, str]]
+
+
 SAMPLE = Path(__file__).parents[1] / "scenes" / "takes" / "wave_punch_bend.csv"
 
+
 REACH = 0.02  # m, of a limb as long as the person's
+
+
 SLIDE = 0.003  # m a frame
 
 
@@ -90,10 +95,14 @@ def clips() -> dict[str, Clip]:
 
 
 every_rig = pytest.mark.parametrize("name", RIGS)
+
+
 every_body = pytest.mark.parametrize(
     "make", [lambda name, clip: built_rig(load_rig_map(name), clip.body), giant],
     ids=["own", "giant"],
 )  # fmt: skip
+
+
 Make = Callable[[str, Clip], TargetRig]
 
 
@@ -313,77 +322,44 @@ def test_a_rig_without_toes_stands_and_walks_too(clips: dict[str, Clip]) -> None
         assert np.linalg.norm(step, axis=-1).max() < SLIDE
 
 
-# The pieces
+@every_rig
+def test_feet_that_turn_to_and_fro_where_they_stand_are_held(
+    name: str, clips: dict[str, Clip]
+) -> None:
+    clip, rng = clips["squat"], np.random.default_rng(0)
+    rotations = clip.rotations.copy()
+    for side in SIDES:
+        foot = clip.skeleton.index(f"Foot{side.capitalize()}")
+        turns = about_y(rng.normal(0.0, 0.02, len(clip)))
+        rotations[:, foot] = multiply(turns, rotations[:, foot])
+    restless = replace(clip, rotations=rotations)
+    rig = built_rig(load_rig_map(name), clip.body)
+    assert slides(restless, rig, retarget(restless, rig)).max() < SLIDE
 
 
-def test_a_bent_limb_has_its_lengths_reaches_its_goal_and_bends_where_it_is_told() -> (
-    None
-):
-    rng = np.random.default_rng(0)
-    lengths = np.array([0.4, 0.3])
-    start, away = rng.normal(size=(2, 200, 3))
-    away *= (rng.uniform(0.11, 0.69, 200) / np.linalg.norm(away, axis=1))[:, None]
-    toward = rng.normal(size=(200, 3))
-    middle, end = bent_limb(start, start + away, toward, lengths)
-    np.testing.assert_allclose(end, start + away, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(middle - start, axis=1), 0.4)
-    np.testing.assert_allclose(np.linalg.norm(end - middle, axis=1), 0.3)
-    limb = np.stack([start, middle, end], axis=1)
-    assert (np.sum(bent_to(limb) * toward, axis=1) > 0.0).all()
+@every_rig
+def test_toes_in_the_air_turn_with_the_foot(name: str, clips: dict[str, Clip]) -> None:
+    clip = clips["kick"]
+    rig = built_rig(load_rig_map(name), clip.body)
+    motion, high = retarget(clip, rig), 0
+    for side in SIDES:
+        toes, foot = rig.joint(f"{side} toes"), rig.joint(f"{side} foot")
+        air = motion.positions[:, toes, 1] > 0.15
+        found, wanted = motion.rotations[air, toes], motion.rotations[air, foot]
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+        high += air.sum()
+    assert high > 10
 
 
-@pytest.mark.parametrize(("asked", "found"), [(1.0, 0.7), (0.05, 0.1), (0.7, 0.7)])
-def test_a_goal_out_of_reach_is_approached(asked: float, found: float) -> None:
-    goal, toward = np.array([[0, -asked, 0]]), np.array([[0, 0, 1.0]])
-    middle, end = bent_limb(np.zeros((1, 3)), goal, toward, np.array([0.4, 0.3]))
-    np.testing.assert_allclose(end, [[0, -found, 0]], atol=1e-12)
-    assert np.linalg.norm(middle) == pytest.approx(0.4)
-
-
-def path_of(stands: list[int], slip: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return time, path of a foot and when it stands, by how much it slips a frame."""
-    time = np.arange(len(stands)) / 30.0
-    path = np.zeros((len(stands), 3))
-    path[:, 0] = slip * np.arange(len(stands))
-    return time, path, np.array(stands, dtype=bool)
-
-
-def test_a_held_foot_rests_and_joins_its_path_in_a_sixth_of_a_second() -> None:
-    time, path, stands = path_of([0] * 10 + [1] * 10 + [0] * 10, 0.002)
-    move = held(time, path, stands, 0.0, 0.015)
-    rests = (path + move)[10:20]
-    np.testing.assert_allclose(rests, np.broadcast_to(rests[0], (10, 3)), atol=1e-12)
-    assert not move[[0, 5, 24, 29]].any()
-    assert np.linalg.norm(np.diff(move, axis=0), axis=1).max() < 0.005
-
-
-def test_a_foot_that_drifts_is_dragged_along() -> None:
-    time, path, stands = path_of([1] * 100, 0.002)
-    move = held(time, path, stands, 0.0, 0.015)
-    assert np.linalg.norm(move, axis=1).max() <= 0.015 + 1e-9
-
-
-def test_a_foot_that_stands_again_at_once_rests_both_times() -> None:
-    time, path, stands = path_of([1] * 6 + [0] + [1] * 6, 0.002)
-    moved = path + held(time, path, stands, 0.0, 0.015)
-    assert np.abs(np.diff(moved[:6], axis=0)).max() < 1e-12
-    assert np.abs(np.diff(moved[7:], axis=0)).max() < 1e-12
-    assert moved[5, 0] < moved[6, 0] < moved[7, 0]
-
-
-def test_a_foot_that_stands_is_as_high_as_it_stands() -> None:
-    time, path, stands = path_of([0] * 9 + [1] * 10 + [0] * 9, 0.0)
-    path[:, 1] = 0.1 + 0.01 * np.sin(np.arange(28))
-    moved = path + held(time, path, stands, 0.08, 0.015)
-    np.testing.assert_allclose(moved[9:19, 1], 0.08)
-
-
-def test_near_a_stance_counts_less_the_farther_it_is() -> None:
-    time, _, stands = path_of([0] * 10 + [1] * 3 + [0] * 10, 0.0)
-    share = near_stance(time, stands)
-    assert (share[10:13] == 1.0).all()
-    assert (np.diff(share[5:11]) > 0.0).all()
-    assert (np.diff(share[12:18]) < 0.0).all()
-    assert not share[:5].any()
-    assert not share[18:].any()
-    assert not near_stance(time, np.zeros(23, dtype=bool)).any()
+@pytest.mark.parametrize(("aside", "lower"), [(0.0, 1.0), (0.6, 0.8), (0.8, 0.6)])
+def test_hips_are_too_high_by_what_the_leg_is_too_short(
+    aside: float, lower: float, clips: dict[str, Clip]
+) -> None:
+    clip = clips["walk"]
+    rig = built_rig(load_rig_map("mixamo"), clip.body)
+    motion = retargeting._Motion(clip, rig)
+    reach = rig.limb("left", *LEG[0]).sum()
+    for below, short in ((0.1, 0.1), (-0.1, 0.0)):
+        away = np.array([aside * reach, -lower * reach - below, 0.0])
+        goal = motion.positions[:, rig.joint("left thigh")] + away
+        np.testing.assert_allclose(motion.shortage("left", goal), short, atol=1e-9)

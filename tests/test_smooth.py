@@ -159,6 +159,7 @@ def test_a_pause_of_an_hour_parts_the_take_without_filling_memory() -> None:
     np.testing.assert_allclose(smoothed, level, atol=0.05)
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_short_takes_pass_through_as_copies(count: int) -> None:
     values = noise(count)

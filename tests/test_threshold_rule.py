@@ -16,6 +16,11 @@ from kinefilter.pipeline.threshold_rule import filter_postures, filter_to_count
 Array = NDArray[np.float64]
 
 
+def walk(count: int) -> Array:
+    steps = np.random.default_rng(3).normal(0.0, 0.02, (count, 20, 3))
+    return np.cumsum(steps, axis=0)
+
+
 def squared_differences(positions: Array) -> Array:
     flat = positions.reshape(len(positions), -1)
     return np.asarray(np.sum((flat[:, None] - flat[None]) ** 2, axis=-1))
@@ -53,25 +58,25 @@ def test_kept_postures_differ_and_dropped_ones_are_near_a_kept_one(
     assert (differences[np.ix_(dropped, kept)].min(axis=1) <= threshold).all()
 
 
-@pytest.mark.parametrize("count", [100, 400])
-def test_filtering_to_a_count_hits_it_within_two_percent(count: int) -> None:
-    rng = np.random.default_rng(3)
-    walk = np.cumsum(rng.normal(0.0, 0.02, (1500, 20, 3)), axis=0)
-    kept = filter_to_count(walk, count)
+@pytest.mark.parametrize(("frames", "count"), [(1500, 100), (1500, 400), (300, 50)])
+def test_filtering_to_a_count_hits_it_within_two_percent(
+    frames: int, count: int
+) -> None:
+    kept = filter_to_count(walk(frames), count)
     assert abs(len(kept) - count) <= 0.02 * count
     assert (np.diff(kept) > 0).all()
     assert kept[0] == 0
+
+
+def test_postures_that_lead_one_way_are_filtered_to_two() -> None:
+    rising = np.cumsum(np.full((300, 20, 3), 0.01), axis=0)
+    assert len(filter_to_count(rising, 2)) == 2
 
 
 def test_few_postures_are_all_kept() -> None:
     positions = np.random.default_rng(0).normal(size=(30, 20, 3))
     for count in (30, 31):
         np.testing.assert_array_equal(filter_to_count(positions, count), np.arange(30))
-
-
-def walk(count: int) -> Array:
-    steps = np.random.default_rng(3).normal(0.0, 0.02, (count, 20, 3))
-    return np.cumsum(steps, axis=0)
 
 
 def test_only_the_postures_asked_for_may_stay() -> None:
@@ -93,8 +98,12 @@ def test_giving_up_thresholds_leaves_the_count_right(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(threshold_rule, "_TOO_MANY", 0)
-    kept = filter_to_count(walk(6000), 100)
-    assert abs(len(kept) - 100) <= 2
+    # In sixty dimensions all are about as far apart: from a threshold that keeps few,
+    # the next keeps far too many.
+    positions = np.random.default_rng(0).normal(size=(3000, 20, 3))
+    kept = filter_to_count(positions, 60)
+    assert abs(len(kept) - 60) <= 1
+    assert kept[-1] > 2500
 
 
 def test_postures_on_a_disk_are_filtered_as_those_in_memory(tmp_path: Path) -> None:

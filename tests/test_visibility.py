@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from posed_people import BODY, EXACT, NO_ERRORS, every_skeleton, index, posed, room_with
 
 from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    Body,
     InputError,
     State,
     standard_body,
 )
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import IDENTITY, about_y, between, multiply
+from kinefilter.retarget.rotations import IDENTITY
 from kinefilter.scenes import (
-    Errors,
     Performance,
     Sensor,
     in_world_frame,
@@ -31,44 +26,6 @@ from kinefilter.scenes import (
 from kinefilter.scenes.visibility import Sight, look
 
 Array = NDArray[np.float64]
-
-BODY = standard_body(KINECT_V1)
-index = KINECT_V1.index
-NO_ERRORS = Errors(
-    **{f.name: 0.0 for f in fields(Errors)} | {"mirrored_beyond": float(np.pi)}
-)
-EXACT = replace(
-    Sensor(),
-    depth_noise=type(Sensor().depth_noise)(0.0, 0.0, 0.0),
-    dropped_share=0.0,
-    stamp_jitter=0.0,
-)
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
-
-
-def posed(frames: int = 1, *, body: Body = BODY, yaw: float = 0.0, **arms: Array):
-    """Stand in T-pose, turned by yaw, limbs pointing where the keywords say."""
-    skeleton = body.skeleton
-    turn = np.tile(about_y(yaw), (frames, len(skeleton), 1))
-    for limb, direction in arms.items():
-        joint = skeleton.index(limb)
-        tail = [joint]
-        for j in tail:
-            tail.extend(skeleton.children[j])
-            bent = between(body.directions[j], np.asarray(direction, float))
-            turn[:, j] = multiply(about_y(yaw), bent)
-    root = np.tile(body.rest_positions[skeleton.root], (frames, 1))
-    positions = positions_from_rotations(turn, root, body)
-    return Performance("posed", np.arange(frames) / 30.0, positions, turn, body)
-
-
-def room_with(name: str, size: tuple[float, float, float]) -> mujoco.MjSpec:
-    scene = mujoco.MjSpec()
-    prop = scene.worldbody.add_body(name=name)
-    prop.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size)
-    return scene
 
 
 def seen(act: Performance, joint: str, **options) -> float:

@@ -13,6 +13,7 @@ from kinefilter.pipeline.placing import (
     nearest_frames,
     placed_by_distances,
     placed_by_heights,
+    same_stamps,
 )
 
 __all__ = ["raw_positions"]
@@ -20,7 +21,6 @@ __all__ = ["raw_positions"]
 Array = NDArray[np.float64]
 
 _APART = 0.1  # s between a frame and the measurement shown for it, at most
-_SKEW = 1e-3  # s between the time stamps of a take and of its clip: rounding
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
@@ -61,8 +61,4 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
 
 def _keeps_distances(clip: Clip, take: Take) -> bool:
     """Tell whether a clip says how far each joint of the take was moved."""
-    return (
-        len(clip) == len(take)
-        and np.allclose(clip.time, take.time, rtol=0.0, atol=_SKEW)
-        and bool(np.isfinite(clip.moved_by_correction).any())
-    )
+    return same_stamps(clip, take) and bool(np.isfinite(clip.moved_by_correction).any())

@@ -13,7 +13,7 @@ from kinefilter.pipeline.contacts import feet_of
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.formats.files import check_file
 from kinefilter.pipeline.metrics import measure
-from kinefilter.pipeline.placing import placed_by_distances
+from kinefilter.pipeline.placing import placed_by_distances, same_stamps
 
 from .table import figures_of
 
@@ -23,7 +23,6 @@ Array = NDArray[np.float64]
 
 _TRY = "give the take that the clip was made of"
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall is as large
-_SKEW = 1e-3  # s between the time stamps of a take and of its clip: rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +97,7 @@ def _check(clip: Clip, take: Take) -> None:
         )
     if len(clip) < 2 or clip.time[-1] <= clip.time[0]:
         raise InputError("a motion needs two frames or more at different times")
-    same_time = np.allclose(clip.time, take.time, rtol=0.0, atol=_SKEW)
+    same_time = same_stamps(clip, take)
     if not same_time or not np.array_equal(clip.state, take.state):
         what = "tracking states" if same_time else "time stamps"
         raise InputError(f"the {what} of clip and take differ; {_TRY}")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Origin
+from kinefilter.pipeline.metrics import even_differences
 from kinefilter.pipeline.reliability import Term
 
 from .compared import Compared
@@ -90,15 +91,8 @@ def _derivative(time: Array, positions: Array, order: int) -> Array:
     count, and joints that are there in all of them; NaN in the others, shape (T,).
     """
     values = np.full(len(time), np.nan)
-    steps = np.diff(time)
-    nominal = float(np.median(steps[steps > 0]))
-    even = np.abs(steps - nominal) < 0.5 * nominal
-    if len(time) <= order:
-        return values
-    spans = np.lib.stride_tricks.sliding_window_view(even, order)
-    size = np.linalg.norm(np.diff(positions, n=order, axis=0), axis=2)
-    whole = np.asarray(spans.all(axis=1))
-    known = whole[:, None] & np.isfinite(size)
+    size, nominal = even_differences(time, positions, order)
+    known = ~np.isnan(size)
     total = np.where(known, size, 0.0).sum(axis=1)
     count = known.sum(axis=1)
     first = order // 2  # the difference is that of the frame in its middle

@@ -1,0 +1,29 @@
+"""Motions whose figures are known."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+
+__all__ = ["BODY", "FEET", "Array", "polynomial", "stamps", "standing"]
+
+Array = NDArray[np.float64]
+BODY = standard_body(KINECT_V1)
+FEET = [KINECT_V1.index(f"Foot{side}") for side in ("Left", "Right")]
+
+
+def stamps(count: int, fps: float = 30.0) -> Array:
+    return np.arange(count) / fps
+
+
+def standing(frames: int, skeleton: Skeleton = KINECT_V1) -> Array:
+    return np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1))
+
+
+def polynomial(time: Array, *vectors: list[float]) -> Array:
+    """Return a path with these vectors as coefficients of t^0, t^1, ..., (T, 20, 3)."""
+    powers = time[:, None] ** np.arange(len(vectors))
+    path = np.asarray(powers @ np.array(vectors, float))
+    return np.asarray(standing(len(time)) + path[:, None])

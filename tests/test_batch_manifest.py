@@ -1,0 +1,132 @@
+"""The manifest of a batch: whole lines or none, one run at a time."""
+
+from __future__ import annotations
+
+import errno
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from batch_folders import clean_folder, make_folder, rows_of, table_of
+from batch_takes import Here
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline import CleanConfig
+from kinefilter.pipeline.batch import manifest, run
+from kinefilter.pipeline.batch.local import LocalStore
+from kinefilter.pipeline.batch.manifest import open_manifest, write_csv
+from kinefilter.pipeline.batch.places import store_at
+from kinefilter.pipeline.batch.row import Row, parse_rows, row_from_json
+from kinefilter.pipeline.settings import Settings
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let batches of the test work in its own process."""
+    monkeypatch.setattr(run, "_crew", Here)
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    return make_folder(tmp_path / "takes")
+
+
+@pytest.mark.usefixtures("here")
+def test_the_manifest_holds_every_take_once_with_its_figures(
+    takes: Path, tmp_path: Path
+) -> None:
+    (takes / "broken.csv").write_text((takes / "a.csv").read_text()[:2000])
+    clean_folder(takes, tmp_path / "clips", Settings(CleanConfig(method="none")))
+    table = {row["take"]: row for row in table_of(tmp_path / "clips")}
+    assert set(table) == {"a.csv", "broken.csv", "monday/b.csv", "monday/late/c.csv"}
+    assert [row.take for row in rows_of(tmp_path / "clips")].count("a.csv") == 1
+    assert table["broken.csv"]["status"] == "failed"
+    assert "broken.csv: row" in table["broken.csv"]["error"]
+    done = table["monday/b.csv"]
+    assert done["status"] == "done"
+    assert done["output"] == "monday/b.bvh"
+    assert done["frames"] == "21"
+    assert float(done["motion_seconds"]) == pytest.approx(20 / 30, rel=0.1)
+    assert 0.0 < float(done["jitter"]) < float(done["jitter_raw"])
+    assert float(done["external_force_body_weights"]) > 0.0
+    assert float(done["seconds"]) > 0.0
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("cut", [1, 40, 200])
+def test_a_torn_last_line_is_dropped_and_its_take_done_again(
+    takes: Path, tmp_path: Path, cut: int
+) -> None:
+    lines = tmp_path / "clips" / "manifest.jsonl"
+    clean_folder(takes, tmp_path / "clips")
+    whole = lines.read_bytes()
+    last = row_from_json(whole.splitlines()[-1].decode()).take
+    lines.write_bytes(whole[:-cut])
+    again = clean_folder(takes, tmp_path / "clips")
+    assert [row.take for row in again.rows] == [last]
+    assert len(rows_of(tmp_path / "clips")) == 6
+
+
+def test_a_damaged_line_that_is_not_the_last_is_refused() -> None:
+    row = Row("a", "done", "a.bvh", "1", "", "", 1.0).as_json() + "\n"
+    with pytest.raises(InputError, match=r"m\.jsonl: line 2 is damaged"):
+        parse_rows((row + "{\n" + row).encode(), "m.jsonl")
+    rows, length = parse_rows((row + row + "{").encode(), "m.jsonl")
+    assert len(rows) == 2
+    assert length == 2 * len(row)
+
+
+def test_two_runs_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    store = LocalStore(str(tmp_path / "clips"))
+    refused = pytest.raises(InputError, match="another run")
+    with open_manifest(store), refused, open_manifest(store):
+        pass
+    with open_manifest(store):
+        pass  # let go of
+
+
+def test_a_full_disk_leaves_the_manifest_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    store = LocalStore(str(tmp_path))
+    row = Row("a", "done", "a.bvh", "1", "", "", 1.0)
+    with open_manifest(store) as opened:
+        opened.append([row])
+        with monkeypatch.context() as patched:
+            patched.setattr(manifest.os, "fsync", full)
+            with pytest.raises(InputError, match="No space left"):
+                opened.append([replace(row, take="b")])
+        opened.append([replace(row, take="c")])
+    assert [row.take for row in rows_of(tmp_path)] == ["a", "c"]
+
+
+def test_what_a_killed_process_left_is_cleared_away(tmp_path: Path) -> None:
+    left = tmp_path / "a" / ".0b0f7d1c5d8e4c6e9a6f1f0c8d2b3a4e.usdc"
+    left.parent.mkdir()
+    left.write_text("half a clip")
+    others = [tmp_path / ".hidden", tmp_path / "a" / ".config.toml"]
+    for other in others:
+        other.write_text("somebody's")
+    LocalStore(str(tmp_path)).remove_unfinished()
+    assert not left.exists()
+    assert all(other.exists() for other in others)
+
+
+def test_the_table_is_written_whole(tmp_path: Path) -> None:
+    store = store_at(str(tmp_path))
+    rows = [Row("b, c", "failed", "", "1", "", "", 1.0, error='"x"\ny')]
+    write_csv(rows, store)
+    assert [row["take"] for row in table_of(tmp_path)] == ["b, c"]
+    assert table_of(tmp_path)[0]["error"] == '"x"\ny'
+    assert [path.name for path in tmp_path.iterdir()] == ["manifest.csv"]
+
+
+def test_rows_say_all_there_is_to_say_as_json() -> None:
+    row = Row("é", "failed", "é.bvh", "1-2", "", "f", 0.5, error="no\nway")
+    assert row_from_json(row.as_json()) == row
+    assert "\n" not in row.as_json()
+    assert json.loads(row.as_json())["take"] == "é"

@@ -1,0 +1,95 @@
+"""What a batch takes for takes, and what it calls their clips."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import pytest
+from batch_folders import make_folder
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline.batch.naming import clip_names, numbered
+from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.formats.takes import claims_take
+
+DATA = Path(__file__).parents[1].parent / "shared" / "data"
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    return make_folder(tmp_path / "takes")
+
+
+def test_names_that_would_be_the_same_are_kept_apart() -> None:
+    takes = ["a.csv", "a.bvh", "a.csv.gz", "b.csv.gz", "s/a.csv", "B.txt", "a.csv.txt"]
+    names = clip_names(takes, ".bvh")
+    assert len({name.casefold() for name in names}) == len(takes)
+    assert names[4] == "s/a.bvh"
+    assert clip_names(takes[::-1], ".bvh") == names[::-1]
+    assert clip_names(["x.csv", "X.csv"], ".bvh") == ["x.csv.bvh", "2-X.csv.bvh"]
+    assert clip_names(["t.1.csv", "t.2.csv"], ".bvh") == ["t.1.bvh", "t.2.bvh"]
+    people = clip_names(["t.csv", "t.1.csv"], ".bvh", several=True)
+    assert len({numbered(name, 1) for name in people} | set(people)) == 4
+
+
+def test_files_of_several_folders_are_kept_apart(takes: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other" / "takes"
+    other.mkdir(parents=True)
+    (other / "a.csv").write_text("a take")
+    inputs = [str(takes), str(other), str(takes / "monday"), str(other / "a.csv")]
+    found = {s.take for s in find_sources(inputs, str(tmp_path / "out"))}
+    assert {"takes/a.csv", "takes-2/a.csv"} <= found
+    assert len(found) == 7  # once each, and what is no take by its name not at all
+
+
+def test_the_output_folder_is_not_searched(takes: Path, tmp_path: Path) -> None:
+    out = takes / "clips"
+    out.mkdir()
+    (out / "old.csv").write_text("a clip of an earlier run")
+    assert "clips/old.csv" not in {s.take for s in find_sources([str(takes)], str(out))}
+    with pytest.raises(InputError, match="searched for takes itself"):
+        find_sources([str(takes)], str(takes))
+    with pytest.raises(InputError, match="no such file or folder"):
+        find_sources([str(tmp_path / "absent")], str(out))
+
+
+@pytest.mark.parametrize(
+    ("text", "claims"),
+    [
+        ("time,SpineBase.x,SpineBase.y\n", True),
+        ("time,HeelLeft,ToeLeft\n", False),
+        ("HipCenter; Spine; Head\n", True),
+        ("take;label\n", False),
+        ("1 2 3 4\n", True),
+        ("what we did today\n", False),
+        ("12\n", True),
+        ('{"bone_list": []', True),
+        ('{"frames": 20}', False),
+        ("HIERARCHY\n", True),
+    ],
+)
+def test_takes_are_told_from_notes_by_how_they_begin(
+    text: str, claims: bool, tmp_path: Path
+) -> None:
+    plain, zipped = tmp_path / "plain.txt", tmp_path / "zipped.txt.gz"
+    plain.write_text(text)
+    zipped.write_bytes(gzip.compress(text.encode()))
+    assert claims_take(plain) == claims
+    assert claims_take(zipped) == claims
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="recordings (../shared/data) not here")
+def test_recordings_claim_to_be_takes_and_what_lies_beside_them_does_not() -> None:
+    files = sorted((DATA / "takes").rglob("*.*"))
+    texts = [p for p in files if p.name.endswith((".csv", ".csv.gz", ".txt"))]
+    notes = ("LICEN", "SOURCE", "README")
+    assert len(texts) > 50
+    for path in texts:
+        assert claims_take(path) != path.name.startswith(notes), path
+
+
+def test_a_protocol_that_is_not_installed_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
+    with pytest.raises(InputError, match="no-such-thing"):
+        find_sources(["no-such-thing://bucket/takes"], str(tmp_path))

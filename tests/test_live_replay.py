@@ -1,0 +1,102 @@
+"""Takes replayed to a live session."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+import numpy as np
+import pytest
+from live_session import (
+    SAMPLE,
+    WS,
+    config,
+    do,
+    pose,
+    reading,
+    running,
+    sample_frame,
+)
+
+from kinefilter.pipeline.live import (
+    format_frame,
+    open_sender,
+    replay,
+)
+from kinefilter.pipeline.live.addresses import read_address
+from kinefilter.pipeline.live.playback import frames_of
+
+
+def test_a_replay_sends_every_frame_at_its_own_stamp_of_everybody() -> None:
+    class Kept:
+        """Keeps what is sent."""
+
+        def __init__(self) -> None:
+            self.lines: list[str] = []
+
+        async def send(self, line: str) -> bool:
+            self.lines.append(line)
+            return True
+
+    kept = Kept()
+    count = asyncio.run(replay([SAMPLE, SAMPLE], kept, asyncio.Event(), speed=1e6))
+    assert count == len(SAMPLE) == len(kept.lines)
+    frames = [json.loads(line) for line in kept.lines]
+    assert [frame["time"] for frame in frames] == SAMPLE.time.tolist()
+    assert [body["id"] for body in frames[0]["bodies"]] == ["1", "2"]
+
+
+def test_a_replay_takes_as_long_as_the_take_over_the_speed() -> None:
+    """By the loop's own clock, which the test moves."""
+
+    class Virtual(asyncio.SelectorEventLoop):
+        now = 0.0
+
+        def time(self) -> float:
+            return self.now
+
+        def _run_once(self) -> None:
+            if not self._ready and self._scheduled:  # type: ignore[attr-defined]
+                self.now = max(self.now, self._scheduled[0].when())  # type: ignore[attr-defined]
+            super()._run_once()  # type: ignore[misc]
+
+    stamps: list[float] = []
+
+    class Timed:
+        """Notes when frames are sent."""
+
+        async def send(self, line: str) -> bool:  # noqa: ARG002 - as all senders
+            stamps.append(asyncio.get_running_loop().time())
+            return True
+
+    with asyncio.Runner(loop_factory=Virtual) as runner:
+        runner.run(replay([SAMPLE], Timed(), asyncio.Event(), speed=2.0))
+    np.testing.assert_allclose(np.diff(stamps), np.diff(SAMPLE.time) / 2.0, atol=1e-9)
+
+
+def test_a_replay_round_and_round_goes_on_in_time() -> None:
+    frames = frames_of([SAMPLE], loop=True)
+    times = [next(frames).time for _ in range(2 * len(SAMPLE) + 5)]
+    steps = np.diff(times)
+    assert (steps > 0).all()
+    assert steps[len(SAMPLE) - 1] == pytest.approx(1 / 30, abs=2e-3)
+
+
+def test_a_replay_connects_again_when_live_comes_back() -> None:
+    async def session() -> None:
+        async with running(config(source=WS)) as (_, (source, _)):
+            pass
+        address = read_address(str(source), ("ws",))
+        async with open_sender(address) as sender:  # nobody is there
+            assert not await sender.send("lost")
+            again = config(source=str(source))
+            async with running(again) as (_, (_, out)), reading(out) as stream:
+                asking = asyncio.ensure_future(pose(stream))
+                row = 0
+                while not asking.done():
+                    await sender.send(format_frame(sample_frame(row % 290, time=row)))
+                    row += 1
+                    await asyncio.sleep(0.02)
+                assert asking.result()["body"] == "1"
+
+    do(session())

@@ -1,0 +1,166 @@
+"""Offsets learned per joint: by local mixtures, full processes and exemplars."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from offset_lessons import (
+    BIAS,
+    ELBOW,
+    SPINE,
+    WRIST,
+    Method,
+    bent,
+    constant,
+    copied,
+    corrected,
+    lessons_of,
+    local_gp,
+    moves_of,
+    paired,
+    postures_of,
+    recorded_lessons,
+)
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, InputError
+from kinefilter.pipeline.accuracy import Accuracy
+from kinefilter.pipeline.correct import Observation
+from kinefilter.pipeline.correct.exemplar import Exemplar
+from kinefilter.pipeline.correct.full_gp import FullGP
+from kinefilter.pipeline.correct.local_gp import LocalGP
+from kinefilter.pipeline.training import TrainingSet
+
+METHODS: dict[str, Callable[[], Method]] = {
+    "local": local_gp,
+    "full": lambda: FullGP(KINECT_V1, samples=300),
+    "exemplar": lambda: Exemplar(KINECT_V1, samples=500, neighbors=5),
+}
+
+
+@pytest.fixture(scope="module")
+def fitted() -> dict[str, Method]:
+    return {name: make().fit(lessons_of(bent)) for name, make in METHODS.items()}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_no_offset_is_learned_from_none(name: str) -> None:
+    model = METHODS[name]().fit(lessons_of(lambda seen: np.zeros((len(seen), 3))))
+    assert not moves_of(model, postures_of(5, seed=7)).any()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_constant_offset_is_learned(name: str) -> None:
+    moves = moves_of(METHODS[name]().fit(lessons_of(constant)), postures_of(20, seed=7))
+    share = {"exemplar": 0.75}.get(name, 0.97)
+    assert np.all(moves[:, WRIST] / BIAS > share)
+    assert np.all(moves[:, WRIST] / BIAS < 1.02)
+    others = np.delete(np.arange(len(KINECT_V1)), WRIST)
+    assert np.abs(moves[:, others]).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_offsets_follow_the_posture(name: str, fitted: dict[str, Method]) -> None:
+    postures = postures_of(60, seed=7)
+    left = moves_of(fitted[name], postures)[:, WRIST] - bent(postures)
+    ratio = np.linalg.norm(left, axis=1).mean()
+    ratio /= np.linalg.norm(bent(postures), axis=1).mean()
+    assert ratio < {"exemplar": 0.5}.get(name, 0.2)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_joint_that_mocap_lacks_is_not_moved(
+    name: str, fitted: dict[str, Method]
+) -> None:
+    assert SPINE not in fitted[name].joints_
+    assert not moves_of(fitted[name], postures_of(5, seed=7))[:, SPINE].any()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_coverage_is_high_on_training_postures_and_none_far_away(
+    name: str, fitted: dict[str, Method]
+) -> None:
+    near = corrected(fitted[name], postures_of(20, seed=0))
+    assert np.mean([c.coverage for c in near]) > 0.7
+    assert all(0.0 <= c.coverage <= 1.0 for c in near)
+    far = corrected(fitted[name], 30.0 * postures_of(1, seed=0))
+    # A joint at the root has features that are the same everywhere.
+    assert far[0].coverage < 0.1
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_missing_joints_hang_on_their_corrected_parents(
+    name: str, fitted: dict[str, Method]
+) -> None:
+    first, second = postures_of(2, seed=7)
+    second[[WRIST, WRIST + 1]] = np.nan
+    before, after = corrected(fitted[name], np.stack([first, second]))
+    assert np.isfinite(after.positions).all()
+    assert after.trust[WRIST] == 0.0
+    assert np.all(np.delete(after.trust, [WRIST, WRIST + 1]) == 0.9)
+    bone = after.positions[WRIST] - after.positions[ELBOW]
+    np.testing.assert_allclose(bone, first[WRIST] - first[ELBOW], atol=1e-3)
+    everything = np.full_like(first, np.nan)
+    assert np.isfinite(corrected(fitted[name], everything[None])[0].positions).all()
+    assert before.rotations is None
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_arrays_bring_the_same_corrections_back(
+    name: str, fitted: dict[str, Method]
+) -> None:
+    model = fitted[name]
+    again = copied(model)
+    postures = postures_of(10, seed=8)
+    pairs = zip(corrected(model, postures), corrected(again, postures), strict=True)
+    for one, two in pairs:
+        np.testing.assert_array_equal(one.positions, two.positions)
+        assert one.coverage == two.coverage
+    for key, array in again.arrays().items():
+        np.testing.assert_array_equal(array, model.arrays()[key])
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_seed_decides_everything(name: str, fitted: dict[str, Method]) -> None:
+    twin = METHODS[name]().fit(lessons_of(bent)).arrays()
+    for key, array in fitted[name].arrays().items():
+        np.testing.assert_array_equal(twin[key], array)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_too_few_pairs_and_other_skeletons_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="too few"):
+        METHODS[name]().fit(lessons_of(bent, count=60))
+    lessons = lessons_of(bent)
+    foreign = TrainingSet(
+        lessons.positions,
+        lessons.rate,
+        lessons.truth,
+        lessons.first,
+        KINECT_V2,
+        "another sensor",
+    )
+    with pytest.raises(InputError, match="another sensor: pairs of kinect_v2"):
+        METHODS[name]().fit(foreign)
+
+
+@paired
+def test_known_people_are_corrected_on_real_recordings() -> None:
+    train, test = recorded_lessons(lambda e: e <= 7), recorded_lessons(lambda e: e > 7)
+    accuracy = Accuracy(KINECT_V1)
+    raw = np.nanmean(accuracy.standardized(test.positions, test.truth))
+    for make in (
+        lambda: LocalGP(KINECT_V1, clusters=8),
+        lambda: FullGP(KINECT_V1, samples=400),
+        lambda: Exemplar(KINECT_V1, samples=2000),
+    ):
+        found = np.empty_like(test.positions)
+        model = make().fit(train)
+        for k, (posture, rate) in enumerate(
+            zip(test.positions, test.rate, strict=True)
+        ):
+            if test.first[k]:
+                model.start()
+            found[k] = model.step(Observation(posture, rate, rate, k / 30)).positions
+        assert np.nanmean(accuracy.standardized(found, test.truth)) < 0.6 * raw

@@ -1,0 +1,161 @@
+"""Recordings of several people: who is who, and a clip for each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_up_people import complaint, made_up, without
+from published_layouts import (
+    azure_json,
+    ntu_text,
+)
+from text_files import write_text
+
+from kinefilter.characters import (
+    KINECT_V2,
+    InputError,
+    State,
+    Take,
+)
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.formats import (
+    read_clip,
+    read_recording,
+    read_take,
+    read_takes,
+)
+from kinefilter.pipeline.simulate import simulate
+
+
+def test_two_people_are_two_takes_in_the_order_in_which_they_appear(
+    tmp_path: Path,
+) -> None:
+    late, early = without(made_up(8, seed=1), [0, 1, 7]), made_up(8, seed=2)
+    for text in (ntu_text([late, early]), azure_json([late, early])):
+        path = write_text(tmp_path / "a", text)
+        first, second = read_takes(path)
+        assert (len(first), len(second)) == (8, 5)
+        np.testing.assert_allclose(first.positions, early.positions, atol=1e-12)
+        np.testing.assert_allclose(second.time, late.time[2:7], atol=1e-6)
+        assert second.source.endswith("body 2")
+        np.testing.assert_array_equal(read_take(path).positions, first.positions)
+        np.testing.assert_array_equal(
+            read_take(path, body=2).positions, second.positions
+        )
+
+
+def test_the_person_seen_in_most_frames_is_the_one_that_is_read(
+    tmp_path: Path,
+) -> None:
+    take, other = without(made_up(9, seed=1), [3, 4, 5]), made_up(9, seed=2)
+    recording = read_recording(write_text(tmp_path / "a", ntu_text([take, other])))
+    assert recording.main == 1
+
+
+def test_frames_that_lack_a_person_are_missing_in_their_take(tmp_path: Path) -> None:
+    take = without(made_up(8), [3, 4])
+    again = read_take(write_text(tmp_path / "a", ntu_text([take])))
+    np.testing.assert_array_equal(again.positions, take.positions)
+    np.testing.assert_array_equal(again.state, take.state)
+
+
+def moving(frames: int, start: float, speed: float) -> Take:
+    """Return a body that moves along x at a speed [m/s] from a place [m]."""
+    shape = made_up(1).positions[0] - made_up(1).positions[0].mean(axis=0)
+    time = np.arange(frames) / 30.0
+    path = np.stack([start + speed * time, 0.0 * time, 2.0 + 0.0 * time], axis=-1)
+    state = np.full((frames, len(KINECT_V2)), State.TRACKED, dtype=np.uint8)
+    return Take(time, shape + path[:, None], state, KINECT_V2)
+
+
+@pytest.mark.parametrize(
+    ("gap", "jump", "people"), [(10, 0.3, 1), (10, 0.7, 2), (75, 0.3, 2)]
+)
+def test_a_body_that_comes_back_soon_and_near_is_the_same_person(
+    tmp_path: Path, gap: int, jump: float, people: int
+) -> None:
+    frames = 20 + gap + 20
+    before, after = moving(frames, 0.0, 0.0), moving(frames, jump, 0.0)
+    before = without(before, list(range(20, frames)))
+    after = without(after, list(range(20 + gap)))
+    path = write_text(tmp_path / "a", ntu_text([before, after]))
+    takes = read_takes(path)
+    assert len(takes) == people
+    assert len(takes[0]) == (frames if people == 1 else 20)
+
+
+def test_two_who_come_back_at_once_go_on_as_who_was_nearest(tmp_path: Path) -> None:
+    frames, lost = 40, list(range(15, 40))
+    back = list(range(20))
+    one, other = moving(frames, 0.0, 0.0), moving(frames, 0.45, 0.0)
+    again_one, again_other = moving(frames, 0.1, 0.0), moving(frames, 0.5, 0.0)
+    bodies = [without(one, lost), without(other, lost)]
+    bodies += [without(again_other, back), without(again_one, back)]
+    text = ntu_text(bodies, numbers=(1, 2, 3, 4))
+    takes = read_takes(write_text(tmp_path / "a", text))
+    assert len(takes) == 2
+    for take, places in zip(takes, [(0.0, 0.1), (0.45, 0.5)], strict=True):
+        centers = take.positions[[0, -1]].mean(axis=1)[:, 0]
+        np.testing.assert_allclose(centers, places, atol=1e-9)
+
+
+def test_what_is_seen_in_one_frame_is_nobody(tmp_path: Path) -> None:
+    ghost = without(made_up(6, seed=3), [0, 1, 3, 4, 5])
+    path = write_text(tmp_path / "a", ntu_text([made_up(6), ghost]))
+    assert len(read_takes(path)) == 1
+
+
+def test_a_body_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    path = write_text(tmp_path / "a", ntu_text([made_up()]))
+    for body in (0, 2):
+        with pytest.raises(InputError, match=f"no body {body}.*info"):
+            read_take(path, body=body)
+
+
+def test_a_body_twice_in_a_frame_is_refused(tmp_path: Path) -> None:
+    text = ntu_text([made_up(3), made_up(3, seed=1)], numbers=(4, 4))
+    assert "frame 1 has body 4 twice" in complaint(write_text(tmp_path / "a", text))
+
+
+# Cleaned
+
+
+def people(tmp_path: Path) -> Path:
+    """Return an NTU file of two people, one of whom is gone for half a second."""
+    takes = [
+        simulate("basic", "wave", skeleton="kinect_v2", seed=seed).take
+        for seed in (1, 2)
+    ]
+    count = min(map(len, takes))
+    one, other = (
+        Take(t.time[:count], t.positions[:count], t.state[:count], t.skeleton)
+        for t in takes
+    )
+    other = without(other, [*range(10), *range(60, 75)])
+    return write_text(tmp_path / "two.skeleton", ntu_text([one, other]))
+
+
+def test_clean_writes_a_clip_for_each_person(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = people(tmp_path), tmp_path / "clip.npz"
+    quick = ["--no-physics", "--method", "none"]
+    assert main(["clean", str(path), "-o", str(out), "--body", "all", *quick]) == 0
+    assert not out.exists()
+    clips = [read_clip(tmp_path / f"clip.{k}.npz") for k in (1, 2)]
+    takes = read_takes(path)
+    for clip, take in zip(clips, takes, strict=True):
+        np.testing.assert_array_equal(clip.time, take.time)
+        assert np.isfinite(clip.positions).all()
+    capsys.readouterr()
+    assert main(["clean", str(path), "-o", str(out), *quick]) == 0
+    assert "body 1 of 2" in capsys.readouterr().out
+    np.testing.assert_array_equal(read_clip(out).positions, clips[0].positions)
+
+
+def test_an_unknown_body_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    path = write_text(tmp_path / "a", ntu_text([made_up()]))
+    assert main(["clean", str(path), "-o", str(tmp_path / "c.usda"), "--body=3"]) == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
