@@ -13,6 +13,7 @@ from kinefilter.characters import (
     STANDARD_HEIGHT,
     InputError,
     Skeleton,
+    random_body,
     standard_body,
 )
 
@@ -142,3 +143,20 @@ def test_absurd_heights_are_refused_asking_for_metres(height: float) -> None:
 def test_absurd_masses_are_refused_asking_for_kilograms(mass: float) -> None:
     with pytest.raises(InputError, match=r"mass.*kilograms"):
         standard_body(KINECT_V1, mass=mass)
+
+
+@every_skeleton
+def test_people_at_random_are_built_like_the_average_on_the_whole(
+    skeleton: Skeleton,
+) -> None:
+    rng, ends = np.random.default_rng(0), skeleton.segments
+    builds = []
+    for _ in range(200):
+        body = random_body(skeleton, rng)
+        average = standard_body(skeleton, height=body.height)
+        builds.append(body.lengths[ends] / average.lengths[ends])
+    np.testing.assert_allclose(np.mean(builds, axis=0), 1.0, atol=0.02)
+    assert np.std(builds, axis=0).max() > 0.01
+    mirrored = skeleton.mirror[ends]
+    body = random_body(skeleton, rng)
+    np.testing.assert_array_equal(body.lengths[ends], body.lengths[mirrored])

@@ -342,6 +342,18 @@ def test_stature_is_stacked_from_head_to_ankle(skeleton: Skeleton, stack: str) -
     assert measured_body(skeleton, unknown).height == STANDARD_HEIGHT
 
 
+def test_stature_counts_trunk_and_leg_by_their_lengths() -> None:
+    average = standard_body(KINECT_V1).lengths
+    legs = [KINECT_V1.index(f"{part}Left") for part in ("Knee", "Ankle")]
+    legs += [KINECT_V1.index(f"{part}Right") for part in ("Knee", "Ankle")]
+    lengths = average.copy()
+    lengths[legs] *= 0.8
+    trunk = [KINECT_V1.index(part) for part in ("Head", "ShoulderCenter", "Spine")]
+    stack, leg = average[trunk].sum(), average[legs[:2]].sum()
+    expected = 1.75 * (stack + 0.8 * leg) / (stack + leg)
+    assert measured_body(KINECT_V1, lengths).height == pytest.approx(expected)
+
+
 def test_a_given_stature_and_mass_are_kept() -> None:
     lengths = standard_body(KINECT_V1, height=1.6).lengths
     body = measured_body(KINECT_V1, lengths, height=1.7, mass=90.0)

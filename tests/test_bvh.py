@@ -99,6 +99,14 @@ def test_every_leaf_has_an_end_site_that_goes_on_along_its_bone(
 # Angles
 
 
+def test_angles_that_swing_through_the_lock_take_steps_as_small_as_they_did() -> None:
+    time = np.linspace(0.0, 6.0, 2000)[:, None]
+    swung = 2.5 * np.sin(time * [0.7, 1.1, 1.7] + [0.3, 0.1, 0.7])
+    angles = continuous_euler(wxyz_from_euler(swung, "ZYX"), "ZYX")
+    steps, found = (np.abs(np.diff(path, axis=0)) for path in (swung, angles))
+    np.testing.assert_allclose(found, steps, atol=1e-6)
+
+
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
 @pytest.mark.parametrize("step", [1.0, 7.0, -90.0])
 def test_two_full_turns_about_an_axis_are_720_degrees_without_a_jump(

@@ -179,14 +179,16 @@ def test_only_the_lost_limb_is_distrusted() -> None:
             (FailureKind.LEAPING, "left leg", 70),
         )
     )
-    rate = distrust(trusted, failures, KINECT_V2).rate
+    doubted = distrust(trusted, failures, KINECT_V2)
     assert (trusted.rate == 1.0).all()
+    assert (trusted.geometry == 1.0).all()
     arm = ["ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft", "ThumbLeft"]
     leg = ["KneeRight", "AnkleRight", "FootRight"]
     expected = np.ones(shape)
     expected[10:20, [KINECT_V2.index(joint) for joint in arm]] = 0.0
     expected[30:40, [KINECT_V2.index(joint) for joint in leg]] = 0.0
-    np.testing.assert_array_equal(rate, expected)
+    np.testing.assert_array_equal(doubted.rate, expected)
+    np.testing.assert_array_equal(doubted.geometry, expected)
 
 
 def test_missing_joints_are_no_failure() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import subprocess
 import sys
@@ -31,6 +32,7 @@ from kinefilter.pipeline import formats
 from kinefilter.pipeline.formats import (
     atomic_path,
     check_writable,
+    npz,
     read_clip,
     read_take,
     write_clip,
@@ -129,6 +131,19 @@ def test_an_npz_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
         bomb.getinfo("time.npy").file_size = 5_000_000_000
     with pytest.raises(InputError, match=r"bomb\.npz: 1 arrays of 5000 MB are more"):
         read_clip(tmp_path / "bomb.npz")
+
+
+def test_an_array_that_claims_to_be_larger_than_its_file_is_refused() -> None:
+    for shape, fits in (((5, 3), True), ((5, 4), False), ((10**9,), False)):
+        file = io.BytesIO()
+        header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.seek(0)
+        if fits:
+            npz._check_header(file, 5 * 3 * 8)
+        else:
+            with pytest.raises(ValueError, match="larger than the archive says"):
+                npz._check_header(file, 5 * 3 * 8)
 
 
 @pytest.mark.parametrize(

@@ -104,3 +104,25 @@ def test_props_have_their_shape_place_and_motion(
             matrix = np.array(bound.GetMatrix())[:3, :3]
             own = np.array(bound.GetBox().GetSize()) * np.linalg.norm(matrix, axis=1)
             np.testing.assert_allclose(own, 2.0 * size, rtol=1e-5)
+
+
+def test_a_mesh_prop_has_its_points_and_triangles(
+    make_clip: MakeClip, furnish: Furnish, tmp_path: Path
+) -> None:
+    clip = furnish(make_clip(4))
+    write_clip(clip, tmp_path / "clip.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usda"))
+    prims = stage.GetPrimAtPath("/Character/Props").GetChildren()
+    found = [
+        (UsdGeom.Mesh(prim.GetChild(f"Shape{n}")), shape)
+        for prim, prop in zip(prims, clip.props, strict=True)
+        for n, shape in enumerate(prop.shapes)
+        if shape.kind == "mesh"
+    ]
+    assert found
+    for mesh, shape in found:
+        points = np.array(mesh.GetPointsAttr().Get())
+        np.testing.assert_allclose(points, shape.points, atol=TENTH_OF_A_MILLIMETER)
+        corners = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+        np.testing.assert_array_equal(corners, shape.triangles)
+        assert set(mesh.GetFaceVertexCountsAttr().Get()) == {3}
