@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from kinefilter.pipeline.batch.plan import Job
-from kinefilter.pipeline.batch.row import Row
-from kinefilter.pipeline.batch.task import clean_file
-from kinefilter.pipeline.render.codec import Coded
-from kinefilter.pipeline.render.parts import Parts
-from kinefilter.pipeline.render.shot import Shot
+if TYPE_CHECKING:
+    from kinefilter.pipeline.batch.plan import Job
+    from kinefilter.pipeline.batch.row import Row
+    from kinefilter.pipeline.render.codec import Coded
+    from kinefilter.pipeline.render.parts import Parts
+    from kinefilter.pipeline.render.shot import Shot
 
 
 def draw_or_die(shot: Shot, parts: Parts, fingerprint: str) -> list[list[Coded]]:
@@ -27,4 +28,7 @@ def clean_or_die(job: Job) -> Row:
     if name == "deadly" or (name == "unlucky" and not met.exists()):
         met.touch()
         os._exit(1)
+    # Here, as those that draw choose their OpenGL before MuJoCo is loaded.
+    from kinefilter.pipeline.batch.task import clean_file
+
     return clean_file(job)

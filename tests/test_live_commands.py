@@ -130,9 +130,8 @@ def test_what_cannot_be_done_is_told_in_one_line_with_code_2(
 
 def test_the_commands_of_the_readme_are_possible() -> None:
     readme = Path(__file__).parents[1].joinpath("README.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```console\n(.*?)```", readme, re.DOTALL)
-    live, replay = (shlex.split(line) for line in block.splitlines())
-    assert (live[1], replay[1]) == ("live", "replay")
+    (live,) = map(shlex.split, re.findall(r"`(kinefilter live .*?)`", readme))
+    (replay,) = map(shlex.split, re.findall(r"^kinefilter replay .*$", readme, re.M))
     following = tyro.cli(Live, args=live[2:])
     session = Session(replace(following.config, record=None), following.access)
     ends = session.places
