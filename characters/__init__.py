@@ -2,7 +2,7 @@
 
 from .anthropometry import STANDARD_HEIGHT, Body, random_body, standard_body
 from .errors import InputError, KinefilterError
-from .motion import CONTACTS, Clip, Origin, State, Take
+from .motion import CONTACTS, Clip, Origin, State, Take, Term
 from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
 
@@ -23,6 +23,7 @@ __all__ = [
     "Skeleton",
     "State",
     "Take",
+    "Term",
     "random_body",
     "skeleton_named",
     "standard_body",

@@ -14,7 +14,7 @@ from .errors import InputError
 from .props import Prop, freeze
 from .skeleton import Skeleton
 
-__all__ = ["CONTACTS", "Clip", "Origin", "State", "Take"]
+__all__ = ["CONTACTS", "Clip", "Origin", "State", "Take", "Term"]
 
 
 CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")
@@ -38,6 +38,16 @@ class Origin(IntEnum):
     """A measurement that the correction method overruled, in part or whole."""
     FILLED = 2
     """Nothing was measured: the posture is invented."""
+
+
+class Term(IntEnum):
+    """The term of a reliability score that was the smallest, and so decided."""
+
+    BEHAVIOR = 0
+    KINEMATICS = 1
+    TRACKING_STATE = 2
+    POSTURE = 3
+    """Where in the body this kind of sensor sees the joint: of ``learned`` alone."""
 
 
 def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:
@@ -128,7 +138,7 @@ class Clip:
     reliability: NDArray[np.float64]
     """Reliability rate in [0, 1], shape (T, J)."""
     deciding_term: NDArray[np.uint8]
-    """Which reliability term decided (pipeline.reliability.Term), shape (T, J)."""
+    """Which reliability term decided (Term), shape (T, J)."""
     origin: NDArray[np.uint8]
     """Where each joint came from (Origin), shape (T, J)."""
     moved_by_correction: NDArray[np.float64]

@@ -5,7 +5,7 @@
    mended where that helps, and told (``failures``).
 2. Reliability of every joint (Shum et al. 2013): vibration, segment lengths and the
    sensor's tracking state, the smallest of the three over the last six frames
-   (``reliability``; others in ``scoring``).
+   (``reliability.shum``; others beside it).
 3. Correction (``correct``): every joint is moved by where in the body this kind of
    sensor sees it, as learned on simulated people (``default``). Then the five database
    postures nearest to the reliable joints span a posture space; the posture of least
@@ -18,13 +18,13 @@
    floor, leveled if somebody walks before a tilted sensor; on the person's own bones,
    measured again after correction. Feet that stand are found (the most probable
    sequence of standing and stepping), stay where they stand, and are lifted where they
-   step (``contacts``, ``planting``).
-5. Physics (``physics``, ``pulled_character``): each joint is pulled by a bounded PD
-   force that knows the target's velocity and acceleration, each segment turned by a
-   bounded torque; MuJoCo keeps lengths, joints and their ranges, gravity, friction, and
-   flesh out of flesh. Standing feet press on the floor with the body's weight, so the
-   floor carries; what is left over is told frame by frame as external force. With a
-   scene the character sits on chairs and holds things between its hands.
+   step (``target.contacts``, ``target.planting``).
+5. Physics (``physics``): each joint is pulled by a bounded PD force that knows the
+   target's velocity and acceleration, each segment turned by a bounded torque; MuJoCo
+   keeps lengths, joints and their ranges, gravity, friction, and flesh out of flesh.
+   Standing feet press on the floor with the body's weight, so the floor carries; what
+   is left over is told frame by frame as external force. With a scene the character
+   sits on chairs and holds things between its hands.
 """
 
 from __future__ import annotations

@@ -17,15 +17,15 @@ from kinefilter.retarget import (
     rotations_from_positions,
 )
 
-from .contacts import StanceTracker, ankles_and_toes
 from .correct import Corrector, Observation
 from .correct.filters import OneEuro
+from .database.library import embedded_database
 from .default import default_corrector
-from .floor import put_on_floor
-from .library import embedded_database
-from .placement import place_of
-from .pulled_character import PulledCharacter
+from .physics.placement import place_of
+from .physics.pulled_character import PulledCharacter
 from .reliability import ReliabilityScorer, measure_reference
+from .target.contacts import StanceTracker, ankles_and_toes
+from .target.floor import put_on_floor
 
 __all__ = ["Avatar", "Pose"]
 

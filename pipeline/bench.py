@@ -19,13 +19,13 @@ from kinefilter.retarget.orientation import rotations_from_positions
 from .correct import Corrector, LocalPCA, Observation
 from .correct.posture_space import PostureSpace
 from .correct.search import solve, stochastic_search
+from .database.library import embedded_database
 from .default import default_corrector
-from .floor import floor_height, put_on_floor
 from .formats import read_take
-from .library import embedded_database
-from .pulled_character import PulledCharacter, substeps_in
+from .physics.pulled_character import PulledCharacter, substeps_in
 from .reliability import ReliabilityScorer, measure_reference
 from .run import clean
+from .target.floor import floor_height, put_on_floor
 from .workers import cores, workers
 
 __all__ = ["as_table", "bench", "sample_path"]

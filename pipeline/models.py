@@ -12,7 +12,6 @@ from kinefilter.characters import InputError, Skeleton, skeleton_named
 
 from .correct import LearnedCorrector
 from .correct.methods import LEARNED
-from .database import UNREADABLE
 from .formats import atomic_path
 from .formats.npz import read_arrays
 
@@ -64,7 +63,7 @@ def load_model(path: Path) -> Model:
         source = str(arrays["trained_on"])
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    except UNREADABLE:
+    except (KeyError, ValueError, TypeError):  # other arrays than ours
         raise InputError(
             f"{path}: not a kinefilter model; make one with 'kinefilter train'"
         ) from None

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from kinefilter.characters import Clip, InputError, Take
-from kinefilter.pipeline.floor import leveled
+
+from .target.floor import leveled
 
 __all__ = [
     "nearest_frames",

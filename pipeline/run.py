@@ -16,21 +16,21 @@ from .correct.in_turn import InTurn
 from .correct.local_gp import LocalGP
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
+from .database.library import embedded_database
 from .default import default_corrector
+from .evaluation.metrics import Quality, distances, measure
 from .failures import Failure, distrust, find_failures, unmirrored
-from .floor import leveled
 from .formats.contacts import read_contacts
-from .library import embedded_database
-from .metrics import Quality, distances, measure
 from .models import Model, load_model
-from .person import corrected_body
 from .physics import PhysicsFilter, PhysicsResult, PhysicsTrace
-from .placement import place_of
+from .physics.placement import place_of
 from .progress import Progress, silent
 from .reliability import Reference, measure_reference
-from .scoring import SCORERS
+from .reliability.scorers import SCORERS
 from .standard import standardize_take
 from .target import Target, make_target
+from .target.floor import leveled
+from .target.person import corrected_body
 
 __all__ = ["CleanResult", "clean", "make_corrector"]
 

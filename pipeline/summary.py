@@ -9,10 +9,9 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from kinefilter.characters import Origin
+from kinefilter.characters import Origin, Term
 
 from .failures import Failure
-from .reliability import Term
 from .run import CleanResult
 
 __all__ = ["as_json", "as_tables"]

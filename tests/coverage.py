@@ -25,13 +25,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
-from kinefilter.pipeline.database import FILTERED_POSTURES, filter_to_count
-from kinefilter.pipeline.formats import read_bvh
-from kinefilter.pipeline.library import (
+from kinefilter.pipeline.database.library import (
     SHIPPED_POSTURES,
     _postures_of,
     scripted_postures,
 )
+from kinefilter.pipeline.database.posture_database import (
+    FILTERED_POSTURES,
+    filter_to_count,
+)
+from kinefilter.pipeline.formats import read_bvh
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.pipeline.training import PairedTake, read_pairs, training_set
 from kinefilter.retarget import Standardizer, measured_body

@@ -17,16 +17,16 @@ from kinefilter.characters import (
     Skeleton,
     State,
     Take,
+    Term,
     standard_body,
 )
-from kinefilter.pipeline.chiang_reliability import ChiangReliabilityScorer
 from kinefilter.pipeline.reliability import (
     Reference,
     Reliability,
     ReliabilityScorer,
-    Term,
     measure_reference,
 )
+from kinefilter.pipeline.reliability.chiang import ChiangReliabilityScorer
 from kinefilter.scenes import sample_take
 
 Array = NDArray[np.float64]

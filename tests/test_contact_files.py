@@ -17,13 +17,13 @@ from pxr import Usd
 from kinefilter.characters import CONTACTS, Clip, InputError
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.contacts import feet_of
 from kinefilter.pipeline.formats import (
     read_clip,
     read_contacts,
     write_clip,
     write_contacts,
 )
+from kinefilter.pipeline.target.contacts import feet_of
 
 MakeClip = Callable[..., Clip]
 Array = NDArray[np.float64]

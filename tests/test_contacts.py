@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
-from kinefilter.pipeline import contacts
-from kinefilter.pipeline.contacts import (
+from kinefilter.pipeline.target import contacts
+from kinefilter.pipeline.target.contacts import (
     SIDES,
     ankles_and_toes,
     feet_of,

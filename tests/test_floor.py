@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
-from kinefilter.pipeline.contacts import find_stance
-from kinefilter.pipeline.floor import floor_height, put_on_floor
-from kinefilter.pipeline.metrics import lowest_point
+from kinefilter.pipeline.evaluation.metrics import lowest_point
+from kinefilter.pipeline.target.contacts import find_stance
+from kinefilter.pipeline.target.floor import floor_height, put_on_floor
 from kinefilter.retarget import positions_from_rotations
 from kinefilter.retarget.rotations import about_y, normalize, rotate
 from kinefilter.scenes import perform

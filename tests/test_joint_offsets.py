@@ -22,19 +22,19 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline import CleanConfig, clean
-from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.config import Method
 from kinefilter.pipeline.correct import Correction, Hold, Observation, joint_offsets
 from kinefilter.pipeline.correct.in_turn import InTurn
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.correct.take import CorrectedTake
+from kinefilter.pipeline.database.library import embedded_database
 from kinefilter.pipeline.default import default_corrector
-from kinefilter.pipeline.evaluate import evaluate, observed
-from kinefilter.pipeline.library import embedded_database
+from kinefilter.pipeline.evaluation.accuracy import Accuracy
+from kinefilter.pipeline.evaluation.evaluate import evaluate, observed
 from kinefilter.pipeline.models import load_model
-from kinefilter.pipeline.person import corrected_body
 from kinefilter.pipeline.simulate import simulate, simulated_pairs
+from kinefilter.pipeline.target.person import corrected_body
 from kinefilter.pipeline.training import TrainingSet, training_set
 from kinefilter.retarget.rotations import about_y, rotate
 from kinefilter.scenes import perform

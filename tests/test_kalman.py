@@ -18,7 +18,7 @@ from kinefilter.pipeline.correct.kalman import (
     ConstantVelocity,
     measurement_variance,
 )
-from kinefilter.pipeline.reliability import segment_lengths
+from kinefilter.pipeline.reliability.shum import segment_lengths
 
 Array = NDArray[np.float64]
 

@@ -21,14 +21,15 @@ from kinefilter.characters import (
     Skeleton,
     State,
     Take,
+    Term,
     standard_body,
 )
 from kinefilter.pipeline import CleanConfig, clean
-from kinefilter.pipeline.doubt import DoubtWeights
-from kinefilter.pipeline.evaluate import reliability_auc
-from kinefilter.pipeline.learned_reliability import TERMS, LearnedReliabilityScorer
-from kinefilter.pipeline.reliability import Term, measure_reference
-from kinefilter.pipeline.reliability_lessons import learned_weights, untaught
+from kinefilter.pipeline.evaluation.evaluate import reliability_auc
+from kinefilter.pipeline.reliability import measure_reference
+from kinefilter.pipeline.reliability.doubt import DoubtWeights
+from kinefilter.pipeline.reliability.learned import TERMS, LearnedReliabilityScorer
+from kinefilter.pipeline.reliability.lessons import learned_weights, untaught
 from kinefilter.pipeline.simulate import furnished_pairs, simulate
 from kinefilter.pipeline.training import PairedTake, read_pairs
 from kinefilter.retarget.rotations import about_y, rotate

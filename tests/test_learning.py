@@ -19,13 +19,13 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline import CleanConfig, PostureDatabase, clean
-from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.correct.methods import LEARNED
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
-from kinefilter.pipeline.evaluate import evaluate
+from kinefilter.pipeline.evaluation.accuracy import Accuracy
+from kinefilter.pipeline.evaluation.evaluate import evaluate
 from kinefilter.pipeline.models import Model, load_model, save_model
 from kinefilter.pipeline.training import PairedTake, read_pairs, training_set
 from kinefilter.scenes import perform

@@ -20,12 +20,12 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline import PostureDatabase
-from kinefilter.pipeline.formats import write_clip
-from kinefilter.pipeline.library import (
+from kinefilter.pipeline.database.library import (
     SHIPPED_POSTURES,
     database_from_mocap,
     scripted_database,
 )
+from kinefilter.pipeline.formats import write_clip
 from kinefilter.retarget import find_yaw, positions_from_rotations
 from kinefilter.retarget.rotations import inverse, rotate
 from kinefilter.scenes import MOTIONS

@@ -20,7 +20,7 @@ from kinefilter.pipeline.correct.posture_space import (
 from kinefilter.pipeline.correct.search import solve, stochastic_search
 from kinefilter.pipeline.correct.shum_baselines import Nearest, NoReliability
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.library import embedded_database
+from kinefilter.pipeline.database.library import embedded_database
 from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
 from kinefilter.retarget import Standardizer, measured_body
 from kinefilter.scenes import perform, sample_take

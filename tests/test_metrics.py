@@ -9,8 +9,8 @@ import pytest
 from known_motions import BODY, stamps, standing
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
-from kinefilter.pipeline import metrics
-from kinefilter.pipeline.metrics import (
+from kinefilter.pipeline.evaluation import metrics
+from kinefilter.pipeline.evaluation.metrics import (
     amplitude,
     bone_length_cv,
     distances,

@@ -10,7 +10,7 @@ from known_motions import BODY, Array, polynomial, stamps, standing
 
 from kinefilter.characters import KINECT_V1
 from kinefilter.characters.humanoid import joint_masses
-from kinefilter.pipeline.metrics import (
+from kinefilter.pipeline.evaluation.metrics import (
     acceleration_error,
     flight_error,
     jitter,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from known_motions import BODY, FEET, polynomial, stamps, standing
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.metrics import (
+from kinefilter.pipeline.evaluation.metrics import (
     SKATE_HEIGHT,
     SKATE_SPEED,
     floating,

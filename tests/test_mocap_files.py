@@ -20,11 +20,11 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.database.library import database_from_mocap
 from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
 from kinefilter.pipeline.formats.c3d import read_c3d
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
 from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap
-from kinefilter.pipeline.library import database_from_mocap
 from kinefilter.retarget.source_rig import find_rig, load_rig
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.pipeline import PostureDatabase
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.natural_spaces import NaturalSpaces
-from kinefilter.pipeline.evaluate import evaluate
-from kinefilter.pipeline.library import database_from_pairs, scripted_database
+from kinefilter.pipeline.database.library import database_from_pairs, scripted_database
+from kinefilter.pipeline.evaluation.evaluate import evaluate
 from kinefilter.pipeline.training import read_pairs
 
 Array = NDArray[np.float64]

@@ -18,21 +18,21 @@ from kinefilter.characters import (
     Skeleton,
     State,
     Take,
+    Term,
     standard_body,
 )
 from kinefilter.pipeline import CleanConfig, clean, read_take
-from kinefilter.pipeline.accuracy import Accuracy
-from kinefilter.pipeline.noise_reliability import (
-    DOUBTFUL_ERROR,
-    ERROR_PER_NOISE,
-    NoiseReliabilityScorer,
-)
+from kinefilter.pipeline.evaluation.accuracy import Accuracy
 from kinefilter.pipeline.reliability import (
     Reference,
     Reliability,
     ReliabilityScorer,
-    Term,
     measure_reference,
+)
+from kinefilter.pipeline.reliability.noise import (
+    DOUBTFUL_ERROR,
+    ERROR_PER_NOISE,
+    NoiseReliabilityScorer,
 )
 from kinefilter.pipeline.training import read_pairs
 from kinefilter.retarget.rotations import about_y, rotate

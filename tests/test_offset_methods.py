@@ -25,11 +25,11 @@ from offset_lessons import (
 )
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError
-from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.exemplar import Exemplar
 from kinefilter.pipeline.correct.full_gp import FullGP
 from kinefilter.pipeline.correct.local_gp import LocalGP
+from kinefilter.pipeline.evaluation.accuracy import Accuracy
 from kinefilter.pipeline.training import TrainingSet
 
 METHODS: dict[str, Callable[[], Method]] = {

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1, Body, standard_body
 from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.humanoid import GRAVITY, Tracking, joint_masses
-from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
+from kinefilter.pipeline.evaluation.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.physics import PhysicsFilter
-from kinefilter.pipeline.pulled_character import substeps_in
+from kinefilter.pipeline.physics.pulled_character import substeps_in
 from kinefilter.retarget import positions_from_rotations
 from kinefilter.retarget.rotations import (
     IDENTITY,

@@ -11,9 +11,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
-from kinefilter.pipeline import planting
-from kinefilter.pipeline.contacts import SIDES, ankles_and_toes, find_stance, runs
-from kinefilter.pipeline.planting import plant_feet
+from kinefilter.pipeline.target import planting
+from kinefilter.pipeline.target.contacts import (
+    SIDES,
+    ankles_and_toes,
+    find_stance,
+    runs,
+)
+from kinefilter.pipeline.target.planting import plant_feet
 from kinefilter.retarget.rotations import about_y, rotate
 from kinefilter.scenes import Performance, perform
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 
-from kinefilter.pipeline import posture_index
-from kinefilter.pipeline.posture_index import PostureIndex
+from kinefilter.pipeline.database import posture_index
+from kinefilter.pipeline.database.posture_index import PostureIndex
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.pipeline.reliability import (
+from kinefilter.pipeline.reliability.shum import (
     measure_reference,
     segment_lengths,
 )

@@ -18,15 +18,7 @@ from scored_takes import (
     with_state,
 )
 
-from kinefilter.characters import (
-    KINECT_V1,
-    Skeleton,
-    State,
-    standard_body,
-)
-from kinefilter.pipeline.reliability import (
-    Term,
-)
+from kinefilter.characters import KINECT_V1, Skeleton, State, Term, standard_body
 
 JOINTS = len(KINECT_V1)
 # The newest frame weighs most; the oldest of six is at two sigma.

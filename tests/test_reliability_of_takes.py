@@ -8,17 +8,9 @@ import numpy as np
 import pytest
 from scored_takes import Array, average, blind, every_skeleton, score
 
-from kinefilter.characters import (
-    Skeleton,
-    State,
-    Take,
-)
+from kinefilter.characters import Skeleton, State, Take, Term
 from kinefilter.pipeline.formats import read_take
-from kinefilter.pipeline.reliability import (
-    ReliabilityScorer,
-    Term,
-    measure_reference,
-)
+from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
 from kinefilter.scenes import sample_take
 
 TAKES = Path(__file__).parents[2] / "shared" / "data" / "takes"

@@ -27,9 +27,8 @@ from kinefilter.characters import (
 from kinefilter.pipeline import clean
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.floor import leveled
+from kinefilter.pipeline.evaluation.metrics import distances
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
-from kinefilter.pipeline.metrics import distances
 from kinefilter.pipeline.report import (
     compare,
     parse_limit,
@@ -37,6 +36,7 @@ from kinefilter.pipeline.report import (
     write_report,
 )
 from kinefilter.pipeline.report.table import METRICS
+from kinefilter.pipeline.target.floor import leveled
 
 Pair = tuple[Clip, Take]
 MakePair = Callable[..., Pair]

@@ -19,7 +19,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.humanoid import Tracking, build_humanoid, to_mujoco
-from kinefilter.pipeline import physics
+from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.scenes import (
     SCENES,
     Sensor,
@@ -253,7 +253,7 @@ def test_the_physics_filter_runs_in_every_scene(scene: str) -> None:
 
     def run(place: str | None) -> NDArray[np.float64]:
         time = np.arange(frames) / 30.0
-        result = physics.PhysicsFilter(BODY, scene=place).run(time, still, turns)
+        result = PhysicsFilter(BODY, scene=place).run(time, still, turns)
         assert result.trace.status == "ok"
         return np.asarray(result.positions)
 

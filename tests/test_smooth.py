@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline.smooth import smooth, smooth_by_speed
+from kinefilter.pipeline.target.smooth import smooth, smooth_by_speed
 from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]

@@ -95,7 +95,7 @@ def test_what_was_recorded_is_wrong_and_the_truth_is_not() -> None:
 
 
 def test_nobody_of_a_study_taught_the_database_or_another_class() -> None:
-    from kinefilter.pipeline import library
+    from kinefilter.pipeline.database import library
 
     seen = [
         int(pair.clip[-4:]) for kind in CLASSES for pair in study_takes(kind, count=2)

@@ -18,10 +18,15 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline import CleanConfig, CleanResult, clean
-from kinefilter.pipeline.contacts import SIDES, ankles_and_toes, feet_of, find_stance
 from kinefilter.pipeline.correct import CorrectedTake
-from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
-from kinefilter.pipeline.target import Feet, Target, make_target
+from kinefilter.pipeline.evaluation.metrics import bone_length_cv, lowest_point
+from kinefilter.pipeline.target.contacts import (
+    SIDES,
+    ankles_and_toes,
+    feet_of,
+    find_stance,
+)
+from kinefilter.pipeline.target.target import Feet, Target, make_target
 from kinefilter.scenes import Performance, perform
 
 Array = NDArray[np.float64]

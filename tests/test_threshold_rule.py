@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from kinefilter.pipeline import threshold_rule
-from kinefilter.pipeline.threshold_rule import filter_postures, filter_to_count
+from kinefilter.pipeline.database import threshold_rule
+from kinefilter.pipeline.database.threshold_rule import filter_postures, filter_to_count
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline import CleanConfig, clean
-from kinefilter.pipeline.contacts import find_stance
-from kinefilter.pipeline.floor import leveled, sensor_tilt
+from kinefilter.pipeline.target.contacts import find_stance
+from kinefilter.pipeline.target.floor import leveled, sensor_tilt
 from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]

@@ -18,10 +18,10 @@ from kinefilter.characters import (
     InputError,
     Origin,
     Skeleton,
+    Term,
 )
 from kinefilter.characters.skin import INFLUENCES, skin_of
 from kinefilter.pipeline.formats import Export, read_usd_positions, write_clip
-from kinefilter.pipeline.reliability import Term
 from kinefilter.retarget.rotations import rotate
 
 MakeClip = Callable[..., Clip]

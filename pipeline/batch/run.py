@@ -11,7 +11,7 @@ from time import perf_counter
 
 from kinefilter.characters import SKELETONS, InputError
 from kinefilter.pipeline.config_files import read_settings
-from kinefilter.pipeline.library import embedded_database
+from kinefilter.pipeline.database.library import embedded_database
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.workers import cores

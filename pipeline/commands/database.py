@@ -35,8 +35,11 @@ class DatabaseBuild:
 
     def run(self) -> int:
         """Build and write."""
+        from kinefilter.pipeline.database.library import (
+            database_from_mocap,
+            database_from_pairs,
+        )
         from kinefilter.pipeline.formats import check_folder
-        from kinefilter.pipeline.library import database_from_mocap, database_from_pairs
 
         if self.out.suffix != ".npz":
             raise InputError(f"{self.out}: a database is an .npz file; name it so")

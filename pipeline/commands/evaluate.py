@@ -53,7 +53,7 @@ class Evaluate:
     def run(self) -> int:
         """Evaluate and print."""
         from kinefilter.pipeline.database import PostureDatabase
-        from kinefilter.pipeline.evaluate import as_table, evaluate
+        from kinefilter.pipeline.evaluation.evaluate import as_table, evaluate
         from kinefilter.pipeline.formats import check_folder
 
         if self.json is not None:

@@ -41,8 +41,8 @@ class Live:
         import asyncio
 
         from kinefilter.characters import skeleton_named
+        from kinefilter.pipeline.database.library import embedded_database
         from kinefilter.pipeline.formats import check_folder
-        from kinefilter.pipeline.library import embedded_database
         from kinefilter.pipeline.live import Session
 
         if self.json is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.threshold_rule import filter_to_count
+from kinefilter.pipeline.database.threshold_rule import filter_to_count
 
 __all__ = ["NaturalSpaces"]
 

@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.reliability import segment_lengths
+from kinefilter.pipeline.reliability.shum import segment_lengths
 from kinefilter.pipeline.training import TrainingSet
 
 from .hold import Hold

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Take
-from kinefilter.pipeline.reliability import column_medians
+from kinefilter.pipeline.reliability.shum import column_medians
 
 __all__ = ["leaps"]
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from kinefilter.characters import Take
-from kinefilter.pipeline.reliability import column_medians
+from kinefilter.pipeline.reliability.shum import column_medians
 
 from .trunk import trunk_axes, unit, upward
 

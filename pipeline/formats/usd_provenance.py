@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import CONTACTS, Clip, Origin
-from kinefilter.pipeline.reliability import Term
+from kinefilter.characters import CONTACTS, Clip, Origin, Term
 
 from .usd_character import CHARACTER
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Prop
-from kinefilter.pipeline.placement import place_of
+from kinefilter.pipeline.physics.placement import place_of
 from kinefilter.retarget.rotations import rotate
 
 __all__ = ["corners_of", "props_around"]
@@ -29,7 +29,7 @@ def props_around(clip: Clip, frames: Clip, scene: str | None) -> tuple[Prop, ...
         return frames.props
     import mujoco
 
-    from kinefilter.pipeline.things import Things
+    from kinefilter.pipeline.physics.things import Things
     from kinefilter.scenes import load_scene
 
     model = load_scene(scene).compile()

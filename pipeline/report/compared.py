@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, Take
-from kinefilter.pipeline.contacts import feet_of
+from kinefilter.pipeline.evaluation.metrics import measure
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.formats.files import check_file
-from kinefilter.pipeline.metrics import measure
 from kinefilter.pipeline.placing import placed_by_distances, same_stamps
+from kinefilter.pipeline.target.contacts import feet_of
 
 from .table import figures_of
 

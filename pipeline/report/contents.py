@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import CONTACTS, Origin
-from kinefilter.pipeline.metrics import even_differences
-from kinefilter.pipeline.reliability import Term
+from kinefilter.characters import CONTACTS, Origin, Term
+from kinefilter.pipeline.evaluation.metrics import even_differences
 
 from .compared import Compared
 from .limits import Limit

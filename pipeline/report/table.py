@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from kinefilter.pipeline.metrics import Quality
+from kinefilter.pipeline.evaluation.metrics import Quality
 
 __all__ = ["METRICS", "figures_of"]
 

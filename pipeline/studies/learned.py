@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.correct import LearnedCorrector, correct_take
-from kinefilter.pipeline.evaluate import observed
+from kinefilter.pipeline.evaluation.accuracy import Accuracy
+from kinefilter.pipeline.evaluation.evaluate import observed
 from kinefilter.pipeline.progress import Progress, over
 from kinefilter.pipeline.standard import StandardTake
 from kinefilter.pipeline.training import PairedTake, TrainingSet, training_set

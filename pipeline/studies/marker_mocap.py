@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.pipeline.accuracy import Accuracy
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.metrics import jitter
+from kinefilter.pipeline.evaluation.accuracy import Accuracy
+from kinefilter.pipeline.evaluation.metrics import jitter
+from kinefilter.pipeline.evaluation.tally import Tally
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.run import clean
-from kinefilter.pipeline.tally import Tally
 from kinefilter.pipeline.training import PairedTake
 
 from .recordings import people, person

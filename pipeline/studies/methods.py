@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinefilter.pipeline.evaluate import evaluate
+from kinefilter.pipeline.evaluation.evaluate import evaluate
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import PairedTake
 from kinefilter.pipeline.workers import workers

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.evaluate import observed
-from kinefilter.pipeline.library import scripted_postures
-from kinefilter.pipeline.posture_index import PostureIndex
+from kinefilter.pipeline.database.library import scripted_postures
+from kinefilter.pipeline.database.posture_index import PostureIndex
+from kinefilter.pipeline.evaluation.evaluate import observed
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.simulate import simulate
 from kinefilter.pipeline.spool import Spool

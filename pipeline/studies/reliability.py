@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinefilter.pipeline.evaluate import reliability_auc
+from kinefilter.pipeline.evaluation.evaluate import reliability_auc
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.scoring import SCORERS
+from kinefilter.pipeline.reliability.scorers import SCORERS
 from kinefilter.pipeline.training import PairedTake
 
 from .recordings import people, person

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.correct import LocalPCA
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.evaluate import observed
-from kinefilter.pipeline.library import embedded_database, scripted_postures
+from kinefilter.pipeline.database.library import embedded_database, scripted_postures
+from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.evaluation.evaluate import observed
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.standard import StandardTake
-from kinefilter.pipeline.threshold_rule import filter_to_count
 
 from .relative_error import bone_errors
 from .study import Cell, Panel, Series, Study

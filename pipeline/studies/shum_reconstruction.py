@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1, Take, random_body
 from kinefilter.pipeline.config import CleanConfig, Method
 from kinefilter.pipeline.correct import LocalPCA, Observation
-from kinefilter.pipeline.library import embedded_database
+from kinefilter.pipeline.database.library import embedded_database
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.run import clean
 from kinefilter.pipeline.training import PairedTake

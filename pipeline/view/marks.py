@@ -7,7 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip
-from kinefilter.pipeline.contacts import ankles_and_toes
+from kinefilter.pipeline.target.contacts import ankles_and_toes
 
 from .solids import upright_cylinder
 

@@ -6,8 +6,7 @@ import html
 
 import numpy as np
 
-from kinefilter.characters import Clip
-from kinefilter.pipeline.reliability import Term
+from kinefilter.characters import Clip, Term
 
 __all__ = ["status_html"]
 

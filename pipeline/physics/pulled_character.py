@@ -23,14 +23,13 @@ from kinefilter.characters.humanoid import (
     joint_masses,
     to_mujoco,
 )
+from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes
 from kinefilter.retarget.rotations import (
     inverse,
     multiply,
     rotation_vector,
 )
 from kinefilter.scenes import load_scene
-
-from .contacts import SIDES, ankles_and_toes
 
 __all__ = ["PulledCharacter", "substeps_in"]
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import State
+from kinefilter.characters import State, Term
 
-from .reliability import ReliabilityScorer, Term
+from .shum import ReliabilityScorer
 
 __all__ = ["NoiseReliabilityScorer"]
 

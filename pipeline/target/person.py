@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import Body, Take
+from kinefilter.pipeline.correct import CorrectedTake
+from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.retarget import measured_body
-
-from .correct import CorrectedTake
-from .reliability import measure_reference
 
 __all__ = ["corrected_body"]
 

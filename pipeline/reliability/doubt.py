@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton
-
-from .database import UNREADABLE
-from .formats import atomic_path
+from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.formats.npz import read_arrays
 
 __all__ = ["DoubtWeights", "kind_of"]
 
@@ -58,15 +57,15 @@ class DoubtWeights:
             InputError: The file is missing, is none, or of another skeleton.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                kinds = file["kinds"].tolist()
-                rows = [kinds.index(kind_of(joint)) for joint in skeleton.joints]
-                usual, weights, intercepts = (
-                    file[key][rows].astype(float)
-                    for key in ("usual", "weights", "intercepts")
-                )
-                return cls(skeleton, usual, weights, intercepts)
-        except (OSError, *UNREADABLE):
+            file = read_arrays(path)
+            kinds = file["kinds"].tolist()
+            rows = [kinds.index(kind_of(joint)) for joint in skeleton.joints]
+            usual, weights, intercepts = (
+                file[key][rows].astype(float)
+                for key in ("usual", "weights", "intercepts")
+            )
+            return cls(skeleton, usual, weights, intercepts)
+        except (InputError, KeyError, ValueError, TypeError, IndexError):
             raise InputError(
                 f"{path}: no reliability weights for {skeleton.name}; make them with "
                 "'python tests/teach_reliability.py'"

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
+from kinefilter.pipeline.correct.take import CorrectedTake
 from kinefilter.retarget import (
     BoneLengths,
     positions_from_rotations,
@@ -22,7 +23,6 @@ from kinefilter.retarget import (
 from kinefilter.retarget.rotations import continuous, normalize
 
 from .contacts import ankles_and_toes, feet_of, find_stance
-from .correct.take import CorrectedTake
 from .floor import floor_height, leveled, put_on_floor, sensor_tilt
 from .planting import plant_feet
 from .smooth import smooth, smooth_by_speed

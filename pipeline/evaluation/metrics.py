@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body
 from kinefilter.characters.humanoid import GRAVITY, joint_masses
-
-from .contacts import SIDES, ankles_and_toes, runs
+from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes, runs
 
 __all__ = [
     "Quality",

@@ -13,25 +13,25 @@ from numpy.typing import NDArray
 from rich.table import Column, Table
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.correct import Corrector, WholeTakeCorrector, correct_take
+from kinefilter.pipeline.correct.local_gp import LocalGP
+from kinefilter.pipeline.correct.methods import FILTERS, FROM_DATABASE, LEARNED
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.database.library import database_from_pairs, embedded_database
+from kinefilter.pipeline.default import default_corrector
+from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
+from kinefilter.pipeline.reliability.scorers import SCORERS
+from kinefilter.pipeline.standard import StandardTake, standardize_take
+from kinefilter.pipeline.target import make_target
+from kinefilter.pipeline.target.person import corrected_body
+from kinefilter.pipeline.training import PairedTake, training_set
 from kinefilter.retarget import measured_body
 
 from .accuracy import Accuracy
-from .config import CleanConfig
-from .correct import Corrector, WholeTakeCorrector, correct_take
-from .correct.local_gp import LocalGP
-from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
-from .database import PostureDatabase
-from .default import default_corrector
-from .library import database_from_pairs, embedded_database
-from .person import corrected_body
-from .physics import PhysicsFilter
-from .progress import Progress, over, silent
-from .reliability import ReliabilityScorer, measure_reference
-from .scoring import SCORERS
-from .standard import StandardTake, standardize_take
 from .tally import Tally
-from .target import make_target
-from .training import PairedTake, training_set
 
 __all__ = ["METHODS", "as_table", "evaluate", "observed", "reliability_auc"]
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .chiang_reliability import ChiangReliabilityScorer
-from .learned_reliability import LearnedReliabilityScorer
-from .noise_reliability import NoiseReliabilityScorer
-from .reliability import ReliabilityScorer
+from .chiang import ChiangReliabilityScorer
+from .learned import LearnedReliabilityScorer
+from .noise import NoiseReliabilityScorer
+from .shum import ReliabilityScorer
 
 __all__ = ["SCORERS"]
 

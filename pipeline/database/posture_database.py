@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, skeleton_named
+from kinefilter.pipeline.formats.npz import read_arrays
 
-from .formats.npz import read_arrays
 from .posture_index import PostureIndex
 
 __all__ = ["FILTERED_POSTURES", "PostureDatabase"]
@@ -23,18 +21,6 @@ Singles = NDArray[np.float32]
 
 FILTERED_POSTURES = 2574
 """Postures that the threshold rule leaves (Shum 2013, table V)."""
-
-UNREADABLE = (
-    ValueError,
-    TypeError,
-    KeyError,
-    AttributeError,
-    OSError,
-    EOFError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
-"""What numpy and zipfile raise on files that are something else."""
 
 _FOR_SPACING = 5000  # postures whose nearest other is looked for, evenly picked
 
@@ -111,7 +97,7 @@ class PostureDatabase:
 
     def save(self, path: Path) -> None:
         """Write the database as npz: arrays only."""
-        from .formats.files import atomic_path
+        from kinefilter.pipeline.formats.files import atomic_path
 
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(
@@ -150,7 +136,7 @@ class PostureDatabase:
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        except UNREADABLE:
+        except (KeyError, ValueError, TypeError):  # other arrays than ours
             sound = False
         if not sound:
             raise InputError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,6 @@ __all__ = [
     "Reference",
     "Reliability",
     "ReliabilityScorer",
-    "Term",
     "measure_reference",
 ]
 
@@ -28,16 +26,6 @@ ANGLE_FLOOR, ANGLE_ROOF = np.radians(90.0), np.radians(135.0)
 """theta_floor, theta_roof [rad]: full and no trust in the behavior term (eq. 4)."""
 RATE_FRAMES = 6
 """f_total: frames that the rate looks back on, 0.2 s at 30 Hz (eq. 8)."""
-
-
-class Term(IntEnum):
-    """The reliability term that was the smallest, and so decided."""
-
-    BEHAVIOR = 0
-    KINEMATICS = 1
-    TRACKING_STATE = 2
-    POSTURE = 3
-    """Where in the body this kind of sensor sees the joint: of ``learned`` alone."""
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.pipeline.training import PairedTake
+
 from .accuracy import LIMBS, Accuracy
 from .metrics import jitter
-from .training import PairedTake
 
 __all__ = ["Tally"]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import State
 
-from .reliability import ReliabilityScorer
+from .shum import ReliabilityScorer
 
 __all__ = ["ChiangReliabilityScorer"]
 

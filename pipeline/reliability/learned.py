@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from kinefilter.characters import Skeleton, State
+from kinefilter.characters import Skeleton, State, Term
 from kinefilter.retarget import measured_body
 
 from .doubt import DoubtWeights
-from .noise_reliability import MEMORY, NoiseReliabilityScorer
-from .reliability import Reference, Term
+from .noise import MEMORY, NoiseReliabilityScorer
+from .shum import Reference
 
 __all__ = ["TERMS", "LearnedReliabilityScorer"]
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.training import PairedTake
 
 from .doubt import DoubtWeights, kind_of
-from .learned_reliability import TERMS, LearnedReliabilityScorer
-from .progress import Progress, silent
-from .reliability import measure_reference
-from .training import PairedTake
+from .learned import TERMS, LearnedReliabilityScorer
+from .shum import measure_reference
 
 __all__ = ["FAR_OFF", "learned_weights", "untaught"]
 

@@ -22,20 +22,24 @@ from kinefilter.characters import (
     random_body,
     standard_body,
 )
+from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
+from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap, sorted_mocap
+from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability.shum import (
+    column_medians,
+    measure_reference,
+    segment_lengths,
+)
+from kinefilter.pipeline.spool import Spool
+from kinefilter.pipeline.training import PairedTake
 from kinefilter.retarget.body_size import Standardizer, measured_body
 from kinefilter.retarget.normalise import find_yaw
 from kinefilter.retarget.orientation import rotations_from_positions
 from kinefilter.retarget.rotations import about_y, inverse, multiply, rotate
 from kinefilter.scenes import MOTIONS, perform
 
-from .database import FILTERED_POSTURES, PostureDatabase
-from .formats.mocap import Mocap, kinect_motion
-from .formats.mocap_files import RIGS, read_mocap, sorted_mocap
-from .progress import Progress, over, silent
-from .reliability import column_medians, measure_reference, segment_lengths
-from .spool import Spool
+from .posture_database import FILTERED_POSTURES, PostureDatabase
 from .threshold_rule import filter_to_count
-from .training import PairedTake
 
 __all__ = [
     "SHIPPED_POSTURES",
@@ -52,7 +56,6 @@ SHIPPED_POSTURES = 5000
 """About how many the embedded database holds: twice Shum's, so that half of the real
 postures are within 8 cm of one."""
 
-_MAKERS = ("database.py", "library.py", "threshold_rule.py")
 _PEOPLE = 6
 _POSTURES_PER_SECOND = 30.0
 _EVERY_OTHER = 2  # frame of pairs: the filter drops more than that
@@ -91,13 +94,11 @@ def _loaded(path: Path, changed: int) -> PostureDatabase:  # noqa: ARG001 - a ke
 def _fingerprint() -> str:
     """Return a hash of all the code that has a hand in the scripted database."""
     digest = hashlib.sha256()
-    for package in ("characters", "retarget", "scenes", "pipeline"):
+    for package in ("characters", "retarget", "scenes", "pipeline.database"):
         for file in sorted(
             resources.files(f"kinefilter.{package}").iterdir(), key=lambda f: f.name
         ):
-            if file.name.endswith(".py") and (
-                package != "pipeline" or file.name in _MAKERS
-            ):
+            if file.name.endswith(".py"):
                 digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 

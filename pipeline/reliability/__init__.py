@@ -1,0 +1,15 @@
+"""How far each joint of each frame can be trusted, one way a file.
+
+``shum`` is the default, and what ``chiang``, ``noise`` and ``learned`` are put in place
+of by name (``scorers``). The last is a logistic regression (``doubt``) that simulated
+people taught (``lessons``).
+"""
+
+from .shum import Reference, Reliability, ReliabilityScorer, measure_reference
+
+__all__ = [
+    "Reference",
+    "Reliability",
+    "ReliabilityScorer",
+    "measure_reference",
+]
