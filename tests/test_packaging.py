@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
-import importlib
-import shutil
+import importlib.util
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
+from collections.abc import Collection
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -27,23 +29,27 @@ def test_every_folder_with_code_is_a_listed_package() -> None:
     assert folders == set(PACKAGES)
 
 
-def test_the_wheel_holds_every_file(tmp_path: Path) -> None:
-    shutil.rmtree(ROOT / "build", ignore_errors=True)  # it keeps deleted modules
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation"]
+def test_the_sdist_and_the_wheel_made_of_it_hold_every_file(tmp_path: Path) -> None:
+    command = ["git", "ls-files", "--", ".", ":!.gitignore", ":!.types"]
+    tracked = set(
+        subprocess.run(command, cwd=ROOT, capture_output=True, text=True).stdout.split()
+    )
+    if not tracked:
+        pytest.skip("not a git checkout")
     subprocess.run(
-        [*command, "--outdir", str(tmp_path), str(ROOT)],
+        [sys.executable, "-m", "build", "--no-isolation", "--outdir", tmp_path, ROOT],
         check=True,
         capture_output=True,
     )
+    (sdist,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        given = {name.partition("/")[2] for name in archive.getnames()}
+    assert tracked <= given
     (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as archive:
-        packed = {n for n in archive.namelist() if n.startswith("kinefilter/")}
-    tracked = subprocess.run(
-        ["git", "ls-files", *FLOORS], cwd=ROOT, capture_output=True, text=True
-    ).stdout.split()
-    if not tracked:
-        pytest.skip("not a git checkout")
-    assert {f"kinefilter/{name}" for name in tracked} <= packed
+    with zipfile.ZipFile(wheel) as packed:
+        installed = set(packed.namelist())
+    code = {name for name in tracked if name.startswith(FLOORS)}
+    assert {f"kinefilter/{name}" for name in code} <= installed
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
@@ -67,3 +73,31 @@ def test_all_names_are_there(package: str) -> None:
     assert len(set(module.__all__)) == len(module.__all__)
     for name in module.__all__:
         assert hasattr(module, name)
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    modules = {_name(path): path for path in SOURCES}
+    TopologicalSorter(
+        {name: _imported(name, path, modules) for name, path in modules.items()}
+    ).prepare()  # raises CycleError, which names the circle
+
+
+def _name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(("kinefilter", *parts)).removesuffix(".__init__")
+
+
+def _imported(name: str, path: Path, modules: Collection[str]) -> set[str]:
+    """Return what a file imports of ours, functions' imports too."""
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.ImportFrom):
+            continue
+        source = importlib.util.resolve_name(
+            "." * node.level + (node.module or ""), package
+        )
+        for alias in node.names:
+            whole = f"{source}.{alias.name}"
+            found.add(whole if whole in modules else source)
+    return found & set(modules)
