@@ -68,6 +68,24 @@ def test_two_hands_lift_a_parcel_and_let_it_go(tmp_path: Path) -> None:
     assert heights[-1] < 1.05  # dropped when the hands part
 
 
+def test_hands_let_go_when_they_are_to_part_and_not_when_they_tremble(
+    tmp_path: Path,
+) -> None:
+    scene = tmp_path / "parcel.xml"
+    scene.write_text(PARCEL)
+    touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
+    apart = np.append(np.linspace(0.25, touch, 40), [touch + 0.02, touch + 0.1])
+    positions, rotations = reaching(apart, np.full(len(apart), 1.0))
+    character = PhysicsFilter(BODY, scene=scene)
+    character.start(positions[0], rotations[0])
+    grips = []
+    for posture, turned in zip(positions[1:], rotations[1:], strict=True):
+        character.step(posture, turned, 1 / 30, stands=np.ones(2, dtype=bool))
+        grips.append(character.data.actuator("grip:HandLeft").ctrl[0])
+    # As they come, as they hold, as they tremble, as they are to be 20 cm wider apart.
+    np.testing.assert_array_equal([grips[0], *grips[-3:]], [0.0, 1.0, 1.0, 0.0])
+
+
 def test_who_sits_rests_on_the_chair_and_does_not_sink_in() -> None:
     take = simulate("chair", "chair", seed=5).take
     hips = []
