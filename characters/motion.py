@@ -33,7 +33,8 @@ class Origin(IntEnum):
     """Where a joint's position in a clip came from."""
 
     MEASURED = 0
-    """The sensor's measurement, smoothed at most."""
+    """The sensor's measurement, less the constant offset of that joint where the method
+    knows one; smoothed, planted and put on the bones as all joints are."""
     CORRECTED = 1
     """A measurement that the correction method overruled, in part or whole."""
     FILLED = 2
@@ -48,6 +49,8 @@ class Term(IntEnum):
     TRACKING_STATE = 2
     POSTURE = 3
     """Where in the body this kind of sensor sees the joint: of ``learned`` alone."""
+    FAILURE = 4
+    """A gross failure of the tracker, whatever the terms: no limb can be there."""
 
 
 def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:

@@ -4,7 +4,7 @@
    bent backwards, an arm in the head or out of its range, a limb that leaps, are found,
    mended where that helps, and told (``failures``).
 2. Reliability of every joint (Shum et al. 2013): vibration, segment lengths and the
-   sensor's tracking state, the smallest of the three over the last six frames
+   sensor's tracking state, the smallest of the three, averaged over the last six frames
    (``reliability.shum``; others beside it).
 3. Correction (``correct``): every joint is moved by where in the body this kind of
    sensor sees it, as learned on simulated people (``default``). Then the five database

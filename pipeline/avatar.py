@@ -132,7 +132,9 @@ class Avatar:
                 f"a frame of {skeleton.name} has shape ({len(skeleton)}, 3), not "
                 f"{seen.shape}; give the joints in the SDK's order"
             )
-        if not np.isfinite(time) or (self._time is not None and time <= self._time):
+        if not np.isfinite(time):
+            raise InputError(f"a frame at {time:g} s; give its stamp in seconds")
+        if self._time is not None and time <= self._time:
             raise InputError(
                 f"time {time:g} s comes after {self._time} s; give each frame the "
                 "sensor's own stamp, in seconds, or call start()"

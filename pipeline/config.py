@@ -18,12 +18,7 @@ LearnedMethod = Literal[
 
 Method = Literal[
     "local-pca",
-    "best",
-    "local-gp",
-    "clustered-gp",
-    "full-gp",
-    "exemplar",
-    "joint-offsets",
+    LearnedMethod,
     "none",
     "butterworth",
     "savgol",
@@ -78,7 +73,8 @@ class CleanConfig:
     """When feet stand still on the floor: where they rest, always, or never."""
     contacts: Path | None = None
     """When feet stand still instead: a file of --save-contacts, edited or not, or a
-    clip (.npz)."""
+    clip (.npz). A foot stands on heel or toe; a heel that is 0 is up only as far as
+    the ankle was measured."""
     floor: Literal["auto", "none"] | float = "auto"
     """Where the floor is: found under the feet, none: the take's own y = 0, or its
     height in the take [m]."""
@@ -107,6 +103,14 @@ class CleanConfig:
             raise InputError(
                 f"--cutoff {self.cutoff:g} Hz: expected 0 (no smoothing) or 0.5 and "
                 "more; 6 keeps what people do"
+            )
+        if self.scene is not None and not self.physics:
+            raise InputError("--scene needs the physics; leave --no-physics out")
+        if self.contacts is not None and self.feet != "auto":
+            raise InputError("--contacts and --feet both say when feet stand; give one")
+        if self.tilt is not None and not abs(self.tilt) < 90.0:
+            raise InputError(
+                f"--tilt {self.tilt:g}: expected degrees between -90 and 90"
             )
         if not isinstance(self.floor, str) and not isfinite(self.floor):
             raise InputError(

@@ -13,19 +13,26 @@ from kinefilter.characters import Skeleton
 
 from .correct import Corrector, LocalPCA
 from .correct.in_turn import InTurn
+from .correct.local_pca import Search
 from .database import PostureDatabase
 from .models import load_model
 
 __all__ = ["default_corrector"]
 
 
-def default_corrector(database: PostureDatabase) -> Corrector:
+def default_corrector(
+    database: PostureDatabase, *, search: Search = "solver", seed: int = 0
+) -> Corrector:
     """Return the joint offsets of the embedded model, then local PCA.
 
     Args:
         database: Natural postures.
+        search: How local PCA finds its posture.
+        seed: Seed of its stochastic search.
     """
-    return InTurn([_embedded_model(database.skeleton), LocalPCA(database)])
+    follower = LocalPCA(database, search=search, seed=seed)
+    follower = LocalPCA(database, search=search, seed=seed)
+    return InTurn([_embedded_model(database.skeleton), follower])
 
 
 def _embedded_model(skeleton: Skeleton) -> Corrector:

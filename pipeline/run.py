@@ -63,7 +63,7 @@ class CleanResult:
 
     @property
     def share_outside(self) -> float:
-        """Share of the frames whose posture the database does not hold, or NaN."""
+        """Share of the frames whose posture the method does not know, or NaN."""
         outside = np.where(np.isnan(self.coverage), np.nan, self.coverage < 0.5)
         return float(np.mean(outside))
 
@@ -233,7 +233,7 @@ def make_corrector(
         return FILTERS[method](skeleton)
     database = _database(skeleton, config, progress)
     if method is None:
-        return default_corrector(database)
+        return default_corrector(database, search=config.search, seed=config.seed)
     if method == "local-pca":
         return LocalPCA(database, search=config.search, seed=config.seed)
     return FROM_DATABASE[method](database)

@@ -62,8 +62,8 @@ def simulate(
         scene: One of ``SCENES``, or the path of an MJCF file.
         motion: One of ``MOTIONS``.
         sensor: One of ``SENSORS``.
-        skeleton: Name of the take's skeleton; by default the sensor's own (that of
-            Azure Kinect is not known yet: Kinect v2's).
+        skeleton: Name of the take's skeleton; by default the sensor's own (for Azure
+            Kinect, Kinect v2's).
         seed: Draws the person, the performance and the sensor's errors.
         person: Draws the person alone, with what the sensor always errs by in them;
             by default the seed.

@@ -118,7 +118,7 @@ def as_tables(result: CleanResult) -> RenderableType:
     lines = [f"of all joints: {shares}", *failures, *result.notes]
     if np.isfinite(result.share_outside):
         lines.insert(
-            1, f"{result.share_outside:.0%} of the frames lie outside the database"
+            1, f"postures that the method knows too little: {result.share_outside:.0%}"
         )
     return Group(head, stages, joints, *lines)
 

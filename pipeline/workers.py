@@ -27,7 +27,9 @@ _given_up = threading.Event()
 
 def cores() -> int:
     """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0))
+    if hasattr(os, "sched_getaffinity"):  # Linux; elsewhere nobody is kept from cores
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def given_up() -> bool:

@@ -99,6 +99,25 @@ def test_either_search_cleans_the_sample(
     _holds(result, result.stages["raw"].jitter)
 
 
+def test_the_sampling_is_not_the_solver_and_depends_on_its_seed() -> None:
+    whole, few = sample_take(), slice(20)
+    take = replace(
+        whole,
+        time=whole.time[few],
+        positions=whole.positions[few],
+        state=whole.state[few],
+    )
+
+    def cleaned(search: Literal["solver", "stochastic"], seed: int) -> Array:
+        config = CleanConfig(search=search, seed=seed, physics=False)
+        return clean(take, config).clip.positions
+
+    solved, sampled = cleaned("solver", 0), cleaned("stochastic", 0)
+    assert np.abs(solved - sampled).max() > 1e-4
+    assert np.abs(cleaned("stochastic", 1) - sampled).max() > 1e-5
+    np.testing.assert_array_equal(cleaned("stochastic", 0), sampled)
+
+
 @pytest.mark.parametrize(
     "method", ["butterworth", "savgol", "one-euro", "kalman", "low-rank", "nearest"]
 )

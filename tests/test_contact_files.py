@@ -306,13 +306,14 @@ def test_a_lower_floor_has_the_body_higher_over_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(own.positions, zero.positions)
 
 
-@pytest.mark.parametrize("floor", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("flag", ["--floor", "--tilt"])
 def test_a_floor_that_is_nowhere_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], floor: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flag: str, value: str
 ) -> None:
     arguments = ["clean", str(SAMPLE), "-o", str(tmp_path / "c.npz"), *QUICK]
-    assert main([*arguments, f"--floor={floor}"]) == 2
-    assert "--floor" in capsys.readouterr().err
+    assert main([*arguments, f"{flag}={value}"]) == 2
+    assert flag in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take, random_body
+from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take, Term, random_body
 from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.pipeline.failures import (
     Failure,
@@ -189,6 +189,23 @@ def test_only_the_lost_limb_is_distrusted() -> None:
     expected[30:40, [KINECT_V2.index(joint) for joint in leg]] = 0.0
     np.testing.assert_array_equal(doubted.rate, expected)
     np.testing.assert_array_equal(doubted.geometry, expected)
+    np.testing.assert_array_equal(doubted.term == Term.FAILURE, expected == 0.0)
+
+
+def test_a_part_is_named_as_recorded_where_exchanging_sides_mends_nothing() -> None:
+    take, frames = _take("stand_idle"), slice(40, 71)
+    hips = take.positions[:, [take.skeleton.root]]
+    positions = take.positions.copy()
+    # Head over heels in a frame: the left is on the right, and so is it mirrored.
+    flipped = (positions - hips) * np.array([-1.0, -1.0, 1.0]) + hips
+    positions[frames] = flipped[frames]
+    places = {"ElbowLeft": [0.1, 0.15, 0.2], "WristLeft": [-0.3, 0.2, 0.0]}
+    wrong = _moved(replace(take, positions=positions), frames, **places)
+    failures = find_failures(wrong)
+    assert FailureKind.MIRRORED in {failure.kind for failure in failures}
+    assert unmirrored(wrong, failures) is wrong
+    kind = FailureKind.THROUGH_HEAD
+    assert [f.part for f in failures if f.kind is kind] == ["left arm"]
 
 
 def test_missing_joints_are_no_failure() -> None:

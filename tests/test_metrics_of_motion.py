@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pytest
 from known_motions import BODY, Array, polynomial, stamps, standing
@@ -11,11 +9,9 @@ from known_motions import BODY, Array, polynomial, stamps, standing
 from kinefilter.characters import KINECT_V1
 from kinefilter.characters.humanoid import joint_masses
 from kinefilter.pipeline.evaluation.metrics import (
-    acceleration_error,
     flight_error,
     jitter,
     peak_speed,
-    skate,
 )
 
 # Jitter
@@ -98,35 +94,6 @@ def test_one_leap_among_hundreds_of_frames_is_no_peak_but_gaps_and_repeats_count
     assert peak_speed(time, path, [7]) == pytest.approx(0.5)
     assert np.isnan(peak_speed(time, np.full_like(path, np.nan), [7]))
     assert np.isnan(peak_speed(time[:1], path[:1], [7]))
-
-
-@pytest.mark.parametrize("fps", [15.0, 30.0, 120.0])
-def test_the_error_of_an_acceleration_is_how_much_it_is_off(fps: float) -> None:
-    time = stamps(20, fps)
-    truth = polynomial(time, [1, 2, 3], [4, 5, 6], [0.0, -4.9, 0.0])
-    found = polynomial(time, [0, 0, 0], [0, 1, 0], [0.3, -4.9, 0.4])
-    assert acceleration_error(time, truth, truth) == 0.0
-    assert acceleration_error(time, found, truth) == pytest.approx(1.0)
-    found[:, 3] = np.nan
-    assert acceleration_error(time, found, truth) == pytest.approx(1.0)
-
-
-def test_the_error_of_accelerations_is_unknown_without_three_frames_or_a_rate() -> None:
-    path = standing(9)
-    assert np.isnan(acceleration_error(stamps(2), path[:2], path[:2]))
-    assert np.isnan(acceleration_error(stamps(9), np.full_like(path, np.nan), path))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert np.isnan(acceleration_error(np.full(9, 7.0), path, path))
-        assert np.isnan(skate(stamps(1), path[:1], BODY)).all()
-
-
-def test_repeated_stamps_do_not_change_the_rate_that_accelerations_go_by() -> None:
-    time = np.repeat(stamps(12), 3)
-    truth, found = standing(36), standing(36)
-    found[18, 5, 1] += 0.01
-    expected = 0.01 * 4.0 * 30.0**2 / (34 * 20)
-    assert acceleration_error(time, found, truth) == pytest.approx(expected)
 
 
 # Flight

@@ -12,7 +12,7 @@ __all__ = ["Bench"]
 
 @dataclass(frozen=True)
 class Bench:
-    """Time every stage, frame by frame as a live user would run it."""
+    """Time every stage frame by frame, a live frame in all, and whole takes."""
 
     take: Path | None = None
     """Take to time on; default: the sample that comes with kinefilter."""

@@ -1,4 +1,7 @@
-"""Smoothing filters, as baselines: they know noise, and nothing of bodies."""
+"""Smoothing filters, which know noise, and nothing of bodies: baselines.
+
+The live character smooths its target with one of them, too.
+"""
 
 from __future__ import annotations
 

@@ -100,6 +100,8 @@ class LearnedCorrector(Corrector, Protocol):
     The constructor stores settings, ``fit`` computes, fitted state ends in ``_``.
     """
 
+    def __init__(self, skeleton: Skeleton) -> None: ...
+
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Learn from pairs."""
 

@@ -17,7 +17,10 @@ from .natural_spaces import NaturalSpaces
 from .posture_space import EnergyWeights, PostureEnergy, PostureSpace
 from .search import solve, stochastic_search
 
-__all__ = ["LocalPCA"]
+__all__ = ["LocalPCA", "Search"]
+
+Search = Literal["solver", "stochastic"]
+"""How the posture of least energy is found: the solver, or the paper's sampling."""
 
 Array = NDArray[np.float64]
 
@@ -43,7 +46,7 @@ class LocalPCA:
         neighbors: K, postures that span the natural posture space.
         dimensions: Most dimensions of that space.
         weights: Weights of the energy terms.
-        search: ``solver`` or the paper's ``stochastic`` sampling.
+        search: How the posture of least energy is found.
         steps: Most steps of the stochastic search.
         samples: Samples in each of them.
         seed: Seed of the stochastic search.
@@ -56,7 +59,7 @@ class LocalPCA:
         neighbors: int = _NEIGHBORS,
         dimensions: int = 20,
         weights: EnergyWeights | None = None,
-        search: Literal["solver", "stochastic"] = "solver",
+        search: Search = "solver",
         steps: int = 20,
         samples: int = 100,
         seed: int = 0,

@@ -12,7 +12,7 @@ from .exemplar import Exemplar
 from .filters import Butterworth, OneEuro, SavitzkyGolay
 from .full_gp import FullGP
 from .hold import Hold
-from .interface import Corrector, WholeTakeCorrector
+from .interface import Corrector, LearnedCorrector, WholeTakeCorrector
 from .joint_offsets import JointOffsets
 from .kalman import ConstantLengthKalman
 from .local_gp import LocalGP
@@ -40,16 +40,7 @@ FROM_DATABASE: dict[str, Callable[[PostureDatabase], Corrector]] = {
 }
 """Methods that need natural postures."""
 
-Learner = (
-    type[ClusteredGP]
-    | type[Exemplar]
-    | type[FullGP]
-    | type[JointOffsets]
-    | type[LocalGP]
-    | type[PersonalGP]
-)
-
-LEARNED: dict[str, Learner] = {
+LEARNED: dict[str, type[LearnedCorrector]] = {
     "best": PersonalGP,
     "local-gp": LocalGP,
     "clustered-gp": ClusteredGP,

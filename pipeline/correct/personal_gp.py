@@ -74,7 +74,10 @@ class PersonalGP:
                 "give 100 or more"
             )
         if training.skeleton != self.skeleton or training.lengths is None:
-            raise InputError(f"{training.source}: pairs of {training.skeleton.name}")
+            raise InputError(
+                f"{training.source}: pairs of {training.skeleton.name}, but the model "
+                f"is for {self.skeleton.name}"
+            )
         known = np.zeros(len(self.skeleton), dtype=bool)
         for some in training.blocks():
             known |= ~np.isnan(training.truth[some, :, 0]).all(axis=0)

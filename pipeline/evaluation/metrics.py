@@ -13,7 +13,6 @@ from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes, runs
 
 __all__ = [
     "Quality",
-    "acceleration_error",
     "amplitude",
     "bone_length_cv",
     "distances",
@@ -192,24 +191,6 @@ def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:
     return float(np.percentile(speed, 99.0)) if len(speed) else float("nan")
 
 
-def acceleration_error(time: Array, positions: Array, truth: Array) -> float:
-    """Return the mean distance of accelerations from the true ones [m/s^2].
-
-    Second differences over dt^2 at the nominal rate, as Kanazawa et al. 2019 (CVPR,
-    Learning 3D human dynamics from video) define it; missing joints do not count.
-
-    Args:
-        time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], shape (T, J, 3).
-        truth: What they should be [m], shape (T, J, 3).
-    """
-    if len(time) < 3:
-        return float("nan")
-    away = np.linalg.norm(np.diff(positions - truth, n=2, axis=0), axis=2)
-    away = away[~np.isnan(away)]
-    return float(away.mean() / _nominal_step(time) ** 2) if len(away) else float("nan")
-
-
 def flight_error(
     time: Array, positions: Array, stands: NDArray[np.bool_], body: Body
 ) -> float:
@@ -289,8 +270,8 @@ def measure(
     """
     hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]
     slide, share, fastest = skate(time, positions, body)
-    seen = ~np.isnan(raw[..., 0]).all(axis=1) if positions is raw else slice(None)
-    low = lowest_point(positions[seen], body)
+    low = lowest_point(positions, body)
+    low = low[~np.isnan(low)]
     moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
     both = raw_moves > 1e-6
     kept = moves[both].sum() / raw_moves[both].sum() if both.any() else np.nan

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Skeleton, Take
+from kinefilter.characters import Skeleton, Take, Term
 from kinefilter.pipeline.reliability import Reliability
 
 from .failure import Failure, FailureKind, lasting
 from .leaps import leaps
-from .mirrored import exchanged, mirrored
+from .mirrored import mirrored, unmirrored
 from .postures import bent_backwards, out_of_range, through_head
 
 __all__ = ["distrust", "find_failures"]
@@ -27,9 +27,8 @@ may be where it belongs before or after: real kicks were taken down."""
 
 def find_failures(take: Take) -> tuple[Failure, ...]:
     """Return the gross failures in a take, time stamps strictly increasing."""
-    wrong = mirrored(take)
-    found = lasting(take, FailureKind.MIRRORED, "body", wrong)
-    take = exchanged(take, wrong)
+    found = lasting(take, FailureKind.MIRRORED, "body", mirrored(take))
+    take = unmirrored(take, found)  # parts are named as they will be when it is mended
     for side in ("Left", "Right"):
         found += _of_arm(take, side) + _of_leg(take, side)
     return tuple(sorted(found, key=lambda failure: failure.first))
@@ -67,12 +66,14 @@ def distrust(
     range and limbs that leap are left as they are.
     """
     rate, geometry = reliability.rate.copy(), reliability.geometry.copy()
+    term = reliability.term.copy()
     for failure in failures:
         if failure.kind in _DOUBTED:
             limb = _limb(skeleton, failure.part)
             rate[failure.frames, limb] = 0.0
             geometry[failure.frames, limb] = 0.0
-    return replace(reliability, rate=rate, geometry=geometry)
+            term[failure.frames, limb] = Term.FAILURE
+    return replace(reliability, rate=rate, geometry=geometry, term=term)
 
 
 def _limb(skeleton: Skeleton, part: str) -> list[int]:

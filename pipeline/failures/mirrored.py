@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from kinefilter.characters import Take
 from .failure import Failure, FailureKind, runs
 from .trunk import leftward
 
-__all__ = ["exchanged", "mirrored", "unmirrored"]
+__all__ = ["mirrored", "unmirrored"]
 
 _SPIN = np.radians(120.0)
 _SPIN_TIME = 1.0 / 6.0
@@ -40,7 +41,7 @@ def mirrored(take: Take) -> NDArray[np.bool_]:
     return frames if frames.mean() <= 0.5 else ~frames
 
 
-def unmirrored(take: Take, failures: tuple[Failure, ...]) -> Take:
+def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
     """Return a take whose left and right are exchanged back where they were.
 
     They stay where the body would jump as far either way: then more is wrong with it.
@@ -56,10 +57,10 @@ def unmirrored(take: Take, failures: tuple[Failure, ...]) -> Take:
             jumps = [_jump(take, *edge, mirror=False) for edge in edges]
             mended = [_jump(take, *edge, mirror=True) for edge in edges]
             frames[failure.frames] = sum(mended) < _MENDS * sum(jumps)
-    return exchanged(take, frames)
+    return _exchanged(take, frames)
 
 
-def exchanged(take: Take, frames: NDArray[np.bool_]) -> Take:
+def _exchanged(take: Take, frames: NDArray[np.bool_]) -> Take:
     """Return a take with left and right exchanged in some frames."""
     if not frames.any():
         return take

@@ -44,7 +44,7 @@ TERMS = np.array(
     ]
 )
 """The reliability term to which each clue belongs, shape (C,)."""
-_STARTS = np.searchsorted(TERMS, list(Term))
+_STARTS = np.flatnonzero(np.diff(TERMS, prepend=-1))  # of each term's clues
 _STATE = int(_STARTS[Term.TRACKING_STATE])
 
 

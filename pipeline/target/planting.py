@@ -51,7 +51,7 @@ def plant_feet(
         trust: Share of the measurement in each joint, in [0, 1], shape (T, J).
         stands: Whether each foot stands, shape (T, 2).
         body: Whose feet they are.
-        heels: Where heels are down, shape (T, 2); by default as found.
+        heels: Where heels are down in any case, shape (T, 2); elsewhere as found.
     """
     planted, down = positions.copy(), np.zeros_like(stands)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
