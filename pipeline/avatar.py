@@ -19,7 +19,7 @@ from kinefilter.retarget import (
 
 from .correct import Corrector, Observation
 from .correct.filters import OneEuro
-from .database.library import embedded_database
+from .database.library import builtin_database
 from .default import default_corrector
 from .physics.placement import place_of
 from .physics.pulled_character import PulledCharacter
@@ -85,7 +85,7 @@ class Avatar:
         self.body, self.floor = body, floor
         self._in_scene = scene is not None
         self.physics = PulledCharacter(body, tracking, scene=scene)
-        self._corrector = corrector or default_corrector(embedded_database(skeleton))
+        self._corrector = corrector or default_corrector(builtin_database(skeleton))
         self._scorer = ReliabilityScorer(skeleton, measure_reference(_at_rest(body)))
         self._standardizer = Standardizer(body)
         self._smoother = OneEuro(skeleton)

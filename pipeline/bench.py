@@ -20,7 +20,7 @@ from .avatar import Avatar
 from .correct import Corrector, LocalPCA, Observation
 from .correct.posture_space import PostureSpace
 from .correct.search import solve, stochastic_search
-from .database.library import embedded_database
+from .database.library import builtin_database
 from .default import default_corrector
 from .formats import read_take
 from .physics.pulled_character import PulledCharacter, substeps_in
@@ -51,7 +51,7 @@ def bench(path: Path | None = None) -> dict[str, Any]:
         path: Take to time on; by default the sample that comes with kinefilter.
     """
     take = read_take(path or sample_path())
-    database = embedded_database(take.skeleton)
+    database = builtin_database(take.skeleton)
     return {
         **_time_stages(take, default_corrector(database)),
         "search": _compare_searches(take, LocalPCA(database)),

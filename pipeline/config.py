@@ -61,7 +61,7 @@ class CleanConfig:
     search: Literal["solver", "stochastic"] = "solver"
     """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
     database: Path | None = None
-    """Motion database (.npz) of 'kinefilter database build'; default: the embedded, of
+    """Motion database (.npz) of 'kinefilter database build'; default: the built-in, of
     scripted motions, built the first time in some twenty seconds and then kept. One of
     recorded mocap also takes back what no posture does."""
     cutoff: float = 6.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from kinefilter.characters import (
 from .database import PostureDatabase
 from .failures import find_failures
 from .formats import Recording, read_clip, read_recording
+from .formats.contacts import claims_contacts, contact_table
 from .formats.files import check_file
 from .formats.mocap import Mocap, kinect_motion
 from .formats.mocap_files import RIGS, read_mocap
@@ -43,6 +45,7 @@ _PARTS = {
     "right leg": ("Hip", "Knee", "Ankle", "Foot"),
 }
 _USD = (b"#usda", b"PXR-USDC")
+_MOCAP = (".amc", ".c3d")
 
 
 def contents_of(
@@ -56,7 +59,7 @@ def contents_of(
     ``bodies``, for others what there is to say.
 
     Args:
-        path: A take, a clip, mocap, a motion database, pairs or a model.
+        path: A take, a clip, mocap, contacts, a motion database, pairs or a model.
         format: One of the formats of ``read_take``, for takes, to not go by content.
 
     Raises:
@@ -72,8 +75,10 @@ def contents_of(
         if file.suffix.lower() == ".usdz":
             return {"file": name, "kind": "clip", "format": "usd"} | usd_contents(name)
         return {"file": name} | _of_npz(name)
-    if format is None and file.suffix.lower() in (".amc", ".c3d"):
+    if format is None and file.name.lower().removesuffix(".gz").endswith(_MOCAP):
         return {"file": name} | _of_mocap(read_mocap(file))
+    if format is None and claims_contacts(file):
+        return {"file": name} | _of_contacts(file)
     return {"file": name} | _of_recording(read_recording(path, format=format))
 
 
@@ -118,6 +123,20 @@ def _of_clip(name: str) -> dict[str, Any]:
         },
         "external_force_body_weights": float(force.mean()) if len(force) else None,
         "states": _states(clip, clip.skeleton),
+    }
+
+
+def _of_contacts(path: Path) -> dict[str, Any]:
+    time, contacts = contact_table(path)
+    return {
+        "kind": "contacts",
+        "format": "csv",
+        "rows": len(time),
+        "start_s": float(time[0]),
+        "seconds": float(time[-1] - time[0]),
+        "share_of_rows_on_the_floor": dict(
+            zip(CONTACTS, contacts.mean(axis=0).tolist(), strict=True)
+        ),
     }
 
 

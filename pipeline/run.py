@@ -16,7 +16,7 @@ from .correct.in_turn import InTurn
 from .correct.local_gp import LocalGP
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from .database import PostureDatabase
-from .database.library import embedded_database
+from .database.library import builtin_database
 from .default import default_corrector
 from .evaluation.metrics import Quality, distances, measure
 from .failures import Failure, distrust, find_failures, unmirrored
@@ -244,7 +244,7 @@ def _database(
 ) -> PostureDatabase:
     """Return the motion database that a config names."""
     if config.database is None:
-        database = embedded_database(skeleton, progress)
+        database = builtin_database(skeleton, progress)
     else:
         database = PostureDatabase.load(config.database)
     if database.skeleton.name != skeleton.name:

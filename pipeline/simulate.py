@@ -102,7 +102,7 @@ def simulated_pairs(
     """Return takes of Kinect v2 to learn from, each of another simulated person.
 
     One motion of the library after the other, on a bare floor. Nobody in them is in
-    the embedded database or in the studies.
+    the built-in database or in the studies.
 
     Args:
         skeleton: Name of the takes' skeleton.

@@ -1,4 +1,4 @@
-"""Print how well the embedded motion library covers real mocap.
+"""Print how well the built-in motion library covers real mocap.
 
     python tests/coverage.py ../shared/data
 
@@ -26,7 +26,7 @@ from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
 from kinefilter.pipeline.database.library import (
-    SHIPPED_POSTURES,
+    BUILTIN_POSTURES,
     _postures_of,
     scripted_postures,
 )
@@ -202,7 +202,7 @@ def read_libraries() -> tuple[dict[str, Array], NDArray[np.str_]]:
     parts = list(scripted_postures(KINECT_V1))
     postures = np.concatenate([p for _, p, _ in parts])
     labels = np.concatenate([np.full(len(p), name) for name, p, _ in parts])
-    kept = filter_to_count(postures, SHIPPED_POSTURES)
+    kept = filter_to_count(postures, BUILTIN_POSTURES)
     seconds = time.perf_counter() - start
     print_line(
         f"{len(set(labels.tolist()))} motions, {len(postures)} postures, "

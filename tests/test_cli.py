@@ -16,7 +16,7 @@ from kinefilter.characters import KINECT_V1, KINECT_V2
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.library import embedded_database
+from kinefilter.pipeline.database.library import builtin_database
 from kinefilter.pipeline.formats import read_clip, read_take
 
 ROOT = Path(__file__).parents[1]
@@ -149,7 +149,7 @@ def test_a_database_of_another_skeleton_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "v2.npz"
-    embedded_database(KINECT_V2).save(path)
+    builtin_database(KINECT_V2).save(path)
     arguments = ["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh")]
     error = _refused([*arguments, "--database", str(path)], tmp_path, capsys)
     assert "kinect_v2" in error
@@ -225,7 +225,7 @@ def test_an_unknown_flag_ends_with_code_2(tmp_path: Path) -> None:
 
 def test_a_database_given_by_name_is_used(tmp_path: Path) -> None:
     """One that holds two postures far from the take: everything lies outside."""
-    whole = embedded_database(KINECT_V1)
+    whole = builtin_database(KINECT_V1)
     path, figures = tmp_path / "tiny.npz", tmp_path / "figures.json"
     kept = np.flatnonzero(whole.labels == "chair")[-2:]
     tiny = PostureDatabase(
@@ -282,7 +282,7 @@ def test_every_readme_command_runs(
     assert len(commands) >= 5
     for command in commands:
         if "cmu.npz" in command and not (tmp_path / "cmu.npz").exists():
-            embedded_database(KINECT_V1).save(tmp_path / "cmu.npz")
+            builtin_database(KINECT_V1).save(tmp_path / "cmu.npz")
         recorded = "shared" in command or "model" in command
         if recorded and not (ROOT.parent / "shared").is_dir():
             continue

@@ -17,7 +17,7 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of, contents_of_take
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.formats import write_clip, write_take_csv
+from kinefilter.pipeline.formats import write_clip, write_contacts, write_take_csv
 from kinefilter.pipeline.simulate import simulate, write_pairs
 
 MakeClip = Callable[..., Clip]
@@ -31,6 +31,17 @@ def told(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     assert main(["info", str(path), "--json"]) == 0
     contents: dict[str, Any] = json.loads(capsys.readouterr().out)
     return contents
+
+
+def test_a_table_of_contacts_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make_clip: MakeClip
+) -> None:
+    clip, path = make_clip(), tmp_path / "contacts.csv"
+    write_contacts(clip, path)
+    contents = told(path, capsys)
+    assert (contents["kind"], contents["rows"]) == ("contacts", len(clip))
+    shares = contents["share_of_rows_on_the_floor"]
+    assert shares["ToeRight"] == pytest.approx(clip.contacts[:, 3].mean())
 
 
 def walk() -> Take:

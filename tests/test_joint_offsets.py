@@ -28,7 +28,7 @@ from kinefilter.pipeline.correct import Correction, Hold, Observation, joint_off
 from kinefilter.pipeline.correct.in_turn import InTurn
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.correct.take import CorrectedTake
-from kinefilter.pipeline.database.library import embedded_database
+from kinefilter.pipeline.database.library import builtin_database
 from kinefilter.pipeline.default import default_corrector
 from kinefilter.pipeline.evaluation.accuracy import Accuracy
 from kinefilter.pipeline.evaluation.evaluate import evaluate, observed
@@ -159,7 +159,7 @@ def test_a_whole_take_is_moved_as_its_frames_are(
 
 
 def test_the_default_forgets_when_it_starts_again() -> None:
-    corrector = default_corrector(embedded_database(KINECT_V1))
+    corrector = default_corrector(builtin_database(KINECT_V1))
     pair = simulate("basic", "punch", sensor="v1", seed=1300)
     frames = observed(pair).positions[:20]
     runs = []

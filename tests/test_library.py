@@ -21,7 +21,7 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline import PostureDatabase
 from kinefilter.pipeline.database.library import (
-    SHIPPED_POSTURES,
+    BUILTIN_POSTURES,
     database_from_mocap,
     scripted_database,
 )
@@ -73,8 +73,8 @@ def test_the_scripted_database_holds_almost_every_motion(
     held = set(scripted.labels.tolist())
     assert held <= set(MOTIONS)
     assert len(set(MOTIONS) - held) <= 2
-    assert 0.95 <= len(scripted) / SHIPPED_POSTURES <= 1.05
-    assert scripted.source == "embedded"
+    assert 0.95 <= len(scripted) / BUILTIN_POSTURES <= 1.05
+    assert scripted.source == "built-in"
 
 
 def test_scripted_postures_are_on_the_standard_body_facing_forward(

@@ -20,7 +20,7 @@ from kinefilter.pipeline.correct.posture_space import (
 from kinefilter.pipeline.correct.search import solve, stochastic_search
 from kinefilter.pipeline.correct.shum_baselines import Nearest, NoReliability
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.library import embedded_database
+from kinefilter.pipeline.database.library import builtin_database
 from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
 from kinefilter.retarget import Standardizer, measured_body
 from kinefilter.scenes import perform, sample_take
@@ -31,7 +31,7 @@ JOINTS = len(KINECT_V1)
 
 @pytest.fixture(scope="module")
 def database() -> PostureDatabase:
-    return embedded_database(KINECT_V1)
+    return builtin_database(KINECT_V1)
 
 
 def _observations(take: Take) -> Iterator[Observation]:
@@ -323,7 +323,7 @@ def test_it_works_on_either_skeleton(skeleton: Skeleton) -> None:
     take = Take(
         act.time[:10], act.positions[:10], _all_tracked(act.positions[:10]), skeleton
     )
-    corrector = LocalPCA(embedded_database(skeleton))
+    corrector = LocalPCA(builtin_database(skeleton))
     for seen in _observations(take):
         result = corrector.step(seen)
         np.testing.assert_allclose(result.positions, seen.positions, atol=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import struct
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.library import database_from_mocap
 from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
@@ -346,6 +348,15 @@ def test_database_build_takes_asf_and_amc(tmp_path: Path) -> None:
     out = tmp_path / "base.npz"
     assert main(["database", "build", *files, "-o", str(out)]) == 0
     assert set(PostureDatabase.load(out).labels.tolist()) == {"07_01"}
+
+
+def test_info_tells_of_an_amc_file_zipped_or_not(tmp_path: Path) -> None:
+    _, amc = acclaim_files(tmp_path)
+    zipped = amc.with_name(amc.name + ".gz")
+    zipped.write_bytes(gzip.compress(amc.read_bytes()))
+    one, other = contents_of(amc), contents_of(zipped)
+    assert one["kind"] == "mocap"
+    assert one | {"file": ""} == other | {"file": ""}
 
 
 def test_an_amc_file_without_its_skeleton_is_refused(tmp_path: Path) -> None:

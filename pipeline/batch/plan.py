@@ -25,7 +25,7 @@ from .row import Row
 from .sources import Source
 from .store import Found, Store, real
 
-__all__ = ["Job", "is_done", "plan_jobs", "uses_embedded_database"]
+__all__ = ["Job", "is_done", "plan_jobs", "uses_builtin_database"]
 
 _LARGEST = 2**16  # bytes of a file of settings, as ``read_settings`` has it
 _ZIPPED = 4  # times as long as its file is what was zipped: numbers give 2 to 10
@@ -179,8 +179,8 @@ def is_done(job: Job, row: Row | None, written: Mapping[str, Found]) -> bool:
     )
 
 
-def uses_embedded_database(settings: Settings) -> bool:
-    """Tell whether a take with these settings asks for the embedded database."""
+def uses_builtin_database(settings: Settings) -> bool:
+    """Tell whether a take with these settings asks for the built-in database."""
     config = settings.config
     if config.database is not None:
         return False

@@ -11,7 +11,7 @@ from time import perf_counter
 
 from kinefilter.characters import SKELETONS, InputError
 from kinefilter.pipeline.config_files import read_settings
-from kinefilter.pipeline.database.library import embedded_database
+from kinefilter.pipeline.database.library import builtin_database
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.workers import cores
@@ -21,7 +21,7 @@ from .crew import Crew, Processes, failed_row
 from .local import LocalStore
 from .manifest import Manifest, open_manifest, write_csv
 from .places import store_at
-from .plan import Job, is_done, plan_jobs, uses_embedded_database
+from .plan import Job, is_done, plan_jobs, uses_builtin_database
 from .row import Row
 from .sources import find_sources
 from .store import Store
@@ -98,7 +98,7 @@ def clean_files(
         given: Names of settings that no file may change.
         jobs: Processes that clean; by default one a core.
         scheduler: Address of a Dask scheduler whose workers clean instead.
-        progress: Wraps the building of the embedded database.
+        progress: Wraps the building of the built-in database.
         told: Called after every take.
 
     Raises:
@@ -117,7 +117,7 @@ def clean_files(
         outcome, todo = _sifted(planned, manifest, store)
         try:
             _tidy(store)
-            if any(uses_embedded_database(job.settings) for job in todo):
+            if any(uses_builtin_database(job.settings) for job in todo):
                 _build_database(progress)
             _clean(todo, crew, manifest, outcome, told)
             _tidy(store)
@@ -151,9 +151,9 @@ def _tidy(store: Store) -> None:
 
 
 def _build_database(progress: Progress) -> None:
-    """Have the embedded database in the cache, before every process builds its own."""
+    """Have the built-in database in the cache, before every process builds its own."""
     for skeleton in SKELETONS.values():
-        embedded_database(skeleton, progress)
+        builtin_database(skeleton, progress)
 
 
 def _crew(scheduler: str | None, jobs: int) -> Processes | Cluster:

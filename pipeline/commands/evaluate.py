@@ -44,7 +44,7 @@ class Evaluate:
     """Also measure methods without a part of them: local-gp without terms of its
     energy (Liu 2016, Table 5), Shum's methods A and B beside local-pca."""
     database: Path | None = None
-    """Motion database (.npz); default: the embedded."""
+    """Motion database (.npz); default: the built-in one."""
     mocap_database: bool = False
     """Take the mocap of the clips that are learned from for the motion database."""
     json: Path | None = None

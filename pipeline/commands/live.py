@@ -41,7 +41,7 @@ class Live:
         import asyncio
 
         from kinefilter.characters import skeleton_named
-        from kinefilter.pipeline.database.library import embedded_database
+        from kinefilter.pipeline.database.library import builtin_database
         from kinefilter.pipeline.formats import check_folder
         from kinefilter.pipeline.live import Session
 
@@ -49,7 +49,7 @@ class Live:
             check_folder(self.json)
         session = Session(self.config, self.access)
         with progress_bars() as progress:
-            embedded_database(skeleton_named(self.config.skeleton), progress)
+            builtin_database(skeleton_named(self.config.skeleton), progress)
         asyncio.run(self._followed(session))
         return self._ended(session)
 

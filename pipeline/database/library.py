@@ -42,18 +42,18 @@ from .posture_database import FILTERED_POSTURES, PostureDatabase
 from .threshold_rule import filter_to_count
 
 __all__ = [
-    "SHIPPED_POSTURES",
+    "BUILTIN_POSTURES",
+    "builtin_database",
     "database_from_mocap",
     "database_from_pairs",
-    "embedded_database",
     "scripted_database",
     "scripted_postures",
 ]
 
 Array = NDArray[np.float64]
 
-SHIPPED_POSTURES = 5000
-"""About how many the embedded database holds: twice Shum's, so that half of the real
+BUILTIN_POSTURES = 5000
+"""About how many the built-in database holds: twice Shum's, so that half of the real
 postures are within 8 cm of one."""
 
 _PEOPLE = 6
@@ -62,7 +62,7 @@ _EVERY_OTHER = 2  # frame of pairs: the filter drops more than that
 _T_POSE_TOLERANCE = np.radians(25.0)
 
 
-def embedded_database(
+def builtin_database(
     skeleton: Skeleton, progress: Progress = silent
 ) -> PostureDatabase:
     """Return the database of scripted motions, built once and then kept in a cache.
@@ -108,7 +108,7 @@ def scripted_database(
 ) -> PostureDatabase:
     """Perform every scripted motion and keep what differs."""
     parts = scripted_postures(skeleton, progress)
-    return _filtered(parts, skeleton, "embedded", SHIPPED_POSTURES, recorded=False)
+    return _filtered(parts, skeleton, "built-in", BUILTIN_POSTURES, recorded=False)
 
 
 def scripted_postures(

@@ -18,7 +18,7 @@ from kinefilter.pipeline.correct import Corrector, WholeTakeCorrector, correct_t
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.library import database_from_pairs, embedded_database
+from kinefilter.pipeline.database.library import builtin_database, database_from_pairs
 from kinefilter.pipeline.default import default_corrector
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.pipeline.progress import Progress, over, silent
@@ -82,7 +82,7 @@ def evaluate(
             terms of its energy (Liu 2016, Table 5), and ``local-pca`` as Shum's
             methods A and B, ``nearest`` and ``no-reliability``.
         database: Natural postures; ``mocap``: those of the clips to learn from; by
-            default the embedded ones.
+            default the built-in ones.
         progress: Wraps the loops, for a progress bar.
 
     Raises:
@@ -97,7 +97,7 @@ def evaluate(
     skeleton = folds[0].test[0].take.skeleton
     postures = database
     if postures is None:
-        postures = embedded_database(skeleton, progress)
+        postures = builtin_database(skeleton, progress)
     accuracy = Accuracy(skeleton)
     tallies: dict[str, Tally] = {}
     for fold in folds:

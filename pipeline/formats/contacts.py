@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from kinefilter.characters import CONTACTS, Clip, InputError
 
 from .archive import read_clip
-from .files import atomic_path, open_text
+from .files import atomic_path, beginning, open_text
 from .rows import RowReader
 
-__all__ = ["read_contacts", "write_contacts"]
+__all__ = ["claims_contacts", "contact_table", "read_contacts", "write_contacts"]
 
 _HEADER = ("time", *CONTACTS)
 _ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
@@ -56,7 +56,7 @@ def read_contacts(
         clip = read_clip(path)
         stamps, flags = clip.time, clip.contacts
     else:
-        stamps, flags = _table(path)
+        stamps, flags = contact_table(path)
     if stamps[0] > time[-1] + _ROUNDED or (len(stamps) > 1 and stamps[-1] < time[0]):
         raise InputError(
             f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, lie "
@@ -67,9 +67,19 @@ def read_contacts(
     return np.asarray(flags[np.maximum(rows, 0)])
 
 
-def _table(
+def claims_contacts(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a file begins as ``write_contacts`` does."""
+    return beginning(path).startswith(",".join(_HEADER))
+
+
+def contact_table(
     path: str | os.PathLike[str],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return times [s], shape (T,), and contacts (CONTACTS), shape (T, 4), of a table.
+
+    Raises:
+        InputError: The file is missing or no such table.
+    """
     source = os.fspath(path)
     with open_text(path) as file:
         header = tuple(cell.strip() for cell in next(iter(file), "").split(","))

@@ -81,7 +81,7 @@ def methods_known_people(
     """Test every method on new repetitions of the people whom it learned from.
 
     As ``kinefilter evaluate --train PEOPLE --ablation --protocol repetitions``: the
-    repetitions 1 to 7 teach, 8 to 10 test; ``local-pca`` searches the embedded
+    repetitions 1 to 7 teach, 8 to 10 test; ``local-pca`` searches the built-in
     database. Otherwise like ``methods_new_people``.
 
     Args:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.correct import LocalPCA
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.library import embedded_database, scripted_postures
+from kinefilter.pipeline.database.library import builtin_database, scripted_postures
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.evaluation.evaluate import observed
 from kinefilter.pipeline.progress import Progress, silent
@@ -123,7 +123,7 @@ def _spread(choices: Sequence[int], count: int) -> list[int]:
 
 def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase]:
     """Return the scripted postures, filtered to about each of some sizes."""
-    shipped = embedded_database(KINECT_V1, progress)
+    shipped = builtin_database(KINECT_V1, progress)
     smaller = {size: shipped for size in sizes if size <= len(shipped)}
     larger = sizes - set(smaller)
     whole = _unfiltered(progress) if larger else shipped

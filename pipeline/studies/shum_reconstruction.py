@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1, Take, random_body
 from kinefilter.pipeline.config import CleanConfig, Method
 from kinefilter.pipeline.correct import LocalPCA, Observation
-from kinefilter.pipeline.database.library import embedded_database
+from kinefilter.pipeline.database.library import builtin_database
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.run import clean
 from kinefilter.pipeline.training import PairedTake
@@ -64,7 +64,7 @@ def shum_table_3(
         motions: How many of the ten motions, each by another person.
         progress: Wraps the loops, for a progress bar.
     """
-    database = embedded_database(KINECT_V1, progress)
+    database = builtin_database(KINECT_V1, progress)
     acts = [_natural(_MOTIONS[k], people_of(seed) + k) for k in range(motions)]
     found = []
     for given in _GIVEN.values():

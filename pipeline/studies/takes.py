@@ -1,6 +1,6 @@
 """The simulated takes of the studies: situations of Shum 2013's Table IV, and lessons.
 
-Nobody in them has taught anything: the embedded database draws its people from seeds
+Nobody in them has taught anything: the built-in database draws its people from seeds
 under 10, takes that are tested on from seeds of 1000 and more, and pairs that methods
 learn from within a study from seeds 500 higher than those.
 """
