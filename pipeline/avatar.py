@@ -26,13 +26,13 @@ from .physics.pulled_character import PulledCharacter
 from .reliability import ReliabilityScorer, measure_reference
 from .target.contacts import StanceTracker, ankles_and_toes
 from .target.floor import put_on_floor
+from .target.planting import PLANTED, flat_height
 
 __all__ = ["Avatar", "Pose"]
 
 Array = NDArray[np.float64]
 
 _LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which to move
-_PLANTED = 20.0  # firmness of a standing foot where bones ask for a move
 _LET_GO = 0.05  # s in which a foot that steps joins its measured path
 _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share a frame: feet sink rarely, lift often
 
@@ -91,7 +91,7 @@ class Avatar:
         self._smoother = OneEuro(skeleton)
         self._bones, self._stance = BoneLengths(body), StanceTracker()
         self._ankles, self._toes = ankles_and_toes(skeleton)
-        self._flat = body.rest_positions[self._ankles[0], 1]
+        self._flat = flat_height(body, self._toes[0])
         self.start()
 
     def start(self) -> None:
@@ -220,7 +220,7 @@ class Avatar:
                     place[:, 1] = [self._flat, self.body.radii[parts[1]]]
                     self._anchors[foot] = place
                 self._moved[foot] = self._anchors[foot] - positions[parts]
-                firmness[parts] = _PLANTED
+                firmness[parts] = PLANTED
             else:
                 self._moved[foot] *= np.exp(-step / _LET_GO)
             planted[parts] += self._moved[foot]

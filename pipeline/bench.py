@@ -93,7 +93,7 @@ def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
         sampled = stochastic_search(space, energy, start, generator)
         marks.append(perf_counter())
         times.append(np.diff(marks))
-        energies.append(energy(space.posture(np.array([solved, sampled])))[0])
+        energies.append(energy(space.posture(np.array([solved, sampled]))))
     solver, stochastic = np.median(times, axis=0) * 1e3
     lower = [e[0] <= e[1] + 1e-12 for e in energies]
     return {

@@ -20,7 +20,7 @@ from kinefilter.pipeline.training import TrainingSet
 
 from .gaussian_process import Kernel, fit_kernel
 from .hold import Hold
-from .interface import Correction, Observation
+from .interface import CORRECTED_TRUST, Correction, Observation
 from .lessons import Lessons
 
 __all__ = ["BoneWalk", "ClusteredGP"]
@@ -33,7 +33,6 @@ _SHORT, _LONG = 0.5, 1.0  # length scales to start from, of the spread of postur
 _LIKE = 0.03  # m over all segments: within it two people have the same proportions
 _UNLIKE = 0.003  # weight of an example of other proportions
 _PEOPLE = 800  # examples of how long segments are, beside how long they are seen
-_TRUST = 0.9  # of a corrected measurement: the smoother may move it
 
 
 class BoneWalk:
@@ -186,7 +185,9 @@ class ClusteredGP:
         # those that Kinect saw; on the standard body, these make mocap's of them.
         corrected = self._walk.lay(directions, self._lengths(observation.lengths))
         corrected += posture[self.skeleton.root]
-        return Correction(corrected, None, np.where(missing, 0.0, _TRUST), coverage)
+        return Correction(
+            corrected, None, np.where(missing, 0.0, CORRECTED_TRUST), coverage
+        )
 
     def _lengths(self, seen: Array | None) -> Array:
         """Return mocap's bone lengths [m] on the body that Kinect's are standard on.

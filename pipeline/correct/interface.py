@@ -13,6 +13,7 @@ from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
 
 __all__ = [
+    "CORRECTED_TRUST",
     "Correction",
     "Corrector",
     "LearnedCorrector",
@@ -23,6 +24,9 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+CORRECTED_TRUST = 0.9
+"""Trust in a measurement that was corrected: the smoother may move it too. A guess."""
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,13 @@ from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.pipeline.training import TrainingSet
 
 from .hold import Hold
-from .interface import Correction, Observation
+from .interface import CORRECTED_TRUST, Correction, Observation
 
 __all__ = ["Lessons", "add_offsets"]
 
 Array = NDArray[np.float64]
 
 _LEAST_FRAMES = 100
-_TRUST = 0.9  # of a corrected measurement: the smoother may move it
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,4 +140,6 @@ def add_offsets(
         if missing[j]:
             parent = skeleton.parents[j]
             corrected[j] = corrected[parent] + posture[j] - posture[parent]
-    return Correction(corrected, None, np.where(missing, 0.0, _TRUST), coverage)
+    return Correction(
+        corrected, None, np.where(missing, 0.0, CORRECTED_TRUST), coverage
+    )

@@ -12,7 +12,7 @@ from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.retarget.rotations import normalize
 
 from .blend import Blend, measurement_trust
-from .interface import Correction, Observation
+from .interface import CORRECTED_TRUST, Correction, Observation
 from .natural_spaces import NaturalSpaces
 from .posture_space import EnergyWeights, PostureEnergy, PostureSpace
 from .search import solve, stochastic_search
@@ -31,7 +31,6 @@ takes where few joints are reliable: behind a box or a desk, 10 take 38 % of the
 of simulated takes, 7 take 40 % and 5 take 41 %."""
 _MEMORY = 0.05  # weight of the last posture in the query, against a rate of 1
 _AS_MEASURED = 0.001  # m: what a joint may be moved and still count as measured
-_TRUST = 0.9  # of a measurement that is moved more: the smoother may move it too
 _COVERAGE_MEMORY = 0.8  # share of the last frame's coverage: no switching in a frame
 
 
@@ -98,7 +97,7 @@ class LocalPCA:
             shift = self._spaces.shift(posture)
             posture = posture + shift
             moved = np.vecdot(shift, shift) > _AS_MEASURED**2
-            trust = np.where(moved, np.minimum(trust, _TRUST), trust)
+            trust = np.where(moved, np.minimum(trust, CORRECTED_TRUST), trust)
         return Correction(
             posture, self.orientation(prior, nearest, rate), trust, coverage
         )

@@ -21,7 +21,7 @@ from kinefilter.pipeline.reliability.shum import segment_lengths
 from kinefilter.pipeline.training import TrainingSet
 
 from .hold import Hold
-from .interface import Correction, Observation
+from .interface import CORRECTED_TRUST, Correction, Observation
 
 __all__ = ["PersonalGP"]
 
@@ -34,7 +34,6 @@ _PERSON_SCALE = 0.08  # m, over all segments
 _NOISE = 0.1  # variance, against a signal of 1
 _LOOKING_BACK = 8  # frames, of the movement feature
 _MOVEMENT_WEIGHT, _LENGTH_WEIGHT = 0.5, 2.0
-_TRUST = 0.9  # of a corrected measurement: the smoother may move it
 
 
 class PersonalGP:
@@ -119,7 +118,7 @@ class PersonalGP:
         )[0]
         corrected = posture.copy()
         corrected[self.joints_] += (likeness @ self.weights_).reshape(-1, 3)
-        trust = np.where(missing, 0.0, _TRUST)
+        trust = np.where(missing, 0.0, CORRECTED_TRUST)
         return Correction(corrected, None, trust, float(min(1.0, likeness.max())))
 
     def _filled(self, positions: Array, rate: Array) -> Array:

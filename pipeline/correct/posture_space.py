@@ -98,8 +98,8 @@ class PostureEnergy:
         self._neighbor_squares = np.sum(neighbors * neighbors, axis=1)
         self.steady = steady
 
-    def __call__(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Return energies (N,) of postures (N, 3 J), and their nearest neighbors."""
+    def __call__(self, postures: Array) -> Array:
+        """Return energies [m^2] (N,) of postures [m] (N, 3 J)."""
         w = self.weights
         away = postures - self.measured
         control = (away * away) @ self.rate  # eq. 10
@@ -109,19 +109,18 @@ class PostureEnergy:
             - 2.0 * (postures @ self.neighbors.T)
             + self._neighbor_squares
         )
-        nearest = np.argmin(to_neighbors, axis=1)
-        style = to_neighbors[np.arange(len(postures)), nearest] / self.joints  # eq. 11
-        error = self.segment_errors(postures)[0]
+        style = to_neighbors.min(axis=1) / self.joints  # eq. 11
+        error = self._length_errors(postures)
         kinematics = np.mean(error * error, axis=1)  # eq. 12
         energy = w.control * control + w.style * style + w.kinematics * kinematics
         if self.steady is not None:
             change = postures - self.steady
             energy += w.continuity * np.sum(change * change, axis=1) / self.joints
-        return energy, nearest
+        return np.asarray(energy)
 
-    def segment_errors(self, postures: Array) -> tuple[Array, Array, Array]:
-        """Return length errors (N, S) and bones (N, S, 3) with their lengths (N, S)."""
+    def _length_errors(self, postures: Array) -> Array:
+        """Return by how much segments are too long [m], shape (N, S)."""
         points = postures.reshape(len(postures), -1, 3)
         bones = points[:, self.ends] - points[:, self.starts]
         lengths = np.sqrt(np.sum(bones * bones, axis=2))
-        return lengths - self.lengths, bones, lengths
+        return np.asarray(lengths - self.lengths)

@@ -131,11 +131,11 @@ def stochastic_search(
         samples: Samples a step.
     """
     latent = start
-    best = float(energy(space.posture(latent[None]))[0][0])
+    best = float(energy(space.posture(latent[None]))[0])
     spread = 0.5 * space.deviations
     for _ in range(steps):
         points = latent + spread * generator.standard_normal((samples, len(latent)))
-        energies = energy(space.posture(points))[0]
+        energies = energy(space.posture(points))
         k = int(np.argmin(energies))
         if energies[k] < best:
             latent, best = points[k], float(energies[k])

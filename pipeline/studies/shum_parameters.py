@@ -169,7 +169,7 @@ def _measure(
             start = perf_counter()
             made[k] = method.synthesize(seen[k], trusted)[0]
             seconds.append(perf_counter() - start)
-            energies.append(float(method.energy(made[k].reshape(1, -1))[0][0]))
+            energies.append(float(method.energy(made[k].reshape(1, -1))[0]))
         back = take.undo(made)[:_FRAMES]
         errors.append(bone_errors(back, truth[:_FRAMES], KINECT_V1))
     error = float(np.concatenate(errors).mean())

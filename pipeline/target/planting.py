@@ -12,10 +12,12 @@ from kinefilter.characters import Body
 from .contacts import ankles_and_toes, runs
 from .smooth import smooth
 
-__all__ = ["plant_feet"]
+__all__ = ["PLANTED", "flat_height", "plant_feet"]
 
 Array = NDArray[np.float64]
 
+PLANTED = 20.0
+"""Firmness of a standing foot where bones ask for a move; a measured joint has 1."""
 _HEEL_ERROR = 0.10  # m: a standing ankle that is higher than this has left the floor
 _HEEL_DOWN = 0.01  # m that a heel rises and still counts as down
 _LIFT_TIME = 0.1  # s: to lift a foot that high, and to set it down
@@ -60,7 +62,7 @@ def plant_feet(
         if not stances:
             continue
         path = positions[:, [ankle, toe]]
-        flat = _flat_height(body, toe)
+        flat = flat_height(body, toe)
         rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
         if heels is not None:
             rise[heels[:, foot]] = 0.0
@@ -75,7 +77,7 @@ def plant_feet(
     return planted, down
 
 
-def _flat_height(body: Body, toe: int) -> float:
+def flat_height(body: Body, toe: int) -> float:
     """Return the height [m] of the ankle of a foot that is flat on the floor."""
     ankle = float(body.rest_positions[body.skeleton.parents[toe], 1])
     return min(ankle, float(body.radii[toe] + body.lengths[toe]))
@@ -87,7 +89,7 @@ def _resting(path: Array, weights: Array, rise: Array, body: Body, toe: int) -> 
     ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     length, sole = body.lengths[toe], body.radii[toe]
-    flat = _flat_height(body, toe)
+    flat = flat_height(body, toe)
     reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
     rest = np.zeros((len(path), 2, 3))
     rest[:, 1, [0, 2]] = place + reach * ahead

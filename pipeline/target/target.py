@@ -24,7 +24,7 @@ from kinefilter.retarget.rotations import continuous, normalize
 
 from .contacts import ankles_and_toes, feet_of, find_stance
 from .floor import floor_height, leveled, put_on_floor, sensor_tilt
-from .planting import plant_feet
+from .planting import PLANTED, plant_feet
 from .smooth import smooth, smooth_by_speed
 
 __all__ = ["Feet", "Target", "make_target"]
@@ -37,7 +37,6 @@ Feet = Literal["auto", "always", "never"]
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother, against a measured one's 1
 _LEAST_FIRMNESS = 0.3  # of an invented joint where bones ask for a move: the same
-_PLANTED = 20.0  # of a foot that stands
 _BONES_CUTOFF = 2.0  # Hz; lengths are wrong for longer than joints tremble
 _CHUNK = 4096  # frames at a time: an hour's take fits a gigabyte
 
@@ -113,7 +112,7 @@ def make_target(
     planted, heels = plant_feet(time, positions, trust, stands, body, heels)
     firmness = np.maximum(trust, _LEAST_FIRMNESS)
     for part in ankles_and_toes(skeleton):
-        firmness[:, part] = np.where(stands, _PLANTED, firmness[:, part])
+        firmness[:, part] = np.where(stands, PLANTED, firmness[:, part])
     positions = _on_bones(time, put_on_floor(planted, body), firmness, body)
     twist = _smooth_twist(time, corrected.rotations)
     return Target(
