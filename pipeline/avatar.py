@@ -1,4 +1,7 @@
-"""A character that follows a Kinect frame by frame, for games."""
+"""A character that follows a Kinect frame by frame, for games.
+
+``tests/hostile.py`` lets one follow a million frames that no sensor should give.
+"""
 
 from __future__ import annotations
 

@@ -96,12 +96,12 @@ def test_where_others_may_connect_a_token_is_needed(tmp_path: Path) -> None:
 
 def test_a_new_token_is_made_where_others_may_connect_and_none_was_given() -> None:
     tokens = [
-        Session(config(source=WS), OpenConfig(bind="0.0.0.0")).places.access.token
+        Session(config(source=WS), OpenConfig(bind="0.0.0.0")).ends.access.token
         for _ in range(2)
     ]
     assert all(token is not None and len(token) >= 32 for token in tokens)
     assert tokens[0] != tokens[1]
-    assert Session(config(source=WS)).places.access.token is None
+    assert Session(config(source=WS)).ends.access.token is None
 
 
 def test_tokens_too_short_to_hold_are_refused(tmp_path: Path) -> None:

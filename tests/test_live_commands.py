@@ -26,7 +26,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import Live, Replay
 from kinefilter.pipeline.commands.live_status import status, summary
 from kinefilter.pipeline.commands.signals import stopped_by_signals
-from kinefilter.pipeline.live import LiveConfig, Session, format_frame
+from kinefilter.pipeline.live import LiveConfig, OpenConfig, Session, format_frame
 from kinefilter.pipeline.live.addresses import Address
 from kinefilter.pipeline.live.messages import Reason
 from kinefilter.pipeline.live.tally import Event
@@ -134,11 +134,42 @@ def test_the_commands_of_the_readme_are_possible() -> None:
     (replay,) = map(shlex.split, re.findall(r"^kinefilter replay .*$", readme, re.M))
     following = tyro.cli(Live, args=live[2:])
     session = Session(replace(following.config, record=None), following.access)
-    ends = session.places
+    ends = session.ends
     schemes = [place.scheme for place in (ends.source, *ends.targets)]
     assert schemes == ["udp", "vmc", "ws"]
     sending = tyro.cli(Replay, args=replay[2:])
     assert str(ends.source) == sending.out
+
+
+@pytest.mark.parametrize(
+    ("out", "bind", "given", "told", "warned"),
+    [
+        ("ws://127.0.0.1:1", None, True, False, False),
+        ("ws://127.0.0.1:1", "127.0.0.1", True, False, False),
+        ("ws://127.0.0.1:1", "0.0.0.0", True, False, True),
+        ("ws://127.0.0.1:1", "0.0.0.0", False, True, True),
+        ("vmc://127.0.0.1:1", "0.0.0.0", False, False, False),
+    ],
+)
+def test_a_token_is_printed_where_nobody_knows_it_yet(
+    out: str,
+    bind: str | None,
+    given: bool,
+    told: bool,
+    warned: bool,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    secret = tmp_path / "token"
+    secret.write_text("0123456789abcdef", encoding="utf-8")
+    access = OpenConfig(bind, secret if given else None)
+    live = Live(LiveConfig("udp://127.0.0.1:1", (out,)), access)
+    session = Session(live.config, live.access)
+    live._tell(session, [session.ends.source, *session.ends.targets])
+    said = capsys.readouterr().err
+    assert ("\ntoken " in said) is told
+    assert "0123456789abcdef" not in said
+    assert ("who is on the network" in said) is warned
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

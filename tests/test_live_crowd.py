@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
+import threading
+from collections import Counter
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
@@ -44,6 +47,19 @@ def test_who_waits_longest_is_next() -> None:
     people.arrive(sample_frame(0, "a"), 0.2)
     turns = [people.next(), people.next()]
     assert [turn[0].id for turn in turns if turn is not None] == ["b", "a"]
+
+
+def test_where_poses_are_late_everybody_is_posed_as_often() -> None:
+    people, _ = crowd()
+    posed: Counter[str] = Counter()
+    for row in range(100):
+        people.arrive(sample_frame(row, *"abcdef"), row / 30.0)
+        for _ in range(3):
+            turn = people.next()
+            assert turn is not None
+            assert turn[1].arrived == row / 30.0  # the newest frame all the same
+            posed[turn[0].id] += 1
+    assert posed == dict.fromkeys("abcdef", 50)
 
 
 def test_late_and_repeated_frames_get_no_pose_and_are_counted() -> None:
@@ -214,6 +230,30 @@ def test_a_full_disk_ends_the_recording_and_leaves_whole_rows(
     assert tally.events[Event.UNRECORDED] == 5
     recorder.finish()
     assert len(read_take(tmp_path / "take.csv")) == 20
+
+
+def test_the_end_waits_for_what_is_being_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = Recorder(tmp_path / "take.csv", KINECT_V1, Tally())
+    record(recorder, range(10), "1")
+    write, overtaken, ends = recording._written, threading.Event(), []
+
+    def slow(file: BinaryIO, data: bytes) -> None:
+        if ends:
+            overtaken.set()
+        else:
+            record(recorder, range(10, 20), "1")
+            ends.append(threading.Thread(target=recorder.finish))
+            ends[0].start()
+            assert not overtaken.wait(0.1)
+        write(file, data)
+
+    monkeypatch.setattr(recording, "_written", slow)
+    recorder.flush()
+    ends[0].join()
+    take = read_take(tmp_path / "take.csv")
+    np.testing.assert_array_equal(take.time, np.arange(20) / 30.0)
 
 
 def test_a_recording_goes_where_it_can(tmp_path: Path) -> None:

@@ -14,13 +14,13 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
 from kinefilter.pipeline.live import Frame, SeenBody, format_frame, parse_frame
 from kinefilter.pipeline.live.addresses import (
     Address,
-    is_loopback,
     listening_host,
     read_address,
 )
 from kinefilter.pipeline.live.limits import MOST_CONNECTIONS, Peers, Rate
 from kinefilter.pipeline.live.messages import MalformedError, Reason
-from kinefilter.pipeline.live.timeline import Arrival, Timeline
+from kinefilter.pipeline.live.stamps import Arrival, Stamps
+from kinefilter.pipeline.loopback import is_loopback
 
 STATES = [int(state) for state in State]
 _NO_FRAME = Reason.NOT_A_FRAME
@@ -144,14 +144,14 @@ def test_silent_senders_make_room_for_others() -> None:
 
 
 def test_time_stamps_tell_late_repeated_missing_and_new_clocks() -> None:
-    line = Timeline()
-    assert all(line.arrive(k / 30.0) == (Arrival.NEXT, 0) for k in range(30))
-    assert line.arrive(29 / 30.0) == (Arrival.REPEATED, 0)
-    assert line.arrive(27 / 30.0) == (Arrival.LATE, 0)
-    assert line.arrive(33 / 30.0) == (Arrival.NEXT, 3)
-    assert line.arrive(100.0) == (Arrival.NEXT, 0)
-    assert line.arrive(0.0) == (Arrival.ANEW, 0)
-    assert line.arrive(1 / 30.0) == (Arrival.NEXT, 0)
+    stamps = Stamps()
+    assert all(stamps.arrive(k / 30.0) == (Arrival.NEXT, 0) for k in range(30))
+    assert stamps.arrive(29 / 30.0) == (Arrival.REPEATED, 0)
+    assert stamps.arrive(27 / 30.0) == (Arrival.LATE, 0)
+    assert stamps.arrive(33 / 30.0) == (Arrival.NEXT, 3)
+    assert stamps.arrive(100.0) == (Arrival.NEXT, 0)
+    assert stamps.arrive(0.0) == (Arrival.ANEW, 0)
+    assert stamps.arrive(1 / 30.0) == (Arrival.NEXT, 0)
 
 
 @pytest.mark.parametrize(

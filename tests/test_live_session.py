@@ -36,7 +36,7 @@ from kinefilter.pipeline.live.addresses import Address
 from kinefilter.pipeline.live.broadcast import Broadcast
 from kinefilter.pipeline.live.limits import MOST_CONNECTIONS
 from kinefilter.pipeline.live.messages import Reason
-from kinefilter.pipeline.live.sources import Datagrams, Intake
+from kinefilter.pipeline.live.sources import Intake, Receiver
 from kinefilter.pipeline.live.tally import Event, Tally
 from kinefilter.pipeline.live.websocket import open_server
 
@@ -173,7 +173,7 @@ def test_a_flood_of_datagrams_is_cut_for_each_sender() -> None:
         """Nothing to wait for."""
 
     intake = Intake(taken.append, done, lambda: None, tally)
-    port = Datagrams(intake)
+    port = Receiver(intake)
     for _ in range(1000):
         port.datagram_received(b"{}", ("127.0.0.1", 1))
     assert 60 <= len(taken) < 500

@@ -24,7 +24,6 @@ from kinefilter.pipeline.studies import (
     STUDIES,
     Bar,
     Study,
-    drawing,
     files,
     reproduce,
     write_study,
@@ -179,7 +178,7 @@ def test_without_matplotlib_nothing_is_computed(
     def missing(_: str) -> None:
         return None
 
-    monkeypatch.setattr(drawing, "find_spec", missing)
+    monkeypatch.setattr("importlib.util.find_spec", missing)
     monkeypatch.setitem(STUDIES, "reliability", pytest.fail)
     assert main(["reproduce", "reliability", "-o", str(tmp_path / "s")]) == 2
     assert 'pip install "kinefilter[reproduce]"' in capsys.readouterr().err

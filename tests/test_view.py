@@ -187,14 +187,14 @@ def test_a_take_is_viewed_with_its_target_where_the_clip_is() -> None:
         moved[known], viewed.clip.moved_by_correction[known], atol=2e-3
     )
     assert names_of(viewed).keys() == {
-        *("mesh", "raw", "cleaned", "physics", "contacts", "forces"),
+        *("skin", "raw", "cleaned", "physics", "contacts", "forces"),
     }
 
 
 def test_without_physics_there_is_no_force_and_no_second_figure() -> None:
     viewed = cleaned(read_take(sample_path()), QUICK)
     assert viewed.target is None
-    assert names_of(viewed).keys() == {"mesh", "raw", "cleaned", "contacts"}
+    assert names_of(viewed).keys() == {"skin", "raw", "cleaned", "contacts"}
 
 
 def test_the_take_beside_a_clip_never_touches_it(make_clip: MakeClip) -> None:

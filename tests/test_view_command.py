@@ -35,6 +35,7 @@ QUICK = CleanConfig(method="none", physics=False)
         ("http://127.0.0.1:80", "127.0.0.1:80", True, True),
         ("http://localhost:80", "localhost:80", True, True),
         ("http://[::1]:80", "[::1]:80", True, True),
+        ("http://127.0.0.2:80", "127.0.0.2:80", True, True),  # --bind 127.0.0.2
         ("https://example.org", "127.0.0.1:80", True, False),
         ("http://127.0.0.1:81", "127.0.0.1:80", True, False),
         ("http://127.0.0.1.example.org:80", "127.0.0.1:80", True, False),

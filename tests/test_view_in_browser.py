@@ -119,7 +119,7 @@ def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
 ) -> None:
     start = _seen(page, lambda pixels: _greens(pixels) > 100)
     shown = start
-    for name in ("mesh", "raw", "cleaned", "physics", "contacts", "forces"):
+    for name in ("skin", "raw", "cleaned", "physics", "contacts", "forces"):
         page.run(_CHECK, name)
         shown = _seen(page, lambda now, shown=shown: _changed(shown, now) > 150)
     assert _changed(shown, start) > 5000

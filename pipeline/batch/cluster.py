@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.extras import require
 
 from .crew import finished_row
 from .plan import Job
@@ -38,12 +39,9 @@ class Cluster:
         Raises:
             InputError: Nobody answers there, or Dask is not installed.
         """
-        try:
-            import distributed
-        except ImportError:
-            raise InputError(
-                "--scheduler needs Dask; pip install 'kinefilter[cluster]'"
-            ) from None
+        require("distributed", "--scheduler", "cluster")
+        import distributed
+
         # What it logs when a scheduler goes is told in a line, see ``finished_row``.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self.room = _ROOM

@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.settings import hash_of
 
 from .store import Found
@@ -128,12 +129,9 @@ def kind_of_url(url: str) -> Literal["file", "folder"] | None:
 
 def _system(url: str) -> tuple[Any, str]:
     """Return the file system of a URL, and its path there."""
-    try:
-        from fsspec.core import url_to_fs
-    except ImportError:
-        raise InputError(
-            f"{url}: URLs need fsspec; pip install 'kinefilter[cluster]'"
-        ) from None
+    require("fsspec", f"the URL {url}", "cluster")
+    from fsspec.core import url_to_fs
+
     try:
         system, root = url_to_fs(url)
     except (ImportError, ValueError) as error:

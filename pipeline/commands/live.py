@@ -62,7 +62,22 @@ class Live:
         stop = asyncio.Event()
         with stopped_by_signals(stop):
             async with shown(session):
-                await session.run(stop, lambda places: _tell(session, places))
+                await session.run(stop, lambda places: self._tell(session, places))
+
+    def _tell(self, session: Session, places: list[Address]) -> None:
+        """Print where frames are expected and poses go, and a token that is new."""
+        from kinefilter.pipeline.loopback import is_loopback
+
+        source, *targets = places
+        err.print(f"from {source} to {', '.join(map(str, targets))}", markup=False)
+        sockets = [place for place in places if place.scheme in ("ws", "wss")]
+        token = session.ends.access.token
+        if sockets and token is not None and self.access.token_file is None:
+            err.print(f"token {token}", markup=False)
+        if any(p.scheme == "ws" and not is_loopback(p.host) for p in sockets):
+            err.print(
+                "without --certificate, who is on the network reads token and poses"
+            )
 
     def _ended(self, session: Session) -> int:
         """Print what happened and return the exit code."""
@@ -77,16 +92,3 @@ class Live:
         if failure is not None:
             err.print(f"kinefilter: {failure}", markup=False)
         return 0 if failure is None else 1
-
-
-def _tell(session: Session, places: list[Address]) -> None:
-    """Print where frames are expected and poses go."""
-    source, *targets = places
-    err.print(f"from {source} to {', '.join(map(str, targets))}", markup=False)
-    access = session.places.access
-    if access.token is not None and any(p.scheme in ("ws", "wss") for p in places):
-        err.print(f"token {access.token}", markup=False)
-        if access.tls is None:
-            err.print(
-                "without --certificate, who is on the network reads token and poses"
-            )

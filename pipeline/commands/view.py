@@ -55,9 +55,9 @@ class View:
 
     def run(self) -> int:
         """Read or clean, serve, wait until it is ended."""
-        from kinefilter.pipeline.view.needs import check_viser
+        from kinefilter.pipeline.extras import require
 
-        check_viser()
+        require("viser", "viewing", "view")
         save = self.save_contacts or _beside(self.motion)
         self._check(save)
         try:

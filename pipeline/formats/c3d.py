@@ -7,7 +7,6 @@ the program that solves the skeleton has to come first.
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import struct
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.extras import require
 
 from .bvh_reader import LARGEST_NUMBER, MOST_CELLS
 from .files import check_file
@@ -37,10 +37,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Mocap:
     """
     source = os.fspath(path)
     _check_header(source)
-    if importlib.util.find_spec("ezc3d") is None:
-        raise InputError(
-            f"{source}: reading C3D needs ezc3d; pip install 'kinefilter[c3d]'"
-        )
+    require("ezc3d", f"{source}: C3D", "c3d")
     arrays = read_guarded("c3d", source)
     points, rate = arrays["points"], float(arrays["rate"])
     names, count = tuple(arrays["names"].tolist()), points.shape[1]

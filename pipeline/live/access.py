@@ -18,8 +18,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats.files import read_limited
-
-from .addresses import is_loopback
+from kinefilter.pipeline.loopback import OWN_PAGES, is_loopback
 
 if TYPE_CHECKING:
     from websockets.datastructures import Headers
@@ -28,7 +27,6 @@ __all__ = ["Access", "certificate_of", "make_access", "read_token"]
 
 _SHORTEST_TOKEN = 16  # characters; shorter ones can be guessed
 _LARGEST_TOKEN_FILE = 2**12  # bytes
-_OWN_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class Access:
     @property
     def allowed_origins(self) -> Sequence[str | re.Pattern[str] | None]:
         """Origins as ``websockets`` takes them; None: no page, but a program."""
-        return [None, _OWN_PAGES, *self.origins]
+        return [None, OWN_PAGES, *self.origins]
 
 
 def make_access(

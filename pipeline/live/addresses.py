@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import ipaddress
 from collections.abc import Sequence
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.loopback import is_loopback
 
-__all__ = ["STANDARD", "Address", "is_loopback", "listening_host", "read_address"]
+__all__ = ["MOST_PORT", "STANDARD", "Address", "listening_host", "read_address"]
 
 STANDARD = "-"
 """The scheme of the standard input and output."""
-_MOST_PORT = 65535
+MOST_PORT = 2**16 - 1
+"""The last port."""
 
 
 @dataclass(frozen=True)
@@ -56,19 +57,9 @@ def read_address(text: str, schemes: Sequence[str]) -> Address:
     rest = (parts.query, parts.fragment, parts.username, parts.password)
     if parts.scheme not in schemes or not host or port is None or any(rest):
         raise wrong
-    if parts.path not in ("", "/") or not 0 <= port <= _MOST_PORT:
+    if parts.path not in ("", "/") or not 0 <= port <= MOST_PORT:
         raise wrong
     return Address(parts.scheme, host, port)
-
-
-def is_loopback(host: str) -> bool:
-    """Tell whether a host is this machine and reached by nobody else."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def listening_host(address: Address, bind: str | None) -> str:

@@ -37,11 +37,11 @@ class LiveConfig:
     """Where frames come from, who is in them, and where poses go."""
 
     source: Annotated[str, arg(name="in", metavar="ADDRESS")]
-    """udp://HOST:PORT or ws://HOST:PORT, on which senders are waited for, or - for the
-    standard input."""
+    """udp://HOST:PORT, ws://HOST:PORT or wss://HOST:PORT, on which senders are waited
+    for, or - for the standard input."""
     out: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="ADDRESS")]]
-    """vmc://HOST:PORT, an engine, ws://HOST:PORT, on which browsers are waited for, or
-    - for the standard output; may be given several times."""
+    """vmc://HOST:PORT, an engine, ws://HOST:PORT or wss://HOST:PORT, on which browsers
+    are waited for, or - for the standard output; may be given several times."""
     record: Path | None = None
     """Write the raw frames to this take (.csv) too; of several bodies take.1.csv,
     take.2.csv and so on."""
@@ -54,7 +54,7 @@ class LiveConfig:
     """Stature of everybody [m]; default: each is measured in the first second."""
     mass: float | None = None
     """Mass of everybody [kg]; default: from the stature."""
-    floor_height: float | None = None
+    floor: float | None = None
     """Height of the floor in the sensor's frame [m]; default: under the feet."""
     bodies: int = MOST_BODIES
     """People that are followed at once."""

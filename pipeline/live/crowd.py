@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from .messages import Frame, SeenBody
 from .person import Person, Stature
+from .stamps import Arrival, Stamps
 from .tally import Event, Tally
-from .timeline import Arrival, Timeline
 
 __all__ = ["Crowd", "Presence", "Waiting"]
 
@@ -24,6 +24,8 @@ class Waiting:
     """Its stamp [s]."""
     arrived: float
     """When it came [s], of our own clock."""
+    since: float
+    """Since when the person waits for a pose [s], of our own clock."""
     anew: bool
     """Whether the sender's clock began anew since the last pose."""
 
@@ -40,7 +42,7 @@ class Presence:
     """When a frame with them came [s], of our own clock."""
     person: Person | None = None
     """Who follows them; made by the thread that steps it."""
-    timeline: Timeline = field(default_factory=Timeline)
+    stamps: Stamps = field(default_factory=Stamps)
     """Their time stamps."""
     waiting: Waiting | None = None
     """Their newest frame that has no pose yet."""
@@ -91,11 +93,11 @@ class Crowd:
         return new
 
     def next(self) -> tuple[Presence, Waiting] | None:
-        """Return whose frame has waited longest, and no longer does; None: nobody's."""
+        """Return who has waited longest, and no longer does; None: nobody."""
         waiting = [p for p in self._here.values() if p.waiting is not None]
         if not waiting:
             return None
-        presence = min(waiting, key=lambda p: p.waiting.arrived if p.waiting else 0.0)
+        presence = min(waiting, key=lambda p: p.waiting.since if p.waiting else 0.0)
         frame, presence.waiting = presence.waiting, None
         return (presence, frame) if frame is not None else None
 
@@ -126,7 +128,7 @@ class Crowd:
     def _take_in(
         self, presence: Presence, seen: SeenBody, time: float, now: float
     ) -> bool:
-        arrival, missing = presence.timeline.arrive(time)
+        arrival, missing = presence.stamps.arrive(time)
         self._tally.count(Event.MISSING, missing)
         if arrival is Arrival.REPEATED:
             self._tally.count(Event.REPEATED)
@@ -134,11 +136,12 @@ class Crowd:
         if arrival is Arrival.LATE:
             self._tally.count(Event.LATE)
             return False
-        anew, arrived = arrival is Arrival.ANEW, now
+        anew, since = arrival is Arrival.ANEW, now
         if anew:
             self._tally.count(Event.RESTARTED)
         if presence.waiting is not None:
             self._tally.count(Event.DROPPED)
             anew |= presence.waiting.anew
-        presence.waiting = Waiting(seen, time, arrived, anew)
+            since = presence.waiting.since
+        presence.waiting = Waiting(seen, time, now, since, anew)
         return True

@@ -8,11 +8,9 @@ from contextlib import contextmanager
 
 from kinefilter.characters import InputError
 
-from .addresses import Address
+from .addresses import MOST_PORT, Address
 
 __all__ = ["Datagrams", "open_datagrams"]
-
-_MOST_PORT = 65535
 
 
 class Datagrams:
@@ -34,7 +32,7 @@ class Datagrams:
             datagram: What to send.
             further: How many ports further than the first.
         """
-        if self._port + further > _MOST_PORT:
+        if self._port + further > MOST_PORT:
             return False
         try:
             self._out.sendto(datagram, (self._host, self._port + further))

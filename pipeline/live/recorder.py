@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import threading
 from dataclasses import dataclass, field
@@ -58,7 +59,7 @@ class Recorder:
         if path.suffix != ".csv":
             raise InputError(f"{path}: expected a name that ends in .csv")
         there = [path] if path.exists() else []
-        there += sorted(path.parent.glob(f"{_plain(path.stem)}.*.csv"))
+        there += sorted(path.parent.glob(f"{glob.escape(path.stem)}.*.csv"))
         if there:
             raise InputError(
                 f"{there[0]}: is there already, and nobody performs twice the same; "
@@ -68,6 +69,7 @@ class Recorder:
         self._parts: list[_Part] = []
         self._current: dict[str, _Part] = {}
         self._waiting, self._lock = 0, threading.Lock()
+        self._writing = threading.Lock()
         self.failure: str | None = None
         """Why nothing more can be written; None while it can."""
 
@@ -88,17 +90,18 @@ class Recorder:
             self._waiting += 1
 
     def flush(self) -> None:
-        """Write what came since the last time; another thread may do it, but one."""
-        for part in list(self._parts):
-            with self._lock:
-                rows, part.waiting = part.waiting, []
-            if rows and self.failure is None:
-                self._write(part, rows)
-            with self._lock:
-                self._waiting -= len(rows)
+        """Write what came since the last time; any thread may, others wait for it."""
+        with self._writing:
+            for part in list(self._parts):
+                with self._lock:
+                    rows, part.waiting = part.waiting, []
+                if rows and self.failure is None:
+                    self._write(part, rows)
+                with self._lock:
+                    self._waiting -= len(rows)
 
     def finish(self) -> list[Path]:
-        """Write all, give the files their names, and return them."""
+        """Write all, after whoever still does, name the files, and return them."""
         self.flush()
         kept = [part for part in self._parts if part.frames >= _LEAST]
         names = [self._path]
@@ -187,8 +190,3 @@ def _write_whole(file: BinaryIO, data: bytes) -> None:
 def _written(file: BinaryIO, data: bytes) -> None:
     while data:
         data = data[file.write(data) :]
-
-
-def _plain(name: str) -> str:
-    """Return a name of which ``glob`` takes no character for a pattern."""
-    return "".join(f"[{c}]" if c in "*?[" else c for c in name)

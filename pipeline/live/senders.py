@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.extras import require
 
 from .access import read_token
 from .addresses import STANDARD, Address
 from .datagrams import Datagrams, open_datagrams
-from .extras import require
 from .printer import write_out
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ async def open_sender(
         with open_datagrams(address) as out:
             yield _ToPort(out)
     else:
-        require("websockets", "a WebSocket")
+        require("websockets", "a WebSocket", "live")
         token = None if token_file is None else read_token(token_file)
         tls = _trusted(certificate) if address.scheme == "wss" else None
         connection = _Connection(address, token, tls)

@@ -21,9 +21,9 @@ from kinefilter.characters import (
 from .addresses import Address
 from .config import LiveConfig, OpenConfig
 from .crowd import Crowd, Presence, Waiting
+from .ends import find_ends
 from .messages import MalformedError, parse_frame
 from .person import Person, Stature
-from .places import find_places
 from .poses import LivePose
 from .recorder import Recorder
 from .sinks import Sink, open_sink
@@ -58,7 +58,7 @@ class Session:
         self.tally = Tally()
         self.recorded: list[Path] = []
         """Files of the recording, once it is finished."""
-        self.places = find_places(config, open_config or OpenConfig())
+        self.ends = find_ends(config, open_config or OpenConfig())
         if not 1 <= config.bodies <= _MOST_BODIES:
             raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
         self._skeleton = skeleton_named(config.skeleton)
@@ -68,7 +68,7 @@ class Session:
             config.height,
             config.mass,
             config.scene,
-            config.floor_height,
+            config.floor,
         )
         self.crowd = Crowd(self._stature, config.bodies, self.tally)
         self.recorder: Recorder | None = None
@@ -110,8 +110,8 @@ class Session:
         stop: asyncio.Event,
         started: Callable[[list[Address]], None],
     ) -> None:
-        access, used = self.places.access, []
-        for target in self.places.targets:
+        access, used = self.ends.access, []
+        for target in self.ends.targets:
             sink, place = await stack.enter_async_context(
                 open_sink(target, access, self._skeleton, self.tally, stop.set)
             )
@@ -123,7 +123,7 @@ class Session:
             for work in (self._pump(worker), self._tick(), self._record(), stop.wait())
         ]
         try:
-            async with open_source(self.places.source, access, intake) as place:
+            async with open_source(self.ends.source, access, intake) as place:
                 started([place, *used])
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in tasks:

@@ -24,7 +24,7 @@ from .websocket import open_server
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
-__all__ = ["Datagrams", "Intake", "open_source"]
+__all__ = ["Intake", "Receiver", "open_source"]
 
 _STDIN = 0
 _CHUNK = 2**16  # bytes
@@ -72,7 +72,7 @@ async def open_source(
             yield actual
 
 
-class Datagrams(asyncio.DatagramProtocol):
+class Receiver(asyncio.DatagramProtocol):
     """Hands over the datagrams of a few senders, each up to a rate."""
 
     def __init__(self, intake: Intake) -> None:
@@ -95,7 +95,7 @@ async def _datagrams(address: Address, intake: Intake) -> AsyncIterator[Address]
     loop = asyncio.get_running_loop()
     try:
         transport, _ = await loop.create_datagram_endpoint(
-            lambda: Datagrams(intake), local_addr=(address.host, address.port)
+            lambda: Receiver(intake), local_addr=(address.host, address.port)
         )
     except OSError as error:
         raise InputError(

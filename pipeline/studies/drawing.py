@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinefilter.characters import InputError
+from kinefilter.pipeline.extras import require
 
 from .study import Panel, Series, Study
 
@@ -29,11 +28,7 @@ _LEVEL_NAMES = 6  # names of groups that fit side by side
 
 def check_drawing() -> None:
     """Raise an InputError if there is nothing to draw with."""
-    if find_spec("matplotlib") is None:
-        raise InputError(
-            'matplotlib is not installed, and draws the plots; pip install "kinefilter'
-            '[reproduce]"'
-        )
+    require("matplotlib", "the plot of a study", "reproduce")
 
 
 def draw(study: Study, path: Path) -> None:

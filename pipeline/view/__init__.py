@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from kinefilter.pipeline.extras import require
+
 from .viewed import Viewed, cleaned, read_viewed
 
 if TYPE_CHECKING:
@@ -15,9 +17,7 @@ __all__ = ["Viewed", "Viewer", "cleaned", "opened_viewer", "read_viewed"]
 def __getattr__(name: str) -> Any:
     """Return what loads viser only when it is asked for."""
     if name in ("Viewer", "opened_viewer"):
-        from . import needs
-
-        needs.check_viser()
+        require("viser", "viewing", "view")
         from . import viewer
 
         return getattr(viewer, name)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import ipaddress
 import socket
 
 from kinefilter.characters import InputError
 
-__all__ = ["check_address", "is_loopback", "taken"]
+__all__ = ["check_address", "taken"]
 
 
 def check_address(bind: str, port: int) -> None:
@@ -40,11 +39,3 @@ def taken(bind: str, port: int, reason: str | None = "in use") -> InputError:
         f"cannot listen at {bind}, port {port} ({reason}); give another --port, "
         "0 for any that is free"
     )
-
-
-def is_loopback(bind: str) -> bool:
-    """Tell whether only this machine reaches an address."""
-    try:
-        return ipaddress.ip_address(bind).is_loopback
-    except ValueError:
-        return bind == "localhost"

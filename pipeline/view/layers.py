@@ -17,7 +17,7 @@ __all__ = ["Layers", "names_of", "way_aside"]
 
 Array = NDArray[np.float64]
 
-_HIDDEN = ("cleaned", "physics")  # at first: the mesh shows where they are
+_HIDDEN = ("cleaned", "physics")  # at first: the skin shows where they are
 _CLEANED, _PHYSICS = (0.36, 0.27, 0.72), (0.93, 0.47, 0.13)  # colors of their bones
 _BETWEEN = 0.35  # m from the raw take to the character
 
@@ -26,7 +26,7 @@ def names_of(viewed: Viewed) -> dict[str, bool]:
     """Return what there is to show, and whether it is shown at first."""
     clip, simulated = viewed.clip, _simulated(viewed.clip)
     there = {
-        "mesh": True,
+        "skin": True,
         "raw": viewed.raw is not None,
         "cleaned": viewed.target is not None or not simulated,
         "physics": simulated,
@@ -66,7 +66,7 @@ class Layers:
         self._skin = SkinFigure(scene, clip)
         self._marks = FootMarks(scene, clip, contacts)
         self._raw: StickFigure | None = None
-        self._all: dict[str, Layer] = {"mesh": self._skin, "contacts": self._marks}
+        self._all: dict[str, Layer] = {"skin": self._skin, "contacts": self._marks}
         if viewed.raw is not None:
             self._raw = StickFigure(
                 scene, "raw", skeleton, viewed.raw, reliability=clip.reliability

@@ -15,12 +15,11 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.loopback import is_loopback
 
-from .address import check_address, is_loopback, taken
+from .address import check_address, taken
 
 __all__ = ["address_of", "opened_server"]
-
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 class _Server(viser.ViserServer):
@@ -82,7 +81,7 @@ def may_connect(origin: str | None, host: str | None, *, loopback: bool) -> bool
     """
     if origin is None or host is None:
         return False
-    if loopback and urlsplit(f"//{host}").hostname not in _LOOPBACK:
+    if loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):
         return False
     return origin == f"http://{host}"
 

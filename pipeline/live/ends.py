@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.extras import require
 
 from .access import Access, make_access
 from .addresses import STANDARD, Address, listening_host, read_address
 from .config import LiveConfig, OpenConfig
-from .extras import require
 
-__all__ = ["Places", "find_places"]
+__all__ = ["Ends", "find_ends"]
 
 _SOURCES = ("udp", "ws", "wss", STANDARD)
 _SINKS = ("vmc", "ws", "wss", STANDARD)
 
 
 @dataclass(frozen=True)
-class Places:
+class Ends:
     """Both ends of a session."""
 
     source: Address
@@ -29,7 +29,7 @@ class Places:
     """Who may connect to either."""
 
 
-def find_places(config: LiveConfig, opened: OpenConfig) -> Places:
+def find_ends(config: LiveConfig, opened: OpenConfig) -> Ends:
     """Return where frames come from and poses go.
 
     Raises:
@@ -42,9 +42,9 @@ def find_places(config: LiveConfig, opened: OpenConfig) -> Places:
         raise InputError("--out is missing; give one, such as --out -")
     schemes = {address.scheme for address in (source, *targets)}
     if schemes & {"ws", "wss"}:
-        require("websockets", "a WebSocket")
+        require("websockets", "a WebSocket", "live")
     if "vmc" in schemes:
-        require("pythonosc", "VMC")
+        require("pythonosc", "VMC", "live")
     access = make_access(
         opened.bind,
         token_file=opened.token_file,
@@ -54,7 +54,7 @@ def find_places(config: LiveConfig, opened: OpenConfig) -> Places:
     )
     if "wss" in schemes and access.tls is None:
         raise InputError("wss:// needs --certificate; give one, or write ws://")
-    return Places(source, tuple(targets), access)
+    return Ends(source, tuple(targets), access)
 
 
 def _listening(address: Address, opened: OpenConfig) -> Address:

@@ -7,7 +7,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-__all__ = ["Arrival", "Timeline"]
+__all__ = ["Arrival", "Stamps"]
 
 _STARTED_ANEW = 2.0
 """A stamp this much [s] before the last is no late frame: the sender's clock began
@@ -29,7 +29,7 @@ class Arrival(Enum):
     """First of a clock that began anew."""
 
 
-class Timeline:
+class Stamps:
     """Tells frames in order from those that are not."""
 
     def __init__(self) -> None:

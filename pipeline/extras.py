@@ -1,4 +1,4 @@
-"""What only live streams need, and who does not have it is told."""
+"""Packages that only some commands need, and who lacks one is told."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from kinefilter.characters import InputError
 __all__ = ["require"]
 
 
-def require(module: str, purpose: str) -> None:
-    """Raise an InputError if a package of the extra ``live`` is not installed.
+def require(module: str, purpose: str, extra: str) -> None:
+    """Raise an InputError if a package is not installed; do not load it.
 
     Args:
         module: What is imported, such as ``websockets``.
         purpose: What needs it, for the message.
+        extra: The extra of kinefilter that brings it.
     """
     if importlib.util.find_spec(module) is None:
         raise InputError(
             f"{purpose} needs {module}, which is not installed: "
-            'pip install "kinefilter[live]"'
+            f'pip install "kinefilter[{extra}]"'
         )

@@ -1,0 +1,21 @@
+"""Addresses that only this machine reaches."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+
+__all__ = ["OWN_PAGES", "is_loopback"]
+
+OWN_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+"""Origins of pages that a server of this machine gave its browser."""
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether a host is this machine and reached by nobody else."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
