@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import UseAppendAction, arg
+
+from kinefilter.characters import InputError
 
 from .limits import MOST_BODIES
 
@@ -58,3 +61,7 @@ class LiveConfig:
     """Height of the floor in the sensor's frame [m]; default: under the feet."""
     bodies: int = MOST_BODIES
     """People that are followed at once."""
+
+    def __post_init__(self) -> None:
+        if self.floor is not None and not isfinite(self.floor):
+            raise InputError(f"--floor {self.floor:g}: expected a height in meters")
