@@ -66,6 +66,13 @@ class Skeleton:
             for j in range(len(self))
         )
 
+    def beyond(self, joint: int) -> list[int]:
+        """Return the indices of all joints that hang on a joint, itself left out."""
+        joints = list(self.children[joint])
+        for hanging in joints:
+            joints.extend(self.children[hanging])
+        return joints
+
     @cached_property
     def segments(self) -> NDArray[np.intp]:
         """Indices of the joints that end a segment: all but the root."""

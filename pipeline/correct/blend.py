@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from kinefilter.characters import Skeleton
+from kinefilter.retarget.rotations import between, rotate
 
 __all__ = ["Blend", "measurement_trust"]
 
@@ -50,7 +51,8 @@ class Blend:
     the others: it minimizes sum of w_j |r_j - residual_j|^2 + sum over bones of
     |r_j - r_parent|^2 with w = trust / (1 - trust). Trusted joints end where they were
     measured, the others keep the prior's bones as far as their neighbors allow, and the
-    result is continuous in the trust.
+    result is continuous in the trust. A hand that is not trusted turns with its forearm:
+    kept as it was in the room, it would hang from a wrist that was put elsewhere.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -59,6 +61,13 @@ class Blend:
         for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
             self._laplacian[[j, p], [j, p]] += 1.0
             self._laplacian[[j, p], [p, j]] -= 1.0
+        self._forearms = np.array(
+            [
+                [skeleton.index(part + side) for part in ("Elbow", "Wrist")]
+                for side in ("Left", "Right")
+            ]
+        )
+        self._hands = [skeleton.beyond(wrist) for wrist in self._forearms[:, 1]]
 
     def __call__(self, prior: Array, measured: Array, trust: Array) -> Array:
         """Return the blended posture [m], shape (J, 3).
@@ -70,6 +79,24 @@ class Blend:
         """
         if trust.min() >= 1.0:
             return measured.copy()
+        blended = self._spread(prior, measured, trust)
+        if all(trust[hand].min() >= 1.0 for hand in self._hands):
+            return blended
+        return self._spread(self._turned(prior, blended), measured, trust)
+
+    def _turned(self, prior: Array, blended: Array) -> Array:
+        """Return the prior with its hands turned as the blend turned its forearms."""
+        turned = prior.copy()
+        elbows, wrists = self._forearms.T
+        turns = between(
+            prior[wrists] - prior[elbows], blended[wrists] - blended[elbows]
+        )
+        for wrist, hand, turn in zip(wrists, self._hands, turns, strict=True):
+            turned[hand] = prior[wrist] + rotate(turn, prior[hand] - prior[wrist])
+        return turned
+
+    def _spread(self, prior: Array, measured: Array, trust: Array) -> Array:
+        """Return the prior moved by the spread residual [m], shape (J, 3)."""
         residual = np.where(trust[:, None] > 0.0, measured - prior, 0.0)
         weights = trust / np.maximum(1.0 - trust, 1.0 / _FIRMEST)
         matrix = self._laplacian.copy()

@@ -80,7 +80,4 @@ def _limb(skeleton: Skeleton, part: str) -> list[int]:
     """Return the joints beyond shoulder or hip of a part such as ``left arm``."""
     side, limb = part.split()
     top = {"arm": "Shoulder", "leg": "Hip"}[limb] + side.capitalize()
-    joints = list(skeleton.children[skeleton.index(top)])
-    for joint in joints:
-        joints.extend(skeleton.children[joint])
-    return joints
+    return skeleton.beyond(skeleton.index(top))
