@@ -313,13 +313,14 @@ def test_an_untrusted_hand_turns_with_its_forearm(trusted: float) -> None:
     forward = about_y(-0.5 * np.pi)  # to the left becomes to the front
     measured[wrist] = prior[elbow] + rotate(forward, prior[wrist] - prior[elbow])
     hangs = measured[wrist] + rotate(forward, prior[hand] - prior[wrist])
-    measured[hand] = hangs + [0.0, 0.0, 0.1] if trusted else np.nan
+    away = np.array([0.0, 0.0, 0.1])
+    measured[hand] = hangs + away if trusted else np.nan
     trust = np.ones(JOINTS)
     trust[hand] = trusted
     blended = Blend(KINECT_V1)(prior, measured, trust)
     weight = trusted / (1.0 - trusted)
     share = weight / (1.0 + weight)  # between its measurement and the forearm's bone
-    expected = hangs + [0.0, 0.0, 0.1 * share]
+    expected = hangs + share * away
     np.testing.assert_allclose(blended[hand], expected, atol=1e-3)
     np.testing.assert_array_equal(blended[wrist], measured[wrist])
 

@@ -51,8 +51,8 @@ class Blend:
     the others: it minimizes sum of w_j |r_j - residual_j|^2 + sum over bones of
     |r_j - r_parent|^2 with w = trust / (1 - trust). Trusted joints end where they were
     measured, the others keep the prior's bones as far as their neighbors allow, and the
-    result is continuous in the trust. A hand that is not trusted turns with its forearm:
-    kept as it was in the room, it would hang from a wrist that was put elsewhere.
+    result is continuous in the trust. A hand that is not trusted turns with its
+    forearm: kept as it was in the room, it would hang bent from a wrist put elsewhere.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -88,9 +88,8 @@ class Blend:
         """Return the prior with its hands turned as the blend turned its forearms."""
         turned = prior.copy()
         elbows, wrists = self._forearms.T
-        turns = between(
-            prior[wrists] - prior[elbows], blended[wrists] - blended[elbows]
-        )
+        before, after = (p[wrists] - p[elbows] for p in (prior, blended))
+        turns = between(before, after)
         for wrist, hand, turn in zip(wrists, self._hands, turns, strict=True):
             turned[hand] = prior[wrist] + rotate(turn, prior[hand] - prior[wrist])
         return turned
