@@ -155,6 +155,13 @@ class Clip:
     """Where the motion came from, for messages."""
     props: tuple[Prop, ...] = ()
     """What was around the character in the simulation."""
+    tilt: float = float("nan")
+    """Angle [rad] about x by which the take was turned about the sensor, from y to z:
+    ``y cos(tilt) - z sin(tilt)`` is up. Positive where the floor rises away from the
+    sensor, which then looks down; NaN where the clip's file does not keep it."""
+    floor: float = float("nan")
+    """Height [m] of the floor in the take so leveled, which was then taken off; NaN as
+    for ``tilt``."""
 
     def __post_init__(self) -> None:
         t, j = len(self.time), len(self.skeleton)

@@ -157,6 +157,8 @@ def clean(
         external_force=force[frames],
         props=tuple(prop.at(frames) for prop in props),
         source=source.source,
+        tilt=target.tilt,
+        floor=target.floor,
     )
     notes = _notes(reference, trace, target)
     return CleanResult(
