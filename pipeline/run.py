@@ -29,7 +29,7 @@ from .reliability import Reference, measure_reference
 from .reliability.scorers import SCORERS
 from .standard import standardize_take
 from .target import Target, make_target
-from .target.floor import leveled
+from .target.floor import to_world
 from .target.person import corrected_body
 
 __all__ = ["CleanResult", "clean", "make_corrector"]
@@ -127,7 +127,7 @@ def clean(
     )
     origin, coverage = corrected.origin(take), corrected.coverage
     del corrected
-    raw = leveled(take.positions, target.tilt) - [0.0, target.floor, 0.0]
+    raw = to_world(take.positions, target.tilt, target.floor)
     before = after = target.posed(body)
     stages = {
         "raw": measure(take.time, raw, raw, body, target.stands),
