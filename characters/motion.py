@@ -134,7 +134,8 @@ class Clip:
     body: Body
     """The body that moves: segment lengths and rest posture."""
     state: NDArray[np.uint8]
-    """The sensor's tracking state (State), shape (T, J)."""
+    """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
+    frames where left and right were put back."""
     reliability: NDArray[np.float64]
     """Reliability rate in [0, 1], shape (T, J)."""
     deciding_term: NDArray[np.uint8]
@@ -143,7 +144,8 @@ class Clip:
     """Where each joint came from (Origin), shape (T, J)."""
     moved_by_correction: NDArray[np.float64]
     """Distance from the measurement to the corrected joint [m], NaN where nothing was
-    measured, shape (T, J)."""
+    measured, shape (T, J); where left and right were put back, from the other side's
+    measurement."""
     moved_by_physics: NDArray[np.float64]
     """Distance from the corrected to the final joint [m], shape (T, J)."""
     contacts: NDArray[np.bool_]

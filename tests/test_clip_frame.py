@@ -23,6 +23,8 @@ from kinefilter.pipeline.failures import unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
 from kinefilter.pipeline.formats.resample import resampled
 from kinefilter.pipeline.render.raw_take import raw_positions
+from kinefilter.pipeline.report import compare
+from kinefilter.pipeline.report.table import METRICS
 from kinefilter.pipeline.run import CleanResult
 from kinefilter.scenes import perform
 
@@ -109,6 +111,16 @@ def test_exchanged_sides_stay_as_they_were_recorded() -> None:
         result.target - (mended.positions - [0, result.clip.floor, 0]), axis=2
     )
     np.testing.assert_allclose(away, result.clip.moved_by_correction, atol=1e-12)
+
+
+def test_clean_and_report_measure_the_same_raw_take() -> None:
+    take = _mirrored(_seen("squat", 0.0, -0.9), slice(40, 70))
+    result = clean(take, QUICK)
+    found = compare(result.clip, take)
+    for figures, stage in ((found.before, "raw"), (found.after, "physics")):
+        for name in METRICS.keys() - {"skate"}:
+            expected = getattr(result.stages[stage], name)
+            assert figures[name] == pytest.approx(expected, nan_ok=True), name
 
 
 @recorded
