@@ -137,7 +137,8 @@ class Clip:
     body: Body
     """The body that moves: segment lengths and rest posture."""
     state: NDArray[np.uint8]
-    """The sensor's tracking state (State), shape (T, J)."""
+    """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
+    frames where left and right were put back."""
     reliability: NDArray[np.float64]
     """Reliability rate in [0, 1], shape (T, J)."""
     deciding_term: NDArray[np.uint8]
@@ -146,7 +147,8 @@ class Clip:
     """Where each joint came from (Origin), shape (T, J)."""
     moved_by_correction: NDArray[np.float64]
     """Distance from the measurement to the corrected joint [m], NaN where nothing was
-    measured, shape (T, J)."""
+    measured, shape (T, J); where left and right were put back, from the other side's
+    measurement."""
     moved_by_physics: NDArray[np.float64]
     """Distance from the corrected to the final joint [m], shape (T, J)."""
     contacts: NDArray[np.bool_]
@@ -158,6 +160,13 @@ class Clip:
     """Where the motion came from, for messages."""
     props: tuple[Prop, ...] = ()
     """What was around the character in the simulation."""
+    tilt: float = float("nan")
+    """Angle [rad] about x by which the take was turned about the sensor, from y to z:
+    ``y cos(tilt) - z sin(tilt)`` is up. Positive where the floor rises away from the
+    sensor, which then looks down; NaN where the clip's file does not keep it."""
+    floor: float = float("nan")
+    """Height [m] of the floor in the take so leveled, which was then taken off; NaN as
+    for ``tilt``."""
 
     def __post_init__(self) -> None:
         t, j = len(self.time), len(self.skeleton)

@@ -29,7 +29,7 @@ from .reliability import Reference, measure_reference
 from .reliability.scorers import SCORERS
 from .standard import standardize_take
 from .target import Target, make_target
-from .target.floor import leveled
+from .target.floor import to_world
 from .target.person import corrected_body
 
 __all__ = ["CleanResult", "clean", "make_corrector"]
@@ -50,7 +50,8 @@ class CleanResult:
     target: Array
     """Joint positions [m] before physics, the clip's frame, shape (T, J, 3)."""
     stages: dict[str, Quality]
-    """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``."""
+    """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``; raw is
+    the take as it was recorded, also where sides were put back."""
     coverage: Array
     """How well the database knows the posture of each frame, in [0, 1], shape (T,);
     NaN where the method has none."""
@@ -94,10 +95,10 @@ def clean(
     distinct = np.concatenate([[True], np.diff(take.time) > 0])
     # Which distinct frame each of the take's shows; a slice copies nothing.
     frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
-    source, take = take, take if distinct.all() else _select(take, distinct)
+    source, recorded = take, take if distinct.all() else _select(take, distinct)
 
-    failures = find_failures(take)
-    take = unmirrored(take, failures)
+    failures = find_failures(recorded)
+    take = unmirrored(recorded, failures)
     reference = measure_reference(take)
     body = measured_body(
         take.skeleton,
@@ -127,8 +128,11 @@ def clean(
     )
     origin, coverage = corrected.origin(take), corrected.coverage
     del corrected
-    raw = leveled(take.positions, target.tilt) - [0.0, target.floor, 0.0]
     before = after = target.posed(body)
+    mended = to_world(take.positions, target.tilt, target.floor)
+    moved_by_correction = distances(before, mended)
+    del mended
+    raw = to_world(recorded.positions, target.tilt, target.floor)
     stages = {
         "raw": measure(take.time, raw, raw, body, target.stands),
         "corrected": measure(take.time, before, raw, body, target.stands),
@@ -151,12 +155,14 @@ def clean(
         reliability=reliability.rate[frames],
         deciding_term=reliability.term[frames],
         origin=origin[frames],
-        moved_by_correction=distances(before, raw)[frames],
+        moved_by_correction=moved_by_correction[frames],
         moved_by_physics=distances(after, before)[frames],
         contacts=target.contacts[frames],
         external_force=force[frames],
         props=tuple(prop.at(frames) for prop in props),
         source=source.source,
+        tilt=target.tilt,
+        floor=target.floor,
     )
     notes = _notes(reference, trace, target)
     return CleanResult(

@@ -9,13 +9,15 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from text_files import write_text
 
 from kinefilter.characters import (
@@ -90,7 +92,7 @@ def test_csv_keeps_time_positions_and_states(
 def test_npz_keeps_every_field(
     make_clip: MakeClip, tmp_path: Path, options: dict[str, object]
 ) -> None:
-    clip = make_clip(**options)
+    clip = replace(make_clip(**options), tilt=-0.1, floor=0.7)
     write_clip(clip, tmp_path / "clip.npz")
     again = read_clip(tmp_path / "clip.npz")
     for field in fields(Clip):
@@ -102,6 +104,18 @@ def test_npz_keeps_every_field(
         np.testing.assert_array_equal(
             getattr(again.body, field.name), getattr(clip.body, field.name)
         )
+
+
+@pytest.mark.parametrize("number", [np.zeros(3), np.array("low")])
+def test_an_npz_whose_floor_is_no_number_is_refused(
+    make_clip: MakeClip, tmp_path: Path, number: NDArray[Any]
+) -> None:
+    write_clip(make_clip(3), tmp_path / "clip.npz")
+    with np.load(tmp_path / "clip.npz") as archive:
+        arrays = {**archive, "floor": number}
+    np.savez(tmp_path / "clip.npz", **arrays)
+    with pytest.raises(InputError, match=r"clip\.npz"):
+        read_clip(tmp_path / "clip.npz")
 
 
 def test_npz_keeps_props(

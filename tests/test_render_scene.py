@@ -135,7 +135,9 @@ def test_the_raw_take_stands_beside_the_character_and_in_the_picture(
 ) -> None:
     clip = make_clip(20)
     still = np.zeros(clip.state.shape)
-    clip = replace(clip, moved_by_correction=still, moved_by_physics=still)
+    clip = replace(
+        clip, moved_by_correction=still, moved_by_physics=still, tilt=0.0, floor=0.0
+    )
     write_clip(clip, tmp_path / "clip.npz")
     write_take_csv(clip, tmp_path / "take.csv")
     look = Look(compare=tmp_path / "take.csv", camera="front")

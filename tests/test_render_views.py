@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import MakeClip
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from kinefilter.characters import KINECT_V2, InputError, standard_body
 from kinefilter.pipeline.formats import write_clip, write_take_csv
@@ -16,7 +18,7 @@ from kinefilter.pipeline.render.cameras import CAMERAS, axes_toward, camera_path
 from kinefilter.pipeline.render.motions import read_motion, shown_frames
 from kinefilter.pipeline.render.naming import outputs
 from kinefilter.pipeline.render.parts import stretches
-from kinefilter.pipeline.render.raw_take import raw_positions
+from kinefilter.pipeline.render.raw_take import nearest_frames, raw_positions
 from kinefilter.scenes import perform
 
 ASPECT = 16 / 9
@@ -131,19 +133,30 @@ def test_a_wrong_camera_file_is_refused(
         camera_path(str(file), clip, clip.positions, aspect=1.0, rate=30.0)
 
 
-@pytest.mark.parametrize("keeps_distances", [False, True])
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 30))
+def test_the_nearest_frame_is_that_of_least_distance_in_time(
+    seed: int, count: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    stamps, times = np.sort(rng.random(count)), rng.uniform(-0.5, 1.5, 40)
+    expected = np.abs(times[:, None] - stamps).argmin(axis=1)
+    np.testing.assert_array_equal(nearest_frames(stamps, times), expected)
+
+
+@pytest.mark.parametrize("keeps_frame", [False, True])
 @pytest.mark.parametrize("tilt", [0.0, -0.15, 0.2])
 def test_the_raw_take_is_put_where_cleaning_put_it(
-    tilt: float, keeps_distances: bool, make_clip: MakeClip, tmp_path: Path
+    tilt: float, keeps_frame: bool, make_clip: MakeClip, tmp_path: Path
 ) -> None:
     clip = make_clip(40)
-    moved_by = np.full(clip.state.shape, np.nan)
-    if keeps_distances:
-        moved_by[:] = 0.0
-        moved_by[10:20, 3] = np.sqrt(3.0)
+    moved_by = np.zeros(clip.state.shape)
+    moved_by[10:20, 3] = np.sqrt(3.0)
     clip = replace(
         clip, moved_by_correction=moved_by, moved_by_physics=np.zeros_like(moved_by)
     )
+    if keeps_frame:
+        clip = replace(clip, tilt=tilt, floor=-0.8)
     y, z = clip.positions[..., 1] - 0.8, clip.positions[..., 2]
     raw = clip.positions.copy()
     raw[..., 1] = np.cos(tilt) * y + np.sin(tilt) * z
@@ -193,7 +206,9 @@ def test_a_take_of_another_clip_is_not_drawn_beside_it(
 ) -> None:
     clip = make_clip(20)
     still = np.zeros(clip.state.shape)
-    clip = replace(clip, moved_by_correction=still, moved_by_physics=still)
+    clip = replace(
+        clip, moved_by_correction=still, moved_by_physics=still, tilt=0.0, floor=0.0
+    )
     write_take_csv(make_clip(20, seed=1), tmp_path / "take.csv")
     with pytest.raises(InputError, match=r"--compare .*take\.csv.* cm or more from"):
         raw_positions(tmp_path / "take.csv", clip, clip.time)

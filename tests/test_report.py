@@ -63,6 +63,8 @@ def make_pair(make_clip: MakeClip) -> MakePair:
             moved_by_correction=distances(clip.positions, raw),
             moved_by_physics=np.zeros(raw.shape[:2]),
             deciding_term=clip.deciding_term % 4,
+            tilt=tilt,
+            floor=floor,
         )
         positions = leveled(raw + np.array([0.0, floor, 0.0]), -tilt)
         return clip, Take(clip.time, positions, clip.state, skeleton, "made up")
@@ -146,7 +148,7 @@ def test_the_take_is_where_cleaning_put_it(make_pair: MakePair, tilt: float) -> 
     clip, take = make_pair(tilt=tilt, floor=-1.1)
     raw = compare(clip, take).raw
     expected = leveled(take.positions, tilt) - [0.0, -1.1, 0.0]
-    np.testing.assert_allclose(raw, expected, atol=1e-6)
+    np.testing.assert_allclose(raw, expected, atol=1e-12)
 
 
 def test_exchanged_sides_leave_the_take_where_it_is(make_pair: MakePair) -> None:
@@ -155,7 +157,7 @@ def test_exchanged_sides_leave_the_take_where_it_is(make_pair: MakePair) -> None
     exchanged[:8] = exchanged[:8, KINECT_V1.mirror]
     raw = compare(clip, replace(take, positions=exchanged)).raw
     expected = leveled(exchanged, 0.1) - [0.0, -0.8, 0.0]
-    np.testing.assert_allclose(raw, expected, atol=2e-3)
+    np.testing.assert_allclose(raw, expected, atol=1e-12)
 
 
 def test_repeated_time_stamps_count_once(make_pair: MakePair) -> None:
@@ -170,8 +172,8 @@ def test_repeated_time_stamps_count_once(make_pair: MakePair) -> None:
         *(take.time[twice], take.positions[twice], take.state[twice]), take.skeleton
     )
     once, found = compare(clip, take), compare(replace(clip, **arrays), again)
-    assert found.before == pytest.approx(once.before, rel=1e-4, nan_ok=True)
-    assert found.after == pytest.approx(once.after, rel=1e-4, nan_ok=True)
+    assert found.before == pytest.approx(once.before, rel=1e-9, nan_ok=True)
+    assert found.after == pytest.approx(once.after, rel=1e-9, nan_ok=True)
 
 
 def test_the_metrics_are_those_that_clean_printed() -> None:
@@ -181,10 +183,7 @@ def test_the_metrics_are_those_that_clean_printed() -> None:
     for figures, stage in ((found.before, "raw"), (found.after, "physics")):
         for name in METRICS.keys() - {"skate"}:
             expected = getattr(result.stages[stage], name)
-            # What physics moved leaves a tenth of a millimeter open.
-            assert figures[name] == pytest.approx(
-                expected, rel=1e-3, abs=0.1, nan_ok=True
-            ), name
+            assert figures[name] == pytest.approx(expected, nan_ok=True), name
     assert found.after["jitter"] < 0.2 * found.before["jitter"]
     assert found.after["skate"] == 1e-3 * found.after["skate_mm_per_frame"]
 
@@ -340,7 +339,7 @@ def test_what_does_not_belong_together_is_refused(
         (other, "kinect_v1, the take of kinect_v2"),
         (state, "tracking states"),
         (late, "time stamps"),
-        (away, "cm or more from where"),
+        (away, "cm or more from there"),
     ):
         write_take_csv(wrong, take_path)
         assert message in _refused(files, capsys)

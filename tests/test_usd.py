@@ -297,6 +297,25 @@ def test_reliability_and_provenance_are_there_for_every_joint_and_frame(
         np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
+def test_usd_says_what_was_done_to_the_take_where_that_is_known(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip = make_clip(3)
+    known = replace(clip, tilt=-0.1, floor=0.7)
+    for motion, expected in ((known, (-0.1, 0.7)), (clip, (None, None))):
+        path = tmp_path / f"{'known' if motion is known else 'unknown'}.usdc"
+        write_clip(motion, path, Export(units="cm"))
+        stage = Usd.Stage.Open(str(path))
+        character = stage.GetDefaultPrim()
+        found = [
+            character.GetAttribute(f"kinefilter:{name}").Get()
+            if character.HasAttribute(f"kinefilter:{name}")
+            else None
+            for name in ("sensorTilt", "floorHeight")
+        ]
+        assert tuple(found) == expected
+
+
 def test_positions_are_read_in_world_meters(
     make_clip: MakeClip, tmp_path: Path
 ) -> None:

@@ -184,7 +184,7 @@ def test_a_take_is_viewed_with_its_target_where_the_clip_is() -> None:
     moved = np.linalg.norm(viewed.target - viewed.raw, axis=2)
     known = np.isfinite(moved)
     np.testing.assert_allclose(
-        moved[known], viewed.clip.moved_by_correction[known], atol=2e-3
+        moved[known], viewed.clip.moved_by_correction[known], atol=1e-9
     )
     assert names_of(viewed).keys() == {
         *("skin", "raw", "cleaned", "physics", "contacts", "forces"),

@@ -26,8 +26,9 @@ __all__ = ["read_clip", "write_npz"]
 _ARRAYS = tuple(
     field.name
     for field in fields(Clip)
-    if field.name not in ("skeleton", "body", "source", "props")
+    if field.name not in ("skeleton", "body", "source", "props", "tilt", "floor")
 )
+_FRAME = ("tilt", "floor")  # archives of older versions lack them
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
@@ -42,7 +43,7 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    arrays: dict[str, Any] = {name: getattr(clip, name) for name in _ARRAYS}
+    arrays: dict[str, Any] = {name: getattr(clip, name) for name in _ARRAYS + _FRAME}
     measures: dict[str, Any] = {name: getattr(clip.body, name) for name in _BODY}
     # An open file, as numpy adds .npz to a name that ends in .NPZ.
     with atomic_path(path) as temporary, temporary.open("wb") as file:
@@ -85,7 +86,8 @@ def _clip(archive: dict[str, Any]) -> Clip:
     # [()] makes a number of an array without axes and leaves the others.
     measures = {name: archive[name][()] for name in _BODY}
     arrays = {name: archive[name] for name in _ARRAYS}
-    for name, array in (*arrays.items(), *measures.items()):
+    frame = {name: archive.get(name, np.nan) for name in _FRAME}
+    for name, array in (*arrays.items(), *measures.items(), *frame.items()):
         if np.asarray(array).dtype.kind not in "biuf":
             raise InputError(f"{name} holds no numbers; write the clip again")
     if arrays["time"].dtype.kind != "f":
@@ -96,6 +98,8 @@ def _clip(archive: dict[str, Any]) -> Clip:
         body=Body(skeleton=skeleton, **measures),
         source=str(archive["source"]),
         props=tuple(_props(archive)),
+        tilt=float(frame["tilt"]),
+        floor=float(frame["floor"]),
     )
 
 

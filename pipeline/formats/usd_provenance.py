@@ -15,6 +15,14 @@ Per frame, ``/Character`` has these attributes. Arrays are in the order of
     Which of ``kinefilter:contactNames`` stand on the floor.
 ``kinefilter:externalForce``
     Body weights that no muscle and no floor gives; no sample without physics.
+
+What cleaning did to the whole take stands there once, unless it is not known:
+
+``kinefilter:sensorTilt``
+    Angle in radians by which the take was turned about the sensor's x axis, positive
+    where the floor rose away from the sensor: ``y cos - z sin`` is up.
+``kinefilter:floorHeight``
+    Height of the floor in the take so leveled, which was then taken off.
 """
 
 from __future__ import annotations
@@ -54,6 +62,9 @@ def write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
     }
     for name, values in names.items():
         _attribute(layer, name, types.TokenArray).default = Vt.TokenArray(values)
+    for name, number in (("sensorTilt", clip.tilt), ("floorHeight", clip.floor)):
+        if np.isfinite(number):
+            _attribute(layer, name, types.Double).default = number
     for name, numbers in (
         ("reliability", clip.reliability),
         ("movedByCorrection", clip.moved_by_correction),

@@ -76,7 +76,7 @@ def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
 
 
 def _some(clip: Clip, frames: NDArray[np.intp]) -> Clip:
-    whole = {"skeleton", "body", "source", "props"}
+    whole = {"skeleton", "body", "source", "props", "tilt", "floor"}
     arrays = {
         field.name: getattr(clip, field.name)[frames]
         for field in fields(clip)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, Take
+from kinefilter.pipeline.clip_frame import in_clip_frame, same_stamps
 from kinefilter.pipeline.evaluation.metrics import measure
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.formats.files import check_file
-from kinefilter.pipeline.placing import placed_by_distances, same_stamps
 from kinefilter.pipeline.target.contacts import feet_of
 
 from .table import figures_of
@@ -71,11 +71,11 @@ def compare(clip: Clip, take: Take) -> Compared:
     Feet stand where the clip has contacts, for both. Repeated time stamps count once.
 
     Raises:
-        InputError: The clip was not made of the take, or has numbers that are not
-            finite, or too few frames to be a motion.
+        InputError: The clip was not made of the take, or does not say where its floor
+            was, or has numbers that are not finite, or too few frames to be a motion.
     """
     _check(clip, take)
-    raw = placed_by_distances(clip, take)
+    raw = in_clip_frame(take, clip)
     distinct = np.concatenate([[True], np.diff(clip.time) > 0])
     time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
     seen, positions = raw[distinct], clip.positions[distinct]
@@ -100,7 +100,8 @@ def _check(clip: Clip, take: Take) -> None:
     same_time = same_stamps(clip, take)
     if not same_time or not np.array_equal(clip.state, take.state):
         what = "tracking states" if same_time else "time stamps"
-        raise InputError(f"the {what} of clip and take differ; {_TRY}")
+        fps = "" if same_time else " (and without --fps)"
+        raise InputError(f"the {what} of clip and take differ; {_TRY}{fps}")
     if not np.isfinite(clip.positions).all() or not np.isfinite(clip.reliability).all():
         raise InputError("the clip has numbers that are not finite; write it again")
     for name, positions in (("clip", clip.positions), ("take", take.positions)):

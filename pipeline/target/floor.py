@@ -10,7 +10,7 @@ from kinefilter.characters import Body
 
 from .contacts import ankles_and_toes, runs
 
-__all__ = ["floor_height", "leveled", "put_on_floor", "sensor_tilt"]
+__all__ = ["floor_height", "leveled", "put_on_floor", "sensor_tilt", "to_world"]
 
 Array = NDArray[np.float64]
 
@@ -101,6 +101,17 @@ def leveled(positions: Array, tilt: float) -> Array:
     turned[..., 1] = np.cos(tilt) * y - np.sin(tilt) * z
     turned[..., 2] = np.sin(tilt) * y + np.cos(tilt) * z
     return turned
+
+
+def to_world(positions: Array, tilt: float, floor: float) -> Array:
+    """Return what a sensor measured in the world frame, level and the floor at y = 0.
+
+    Args:
+        positions: Points [m], sensor frame, shape (..., 3).
+        tilt: Angle [rad], as for ``leveled``.
+        floor: Height of the floor [m] once they are leveled.
+    """
+    return leveled(positions, tilt) - [0.0, floor, 0.0]
 
 
 def put_on_floor(positions: Array, body: Body) -> Array:

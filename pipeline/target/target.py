@@ -50,7 +50,7 @@ class Target:
     rotations: Array
     """World segment rotations, wxyz, continuous over time, shape (T, J, 4)."""
     floor: float
-    """Height of the floor in the sensor's frame [m]."""
+    """Height of the floor in the leveled sensor's frame [m]."""
     tilt: float
     """Angle [rad] by which the sensor's frame was leveled (``floor.leveled``)."""
     contacts: NDArray[np.bool_]

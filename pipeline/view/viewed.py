@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, InputError, Take
+from kinefilter.characters import Clip, Take
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.progress import Progress, silent
 
@@ -58,13 +58,10 @@ def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> 
     Raises:
         InputError: As ``clean``.
     """
-    from kinefilter.pipeline.placing import placed_by_distances
     from kinefilter.pipeline.run import clean
+    from kinefilter.pipeline.target.floor import to_world
 
     result = clean(take, config, progress=progress)
     target = result.target if config.physics else None
-    try:
-        raw = placed_by_distances(result.clip, take)
-    except InputError as error:
-        raise InputError(f"{take.source}: {error}") from None
-    return Viewed(result.clip, raw, target)
+    clip = result.clip
+    return Viewed(clip, to_world(take.positions, clip.tilt, clip.floor), target)
