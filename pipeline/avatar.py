@@ -24,11 +24,11 @@ from .correct import Corrector, Observation
 from .correct.filters import OneEuro
 from .database.library import builtin_database
 from .default import default_corrector
-from .physics.placement import place_of
 from .physics.pulled_character import PulledCharacter
 from .reliability import ReliabilityScorer, measure_reference
 from .target.contacts import StanceTracker, ankles_and_toes
 from .target.floor import put_on_floor
+from .target.placement import place_of
 from .target.planting import PLANTED, flat_height
 
 __all__ = ["Avatar", "Pose"]

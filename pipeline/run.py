@@ -23,7 +23,6 @@ from .failures import Failure, distrust, find_failures, unmirrored
 from .formats.contacts import read_contacts
 from .models import Model, load_model
 from .physics import PhysicsFilter, PhysicsResult, PhysicsTrace
-from .physics.placement import place_of
 from .progress import Progress, silent
 from .reliability import Reference, measure_reference
 from .reliability.scorers import SCORERS
@@ -31,6 +30,7 @@ from .standard import standardize_take
 from .target import Target, make_target
 from .target.floor import to_world
 from .target.person import corrected_body
+from .target.placement import place_of
 
 __all__ = ["CleanResult", "clean", "make_corrector"]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Prop
-from kinefilter.pipeline.physics.placement import place_of
+from kinefilter.pipeline.target.placement import place_of
 from kinefilter.retarget.rotations import rotate
 
 __all__ = ["corners_of", "props_around"]

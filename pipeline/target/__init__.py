@@ -2,7 +2,7 @@
 
 ``person`` measures the bones, ``smooth`` takes the tremble out, ``floor`` finds the
 floor and the sensor's tilt, ``contacts`` says which feet stand, ``planting`` keeps them
-there; ``target`` makes the motion of it all.
+there; ``target`` makes the motion of it all, ``placement`` says where it is in a scene.
 """
 
 from .target import Feet, Target, make_target
