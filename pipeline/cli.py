@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with one_thread():
             return command.run()
     except InputError as error:
-        err.print(f"kinefilter: {error}", markup=False)
+        err.print(f"kinefilter: {error}")
         return 2
 
 

@@ -206,14 +206,14 @@ def test_exit_codes_say_what_became_of_the_batch(
     takes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In a process of its own, as users run it."""
-    (takes / "broken.skeleton").write_text("nothing of the kind")
+    (takes / "[red]broken.skeleton").write_text("nothing of the kind")
     out = tmp_path / "clips"
     command = ["batch", str(takes), "-o", str(out), *FLAGS, "--jobs", "1"]
     assert main(command) == 1
     printed = capsys.readouterr().out
-    for words in ("3 takes cleaned, 1 failed", "frames/s", "worst takes", "broken"):
+    for words in ("3 takes cleaned, 1 failed", "frames/s", "worst takes", "[red]broken"):
         assert words in printed
-    (takes / "broken.skeleton").unlink()
+    (takes / "[red]broken.skeleton").unlink()
     assert main(command) == 0
     assert "0 takes cleaned, 0 failed, 3 done before" in capsys.readouterr().out
     assert _files(out) == {"a.usdc", "monday/b.usdc", "monday/late/c.usdc"}

@@ -216,6 +216,24 @@ def test_flags_of_the_export_reach_the_files(tmp_path: Path) -> None:
     assert sam.stat().st_size > 0
 
 
+def test_names_are_printed_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those too that rich would take for styles, ends of styles or pictures."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a[").mkdir()
+    take, clip = "a[/b]:cat:.csv", "[red]clip:cat:.bvh"
+    Path(take).write_bytes(SAMPLE.read_bytes())
+    quick = ["--method", "none", "--no-physics"]
+    assert main(["clean", take, "-o", clip, *quick]) == 0
+    printed = capsys.readouterr().out
+    assert f"{take}: " in printed
+    assert f"wrote {clip}\n" in printed
+    assert main(["info", take]) == 0
+    assert f"{take}: " in capsys.readouterr().out
+    assert "a[/c]:cat:" in _refused(["info", "a[/c]:cat:"], tmp_path, capsys)
+
+
 def test_an_unknown_flag_ends_with_code_2(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["clean", str(SAMPLE), "-o", str(tmp_path / "c.bvh"), "--colour", "red"])

@@ -90,7 +90,7 @@ class Clean:
             only = next(iter(figures.values()))
             write_json({"bodies": figures} if several else only, self.json)
         for note in (*recording.notes, *self._others(recording)):
-            out.print(note, markup=False)
+            out.print(note)
         return 1 if several and len(results) < len(recording.takes) else 0
 
     def _as_in(self, file: Path) -> Clean:
@@ -127,7 +127,7 @@ class Clean:
             except InputError as error:
                 if number == numbers[-1] and not results:
                     raise
-                err.print(f"kinefilter: {error}; left out", markup=False)
+                err.print(f"kinefilter: {error}; left out")
         return results
 
     def _write(
@@ -159,7 +159,7 @@ def _report(result: CleanResult, take: Take, path: Path) -> None:
     from kinefilter.pipeline.report import compare, read_limits, write_report
 
     write_report(compare(result.clip, take), path, read_limits())
-    out.print(f"wrote {path}", markup=False)
+    out.print(f"wrote {path}")
 
 
 def _numbered(path: Path, body: int | None) -> Path:

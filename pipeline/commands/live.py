@@ -70,12 +70,12 @@ class Live:
 
         err.print(summary(session.tally))
         for path in session.recorded:
-            err.print(f"wrote {path}", markup=False)
+            err.print(f"wrote {path}")
         if self.json is not None:
             write_json(session.tally.as_json(), self.json)
         failure = session.recorder.failure if session.recorder is not None else None
         if failure is not None:
-            err.print(f"kinefilter: {failure}", markup=False)
+            err.print(f"kinefilter: {failure}")
         return 0 if failure is None else 1
 
 

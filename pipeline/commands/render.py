@@ -51,9 +51,9 @@ class Render:
                 f"{self.out}: interrupted; the same command again goes on with "
                 "numbered pictures, a video begins anew"
             ) from None
-        out.print(str(done.backend), markup=False)
+        out.print(str(done.backend))
         for path in done.written:
-            out.print(f"wrote {path}", markup=False)
+            out.print(f"wrote {path}")
         for failure in done.failures:
-            err.print(f"kinefilter: {failure}; left out", markup=False)
+            err.print(f"kinefilter: {failure}; left out")
         return 1 if done.failures else 0

@@ -116,11 +116,11 @@ class Reproduce:
 
         with progress_bars() as progress:
             for line in make_pictures(folder, progress=progress):
-                out.print(line, markup=False)
+                out.print(line)
         found = verdicts.judge(folder, recordings=data is not None, quick=self.quick)
         written = verdicts.write_verdicts(found, folder)
         out.print(verdicts.verdicts_table(found))
-        out.print(f"wrote {written}", markup=False)
+        out.print(f"wrote {written}")
         return int(any(verdict.held is False for verdict in found))
 
 

@@ -31,8 +31,9 @@ __all__ = [
     "write_json",
 ]
 
-out = Console(soft_wrap=True, highlight=False)
-err = Console(stderr=True, soft_wrap=True, highlight=False)
+# Names of files are printed as they are, whatever brackets and colons they hold.
+out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 Skeletons = Literal["kinect_v1", "kinect_v2"]
 

@@ -104,7 +104,7 @@ class View:
         recording = read_recording(self.motion, format=self.format)
         take = recording.take(self.body)
         for note in recording.notes:
-            out.print(note, markup=False)
+            out.print(note)
 
         def again(contacts: Path, progress: Progress) -> Viewed:
             config = replace(self.config, contacts=contacts)
@@ -119,9 +119,7 @@ class View:
         with opened_viewer(
             viewed, save, again=again, bind=self.bind, port=self.port
         ) as viewer:
-            out.print(
-                f"{viewer.address} shows {self.motion}; Ctrl-C ends", markup=False
-            )
+            out.print(f"{viewer.address} shows {self.motion}; Ctrl-C ends")
             if self.open:
                 import webbrowser
 
