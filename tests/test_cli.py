@@ -145,6 +145,20 @@ def test_a_take_is_never_overwritten(
     assert take.read_bytes() == SAMPLE.read_bytes()
 
 
+@pytest.mark.parametrize("option", ["scene", "config", "database", "model", "contacts"])
+@pytest.mark.parametrize("written", ["json", "save-contacts"])
+def test_no_file_that_an_option_names_is_overwritten(
+    option: str, written: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suffix = {"scene": ".xml", "config": ".toml"}.get(option, ".csv")
+    file = _edited(tmp_path, f"mine{suffix}", "cutoff = 4.0\n")
+    command = ["clean", str(SAMPLE), "-o", str(tmp_path / "clip.bvh")]
+    named = [f"--{option}", str(file), f"--{written}", str(file)]
+    error = _refused([*command, *named], tmp_path, capsys)
+    assert f"would overwrite {file}" in error
+    assert file.read_text(encoding="utf-8") == "cutoff = 4.0\n"
+
+
 def test_a_database_of_another_skeleton_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -59,7 +59,7 @@ class Batch:
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://HOST:PORT, whose workers clean instead; they
     see the same paths and URLs."""
-    settings: Annotated[Path | None, arg(name="config")] = None
+    config_file: Annotated[Path | None, arg(name="config")] = None
     """TOML file of options for all takes; those of a folder's own are stronger."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     export: OmitArgPrefixes[Export] = field(default_factory=Export)
@@ -82,7 +82,7 @@ class Batch:
                     self.out,
                     Settings(self.config, self.export, self.format, self.body),
                     suffix=f".{self.to}",
-                    config_file=self.settings,
+                    config_file=self.config_file,
                     given=self.given,
                     jobs=self.jobs,
                     scheduler=self.scheduler,
