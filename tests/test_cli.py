@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
 import urllib.request
 from pathlib import Path
 
@@ -246,6 +247,23 @@ def test_names_are_printed_as_they_are(
     assert main(["info", take]) == 0
     assert f"{take}: " in capsys.readouterr().out
     assert "a[/c]:cat:" in _refused(["info", "a[/c]:cat:"], tmp_path, capsys)
+
+
+@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
+def test_a_request_to_end_is_answered_in_one_line(
+    asked: signal.Signals,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As Ctrl-C gives it, or a batch system; afterwards all is as it was."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(
+        "kinefilter.pipeline.contents.contents_of",
+        lambda *_, **__: signal.raise_signal(asked),
+    )
+    assert main(["info", str(SAMPLE)]) == 130
+    assert capsys.readouterr().err == "kinefilter: interrupted\n"
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_an_unknown_flag_ends_with_code_2(tmp_path: Path) -> None:

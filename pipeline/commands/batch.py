@@ -16,7 +16,7 @@ from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.formats.export import Export
 from kinefilter.pipeline.settings import Settings
 
-from .terminal import ended_gently, err, out
+from .terminal import err, out
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.batch import Standing
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.progress import Progress
 
 __all__ = ["Batch"]
-
-_INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class Batch:
 
         self._check()
         try:
-            with ended_gently(), _bars() as (progress, told):
+            with _bars() as (progress, told):
                 outcome = clean_files(
                     self.inputs,
                     self.out,
@@ -90,8 +88,7 @@ class Batch:
                     told=told,
                 )
         except KeyboardInterrupt:
-            err.print("kinefilter: interrupted; the same command again goes on")
-            return _INTERRUPTED
+            raise KeyboardInterrupt("the same command again goes on") from None
         out.print(as_tables(outcome))
         return 1 if outcome.failed else 0
 

@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 
-from .terminal import ended_gently, keep, out, progress_bars
+from .terminal import keep, out, progress_bars
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.progress import Progress
@@ -61,9 +61,8 @@ class View:
         save = self.save_contacts or _beside(self.motion)
         self._check(save)
         try:
-            with ended_gently():
-                viewed, again = self._viewed()
-                self._serve(viewed, save, again)
+            viewed, again = self._viewed()
+            self._serve(viewed, save, again)
         except KeyboardInterrupt:
             pass  # that is how it ends
         return 0
