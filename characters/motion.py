@@ -49,6 +49,11 @@ class Term(IntEnum):
     POSTURE = 3
     """Where in the body this kind of sensor sees the joint: of ``learned`` alone."""
 
+    @property
+    def words(self) -> str:
+        """What users read."""
+        return self.name.lower().replace("_", " ")
+
 
 def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:
     for name, shape in expected.items():

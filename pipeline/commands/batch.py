@@ -30,12 +30,12 @@ __all__ = ["Batch"]
 class Batch:
     """Clean all takes of folders; the same command again goes on where it ended.
 
-    What is no take is passed over. OUT/manifest.jsonl has a line for each take that is
-    finished, OUT/manifest.csv is a table of them; done again is what is missing, has
-    failed, or has changed: the take, its clip, the options, a database or model, or
-    kinefilter's version. A file kinefilter.toml in a folder of takes holds options for
-    them and for the folders in it, such as cutoff = 4.0 or rotation-order = "xyz";
-    options given here are stronger.
+    What is no take is passed over. OUT/manifest.jsonl (at a URL: OUT/manifest/*.jsonl)
+    has a line for each take that is finished, OUT/manifest.csv is a table of them; done
+    again is what is missing, has failed, or has changed: the take, its clip, the
+    options, a database or model, or kinefilter's version. A file kinefilter.toml in a
+    folder of takes holds options for them and for the folders in it, such as cutoff =
+    4.0 or rotation-order = "xyz"; options given here are stronger.
 
     URLs are those that fsspec knows, as s3://bucket/takes with pip install s3fs; only
     one run at a time may write to a store, where nothing locks it. For --scheduler
