@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Prop
-from kinefilter.pipeline.physics.placement import place_of
 from kinefilter.retarget.rotations import rotate
 
 __all__ = ["corners_of", "props_around"]
@@ -27,8 +26,9 @@ def props_around(clip: Clip, frames: Clip, scene: str | None) -> tuple[Prop, ...
     """
     if scene is None:
         return frames.props
-    import mujoco
+    import mujoco  # by now its OpenGL is chosen
 
+    from kinefilter.pipeline.physics.placement import place_of
     from kinefilter.pipeline.physics.things import Things
     from kinefilter.scenes import load_scene
 
