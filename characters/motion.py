@@ -52,6 +52,11 @@ class Term(IntEnum):
     FAILURE = 4
     """A gross failure of the tracker, whatever the terms: no limb can be there."""
 
+    @property
+    def words(self) -> str:
+        """What users read."""
+        return self.name.lower().replace("_", " ")
+
 
 def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:
     for name, shape in expected.items():

@@ -30,6 +30,7 @@ from .commands import (
     View,
 )
 from .commands.given import given_options
+from .commands.signals import ended_gently
 from .commands.terminal import err
 from .workers import one_thread
 
@@ -55,10 +56,13 @@ Command = (
 
 _DESCRIPTION = """Turn noisy Kinect takes into clips that animators ship.
 
-Exit codes: 0 done; 1 done, but of several takes or clips some were left out, a metric
-is beyond --fail-on, or a figure of README did not hold; 2 the input or the command was
-wrong, and nothing was written; 130 a batch was interrupted, and goes on with the same
-command."""
+Exit codes: 0 done, for live, replay and view also if Ctrl-C or SIGTERM ended them; 1
+done, but of several takes or clips some were left out, the recording of live ended
+early, a metric is beyond --fail-on, or a figure of README did not hold; 2 the input or
+the command was wrong, or a file could not be written; 130 interrupted: batch, render
+and reproduce --all go on with the same command. Files are there whole or not at all."""
+
+_INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -76,11 +80,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(command, Batch | Clean):
             named = sys.argv[1:] if arguments is None else arguments
             command = replace(command, given=given_options(named))
-        with one_thread():
+        with ended_gently(), one_thread():
             return command.run()
     except InputError as error:
-        err.print(f"kinefilter: {error}", markup=False)
+        err.print(f"kinefilter: {error}")
         return 2
+    except KeyboardInterrupt as ended:  # its words are what the user should know
+        err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
+        return _INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ A file holds what ``clean`` has flags for, such as ``method = "local-pca"``,
 from __future__ import annotations
 
 import os
-import tomllib
 import types
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -19,15 +18,20 @@ from kinefilter.characters import InputError
 from .config import CleanConfig
 from .formats.export import Export
 from .formats.files import read_limited
-from .settings import Settings
+from .formats.toml import LARGEST_TOML, parse_toml
+from .settings import Settings, names_file
 
-__all__ = ["FOLDER_FILE", "SettingsFile", "overlaid", "parse_settings", "read_settings"]
+__all__ = [
+    "FOLDER_FILE",
+    "SettingsFile",
+    "overlaid",
+    "parse_settings",
+    "read_settings",
+]
 
 FOLDER_FILE = "kinefilter.toml"
 """Name of the file that says how the takes of its folder are cleaned."""
 
-_LARGEST = 2**16  # bytes of a file of settings: a thousand times what there is to say
-_FILES_BY_NAME = (".xml", ".toml")  # a scene or a rig by these is a file's name
 
 _OWN = {
     name: hint
@@ -60,7 +64,7 @@ def read_settings(path: str | os.PathLike[str]) -> SettingsFile:
     Raises:
         InputError: There is no such file, or as ``parse_settings``.
     """
-    text = read_limited(path, _LARGEST)
+    text = read_limited(path, LARGEST_TOML)
     return parse_settings(text, os.fspath(path), Path(path).parent)
 
 
@@ -75,12 +79,7 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
     Raises:
         InputError: It is no TOML, a key is unknown, or a value of a wrong type.
     """
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{name}: no TOML ({error}); write lines such as cutoff = 4.0"
-        ) from None
+    table = parse_toml(text, name, "write lines such as cutoff = 4.0")
     values = {}
     for key, value in table.items():
         field = key.replace("-", "_")
@@ -137,8 +136,9 @@ def _converted(value: object, field: str, where: str, folder: Path | None) -> An
         elif kind is Path and isinstance(value, str):
             return _placed(value, where, folder)
         elif type(value) is kind:
-            is_file = isinstance(value, str) and value.endswith(_FILES_BY_NAME)
-            return str(_placed(str(value), where, folder)) if is_file else value
+            if isinstance(value, str) and names_file(value):
+                return str(_placed(value, where, folder))
+            return value
     allowed = " or ".join(_described(kind) for kind in kinds)
     raise InputError(f"{where} = {value!r}: expected {allowed}")
 

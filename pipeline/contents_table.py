@@ -6,7 +6,6 @@ from collections import Counter
 from typing import Any
 
 from rich.console import Group, RenderableType
-from rich.markup import escape
 from rich.table import Table
 
 __all__ = ["as_tables"]
@@ -17,7 +16,7 @@ _LISTED = 30  # names of joints
 def as_tables(contents: dict[str, Any]) -> RenderableType:
     """Return the contents of a file (``contents_of``) as lines and tables."""
     lines: list[RenderableType] = [
-        escape(f"{contents['file']}: {contents['kind']}, {contents['format']}")
+        f"{contents['file']}: {contents['kind']}, {contents['format']}"
     ]
     told = {"file", "kind", "format", "bodies", "notes", "states"}
     lines += _facts({k: v for k, v in contents.items() if k not in told})
@@ -31,13 +30,12 @@ def as_tables(contents: dict[str, Any]) -> RenderableType:
         told = {"body", "most_seen", "states", "failures"}
         lines += _facts({k: v for k, v in body.items() if k not in told})
         lines += [_states(body["states"]), *_failures(body["failures"])]
-    return Group(*lines, *map(escape, contents.get("notes", [])))
+    return Group(*lines, *contents.get("notes", []))
 
 
 def _facts(facts: dict[str, Any]) -> list[RenderableType]:
     return [
-        escape(f"  {key.replace('_', ' ')}: {_told(value)}")
-        for key, value in facts.items()
+        f"  {key.replace('_', ' ')}: {_told(value)}" for key, value in facts.items()
     ]
 
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, TypeGuard
+from typing import Any, Literal
 
 from kinefilter.characters import InputError
 
 from .config import CleanConfig, TakeFormat
 from .formats.export import Export
 
-__all__ = ["Settings", "fingerprint", "hash_of"]
+__all__ = ["Settings", "fingerprint", "hash_of", "names_file"]
 
 _BLOCK = 2**20  # bytes read at a time
 
@@ -31,6 +31,17 @@ class Settings:
     """Layout of the take; None: detected from its content."""
     body: int | Literal["all"] | None = None
     """Which person, counted from 1, or all; None: who is seen in most frames."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that are named, there or not."""
+        parts = (self.config, self.export)
+        values = [getattr(part, f.name) for part in parts for f in fields(part)]
+        return tuple(
+            Path(value)
+            for value in values
+            if isinstance(value, Path) or (isinstance(value, str) and names_file(value))
+        )
 
 
 def fingerprint(settings: Settings, suffix: str) -> str:
@@ -51,8 +62,8 @@ def fingerprint(settings: Settings, suffix: str) -> str:
         "kinefilter": version("kinefilter"),
     }
     text = json.dumps(known, sort_keys=True, default=_by_content)
-    scene, rig = settings.config.scene, settings.export.rig
-    files = [hash_of(Path(name)) for name in (scene, rig) if _names_file(name)]
+    names = (settings.config.scene, settings.export.rig)
+    files = [hash_of(Path(name)) for name in names if name and names_file(name)]
     return hashlib.sha256("\n".join([text, *files]).encode()).hexdigest()[:32]
 
 
@@ -81,6 +92,6 @@ def _by_content(path: object) -> str:
     return hash_of(path)
 
 
-def _names_file(name: str | None) -> TypeGuard[str]:
+def names_file(name: str) -> bool:
     """Tell a file from the name of a scene or rig that comes with kinefilter."""
-    return name is not None and Path(name).suffix in (".xml", ".toml")
+    return Path(name).suffix in (".xml", ".toml")

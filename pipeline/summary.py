@@ -107,7 +107,7 @@ def as_tables(result: CleanResult) -> RenderableType:
         joints.add_row(
             clip.skeleton.joints[j],
             f"{rates[j]:.2f}",
-            Term(int(terms.argmax())).name.lower().replace("_", " "),
+            Term(int(terms.argmax())).words,
             f"{np.mean(clip.origin[:, j] == Origin.FILLED):.0%}",
         )
     shares = ", ".join(

@@ -147,11 +147,49 @@ def test_a_database_counts_by_its_content(takes: Path, tmp_path: Path) -> None:
     contacts = tmp_path / "contacts.csv"
     contacts.write_text("time,HeelLeft,ToeLeft,HeelRight,ToeRight\n0,1,1,1,1\n")
     settings = Settings(replace(QUICK.config, contacts=contacts))
-    clean_folder(takes, tmp_path / "clips", settings)
+    late = takes / "monday" / "late"
+    clean_folder(late, tmp_path / "clips", settings)
     os.utime(contacts, (1e9, 1e9))
-    assert not clean_folder(takes, tmp_path / "clips", settings).rows
+    assert not clean_folder(late, tmp_path / "clips", settings).rows
     contacts.write_text("time,HeelLeft,ToeLeft,HeelRight,ToeRight\n0,0,0,1,1\n")
-    assert len(clean_folder(takes, tmp_path / "clips", settings).rows) == 6
+    assert len(clean_folder(late, tmp_path / "clips", settings).rows) == 1
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("where", ["command", "folder"])
+def test_contacts_are_of_one_take(takes: Path, tmp_path: Path, where: str) -> None:
+    contacts = takes / "contacts.csv"
+    contacts.write_text("time,HeelLeft,ToeLeft,HeelRight,ToeRight\n0,1,1,1,1\n")
+    out, settings = tmp_path / "clips", QUICK
+    if where == "command":
+        settings = Settings(replace(QUICK.config, contacts=contacts))
+    else:
+        (takes / "kinefilter.toml").write_text('contacts = "contacts.csv"\n')
+    with pytest.raises(InputError, match=r"one take, not of a\.csv and monday/b\.csv"):
+        clean_folder(takes, out, settings)
+    assert not out.exists()
+
+
+@pytest.mark.usefixtures("here")
+def test_contacts_are_of_one_person(takes: Path, tmp_path: Path) -> None:
+    config = replace(QUICK.config, contacts=takes / "labels.csv")
+    with pytest.raises(InputError, match="one person"):
+        clean_folder(
+            takes / "monday" / "late", tmp_path / "clips", Settings(config, body="all")
+        )
+
+
+@pytest.mark.usefixtures("here")
+def test_contacts_beside_a_take_are_of_that_take(takes: Path, tmp_path: Path) -> None:
+    """What else lies there, a list of labels and the contacts, is no second take."""
+    late = takes / "monday" / "late"
+    (late / "contacts.csv").write_text(
+        "time,HeelLeft,ToeLeft,HeelRight,ToeRight\n0,1,1,1,1\n"
+    )
+    (late / "labels.csv").write_text("take,label\nc,wave\n")
+    (late / "kinefilter.toml").write_text('contacts = "contacts.csv"\n')
+    outcome = clean_folder(takes, tmp_path / "clips")
+    assert sum(row.status == "done" for row in outcome.rows) == 3
 
 
 @pytest.mark.usefixtures("here")
@@ -206,14 +244,19 @@ def test_exit_codes_say_what_became_of_the_batch(
     takes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In a process of its own, as users run it."""
-    (takes / "broken.skeleton").write_text("nothing of the kind")
+    (takes / "[red]broken.skeleton").write_text("nothing of the kind")
     out = tmp_path / "clips"
     command = ["batch", str(takes), "-o", str(out), *FLAGS, "--jobs", "1"]
     assert main(command) == 1
     printed = capsys.readouterr().out
-    for words in ("3 takes cleaned, 1 failed", "frames/s", "worst takes", "broken"):
+    for words in (
+        "3 takes cleaned, 1 failed",
+        "frames/s",
+        "worst takes",
+        "[red]broken",
+    ):
         assert words in printed
-    (takes / "broken.skeleton").unlink()
+    (takes / "[red]broken.skeleton").unlink()
     assert main(command) == 0
     assert "0 takes cleaned, 0 failed, 3 done before" in capsys.readouterr().out
     assert _files(out) == {"a.usdc", "monday/b.usdc", "monday/late/c.usdc"}

@@ -9,8 +9,9 @@ import pytest
 from batch_folders import make_folder
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.batch.naming import clip_names, numbered
+from kinefilter.pipeline.batch.naming import clip_names
 from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.takes import claims_take
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
@@ -29,8 +30,8 @@ def test_names_that_would_be_the_same_are_kept_apart() -> None:
     assert clip_names(takes[::-1], ".bvh") == names[::-1]
     assert clip_names(["x.csv", "X.csv"], ".bvh") == ["x.csv.bvh", "2-X.csv.bvh"]
     assert clip_names(["t.1.csv", "t.2.csv"], ".bvh") == ["t.1.bvh", "t.2.bvh"]
-    people = clip_names(["t.csv", "t.1.csv"], ".bvh", several=True)
-    assert len({numbered(name, 1) for name in people} | set(people)) == 4
+    people = {*map(Path, clip_names(["t.csv", "t.1.csv"], ".bvh", several=True))}
+    assert len({numbered(path, 1) for path in people} | people) == 4
 
 
 def test_files_of_several_folders_are_kept_apart(takes: Path, tmp_path: Path) -> None:

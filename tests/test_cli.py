@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
 import urllib.request
 from pathlib import Path
 
@@ -145,6 +146,20 @@ def test_a_take_is_never_overwritten(
     assert take.read_bytes() == SAMPLE.read_bytes()
 
 
+@pytest.mark.parametrize("option", ["scene", "config", "database", "model", "contacts"])
+@pytest.mark.parametrize("written", ["json", "save-contacts"])
+def test_no_file_that_an_option_names_is_overwritten(
+    option: str, written: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suffix = {"scene": ".xml", "config": ".toml"}.get(option, ".csv")
+    file = _edited(tmp_path, f"mine{suffix}", "cutoff = 4.0\n")
+    command = ["clean", str(SAMPLE), "-o", str(tmp_path / "clip.bvh")]
+    named = [f"--{option}", str(file), f"--{written}", str(file)]
+    error = _refused([*command, *named], tmp_path, capsys)
+    assert f"would overwrite {file}" in error
+    assert file.read_text(encoding="utf-8") == "cutoff = 4.0\n"
+
+
 def test_a_database_of_another_skeleton_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -214,6 +229,41 @@ def test_flags_of_the_export_reach_the_files(tmp_path: Path) -> None:
     for words in ('upAxis = "Z"', "metersPerUnit = 0.01", "= 24\n", "@./sam.usdc@"):
         assert words in text
     assert sam.stat().st_size > 0
+
+
+def test_names_are_printed_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those too that rich would take for styles, ends of styles or pictures."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a[").mkdir()
+    take, clip = "a[/b]:cat:.csv", "[red]clip:cat:.bvh"
+    Path(take).write_bytes(SAMPLE.read_bytes())
+    quick = ["--method", "none", "--no-physics"]
+    assert main(["clean", take, "-o", clip, *quick]) == 0
+    printed = capsys.readouterr().out
+    assert f"{take}: " in printed
+    assert f"wrote {clip}\n" in printed
+    assert main(["info", take]) == 0
+    assert f"{take}: " in capsys.readouterr().out
+    assert "a[/c]:cat:" in _refused(["info", "a[/c]:cat:"], tmp_path, capsys)
+
+
+@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
+def test_a_request_to_end_is_answered_in_one_line(
+    asked: signal.Signals,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As Ctrl-C gives it, or a batch system; afterwards all is as it was."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(
+        "kinefilter.pipeline.contents.contents_of",
+        lambda *_, **__: signal.raise_signal(asked),
+    )
+    assert main(["info", str(SAMPLE)]) == 130
+    assert capsys.readouterr().err == "kinefilter: interrupted\n"
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_an_unknown_flag_ends_with_code_2(tmp_path: Path) -> None:

@@ -20,9 +20,10 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import render as command
 from kinefilter.pipeline.formats import write_clip, write_take_csv
-from kinefilter.pipeline.render import Look, clips, render_clips
+from kinefilter.pipeline.render import Look, clips, render_clips, shot
 from kinefilter.pipeline.render.backend import Backend, find_backend
 from kinefilter.pipeline.render.frames import frame_path
+from kinefilter.pipeline.render.shot import Shot
 
 SMALL = Look(size="96x54")
 
@@ -118,6 +119,25 @@ def test_pictures_that_are_there_are_kept_and_others_drawn_again(
     assert all(f.read_bytes() != p for f, p in zip(files, pictures, strict=True))
 
 
+def test_pictures_of_another_opengl_or_version_are_of_another_shot(
+    make_clip: MakeClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clip = tmp_path / "clip.npz"
+    write_clip(make_clip(2), clip)
+
+    def fingerprint(backend: Backend) -> str:
+        out = tmp_path / "%d.png"
+        return Shot(clip, out, SMALL).drawn_by(backend).fingerprint()
+
+    one = Backend("osmesa", "llvmpipe (LLVM 15)")
+    first = fingerprint(one)
+    assert fingerprint(one) == first
+    assert fingerprint(replace(one, renderer="llvmpipe (LLVM 19)")) != first
+    assert fingerprint(replace(one, name="egl")) != first
+    monkeypatch.setattr(shot, "version", lambda _: "another")
+    assert fingerprint(one) != first
+
+
 @pytest.mark.usefixtures("backend")
 def test_a_broken_clip_does_not_keep_others_from_being_drawn(
     make_clip: MakeClip, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -174,8 +194,9 @@ def test_an_interrupted_video_leaves_nothing(
     clip, out = tmp_path / "clip.npz", tmp_path / "clip.mp4"
     write_clip(make_clip(70), clip)
     out.write_text("older")
-    assert main(["render", str(clip), "-o", str(out), "--size", "32x18"]) == 2
-    assert "interrupted" in capsys.readouterr().err
+    assert main(["render", str(clip), "-o", str(out), "--size", "32x18"]) == 130
+    hint = "kinefilter: interrupted; the same command again goes on"
+    assert capsys.readouterr().err.startswith(hint)
     assert sorted(tmp_path.iterdir()) == [out, clip]
     assert out.read_text() == "older"
 

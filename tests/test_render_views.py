@@ -120,7 +120,11 @@ def test_a_camera_file_says_where_the_camera_is(
         ("position = [1, 2, 3]\ntarget = [0, 1, 0]\nfov = 0", "fov is 0"),
         ("position = [1, 2, 3]\ntarget = [0, 1, 0]\nzoom = 2", "unknown zoom"),
         ("position = [0, 3, 0]\ntarget = [0, 1, 0]", "straight up or down"),
-        ("position = ", "cannot be read as TOML"),
+        ("position = [1, 2, %s]\ntarget = [0, 1, 0]" % ("9" * 400), "position is"),
+        ("position = ", "no TOML"),
+        (f"position = {'[' * 5000}", "no TOML"),
+        (f"position = {'9' * 5000}", "no TOML"),
+        ("# " + "x" * 70_000, "holds more than"),
     ],
 )
 def test_a_wrong_camera_file_is_refused(

@@ -75,10 +75,6 @@ class LocalStore:
         with self.writing(name) as path, atomic_path(path) as temporary:
             temporary.write_bytes(data)
 
-    def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
-        Path(self.root, name).unlink(missing_ok=True)
-
     def remove_unfinished(self) -> None:
         """Remove what processes that were killed had begun to write."""
         for folder, _, names in os.walk(self.root):

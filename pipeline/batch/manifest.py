@@ -26,7 +26,7 @@ from .store import Store
 __all__ = ["CSV", "LINES", "Manifest", "open_manifest", "write_csv"]
 
 LINES = "manifest.jsonl"
-"""Name of the file of lines, which a resumed run reads."""
+"""Name of the file of lines, which a resumed run reads; a URL has ``PARTS``."""
 CSV = "manifest.csv"
 """Name of the table for people, written when a run ends."""
 

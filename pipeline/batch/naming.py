@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import PurePosixPath
 
-__all__ = ["apart", "clip_names", "numbered"]
+__all__ = ["apart", "clip_names"]
 
 _Key = Callable[[str], str]
 
@@ -49,14 +49,6 @@ def apart(names: Iterable[str], key: _Key = str) -> list[str]:
         taken.add(key(free))
         different.append(free)
     return different
-
-
-def numbered(name: str, body: int | None) -> str:
-    """Return the name of one of several people: ``clip.2.usda`` for ``clip.usda``."""
-    if body is None:
-        return name
-    path = PurePosixPath(name)
-    return str(path.with_name(f"{path.stem}.{body}{path.suffix}"))
 
 
 def _without_number(name: str) -> str:

@@ -17,8 +17,10 @@ from kinefilter.pipeline.config_files import (
 from kinefilter.pipeline.correct.methods import FROM_DATABASE
 from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import read_limited
+from kinefilter.pipeline.formats.toml import LARGEST_TOML
 from kinefilter.pipeline.settings import Settings, fingerprint
 
+from .contacts import check_contacts
 from .local import LocalStore
 from .naming import clip_names
 from .row import Row
@@ -27,7 +29,6 @@ from .store import Found, Store, real
 
 __all__ = ["Job", "is_done", "plan_jobs", "uses_builtin_database"]
 
-_LARGEST = 2**16  # bytes of a file of settings, as ``read_settings`` has it
 _ZIPPED = 4  # times as long as its file is what was zipped: numbers give 2 to 10
 
 
@@ -76,10 +77,15 @@ def plan_jobs(
         given: Names of settings that no file may change, as the user gave them.
 
     Raises:
-        InputError: A file of settings is wrong, or a clip would overwrite a take.
+        InputError: A file of settings is wrong, contacts of one take are given to
+            several, or a clip would overwrite a take.
     """
     folders = _Folders(overlaid(settings, files, given), given, suffix, store)
     chosen = [folders.settings_of(source) for source in sources]
+    check_contacts(
+        (source, settings)
+        for source, (settings, _) in zip(sources, chosen, strict=True)
+    )
     several = any(settings.body == "all" for settings, _ in chosen)
     takes = [source.take for source in sources]
     names = clip_names(takes, suffix, several=several)
@@ -127,7 +133,7 @@ def _settings_file(store: Store, name: str) -> SettingsFile | None:
     if store.found(name) is None:
         return None
     with store.reading(name) as path:
-        text = read_limited(path, _LARGEST)
+        text = read_limited(path, LARGEST_TOML)
     folder = Path(store.path(name)).parent if isinstance(store, LocalStore) else None
     return parse_settings(text, store.path(name), folder)
 

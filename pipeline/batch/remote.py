@@ -89,13 +89,6 @@ class RemoteStore:
         with self.writing(name) as path:
             path.write_bytes(data)
 
-    def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
-        system, root = _system(self.root)
-        with _told(self.path(name)):
-            if system.exists(f"{root}/{name}"):
-                system.rm_file(f"{root}/{name}")
-
     def _put(self, copy: Path, name: str) -> None:
         system, root = _system(self.root)
         target = f"{root}/{name}"

@@ -86,7 +86,8 @@ def clean_files(
     """Clean takes into a folder that mirrors theirs, and go on where a run ended.
 
     ``manifest.jsonl`` in the folder has a line for every take as soon as its clip is
-    there; ``manifest.csv`` is the table of them, written at the end.
+    there, at a URL ``manifest/*.jsonl``; ``manifest.csv`` is the table of them, written
+    at the end.
 
     Args:
         inputs: Takes, and folders to search for them; paths or URLs.

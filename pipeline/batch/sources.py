@@ -8,15 +8,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.config import TakeFormat
+from kinefilter.pipeline.formats.takes import claims_take
 
 from .naming import apart
 from .places import kind_of, store_at
 from .store import Found, Store, is_url, real
 
-__all__ = ["Source", "find_sources"]
+__all__ = ["Source", "find_sources", "is_take"]
 
 _TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh")
 """Extensions of files that may be takes, zipped (``.gz``) or not."""
+_CERTAIN = (".skeleton", ".bvh")
+"""Those that nothing but takes has."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,22 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
             f"{', '.join(_TAKES)}, or .gz of these); check the name"
         )
     return _apart(sources)
+
+
+def is_take(source: Source, path: Path, layout: TakeFormat | None) -> bool:
+    """Tell a file that is a take, or a broken one, from others.
+
+    Args:
+        source: The file.
+        path: Where it, or a copy, can be read.
+        layout: That of all files, if the user said it.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
+    name = source.file.name.lower().removesuffix(".gz")
+    certain = source.named or layout is not None or name.endswith(_CERTAIN)
+    return certain or claims_take(path)
 
 
 def _is_folder(place: str, out: str) -> bool:

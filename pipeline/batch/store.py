@@ -54,9 +54,6 @@ class Store(Protocol):
     def put(self, name: str, data: bytes) -> None:
         """Write a file, whole or not at all."""
 
-    def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
-
 
 def is_url(place: str) -> bool:
     """Tell a URL such as ``s3://bucket/folder`` from a path."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from rich.console import Group, RenderableType
 from rich.table import Table
-from rich.text import Text
 
 from .row import ClipRow, Row
 from .run import Outcome
@@ -24,7 +23,7 @@ def as_tables(outcome: Outcome) -> RenderableType:
     what a tracker invents no body can do. Without physics they are those that the
     database knows the least.
     """
-    parts: list[RenderableType] = [Text(_counts(outcome))]
+    parts: list[RenderableType] = [_counts(outcome)]
     if worst := _worst([*outcome.kept, *outcome.rows]):
         parts.append(_worst_table(worst))
     if outcome.failed:
@@ -75,7 +74,7 @@ def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
     )
     for row, clip in worst:
         table.add_row(
-            Text(row.take if len(row.clips) == 1 else f"{row.take}, body {clip.body}"),
+            row.take if len(row.clips) == 1 else f"{row.take}, body {clip.body}",
             _told(clip.external_force_body_weights, "{:.2f}"),
             _told(clip.share_outside_database, "{:.0%}"),
             _told(clip.skate_mm_per_frame, "{:.1f}"),
@@ -90,7 +89,7 @@ def _failed_table(failed: Sequence[Row]) -> Table:
     table.add_column("take", overflow="fold")
     table.add_column("why", overflow="fold")
     for row in failed[:_MOST_FAILED]:
-        table.add_row(Text(row.take), Text(row.error))
+        table.add_row(row.take, row.error)
     if len(failed) > _MOST_FAILED:
         table.caption = f"and {len(failed) - _MOST_FAILED} more, see the manifest"
     return table

@@ -17,21 +17,20 @@ from kinefilter.characters import InputError, skeleton_named
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, WholeTakeCorrector
 from kinefilter.pipeline.formats import Recording, write_clip
-from kinefilter.pipeline.formats.takes import claims_take, read_recording
+from kinefilter.pipeline.formats.recording import numbered
+from kinefilter.pipeline.formats.takes import read_recording
 from kinefilter.pipeline.run import clean, make_corrector
 from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
-from .naming import numbered
 from .plan import Job
 from .row import ClipRow, Row, clip_row
+from .sources import is_take
 
 __all__ = ["clean_file"]
 
 _KEPT = 4  # correction methods in memory: two skeletons, of two folders at a time
 _LONGEST = 1000  # characters of an error that a row keeps
-_CERTAIN = (".skeleton", ".bvh")
-"""Extensions that nothing but takes has."""
 
 # Correction methods hold a take's state; a cluster may run tasks on threads.
 _one_at_a_time = threading.Lock()
@@ -81,7 +80,7 @@ def _read(job: Job) -> tuple[Recording | None, str]:
     with source.store.reading(source.file.name) as path:
         sha256 = hash_of(path)
         try:
-            if not (_is_certain(job) or claims_take(path)):
+            if not is_take(source, path, job.settings.format):
                 return None, sha256
             recording = read_recording(path, format=job.settings.format)
         except InputError as error:
@@ -96,25 +95,14 @@ def _read(job: Job) -> tuple[Recording | None, str]:
     return replace(recording, takes=tuple(takes)), sha256
 
 
-def _is_certain(job: Job) -> bool:
-    """Tell a file that is a take, or a broken one, whatever is in it."""
-    name = job.source.file.name.lower().removesuffix(".gz")
-    chosen = job.source.named or job.settings.format is not None
-    return chosen or name.endswith(_CERTAIN)
-
-
 def _cleaned(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], str]:
     """Clean who was asked for; return what was written, and what went wrong."""
-    bodies = [recording.main + 1]
-    if job.settings.body == "all":
-        bodies = list(range(1, len(recording.takes) + 1))
-    elif job.settings.body is not None:
-        bodies = [job.settings.body]
+    bodies = recording.numbers(job.settings.body)
     clips, errors = [], []
     for body in bodies:
-        name = numbered(job.output, body if len(bodies) > 1 else None)
+        path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            clips.append(_cleaned_body(recording, body, name, job))
+            clips.append(_cleaned_body(recording, body, str(path), job))
         except InputError as error:
             errors.append(str(error))
     return tuple(clips), "; ".join(errors)

@@ -16,7 +16,7 @@ from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.formats.export import Export
 from kinefilter.pipeline.settings import Settings
 
-from .terminal import ended_gently, err, out
+from .terminal import err, out
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.batch import Standing
@@ -25,19 +25,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Batch"]
 
-_INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
-
 
 @dataclass(frozen=True)
 class Batch:
     """Clean all takes of folders; the same command again goes on where it ended.
 
-    What is no take is passed over. OUT/manifest.jsonl has a line for each take that is
-    finished, OUT/manifest.csv is a table of them; done again is what is missing, has
-    failed, or has changed: the take, its clip, the options, a database or model, or
-    kinefilter's version. A file kinefilter.toml in a folder of takes holds options for
-    them and for the folders in it, such as cutoff = 4.0 or rotation-order = "xyz";
-    options given here are stronger.
+    What is no take is passed over. OUT/manifest.jsonl (at a URL: OUT/manifest/*.jsonl)
+    has a line for each take that is finished, OUT/manifest.csv is a table of them; done
+    again is what is missing, has failed, or has changed: the take, its clip, the
+    options, a database or model, or kinefilter's version. A file kinefilter.toml in a
+    folder of takes holds options for them and for the folders in it, such as cutoff =
+    4.0 or rotation-order = "xyz"; options given here are stronger.
 
     URLs are those that fsspec knows, as s3://bucket/takes with pip install s3fs; only
     one run at a time may write to a store, where nothing locks it. For --scheduler
@@ -59,7 +57,7 @@ class Batch:
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://HOST:PORT, whose workers clean instead; they
     see the same paths and URLs."""
-    settings: Annotated[Path | None, arg(name="config")] = None
+    config_file: Annotated[Path | None, arg(name="config")] = None
     """TOML file of options for all takes; those of a folder's own are stronger."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     export: OmitArgPrefixes[Export] = field(default_factory=Export)
@@ -76,13 +74,13 @@ class Batch:
 
         self._check()
         try:
-            with ended_gently(), _bars() as (progress, told):
+            with _bars() as (progress, told):
                 outcome = clean_files(
                     self.inputs,
                     self.out,
                     Settings(self.config, self.export, self.format, self.body),
                     suffix=f".{self.to}",
-                    config_file=self.settings,
+                    config_file=self.config_file,
                     given=self.given,
                     jobs=self.jobs,
                     scheduler=self.scheduler,
@@ -90,8 +88,7 @@ class Batch:
                     told=told,
                 )
         except KeyboardInterrupt:
-            err.print("kinefilter: interrupted; the same command again goes on")
-            return _INTERRUPTED
+            raise KeyboardInterrupt("the same command again goes on") from None
         out.print(as_tables(outcome))
         return 1 if outcome.failed else 0
 

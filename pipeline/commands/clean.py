@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.formats.export import Export
+from kinefilter.pipeline.settings import Settings
 
 from .terminal import err, keep, out, progress_bars, write_json
 
@@ -44,29 +45,25 @@ class Clean:
     """Write a web page that shows clip and take side by side, .html."""
     json: Path | None = None
     """Write the printed figures to this file too."""
-    settings: Annotated[Path | None, arg(name="config")] = None
+    config_file: Annotated[Path | None, arg(name="config")] = None
     """TOML file of options such as cutoff = 4.0; options given here are stronger."""
     given: Suppress[frozenset[str]] = frozenset()
 
     def run(self) -> int:
         """Clean, write, print."""
-        if self.settings is not None:
-            return self._as_in(self.settings).run()
+        if self.config_file is not None:
+            return self._as_in(self.config_file)._run()
+        return self._run()
+
+    def _run(self) -> int:
         from kinefilter.pipeline.formats import check_folder, check_writable
+        from kinefilter.pipeline.formats.recording import numbered
         from kinefilter.pipeline.formats.takes import read_recording
         from kinefilter.pipeline.report import check_report
         from kinefilter.pipeline.summary import as_json
 
         check_writable(self.out, self.export)
-        used = (
-            self.take,
-            self.config.database,
-            self.config.model,
-            self.config.contacts,
-            self.export.character,
-            self.export.target,
-            Path(self.export.rig) if self.export.rig is not None else None,
-        )
+        used = (self.take, self.config_file, *self._settings.files)
         keep(self.out, *used)
         if self.json is not None:
             check_folder(self.json)
@@ -83,40 +80,39 @@ class Clean:
         for body, result in results.items():
             self._write(result, body if several else None, used)
             if self.report is not None:
-                path = _numbered(self.report, body if several else None)
+                path = numbered(self.report, body if several else None)
                 _report(result, recording.take(body), path)
         if self.json is not None:
             figures = {body: as_json(result) for body, result in results.items()}
             only = next(iter(figures.values()))
             write_json({"bodies": figures} if several else only, self.json)
         for note in (*recording.notes, *self._others(recording)):
-            out.print(note, markup=False)
+            out.print(note)
         return 1 if several and len(results) < len(recording.takes) else 0
 
     def _as_in(self, file: Path) -> Clean:
         """Return the command with what a file says where no option does."""
         from kinefilter.pipeline.config_files import overlaid, read_settings
-        from kinefilter.pipeline.settings import Settings
 
-        own = Settings(self.config, self.export, self.format, self.body)
-        chosen = overlaid(own, [read_settings(file)], self.given)
+        chosen = overlaid(self._settings, [read_settings(file)], self.given)
         return replace(
             self,
             config=chosen.config,
             export=chosen.export,
             format=chosen.format,
             body=chosen.body,
-            settings=None,
         )
+
+    @property
+    def _settings(self) -> Settings:
+        return Settings(self.config, self.export, self.format, self.body)
 
     def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
         """Return what became of each person asked for, by their number."""
         from kinefilter.pipeline.run import clean
 
-        numbers = list(range(1, len(recording.takes) + 1))
-        if self.body != "all":
-            numbers = [recording.main + 1 if self.body is None else self.body]
-        elif self.config.contacts is not None and len(numbers) > 1:
+        numbers = recording.numbers(self.body)
+        if self.config.contacts is not None and len(numbers) > 1:
             raise InputError("--contacts is of one person; give --body their number")
         results: dict[int, CleanResult] = {}
         for number in numbers:
@@ -127,20 +123,21 @@ class Clean:
             except InputError as error:
                 if number == numbers[-1] and not results:
                     raise
-                err.print(f"kinefilter: {error}; left out", markup=False)
+                err.print(f"kinefilter: {error}; left out")
         return results
 
     def _write(
         self, result: CleanResult, body: int | None, used: tuple[Path | None, ...]
     ) -> None:
         from kinefilter.pipeline.formats import write_clip, write_contacts
+        from kinefilter.pipeline.formats.recording import numbered
         from kinefilter.pipeline.summary import as_tables
 
-        path = _numbered(self.out, body)
+        path = numbered(self.out, body)
         keep(path, *used)
         write_clip(result.clip, path, self.export)
         if self.save_contacts is not None:
-            write_contacts(result.clip, _numbered(self.save_contacts, body))
+            write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))
         out.print(f"wrote {path}")
 
@@ -159,11 +156,4 @@ def _report(result: CleanResult, take: Take, path: Path) -> None:
     from kinefilter.pipeline.report import compare, read_limits, write_report
 
     write_report(compare(result.clip, take), path, read_limits())
-    out.print(f"wrote {path}", markup=False)
-
-
-def _numbered(path: Path, body: int | None) -> Path:
-    """Return the path for one of several people: clip.2.usda for clip.usda."""
-    if body is None:
-        return path
-    return path.with_name(f"{path.stem}.{body}{path.suffix}")
+    out.print(f"wrote {path}")

@@ -79,7 +79,7 @@ class DatabaseInfo:
         database = PostureDatabase.load(self.file)
         out.print(f"{self.file}: {database.summary}")
         for label, count in sorted(Counter(database.labels.tolist()).items()):
-            out.print(f"{count:6d} {label}", markup=False)
+            out.print(f"{count:6d} {label}")
         return 0
 
 

@@ -69,11 +69,11 @@ class Live:
         from kinefilter.pipeline.loopback import is_loopback
 
         source, *targets = places
-        err.print(f"from {source} to {', '.join(map(str, targets))}", markup=False)
+        err.print(f"from {source} to {', '.join(map(str, targets))}")
         sockets = [place for place in places if place.scheme in ("ws", "wss")]
         token = session.ends.access.token
         if sockets and token is not None and self.access.token_file is None:
-            err.print(f"token {token}", markup=False)
+            err.print(f"token {token}")
         if any(p.scheme == "ws" and not is_loopback(p.host) for p in sockets):
             err.print(
                 "without --certificate, who is on the network reads token and poses"
@@ -85,10 +85,10 @@ class Live:
 
         err.print(summary(session.tally))
         for path in session.recorded:
-            err.print(f"wrote {path}", markup=False)
+            err.print(f"wrote {path}")
         if self.json is not None:
             write_json(session.tally.as_json(), self.json)
         failure = session.recorder.failure if session.recorder is not None else None
         if failure is not None:
-            err.print(f"kinefilter: {failure}", markup=False)
+            err.print(f"kinefilter: {failure}")
         return 0 if failure is None else 1

@@ -44,7 +44,7 @@ async def _show(session: Session) -> None:
 async def _log(session: Session) -> None:
     while True:
         await asyncio.sleep(_LOGGED)
-        err.print(status(session), markup=False)
+        err.print(status(session))
 
 
 def status(session: Session) -> str:

@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from kinefilter.characters import InputError
 from kinefilter.pipeline.render.look import Look
 
-from .terminal import ended_gently, err, keep, out, progress_bars
+from .terminal import err, keep, out, progress_bars
 
 __all__ = ["Render"]
 
@@ -42,18 +42,18 @@ class Render:
             raise InputError(f"--jobs {self.jobs}: expected 1 or more")
         keep(self.out, *self.clips, self.look.compare)
         try:
-            with ended_gently(), progress_bars() as progress:
+            with progress_bars() as progress:
                 done = render_clips(
                     self.clips, self.out, self.look, jobs=self.jobs, progress=progress
                 )
         except KeyboardInterrupt:
-            raise InputError(
-                f"{self.out}: interrupted; the same command again goes on with "
-                "numbered pictures, a video begins anew"
+            raise KeyboardInterrupt(
+                "the same command again goes on with numbered pictures, a video begins "
+                "anew"
             ) from None
-        out.print(str(done.backend), markup=False)
+        out.print(str(done.backend))
         for path in done.written:
-            out.print(f"wrote {path}", markup=False)
+            out.print(f"wrote {path}")
         for failure in done.failures:
-            err.print(f"kinefilter: {failure}; left out", markup=False)
+            err.print(f"kinefilter: {failure}; left out")
         return 1 if done.failures else 0

@@ -55,9 +55,9 @@ class Report:
         compared = read_compared(self.clip, self.take, body=self.body)
         # A gate that is a threshold too stands once in the table.
         write_report(compared, self.out, tuple(dict.fromkeys((*limits, *gates))))
-        out.print(f"wrote {self.out}", markup=False)
+        out.print(f"wrote {self.out}")
         failed = [gate for gate in gates if gate.fails(compared.after)]
         for gate in failed:
             value = compared.after[gate.metric]
-            err.print(f"kinefilter: failed {gate}: it is {value:.4g}", markup=False)
+            err.print(f"kinefilter: failed {gate}: it is {value:.4g}")
         return 1 if failed else 0

@@ -93,7 +93,7 @@ class Reproduce:
         bars: list[Bar] = []
         for name in names:
             if self.all is not None and made.is_made(name, folder, stamp):
-                out.print(f"{folder / name}.csv is there already\n", markup=False)
+                out.print(f"{folder / name}.csv is there already\n")
                 continue
             with progress_bars() as progress:
                 study = reproduce(
@@ -106,7 +106,7 @@ class Reproduce:
             written = write_study(study, folder)
             made.say_made(name, folder, stamp)
             out.print(as_table(study))
-            out.print(f"wrote {' and '.join(map(str, written))}\n", markup=False)
+            out.print(f"wrote {' and '.join(map(str, written))}\n")
             bars += study.bars
         return bars
 
@@ -116,11 +116,11 @@ class Reproduce:
 
         with progress_bars() as progress:
             for line in make_pictures(folder, progress=progress):
-                out.print(line, markup=False)
+                out.print(line)
         found = verdicts.judge(folder, recordings=data is not None, quick=self.quick)
         written = verdicts.write_verdicts(found, folder)
         out.print(verdicts.verdicts_table(found))
-        out.print(f"wrote {written}", markup=False)
+        out.print(f"wrote {written}")
         return int(any(verdict.held is False for verdict in found))
 
 

@@ -1,13 +1,17 @@
-"""Ctrl-C and SIGTERM, answered by finishing."""
+"""Ctrl-C and SIGTERM, answered by ending in order."""
 
 from __future__ import annotations
 
-import asyncio
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-__all__ = ["stopped_by_signals"]
+if TYPE_CHECKING:
+    import asyncio
+
+__all__ = ["ended_gently", "stopped_by_signals"]
 
 _SIGNALS = [
     getattr(signal, name)
@@ -17,8 +21,23 @@ _SIGNALS = [
 
 
 @contextmanager
+def ended_gently() -> Iterator[None]:
+    """Take a request to end, as batch systems send it, for Ctrl-C."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # others may not say what a signal does
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
 def stopped_by_signals(stop: asyncio.Event) -> Iterator[None]:
     """Set an event when somebody asks the process to end."""
+    import asyncio  # takes long to load, and few commands need it
+
     loop = asyncio.get_running_loop()
 
     def asked(*_: object) -> None:

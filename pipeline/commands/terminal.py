@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Skeletons",
     "clips_of",
-    "ended_gently",
     "err",
     "in_folders",
     "keep",
@@ -31,8 +28,9 @@ __all__ = [
     "write_json",
 ]
 
-out = Console(soft_wrap=True, highlight=False)
-err = Console(stderr=True, soft_wrap=True, highlight=False)
+# Names of files are printed as they are, whatever brackets and colons they hold.
+out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 Skeletons = Literal["kinect_v1", "kinect_v2"]
 
@@ -44,19 +42,6 @@ def keep(written: Path, *others: Path | None) -> None:
             raise InputError(
                 f"{written}: would overwrite {other}; give another name to write to"
             )
-
-
-@contextmanager
-def ended_gently() -> Iterator[None]:
-    """Take a request to end, as batch systems send it, for Ctrl-C."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # others may not say what a signal does
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

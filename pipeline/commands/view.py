@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 
-from .terminal import ended_gently, keep, out, progress_bars
+from .terminal import keep, out, progress_bars
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.progress import Progress
@@ -61,9 +61,8 @@ class View:
         save = self.save_contacts or _beside(self.motion)
         self._check(save)
         try:
-            with ended_gently():
-                viewed, again = self._viewed()
-                self._serve(viewed, save, again)
+            viewed, again = self._viewed()
+            self._serve(viewed, save, again)
         except KeyboardInterrupt:
             pass  # that is how it ends
         return 0
@@ -104,7 +103,7 @@ class View:
         recording = read_recording(self.motion, format=self.format)
         take = recording.take(self.body)
         for note in recording.notes:
-            out.print(note, markup=False)
+            out.print(note)
 
         def again(contacts: Path, progress: Progress) -> Viewed:
             config = replace(self.config, contacts=contacts)
@@ -119,9 +118,7 @@ class View:
         with opened_viewer(
             viewed, save, again=again, bind=self.bind, port=self.port
         ) as viewer:
-            out.print(
-                f"{viewer.address} shows {self.motion}; Ctrl-C ends", markup=False
-            )
+            out.print(f"{viewer.address} shows {self.motion}; Ctrl-C ends")
             if self.open:
                 import webbrowser
 

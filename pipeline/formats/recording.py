@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +18,11 @@ __all__ = [
     "check_length",
     "check_rate",
     "missing_marked",
+    "numbered",
 ]
 
 Array = NDArray[np.float64]
+_Path = TypeVar("_Path", bound=PurePath)
 
 MOST_FRAMES = 1_000_000
 """Frames that a recording has at most: nine hours at 30 a second."""
@@ -47,6 +51,16 @@ class Recording:
         seen = [int(_seen(take).sum()) for take in self.takes]
         return int(np.argmax(seen))
 
+    def numbers(self, body: int | Literal["all"] | None) -> list[int]:
+        """Return the numbers, from 1, of who is asked for.
+
+        Args:
+            body: A number, or all; None: who is seen in most frames.
+        """
+        if body == "all":
+            return list(range(1, len(self.takes) + 1))
+        return [self.main + 1 if body is None else body]
+
     def take(self, body: int | None = None) -> Take:
         """Return the take of a person.
 
@@ -65,6 +79,13 @@ class Recording:
                 + "; 'kinefilter info' lists them"
             )
         return self.takes[body - 1]
+
+
+def numbered(path: _Path, body: int | None) -> _Path:
+    """Return the path of one of several people: ``clip.2.usda`` for ``clip.usda``."""
+    if body is None:
+        return path
+    return path.with_name(f"{path.stem}.{body}{path.suffix}")
 
 
 def _seen(take: Take) -> NDArray[np.bool_]:

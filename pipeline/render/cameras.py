@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError
+from kinefilter.pipeline.formats.toml import read_toml
 from kinefilter.retarget.rotations import rotate
 
 __all__ = ["CAMERAS", "CameraPath", "axes_toward", "camera_path", "check_camera"]
@@ -33,6 +33,7 @@ _DIRECTIONS = {
 _TURN = 12.0  # s that an orbit takes, about
 _LAG = 0.5  # s over which a camera that follows averages the character's place
 _AZIMUTHS = 24  # from which an orbit is to show everything
+_FARTHEST = 1e6  # m from the floor's middle, where numbers still mean something
 _FREE = 0.06  # of the picture, on every side
 
 
@@ -159,11 +160,7 @@ def _from_file(camera: str) -> CameraPath:
             f"--camera {camera}: unknown; known: {', '.join(CAMERAS)}, or the path of "
             "a file that ends in .toml"
         )
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{path}: cannot be read as TOML ({reason})") from None
+    table = read_toml(path, "write lines such as position = [0.0, 1.5, 4.0]")
     unknown = set(table) - {"position", "target", "fov"}
     if unknown:
         raise InputError(
@@ -187,7 +184,7 @@ def _from_file(camera: str) -> CameraPath:
 def _vector(path: Path, table: dict[str, Any], name: str) -> Array:
     value = table.get(name)
     numbers = isinstance(value, list) and all(
-        isinstance(v, int | float) and np.isfinite(v) for v in value
+        isinstance(v, int | float) and abs(v) < _FARTHEST for v in value
     )
     if not numbers or not isinstance(value, list) or len(value) != 3:
         raise InputError(

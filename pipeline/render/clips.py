@@ -24,8 +24,6 @@ from .work import draw_parts
 
 __all__ = ["Rendering", "render_clips"]
 
-_GPU_SAMPLES = 4  # edges are smooth, and a GPU hardly slower
-
 
 @dataclass(frozen=True)
 class Rendering:
@@ -82,7 +80,7 @@ def render_clips(
         planned, failures = _plan(clips, paths, look)
         backend = asked.result()
     for job in planned:
-        job.shot = job.shot.drawn_by(backend, samples=_GPU_SAMPLES)
+        job.shot = job.shot.drawn_by(backend)
         job.fingerprint = job.shot.fingerprint()
     steps = iter(progress("draw", sum(job.frames for job in planned)))
     written = []

@@ -32,7 +32,6 @@ class Painter:
         camera: From where.
         figure: A raw take beside the character.
         shadows: Whether to draw them; everything is then drawn in every frame.
-        whole: Whether to draw everything in every frame anyway.
     """
 
     def __init__(
@@ -42,7 +41,6 @@ class Painter:
         *,
         figure: RawFigure | None = None,
         shadows: bool = False,
-        whole: bool = False,
     ) -> None:
         model = scene.model
         self._scene, self._path, self._figure = scene, camera, figure
@@ -62,7 +60,7 @@ class Painter:
         opaque = bool((model.skin_rgba[:, 3] == 1.0).all())
         samples = model.vis.quality.offsamples
         self._layers: tuple[Pixels, NDArray[np.float32]] | None = None
-        if camera.stays and opaque and not (shadows or samples or whole):
+        if camera.stays and opaque and not (shadows or samples):
             self._pose(0)
             self._layers = self._draw(self._options(floor=True, rest=False), True)
 

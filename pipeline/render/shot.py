@@ -5,10 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from kinefilter.pipeline.settings import hash_of
 
 from .backend import Backend
 from .cameras import CameraPath, axes_toward, camera_path
@@ -23,6 +26,7 @@ Array = NDArray[np.float64]
 
 _SKIN = 0.13  # m from a joint to the skin: the head's, about
 _BESIDE = 0.35  # m between the raw figure and the character, a guess by eye
+_GPU_SAMPLES = 4  # edges are smooth, and a GPU hardly slower
 _ASTRAY = 1.0  # m from the character that a raw joint counts for the camera
 
 
@@ -40,33 +44,43 @@ class Shot:
     """Whether to draw shadows."""
     samples: int = 0
     """Samples a pixel."""
+    renderer: str = ""
+    """The OpenGL that draws."""
 
-    def drawn_by(self, backend: Backend, *, samples: int) -> Shot:
+    def drawn_by(self, backend: Backend) -> Shot:
         """Return the shot with what the look leaves to who draws.
 
-        Args:
-            backend: The OpenGL that draws; where it is no GPU, shadows and samples
-                multiply the time.
-            samples: Samples a pixel on a GPU.
+        Where that is no GPU, shadows and samples multiply the time.
         """
         soft, look = backend.software, self.look
+        samples = 0 if soft else _GPU_SAMPLES
         return replace(
             self,
             shadows=look.shadows or not soft,
-            samples=(0 if soft else samples) if look.samples is None else look.samples,
+            samples=samples if look.samples is None else look.samples,
+            renderer=str(backend),
         )
 
     def fingerprint(self) -> str:
-        """Return what changes with anything that pictures of the shot depend on."""
-        digest = hashlib.sha256()
-        files = [self.clip, self.look.compare]
-        files += [Path(f) for f in (self.look.camera, self.look.scene or "")]
-        for file in files:
-            if file is not None and file.is_file():
-                digest.update(file.read_bytes())
-        what = {**asdict(self.look), "shadows": self.shadows, "samples": self.samples}
-        digest.update(json.dumps(what, sort_keys=True, default=str).encode())
-        return digest.hexdigest()[:32]
+        """Return a hash of all that decides the pictures of the shot.
+
+        Files count by what is in them; those that a scene includes do not.
+        """
+        look = self.look
+        files = [
+            self.clip,
+            *map(Path, (look.compare or "", look.camera, look.scene or "")),
+        ]
+        known = {
+            **asdict(look),
+            "shadows": self.shadows,
+            "samples": self.samples,
+            "renderer": self.renderer,
+            "kinefilter": version("kinefilter"),
+            "files": [hash_of(file) for file in files if file.is_file()],
+        }
+        text = json.dumps(known, sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 class Staged:

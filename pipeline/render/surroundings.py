@@ -27,7 +27,7 @@ def props_around(clip: Clip, frames: Clip, scene: str | None) -> tuple[Prop, ...
     """
     if scene is None:
         return frames.props
-    import mujoco
+    import mujoco  # by now its OpenGL is chosen
 
     from kinefilter.pipeline.physics.things import Things
     from kinefilter.scenes import load_scene

@@ -43,7 +43,7 @@ def contents_of(compared: Compared, limits: Sequence[Limit]) -> dict[str, Any]:
         "height": clip.body.height,
         "joints": list(clip.skeleton.joints),
         "parents": list(clip.skeleton.parents),
-        "terms": [term.name.lower().replace("_", " ") for term in Term],
+        "terms": [term.words for term in Term],
         "origins": [origin.name.lower() for origin in Origin],
         "parts": list(CONTACTS),
         "time": _packed(time, "<f4"),

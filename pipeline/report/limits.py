@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -13,6 +12,7 @@ from typing import Literal
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats.files import read_limited
+from kinefilter.pipeline.formats.toml import LARGEST_TOML, parse_toml
 
 from .table import METRICS
 
@@ -20,7 +20,6 @@ __all__ = ["Limit", "parse_limit", "read_limits"]
 
 _FORM = re.compile(r"\s*(\w+)\s*([<>])\s*(\S+)\s*")
 _EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
-_LARGEST = 2**16  # bytes of a file of limits: a thousand of them. A guess.
 
 
 @dataclass(frozen=True)
@@ -77,14 +76,11 @@ def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]
         shipped = resources.files(__package__).joinpath("thresholds.toml")
         return _limits(shipped.read_text(encoding="utf-8"), "thresholds.toml")
     name = os.fspath(path)
-    return _limits(read_limited(path, _LARGEST), name)
+    return _limits(read_limited(path, LARGEST_TOML), name)
 
 
 def _limits(text: str, name: str) -> tuple[Limit, ...]:
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{name}: no TOML ({error}); {_EXPECTED}") from None
+    table = parse_toml(text, name, _EXPECTED)
     texts = table.get("fail_on")
     listed = isinstance(texts, list) and all(isinstance(t, str) for t in texts)
     if not listed or len(table) > 1:

@@ -6,6 +6,8 @@ import hashlib
 from importlib import resources
 from pathlib import Path
 
+from kinefilter.pipeline.formats import atomic_path
+
 __all__ = ["fingerprint", "is_made", "say_made"]
 
 _FLOORS = ("characters", "retarget", "scenes", "pipeline")
@@ -40,4 +42,5 @@ def is_made(name: str, folder: Path, stamp: str) -> bool:
 
 def say_made(name: str, folder: Path, stamp: str) -> None:
     """Note of which fingerprint a study's table is."""
-    (folder / f"{name}.made").write_text(stamp, encoding="utf-8")
+    with atomic_path(folder / f"{name}.made") as temporary:
+        temporary.write_text(stamp, encoding="utf-8")

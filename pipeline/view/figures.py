@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, Prop, Skeleton
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.render.reliability_colors import reliability_colors
-from kinefilter.retarget.rotations import between
+from kinefilter.retarget.rotations import IDENTITY, between
 
 from .solids import surface_of, upright_cylinder
 
@@ -26,7 +26,6 @@ _AXIS = np.array([0.0, 1.0, 0.0])  # of the cylinder that a bone is
 _BONE_COLOR = (0.32, 0.33, 0.37)
 _SKIN = (0.60, 0.76, 0.93)
 _TRANSLUCENT = 0.4  # of the skin, where a figure is inside it
-_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class Layer(Protocol):
@@ -130,7 +129,7 @@ class SkinFigure:
             "/mesh",
             skin.points,
             np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]),
-            bone_wxyzs=np.tile(_NO_TURN, (len(skeleton), 1)),
+            bone_wxyzs=np.tile(IDENTITY, (len(skeleton), 1)),
             bone_positions=rest[starts],
             skin_weights=weights,
             color=_color(_SKIN),
@@ -198,7 +197,7 @@ def _instances(
         name,
         mesh.vertices,
         mesh.faces,
-        batched_wxyzs=np.tile(_NO_TURN, (count, 1)),
+        batched_wxyzs=np.tile(IDENTITY, (count, 1)),
         batched_positions=np.zeros((count, 3)),
         batched_scales=np.zeros((count, 3)),
         batched_colors=_bytes(np.tile(color, (count, 1))),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Clip
 from kinefilter.pipeline.target.contacts import ankles_and_toes
+from kinefilter.retarget.rotations import IDENTITY
 
 from .solids import upright_cylinder
 
@@ -17,7 +18,6 @@ Array = NDArray[np.float64]
 
 _RADIUS, _THICK = 0.055, 0.006  # m, of what marks a part of a foot that stands
 _STANDS = np.array([0, 100, 36], dtype=np.uint8)
-_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _BAR = 0.025  # m, radius of the bar
 _METERS = 1.0  # that the bar is high for a force of one body weight
 _ASIDE = 0.55  # m from the pelvis
@@ -46,7 +46,7 @@ class FootMarks:
             "/contacts",
             disk.vertices,
             disk.faces,
-            batched_wxyzs=np.tile(_NO_TURN, (len(parts), 1)),
+            batched_wxyzs=np.tile(IDENTITY, (len(parts), 1)),
             batched_positions=np.zeros((len(parts), 3)),
             batched_scales=np.zeros((len(parts), 3)),
             batched_colors=np.tile(_STANDS, (len(parts), 1)),

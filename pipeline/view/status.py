@@ -10,7 +10,7 @@ from kinefilter.characters import Clip, Term
 
 __all__ = ["status_html"]
 
-_TERMS = {int(term): term.name.lower().replace("_", " ") for term in Term}
+_TERMS = {int(term): term.words for term in Term}
 
 
 def status_html(clip: Clip, frame: int) -> str:
