@@ -22,7 +22,6 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.simulate import simulate
 from kinefilter.pipeline.studies import (
     STUDIES,
-    Bar,
     Study,
     drawing,
     files,
@@ -120,13 +119,6 @@ def test_in_class_b_things_hide_the_body_and_nobody_moves_them() -> None:
         assert (pair.take.state == 2).mean() < (bare.take.state == 2).mean() - 0.03
 
 
-def test_bars_are_held_at_the_target_itself() -> None:
-    assert Bar("error, cm", 3.0, 3.0).held
-    assert not Bar("error, cm", 3.1, 3.0).held
-    assert Bar("enhanced, %", 40.0, 40.0, at_most=False).held
-    assert not Bar("enhanced, %", 39.9, 40.0, at_most=False).held
-
-
 def test_quick_studies_take_less_of_what_there_is() -> None:
     for name, (run, quick, _) in STUDIES.items():
         defaults = inspect.signature(run).parameters
@@ -197,12 +189,11 @@ def test_a_folder_that_cannot_be_is_refused(
         assert out.partition("/")[0] in capsys.readouterr().err
 
 
-def test_the_command_writes_and_says_which_bars_held(
+def test_the_command_writes_and_prints_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["reproduce", "reliability", "--quick", "-o", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
-    assert "bars held" in printed
     with (tmp_path / "reliability.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["scoring"] for row in rows] == ["shum", "chiang", "noise", "learned"]

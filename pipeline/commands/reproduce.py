@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from rich.table import Table
 from tyro.conf import Positional, arg
 
 from kinefilter.characters import InputError
 
 from .terminal import out, progress_bars
-
-if TYPE_CHECKING:
-    from kinefilter.pipeline.studies import Bar
 
 __all__ = ["Reproduce"]
 
@@ -68,9 +64,7 @@ class Reproduce:
         check_drawing()
         check_studies_folder(folder)
         data = recordings_folder(self.data)
-        bars = self._study(names, folder, data)
-        if bars:
-            out.print(_held(bars))
+        self._study(names, folder, data)
         return 0 if self.all is None else self._judge(folder, data)
 
     def _folder(self) -> Path:
@@ -83,14 +77,11 @@ class Reproduce:
             raise InputError("give studies and -o FOLDER, or --all FOLDER")
         return self.out
 
-    def _study(
-        self, names: Sequence[str], folder: Path, data: Path | None
-    ) -> list[Bar]:
-        """Run studies, write and print them; return the targets that they have."""
+    def _study(self, names: Sequence[str], folder: Path, data: Path | None) -> None:
+        """Run studies, write and print them."""
         from kinefilter.pipeline.studies import as_table, made, reproduce, write_study
 
         stamp = made.fingerprint(data, seed=self.seed, quick=self.quick)
-        bars: list[Bar] = []
         for name in names:
             if self.all is not None and made.is_made(name, folder, stamp):
                 out.print(f"{folder / name}.csv is there already\n", markup=False)
@@ -107,8 +98,6 @@ class Reproduce:
             made.say_made(name, folder, stamp)
             out.print(as_table(study))
             out.print(f"wrote {' and '.join(map(str, written))}\n", markup=False)
-            bars += study.bars
-        return bars
 
     def _judge(self, folder: Path, data: Path | None) -> int:
         """Make the pictures, compare the claims; return the exit code."""
@@ -122,22 +111,3 @@ class Reproduce:
         out.print(verdicts.verdicts_table(found))
         out.print(f"wrote {written}", markup=False)
         return int(any(verdict.held is False for verdict in found))
-
-
-def _held(bars: Sequence[Bar]) -> Table:
-    """Return which targets were reached."""
-    held = sum(bar.held for bar in bars)
-    table = Table(
-        "figure",
-        "measured",
-        "target",
-        "held",
-        title=f"{held} of {len(bars)} bars held",
-        title_justify="left",
-    )
-    for bar in bars:
-        target = f"{'at most' if bar.at_most else 'at least'} {bar.target:g}"
-        table.add_row(
-            bar.what, f"{bar.measured:.2f}", target, "yes" if bar.held else "no"
-        )
-    return table
