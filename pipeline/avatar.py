@@ -1,4 +1,7 @@
-"""A character that follows a Kinect frame by frame, for games."""
+"""A character that follows a Kinect frame by frame, for games.
+
+``tests/hostile.py`` lets it follow what no sensor should give.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Streams of frames in, poses out: to engines by VMC, to browsers by WebSocket."""
+"""Streams of frames in, poses out: to engines by VMC, to browsers by WebSocket.
+
+``tests/live_figures.py`` measures latency and memory, with one or many people, readers
+that are slow and senders of nonsense.
+"""
 
 from __future__ import annotations
 
