@@ -21,16 +21,15 @@ class Reproduce:
     """Measure again what README and the papers say: a table and a plot a study.
 
     Studies of takes and of marker mocap: cleaned-takes, marker-mocap, untrained,
-    methods-new-people, methods-known-people, failures; of speed: speed,
-    million-postures; of the papers, on simulated takes: reliability, shum-table-3,
-    shum-table-4, shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5,
-    chiang-figure-5.
+    methods-new-people, methods-known-people, failures, reliability; of speed: speed,
+    million-postures; of the papers, on simulated takes: shum-table-3, shum-table-4,
+    shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5, chiang-figure-5.
 
     With --all every study and picture is made, and every figure of README compared with
     what was found, in some forty minutes on two cores; exit code 1 if one does not
     hold. The same command again makes only what is missing, or what other code or
-    recordings made. Plots need pip install "kinefilter[reproduce]", the moving picture
-    OpenGL, pictures of pages Chromium and a checkout.
+    recordings made. Needs pip install "kinefilter[reproduce]"; for the moving picture
+    OpenGL, for pictures of pages viser, Chromium and a checkout.
     """
 
     studies: Positional[tuple[str, ...]] = ()
@@ -41,7 +40,10 @@ class Reproduce:
     """Make everything in this folder, and claims.csv: what README says, and what was
     measured."""
     data: Path | None = None
-    """Folder of recordings; default: ../shared/data, if it is there. Without any,
+    """Folder of recordings; default: ../shared/data, if it is there: takes in
+    takes/*/*.csv or .csv.gz, of which *_failure have gross failures and those in
+    precog16 are punches and kicks, and pairs (as of 'simulate --pairs') of one person
+    each in ui-prmd/s*.npz, their clips named m01_... by the movement. Without any,
     people are simulated, and what only recordings tell is not measured."""
     seed: int = 0
     """Draws simulated people, performances and the sensor's errors."""

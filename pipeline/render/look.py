@@ -40,8 +40,8 @@ class Look:
     place: Literal["beside", "over"] = "beside"
     """Where the take of --compare stands."""
     scene: str | None = None
-    """Room to draw around the clip, one of those of simulate or an MJCF file; default:
-    the things that the clip itself holds."""
+    """Room to draw around the clip: a scene (an unknown name lists them), or an MJCF
+    file (.xml); default: the things that the clip itself holds."""
     shadows: bool = False
     """Draw shadows also where no GPU draws, which then takes five times as long or
     more."""
