@@ -11,15 +11,14 @@ from pathlib import Path
 from kinefilter.characters import InputError
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.formats import read_take, write_clip
-from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.run import clean
 
 __all__ = ["make_pictures"]
 
 _SIZE, _RATE = "480x270", 10.0  # a moving picture that loads quickly
 _LONGEST = 600.0  # s that a script may take, ten times what it needs. A guess.
-_CHECKOUT = Path(__file__).parents[2]
-_PAGES = _CHECKOUT / "tests" / "pictures" / "pages.py"
+_PAGES = Path(__file__).parents[2] / "tests" / "pictures" / "pages.py"
 
 
 def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]:
@@ -38,8 +37,7 @@ def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]
         yield f"wrote {path}"
     except InputError as error:
         yield f"not made: {path.name} ({error})"
-    for script in over((_PAGES,), "pages", progress):
-        yield _run(script, folder)
+    yield _run(_PAGES, folder)
 
 
 def _draw(path: Path, progress: Progress) -> None:

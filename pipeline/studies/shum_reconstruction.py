@@ -16,7 +16,7 @@ from kinefilter.retarget import Standardizer, View
 from kinefilter.retarget.normalise import find_yaw
 from kinefilter.scenes import perform
 
-from .relative_error import bone_errors
+from .bone_errors import bone_errors
 from .study import Panel, Series, Study
 from .takes import CLASSES, Kind, people_of, study_takes
 
