@@ -103,10 +103,10 @@ def _seen(
     return pixels[-1]
 
 
-def _greens(pixels: NDArray[np.float64]) -> int:
-    """Return how many pixels are green, as reliable joints are."""
-    red, green, blue = np.moveaxis(pixels, 2, 0)
-    return int(((green > red + 40) & (green > blue + 40)).sum())
+def _blues(pixels: NDArray[np.float64]) -> int:
+    """Return how many pixels are as blue as reliable joints, which the skin is not."""
+    red, _, blue = np.moveaxis(pixels, 2, 0)
+    return int(((blue > 80) & (red < 0.5 * blue)).sum())
 
 
 def _changed(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
@@ -117,7 +117,7 @@ def _changed(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
 def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
     page: Browser, viewer: Viewer
 ) -> None:
-    start = _seen(page, lambda pixels: _greens(pixels) > 100)
+    start = _seen(page, lambda pixels: _blues(pixels) > 100)
     shown = start
     for name in ("mesh", "raw", "cleaned", "physics", "contacts", "forces"):
         page.run(_CHECK, name)

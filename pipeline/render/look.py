@@ -35,8 +35,8 @@ class Look:
     every: int = 1
     """Draw every Nth frame only; a video plays as fast as before."""
     compare: Path | None = None
-    """The take that the clip was made of: a stick figure with joints from green
-    (reliable) to red."""
+    """The take that the clip was made of: a stick figure with joints from blue
+    (reliable) over pale yellow to red."""
     place: Literal["beside", "over"] = "beside"
     """Where the take of --compare stands."""
     scene: str | None = None
