@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.pipeline.correct import Correction, Observation
+from kinefilter.pipeline.correct.clustered_gp import ClusteredGP
 from kinefilter.pipeline.correct.exemplar import Exemplar
 from kinefilter.pipeline.correct.full_gp import FullGP
 from kinefilter.pipeline.correct.local_gp import LocalGP
@@ -42,7 +43,7 @@ DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
 paired = pytest.mark.skipif(
     not DATA.is_dir(), reason="no paired data in ../shared/data"
 )
-Method = LocalGP | FullGP | Exemplar
+Method = LocalGP | FullGP | Exemplar | ClusteredGP
 ONES = np.ones(len(KINECT_V1))
 WRIST, ELBOW = KINECT_V1.index("WristLeft"), KINECT_V1.index("ElbowLeft")
 SPINE = KINECT_V1.index("Spine")
