@@ -19,10 +19,10 @@ from offset_lessons import (
     lessons_of,
     local_gp,
     moves_of,
-    paired,
     postures_of,
     recorded_lessons,
 )
+from real_data import paired
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError
 from kinefilter.pipeline.correct import Observation

@@ -14,7 +14,7 @@ import av
 import numpy as np
 import pytest
 import viser
-from browser import Browser, missing
+from browser import Browser
 from numpy.typing import NDArray
 
 from kinefilter.pipeline import CleanConfig, clean, read_take
@@ -23,6 +23,7 @@ from kinefilter.pipeline.formats.contacts import read_contacts
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.view import Viewed, Viewer, cleaned, opened_viewer
 
+WINDOW = {"size": (900, 640), "webgl": True}  # of the browser
 _PATIENCE = 60.0  # s: WebGL on a busy processor is slow
 _CANVAS = (slice(190, 490), slice(0, 510))  # the scene, without panel and messages
 
@@ -63,15 +64,6 @@ def viewer(viewed: Viewed, saved: Path) -> Iterator[Viewer]:
         yield opened
         opened.stop()
         work.join()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    reason = missing()
-    if reason is not None:
-        pytest.skip(reason)
-    with Browser(size=(900, 640), webgl=True) as opened:
-        yield opened
 
 
 @pytest.fixture
