@@ -82,8 +82,8 @@ class CleanConfig:
     """By how much the floor rises away along the sensor's z axis [degrees]; default:
     found where somebody walks a meter or more."""
     scene: str | None = None
-    """What is around the person, who begins at its origin: basic, box, flip_chart,
-    basketball, chair, office, or an MJCF file (.xml); default: the floor alone."""
+    """What is around the person, who begins at its origin: a scene (an unknown name
+    lists them), or an MJCF file (.xml); default: the floor alone."""
     height: float | None = None
     """The person's stature [m]; default: from the take."""
     mass: float | None = None

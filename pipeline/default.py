@@ -1,8 +1,8 @@
 """What corrects a take when nothing is asked for.
 
-Models that learned whole postures from simulated people cut the error of simulated
-takes further (``tests/trained_table_4.py``), but let the error that varies of recorded
-people grow against smoothing alone. So the default learns constant offsets alone.
+The embedded model knows constant offsets alone. Whole postures can be learned from
+simulated people too (``kinefilter train --simulated``); no study shows that recorded
+people gain from it, so it is not the default.
 """
 
 from __future__ import annotations

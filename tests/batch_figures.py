@@ -3,8 +3,9 @@
 Usage: python tests/batch_figures.py FOLDER [--takes 1000] [--frames 300] [--jobs 2]
 
 The takes are made, cleaned by one process alone (before and after), and by a batch; the
-memory of the batch's workers is read while it runs. Where other programs run too, the
-time means little: then compare seconds of processors, and how long workers waited.
+memory of the batch's workers is read while it runs, and the sizes of takes and clips at
+the end. Where other programs run too, the time means little: then compare seconds of
+processors, and how long workers waited.
 """
 
 from __future__ import annotations
@@ -62,6 +63,11 @@ def megabytes(process: int, key: str) -> float:
     return 0.0
 
 
+def megabytes_a_file(folder: Path, pattern: str) -> float:
+    """Return the mean size of files in the folders of a folder [MB]."""
+    return statistics.mean(p.stat().st_size for p in folder.rglob(pattern)) / 1e6
+
+
 def _workers(parent: int) -> list[int]:
     """Return the processes that a batch works in: those that loaded the engine."""
     found = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
@@ -111,6 +117,8 @@ def main() -> None:
     ratio = statistics.mean(busy) * count / used
     say(f"{used / count:.3f} s of a processor a take, start and end too\n")
     say(f"alone over that: {ratio:.2f}; workers cleaned in {work:.1%} of the time\n")
+    sizes = megabytes_a_file(takes, "*.*"), megabytes_a_file(out, "*.usdc")
+    say(f"a take has {sizes[0]:.2f} MB, its clip {sizes[1]:.2f} MB\n")
     for worker, values in memory.items():
         tenth = max(1, len(values) // 10)
         first, last = values[tenth : 2 * tenth], values[-tenth:]

@@ -5,13 +5,15 @@ import os
 # The suite runs on all cores; more threads of linear algebra would only fight.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
+from browser import Browser, missing
 from numpy.typing import NDArray
 
 from kinefilter.characters import (
@@ -141,3 +143,29 @@ def make_clip() -> MakeClip:
         )
 
     return make
+
+
+@pytest.fixture(scope="module")
+def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
+    """Open a window of Chromium as the module's WINDOW has it, where there is one."""
+    reason = missing()
+    if reason is not None:
+        pytest.skip(reason)
+    with Browser(**getattr(request.module, "WINDOW", {})) as opened:
+        yield opened
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let batches of the test work in its own process."""
+    from batch_takes import Here
+
+    monkeypatch.setattr("kinefilter.pipeline.batch.run._crew", Here)
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    """Return a folder of takes and other files, for a batch."""
+    from batch_folders import make_folder
+
+    return make_folder(tmp_path / "takes")

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+from kinefilter.scenes import Performance
 
-__all__ = ["BODY", "FEET", "Array", "polynomial", "stamps", "standing"]
+__all__ = ["BODY", "FEET", "Array", "noisy", "polynomial", "stamps", "standing"]
 
 Array = NDArray[np.float64]
 BODY = standard_body(KINECT_V1)
@@ -20,6 +21,12 @@ def stamps(count: int, fps: float = 30.0) -> Array:
 
 def standing(frames: int, skeleton: Skeleton = KINECT_V1) -> Array:
     return np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1))
+
+
+def noisy(act: Performance, sigma: float = 0.006, seed: int = 0) -> Array:
+    """Return where a performance's joints are seen, every axis off by sigma [m]."""
+    rng = np.random.default_rng(seed)
+    return act.positions + rng.normal(0.0, sigma, act.positions.shape)
 
 
 def polynomial(time: Array, *vectors: list[float]) -> Array:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
+from real_data import PAIRS
 
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.pipeline.correct import Correction, Observation
+from kinefilter.pipeline.correct.clustered_gp import ClusteredGP
 from kinefilter.pipeline.correct.exemplar import Exemplar
 from kinefilter.pipeline.correct.full_gp import FullGP
 from kinefilter.pipeline.correct.local_gp import LocalGP
@@ -32,17 +32,12 @@ __all__ = [
     "lessons_of",
     "local_gp",
     "moves_of",
-    "paired",
     "postures_of",
     "recorded_lessons",
 ]
 
 Array = NDArray[np.float64]
-DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
-paired = pytest.mark.skipif(
-    not DATA.is_dir(), reason="no paired data in ../shared/data"
-)
-Method = LocalGP | FullGP | Exemplar
+Method = LocalGP | FullGP | Exemplar | ClusteredGP
 ONES = np.ones(len(KINECT_V1))
 WRIST, ELBOW = KINECT_V1.index("WristLeft"), KINECT_V1.index("ElbowLeft")
 SPINE = KINECT_V1.index("Spine")
@@ -106,7 +101,7 @@ def recorded_lessons(keep: Callable[[int], bool]) -> TrainingSet:
     """Return two movements of one person, of the repetitions that are kept."""
     pairs = [
         pair
-        for pair in read_pairs(DATA / "s02.npz")
+        for pair in read_pairs(PAIRS / "s02.npz")
         if pair.clip[:3] in ("m01", "m07")
         and "_inc" not in pair.clip
         and keep(int(pair.clip[9:11]))

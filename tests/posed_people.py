@@ -6,10 +6,9 @@ from dataclasses import fields, replace
 
 import mujoco
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Body, standard_body
+from kinefilter.characters import KINECT_V1, Body, standard_body
 from kinefilter.retarget import positions_from_rotations
 from kinefilter.retarget.rotations import about_y, between, multiply
 from kinefilter.scenes import Errors, Performance, Sensor
@@ -26,9 +25,6 @@ EXACT = replace(
     depth_noise=type(Sensor().depth_noise)(0.0, 0.0, 0.0),
     dropped_share=0.0,
     stamp_jitter=0.0,
-)
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
 )
 
 

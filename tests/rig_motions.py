@@ -52,3 +52,10 @@ def performed(name: str, *, seed: int = 3, skeleton: Skeleton = KINECT_V2) -> Cl
         external_force=np.full(len(motion), np.nan),
         source=name,
     )
+
+
+def bent_to(limb: Array) -> Array:
+    """Return from the line between a limb's ends to its middle (T, 3, 3), (T, 3)."""
+    line, bone = limb[:, 2] - limb[:, 0], limb[:, 1] - limb[:, 0]
+    share = np.sum(bone * line, axis=-1) / np.sum(line * line, axis=-1)
+    return np.asarray(bone - share[:, None] * line)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from kinefilter.characters import (
     KINECT_V1,
-    KINECT_V2,
     Skeleton,
     State,
     Take,
@@ -27,7 +25,6 @@ __all__ = [
     "Array",
     "average",
     "blind",
-    "every_skeleton",
     "moved",
     "score",
     "still_take",
@@ -35,9 +32,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 HAND = KINECT_V1.index("HandLeft")
 
 

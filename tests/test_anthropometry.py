@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -17,9 +18,6 @@ from kinefilter.characters import (
     standard_body,
 )
 
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 skeletons = st.sampled_from([KINECT_V1, KINECT_V2])
 heights = st.floats(0.6, 2.4)
 LEFT_RIGHT = np.array([-1.0, 1.0, 1.0])

@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from known_motions import standing
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, standard_body
@@ -21,10 +22,6 @@ BODY = standard_body(KINECT_V1)
 
 def follow(avatar: Avatar, positions: Array) -> list[Pose]:
     return [avatar.step(frame, k / 30.0) for k, frame in enumerate(positions)]
-
-
-def standing(frames: int) -> Array:
-    return np.tile(BODY.rest_positions, (frames, 1, 1))
 
 
 def test_a_performance_is_followed_in_the_same_frame() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batch_folders import QUICK, clean_folder, make_folder, rows_of, table_of
+from batch_folders import QUICK, clean_folder, rows_of, table_of
 from batch_takes import Here, short_take
 from published_layouts import ntu_text
 
@@ -27,17 +27,6 @@ from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.simulate import simulate
 
 FLAGS = ["--method", "none", "--no-physics"]
-
-
-@pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let batches of the test work in its own process."""
-    monkeypatch.setattr(run, "_crew", Here)
-
-
-@pytest.fixture
-def takes(tmp_path: Path) -> Path:
-    return make_folder(tmp_path / "takes")
 
 
 def _files(folder: Path) -> set[str]:

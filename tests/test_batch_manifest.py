@@ -8,28 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from batch_folders import clean_folder, make_folder, rows_of, table_of
-from batch_takes import Here
+from batch_folders import clean_folder, rows_of, table_of
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig
-from kinefilter.pipeline.batch import manifest, run
+from kinefilter.pipeline.batch import manifest
 from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.manifest import open_manifest, write_csv
 from kinefilter.pipeline.batch.places import store_at
 from kinefilter.pipeline.batch.row import Row, parse_rows, row_from_json
 from kinefilter.pipeline.settings import Settings
-
-
-@pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let batches of the test work in its own process."""
-    monkeypatch.setattr(run, "_crew", Here)
-
-
-@pytest.fixture
-def takes(tmp_path: Path) -> Path:
-    return make_folder(tmp_path / "takes")
 
 
 @pytest.mark.usefixtures("here")

@@ -6,20 +6,13 @@ import gzip
 from pathlib import Path
 
 import pytest
-from batch_folders import make_folder
+from real_data import TAKES, recorded
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch.naming import clip_names
 from kinefilter.pipeline.batch.sources import find_sources
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.takes import claims_take
-
-DATA = Path(__file__).parents[1].parent / "shared" / "data"
-
-
-@pytest.fixture
-def takes(tmp_path: Path) -> Path:
-    return make_folder(tmp_path / "takes")
 
 
 def test_names_that_would_be_the_same_are_kept_apart() -> None:
@@ -80,9 +73,9 @@ def test_takes_are_told_from_notes_by_how_they_begin(
     assert claims_take(zipped) == claims
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="recordings (../shared/data) not here")
+@recorded
 def test_recordings_claim_to_be_takes_and_what_lies_beside_them_does_not() -> None:
-    files = sorted((DATA / "takes").rglob("*.*"))
+    files = sorted(TAKES.rglob("*.*"))
     texts = [p for p in files if p.name.endswith((".csv", ".csv.gz", ".txt"))]
     notes = ("LICEN", "SOURCE", "README")
     assert len(texts) > 50

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -28,10 +29,6 @@ from kinefilter.retarget import (
 from kinefilter.retarget.rotations import about_y, normalize, rotate
 
 Array = NDArray[np.float64]
-
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 
 
 def person(skeleton: Skeleton, seed: int, *, turned: bool = True) -> Body:

@@ -8,16 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import NonlinearConstraint, minimize
+from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.retarget import BoneLengths, bone_lengths, positions_from_rotations
 from kinefilter.retarget.rotations import normalize
 
 Array = NDArray[np.float64]
-
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 
 
 def postures(skeleton: Skeleton, count: int, seed: int = 0) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from real_data import CMU, captured
 from scipy.spatial.transform import Rotation
 from text_files import write_text
 
@@ -16,10 +17,6 @@ from kinefilter.pipeline.formats import Bvh, read_bvh, write_clip
 from kinefilter.pipeline.formats.euler import continuous_euler, wxyz_from_euler
 
 MakeClip = Callable[..., Clip]
-CMU = Path(__file__).parents[2] / "shared" / "data" / "mocap" / "cmu"
-recorded = pytest.mark.skipif(
-    not CMU.is_dir(), reason="no motion capture in ../shared/data"
-)
 SMALL = """HIERARCHY
 ROOT Hips
 {
@@ -242,7 +239,7 @@ def test_a_gzip_bomb_ends_at_its_first_wrong_frame(tmp_path: Path) -> None:
         read_bvh(tmp_path / "bomb.bvh.gz")
 
 
-@recorded
+@captured
 def test_motion_capture_stands_in_a_t_pose_in_its_first_frame() -> None:
     paths = sorted(CMU.glob("*.bvh.gz"))[::20]
     assert paths
@@ -257,7 +254,7 @@ def test_motion_capture_stands_in_a_t_pose_in_its_first_frame() -> None:
         assert joint["Head"][1] - joint["LeftFoot"][1] > 1.2
 
 
-@recorded
+@captured
 def test_motion_capture_keeps_its_bone_lengths() -> None:
     bvh = read_bvh(min(CMU.glob("*.bvh.gz")))
     parents = np.array(bvh.parents)

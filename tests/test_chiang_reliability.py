@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scored_takes import average, blind, still_take
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,
-    KINECT_V2,
     Skeleton,
     State,
     Take,
@@ -62,7 +62,7 @@ def unwound(rate: Array) -> Array:
     return np.array(scores)
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_a_still_tracked_person_scores_one(skeleton: Skeleton) -> None:
     result = score(still_take(8, skeleton), average(skeleton))
     np.testing.assert_allclose(result.rate, 1.0)

@@ -203,7 +203,7 @@ def test_a_picture_that_cannot_be_made_is_told(
         raise InputError("no OpenGL")
 
     monkeypatch.setattr(pictures, "_draw", refuse)
-    monkeypatch.setattr(pictures, "_CHECKOUT", tmp_path)
+    monkeypatch.setattr(pictures, "_PAGES", tmp_path / "pages.py")
     told = list(pictures.make_pictures(tmp_path))
     assert "no OpenGL" in told[0]
     assert [line.split()[0] for line in told] == ["not"] * len(told)

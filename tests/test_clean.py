@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from real_data import PAIRS, TAKES, paired, recorded
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -28,13 +30,7 @@ from kinefilter.retarget import positions_from_rotations
 from kinefilter.scenes import observe, perform, sample_take
 
 Array = NDArray[np.float64]
-DATA = Path(__file__).parents[1].parent / "shared" / "data"
-RECORDED = sorted(
-    p for kind in ("*.csv", "*.csv.gz") for p in (DATA / "takes").glob(f"*/{kind}")
-)
-recorded = pytest.mark.skipif(
-    not RECORDED, reason="recorded takes (../shared/data) are not here"
-)
+RECORDED = sorted(p for kind in ("*.csv", "*.csv.gz") for p in TAKES.glob(f"*/{kind}"))
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +125,7 @@ def test_every_baseline_cleans_the_sample(method: Method) -> None:
     assert result.stages["physics"].lowest_point_mm > -20.0
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+@every_skeleton
 @pytest.mark.parametrize("motion", ["walk", "squat", "punch"])
 def test_a_perfect_take_is_left_as_it_is(skeleton: Skeleton, motion: str) -> None:
     take = _perfect(motion, skeleton)
@@ -293,9 +289,7 @@ def test_every_recorded_take_is_cleaned(path: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(again.positions, result.clip.positions, atol=1e-6)
 
 
-@pytest.mark.skipif(
-    not (DATA / "ui-prmd").is_dir(), reason="paired recordings are not here"
-)
+@paired
 @pytest.mark.parametrize("person", ["s03", "s06", "s07", "s08"])
 def test_correction_does_no_harm_to_real_people(person: str) -> None:
     """Offset-free error against marker mocap; trust was chosen on s03 and s07."""
@@ -314,7 +308,7 @@ def test_correction_does_no_harm_to_real_people(person: str) -> None:
         return np.asarray(np.linalg.norm(away - mean, axis=2))
 
     errors: dict[str, list[Array]] = {"raw": [], "none": [], "local-pca": []}
-    with np.load(DATA / "ui-prmd" / f"{person}.npz") as pairs:
+    with np.load(PAIRS / f"{person}.npz") as pairs:
         for start, stop in list(zip(pairs["start"], pairs["stop"], strict=True))[::12]:
             kinect = pairs["kinect"][start:stop].astype(float)
             mocap = pairs["mocap"][start:stop].astype(float)

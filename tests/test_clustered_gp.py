@@ -12,9 +12,7 @@ from offset_lessons import (
     ONES,
     SPINE,
     WRIST,
-    paired,
     postures_of,
-    recorded_lessons,
 )
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
@@ -22,7 +20,6 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from kinefilter.characters import KINECT_V1, InputError, standard_body
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.clustered_gp import BoneWalk, ClusteredGP
-from kinefilter.pipeline.evaluation.accuracy import Accuracy
 from kinefilter.pipeline.training import TrainingSet
 
 Array = NDArray[np.float64]
@@ -176,35 +173,6 @@ def test_missing_joints_are_filled_with_their_last_bones(model: ClusteredGP) -> 
     assert np.all(np.delete(result.trust, [WRIST, WRIST + 1]) == 0.9)
     nothing = _step(model, np.full_like(first, np.nan))
     assert np.isfinite(nothing.positions).all()
-
-
-def test_the_arrays_bring_the_same_corrections_back(model: ClusteredGP) -> None:
-    again = ClusteredGP.from_arrays(KINECT_V1, model.arrays())
-    for posture in postures_of(10, seed=8):
-        one, two = _step(model, posture), _step(again, posture)
-        np.testing.assert_array_equal(one.positions, two.positions)
-        assert one.coverage == two.coverage
-
-
-def test_the_seed_decides_everything(model: ClusteredGP) -> None:
-    twin = ClusteredGP(KINECT_V1, centroids=60).fit(_lessons(SHIFT)).arrays()
-    for key, array in model.arrays().items():
-        np.testing.assert_array_equal(twin[key], array)
-
-
-@paired
-def test_known_people_are_corrected_on_real_recordings() -> None:
-    train, test = recorded_lessons(lambda e: e <= 7), recorded_lessons(lambda e: e > 7)
-    accuracy = Accuracy(KINECT_V1)
-    model = ClusteredGP(KINECT_V1, centroids=300).fit(train)
-    found = np.array(
-        [
-            model.step(Observation(posture, rate, rate)).positions
-            for posture, rate in zip(test.positions, test.rate, strict=True)
-        ]
-    )
-    raw = np.nanmean(accuracy.standardized(test.positions, test.truth))
-    assert np.nanmean(accuracy.standardized(found, test.truth)) < 0.5 * raw
 
 
 def test_people_get_back_the_bones_that_mocap_had() -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import warnings
 from itertools import pairwise, product
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from known_motions import noisy, stamps, standing
 from numpy.typing import NDArray
+from real_data import PAIRS, paired
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.target import contacts
 from kinefilter.pipeline.target.contacts import (
     SIDES,
@@ -23,23 +25,14 @@ from kinefilter.pipeline.target.contacts import (
 )
 from kinefilter.pipeline.training import read_pairs
 from kinefilter.retarget.rotations import about_y, rotate
-from kinefilter.scenes import Performance, perform
+from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 BODY = standard_body(KINECT_V1)
 LEFT, RIGHT = ([KINECT_V1.index(p + s) for p in ("Ankle", "Foot")] for s in SIDES)
-DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
 UNLOADING = 0.15  # s that a stance is shorter at an end within the take
-
-
-def stamps(count: int, fps: float = 30.0) -> Array:
-    return np.arange(count) / fps
-
-
-def standing(frames: int, skeleton: Skeleton = KINECT_V1) -> Array:
-    return np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1))
 
 
 def stance_of(time: Array, positions: Array) -> Flags:
@@ -72,15 +65,10 @@ def rests(time: Array, positions: Array, skeleton: Skeleton = KINECT_V1) -> Flag
     return np.asarray((speed < 0.15) & (height < np.nanmin(height, axis=0) + 0.05))
 
 
-def noisy(act: Performance, sigma: float, seed: int = 0) -> Array:
-    rng = np.random.default_rng(seed)
-    return act.positions + rng.normal(0.0, sigma, act.positions.shape)
-
-
 # Closed forms
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 @pytest.mark.parametrize("fps", [15.0, 30.0, 120.0])
 def test_feet_at_rest_stand_throughout_however_they_tremble(
     skeleton: Skeleton, fps: float
@@ -340,13 +328,13 @@ def test_who_marches_on_the_spot_lifts_the_feet_in_turn(seed: int) -> None:
         assert len(missed) <= len(lifts) // 4
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="paired recordings are not here")
+@paired
 @pytest.mark.parametrize("person", ["s03", "s06", "s07", "s08"])
 def test_feet_of_recorded_people_stand_where_those_of_the_mocap_rest(
     person: str,
 ) -> None:
     same, resting = [], []
-    for pair in read_pairs(DATA / f"{person}.npz")[::11]:
+    for pair in read_pairs(PAIRS / f"{person}.npz")[::11]:
         path, seen = pair.take.positions, ~np.isnan(pair.take.positions[..., 0])
         path = np.where(seen[..., None], path, 0.0)
         _, toes = ankles_and_toes(KINECT_V1)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from real_data import PAIRS, TAKES, paired, recorded
 from scipy.ndimage import minimum_filter1d
+from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take, Term, random_body
 from kinefilter.pipeline import CleanConfig, clean, read_take
@@ -26,8 +27,6 @@ from kinefilter.pipeline.training import PairedTake, read_pairs
 from kinefilter.scenes import MOTIONS, perform
 
 Array = NDArray[np.float64]
-DATA = Path(__file__).parents[1].parent / "shared" / "data"
-recorded = pytest.mark.skipif(not DATA.is_dir(), reason="no recordings in ../shared")
 
 
 def _take(motion: str, seed: int = 0, skeleton: object = KINECT_V1) -> Take:
@@ -83,7 +82,7 @@ def test_nobody_is_too_quick_or_too_supple(motion: str, seed: int) -> None:
     assert find_failures(_take(motion, seed, KINECT_V2)) == ()
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_exchanged_sides_are_found_and_put_back(skeleton: object) -> None:
     take = _take("squat", skeleton=skeleton)
     wrong = _mirrored(take, slice(40, 71))
@@ -112,7 +111,7 @@ def test_a_leg_bent_forwards_at_the_knee_is_found() -> None:
     assert kind not in _kinds(_broken(_take("wave"), slice(30, 45)), "left leg")
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_a_forearm_in_the_head_is_found(skeleton: object) -> None:
     take = _take("stand_idle", skeleton=skeleton)
     places = {"ElbowLeft": [0.1, 0.15, 0.2], "WristLeft": [-0.3, 0.2, 0.0]}
@@ -245,7 +244,7 @@ def test_a_broken_leg_is_invented_anew() -> None:
 
 @recorded
 def test_recorded_failures_are_found() -> None:
-    files = sorted((DATA / "takes" / "ui-prmd").glob("*_failure.csv"))
+    files = sorted((TAKES / "ui-prmd").glob("*_failure.csv"))
     assert len(files) == 25
     assert [f.stem for f in files if not find_failures(read_take(f))] == []
 
@@ -254,7 +253,7 @@ def test_recorded_failures_are_found() -> None:
 def test_recordings_that_look_right_do_not_alarm() -> None:
     files = [
         file
-        for file in sorted((DATA / "takes" / "ui-prmd").glob("*.csv"))
+        for file in sorted((TAKES / "ui-prmd").glob("*.csv"))
         if not file.stem.endswith("_failure")
     ]
     assert len(files) > 10
@@ -277,10 +276,10 @@ def _limbs_off(pair: PairedTake) -> dict[str, Array]:
     }
 
 
-@recorded
+@paired
 def test_recordings_that_mocap_agrees_with_hardly_ever_alarm() -> None:
-    clips = read_pairs(DATA / "ui-prmd" / "s07.npz")
-    clips += read_pairs(DATA / "ui-prmd" / "s08.npz")
+    clips = read_pairs(PAIRS / "s07.npz")
+    clips += read_pairs(PAIRS / "s08.npz")
     # No limb over 20 cm off for 0.3 s: the smallest of 9 frames, the worst of these.
     fine = [
         pair
@@ -294,10 +293,10 @@ def test_recordings_that_mocap_agrees_with_hardly_ever_alarm() -> None:
     assert len(alarms) <= 0.015 * len(fine)
 
 
-@recorded
+@paired
 def test_limbs_that_leap_were_lost() -> None:
     lost = []
-    for pair in read_pairs(DATA / "ui-prmd" / "s02.npz"):
+    for pair in read_pairs(PAIRS / "s02.npz"):
         for failure in find_failures(pair.take):
             if failure.kind is FailureKind.LEAPING:
                 around = slice(max(0, failure.first - 9), failure.last + 10)

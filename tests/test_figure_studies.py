@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from real_data import DATA, paired, recorded
 
 from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.studies import recordings
@@ -16,7 +16,6 @@ from kinefilter.pipeline.studies.methods import _study
 from kinefilter.pipeline.studies.takes import study_takes
 
 WRIST = KINECT_V1.index("WristLeft")
-DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
 @pytest.mark.parametrize(("frames", "off", "near"), [(9, 0.21, 0), (8, 0.9, 1)])
@@ -66,7 +65,8 @@ def test_who_stands_in_for_recorded_people_repeats_movements(
     assert first != second
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="no recordings in ../shared/data")
+@recorded
+@paired
 def test_the_first_movements_of_a_recorded_person_are_read() -> None:
     clips = recordings.person(DATA, recordings.people(DATA)[0], 0, 1)
     assert {pair.clip[:3] for pair in clips} == {"m01"}

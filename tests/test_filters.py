@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from known_motions import stamps
 from numpy.typing import NDArray
 from scipy.signal import butter, filtfilt
 
@@ -29,10 +30,6 @@ REST = BODY.rest_positions - BODY.rest_positions[KINECT_V1.root]
 whole_take = pytest.mark.parametrize(
     "corrector", [Butterworth(), SavitzkyGolay()], ids=["butterworth", "savgol"]
 )
-
-
-def stamps(count: int) -> Array:
-    return np.arange(count) / FPS
 
 
 def take_of(positions: Array, time: Array | None = None) -> ObservedTake:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from known_motions import standing
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.pipeline.evaluation.metrics import lowest_point
@@ -17,14 +19,6 @@ from kinefilter.retarget.rotations import about_y, normalize, rotate
 from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]
-
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
-
-
-def standing(frames: int, skeleton: Skeleton = KINECT_V1) -> Array:
-    return np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1))
 
 
 def no_stance(frames: int) -> NDArray[np.bool_]:

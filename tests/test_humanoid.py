@@ -5,8 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.humanoid import (
     Tracking,
     build_humanoid,
@@ -15,8 +16,6 @@ from kinefilter.characters.humanoid import (
     to_mujoco,
 )
 from kinefilter.retarget.rotations import about_y, rotate
-
-both_skeletons = pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
 
 
 def test_forward_left_and_up_are_the_axes_of_mujoco() -> None:
@@ -42,7 +41,7 @@ def test_rotating_and_going_to_mujoco_commute() -> None:
     )
 
 
-@both_skeletons
+@every_skeleton
 def test_the_compiled_model_has_the_bodys_masses_lengths_and_radii(
     skeleton: Skeleton,
 ) -> None:
@@ -66,7 +65,7 @@ def test_the_compiled_model_has_the_bodys_masses_lengths_and_radii(
     )
 
 
-@both_skeletons
+@every_skeleton
 def test_it_stands_in_t_pose_with_its_soles_on_the_floor(skeleton: Skeleton) -> None:
     body = standard_body(skeleton)
     model = build_humanoid(body).compile()
@@ -78,7 +77,7 @@ def test_it_stands_in_t_pose_with_its_soles_on_the_floor(skeleton: Skeleton) -> 
     )
 
 
-@both_skeletons
+@every_skeleton
 def test_joint_masses_sum_to_the_body(skeleton: Skeleton) -> None:
     body = standard_body(skeleton, mass=81.0)
     assert joint_masses(body).sum() == pytest.approx(81.0)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from published_layouts import azure_json, msrc_12_text, ntu_text
+from real_data import TAKES, recorded
 from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, State, Take
@@ -21,7 +22,6 @@ from kinefilter.pipeline.formats import write_clip, write_contacts, write_take_c
 from kinefilter.pipeline.simulate import simulate, write_pairs
 
 MakeClip = Callable[..., Clip]
-TAKES = Path(__file__).parents[2] / "shared" / "data" / "takes"
 
 
 def told(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def test_a_mirrored_stretch_is_told_with_its_time() -> None:
     assert mirrored[0]["start_s"] == pytest.approx(take.time[40], abs=0.2)
 
 
-@pytest.mark.skipif(not TAKES.is_dir(), reason="no recorded takes in ../shared/data")
+@recorded
 def test_recorded_failures_and_inferred_joints_are_told(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

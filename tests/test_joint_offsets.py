@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -118,7 +119,7 @@ def test_the_embedded_offsets_are_what_simulated_pairs_teach() -> None:
     assert np.mean(differ) < 0.005
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_the_default_brings_simulated_strangers_nearer(skeleton: Skeleton) -> None:
     motions = ("cross_arms", "squat", "punch", "wave")
     pairs = [

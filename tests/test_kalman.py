@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from known_motions import stamps
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.correct import Correction, Hold, Observation
 from kinefilter.pipeline.correct.kalman import (
     ACCELERATION_DENSITY,
@@ -28,13 +30,6 @@ SHOULDER, ELBOW, WRIST, HAND = (
 )
 BODY = standard_body(KINECT_V1)
 REST = BODY.rest_positions - BODY.rest_positions[KINECT_V1.root]
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
-
-
-def stamps(count: int) -> Array:
-    return np.arange(count) / FPS
 
 
 def swinging(count: int, pace: float = 1.5) -> Array:

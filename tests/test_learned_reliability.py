@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from real_data import PAIRS, paired
 from scored_takes import average
 from sklearn.metrics import roc_auc_score
 
@@ -37,10 +38,6 @@ from kinefilter.scenes import perform, sample_take
 
 Array = NDArray[np.float64]
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
-paired = pytest.mark.skipif(
-    not (DATA / "ui-prmd").is_dir(), reason="no paired data in ../shared/data"
-)
 WRIST = KINECT_V1.index("WristLeft")
 
 
@@ -260,7 +257,7 @@ def test_simulated_joints_that_are_far_off_are_found(sensor: str) -> None:
 @paired
 def test_recorded_joints_that_are_far_off_are_found() -> None:
     """Of real people, although it was taught by simulated ones alone."""
-    files = sorted((DATA / "ui-prmd").glob("s*.npz"))
+    files = sorted(PAIRS.glob("s*.npz"))
     areas = reliability_auc([pair for f in files for pair in read_pairs(f)[::6]])
     for key, least, better in (
         ("over_10_cm", 0.8, 0.2),

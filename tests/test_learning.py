@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from real_data import PAIRS, paired
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -33,7 +34,6 @@ from kinefilter.scenes import perform
 Array = NDArray[np.float64]
 BIAS = {"WristLeft": [0.0, 0.06, 0.0], "KneeRight": [0.05, 0.0, -0.03]}
 """What the imagined sensor gets wrong, always [m]."""
-DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
 
 
 def _pair(subject: str, motion: str, repetition: int, height: float) -> PairedTake:
@@ -386,11 +386,11 @@ def _standing(height: float) -> Array:
     return body.rest_positions[None]
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="paired recordings are not here")
+@paired
 def test_best_beats_the_filters_on_real_strangers() -> None:
     others = ("s02", "s03", "s04", "s07", "s08")
-    train = [p for s in others for p in read_pairs(DATA / f"{s}.npz")[::3]]
-    test = read_pairs(DATA / "s06.npz")[::10]
+    train = [p for s in others for p in read_pairs(PAIRS / f"{s}.npz")[::3]]
+    test = read_pairs(PAIRS / "s06.npz")[::10]
     figures = evaluate(train, test, ["best", "butterworth"])["methods"]
     assert figures["best"]["E_std"] < 0.9 * figures["raw"]["E_std"]
     assert figures["best"]["E_var"] < 0.95 * figures["raw"]["E_var"]

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from real_data import CMU, captured
+from skeletons import every_skeleton
 from text_files import write_text
 from threadpoolctl import threadpool_limits
 
@@ -31,13 +33,6 @@ from kinefilter.retarget.rotations import inverse, rotate
 from kinefilter.scenes import MOTIONS
 
 Array = NDArray[np.float64]
-CMU = Path(__file__).parents[2] / "shared" / "data" / "mocap" / "cmu"
-recorded = pytest.mark.skipif(
-    not CMU.is_dir(), reason="no motion capture in ../shared/data"
-)
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 
 
 # Scripted motions
@@ -250,7 +245,7 @@ def test_no_files_and_files_that_do_not_fit_are_refused(
         database_from_mocap([tmp_path / "none.bvh"], KINECT_V1)
 
 
-@recorded
+@captured
 @every_skeleton
 def test_a_database_from_motion_capture_has_standard_segments(
     skeleton: Skeleton,
@@ -274,7 +269,7 @@ def test_a_database_from_motion_capture_has_standard_segments(
     np.testing.assert_allclose(bones, measured, atol=1e-5)
 
 
-@recorded
+@captured
 @every_skeleton
 def test_knees_from_motion_capture_bend_the_right_way(skeleton: Skeleton) -> None:
     files = [CMU / f"{name}.bvh.gz" for name in ("35_26", "02_01")]
@@ -283,7 +278,7 @@ def test_knees_from_motion_capture_bend_the_right_way(skeleton: Skeleton) -> Non
     assert np.quantile(bend, 0.95) > 40.0
 
 
-@recorded
+@captured
 def test_a_recorded_walk_is_nearest_to_motions_that_walk(
     scripted: PostureDatabase,
 ) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import Browser, missing
+from browser import Browser
 from live_session import SAMPLE, WS, Sender, config, running, sample_frame
 
 from kinefilter.pipeline.live import OpenConfig
@@ -27,15 +27,6 @@ return new Promise(done => {
     };
 })
 """
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    reason = missing()
-    if reason is not None:
-        pytest.skip(reason)
-    with Browser() as opened:
-        yield opened
 
 
 @pytest.fixture

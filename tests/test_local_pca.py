@@ -7,9 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 from sklearn.decomposition import PCA
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, Take, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, Take, standard_body
 from kinefilter.pipeline.correct import Hold, LocalPCA, Observation
 from kinefilter.pipeline.correct.blend import RELIABLE, Blend, measurement_trust
 from kinefilter.pipeline.correct.posture_space import (
@@ -337,7 +338,7 @@ def test_trust_is_full_for_the_reliable_none_for_the_missing_and_monotonic() -> 
     assert np.all(measurement_trust(rate, rate, ~missing, 0.5) == 0.0)
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+@every_skeleton
 def test_it_works_on_either_skeleton(skeleton: Skeleton) -> None:
     body = standard_body(skeleton)
     act = perform("reach_up", body, seed=5)

@@ -7,8 +7,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 from known_motions import BODY, stamps, standing
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.evaluation import metrics
 from kinefilter.pipeline.evaluation.metrics import (
     amplitude,
@@ -24,7 +25,7 @@ from kinefilter.retarget.rotations import normalize
 # Bone lengths
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_bones_of_constant_length_do_not_vary_however_they_turn(
     skeleton: Skeleton,
 ) -> None:

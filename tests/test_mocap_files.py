@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from skeletons import every_skeleton
 from text_files import write_text
 
 from kinefilter.characters import (
     KINECT_V1,
-    KINECT_V2,
     InputError,
     Skeleton,
     standard_body,
@@ -30,9 +30,6 @@ from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap
 from kinefilter.retarget.source_rig import find_rig, load_rig
 
 Array = NDArray[np.float64]
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 # ASF and AMC
 ARM = """# comment
 :version 1.10

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from real_data import PAIRS, paired
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline import PostureDatabase
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.natural_spaces import NaturalSpaces
@@ -19,7 +20,6 @@ from kinefilter.pipeline.training import read_pairs
 
 Array = NDArray[np.float64]
 
-DATA = Path(__file__).parents[1].parent / "shared" / "data" / "ui-prmd"
 KNEE, ANKLE = KINECT_V1.index("KneeLeft"), KINECT_V1.index("AnkleLeft")
 HIPS = [KINECT_V1.index("HipLeft"), KINECT_V1.index("HipRight")]
 
@@ -102,7 +102,7 @@ def test_far_from_all_postures_nothing_moves(
     assert np.linalg.norm(huge, axis=1).max() < 0.002
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_hands_go_along_with_their_wrists(skeleton: Skeleton) -> None:
     few = _few(skeleton)
     posture = few.positions[0] + 0.02 * np.random.default_rng(3).normal(
@@ -132,14 +132,14 @@ def test_only_recorded_postures_move_reliable_joints(
     assert (recorded.trust[moved > 0.002] < 1.0).all()
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="no pairs in ../shared/data")
+@paired
 def test_others_mocap_brings_a_persons_postures_nearer_to_the_truth() -> None:
     others = [
         pair
         for person in ("s02", "s04", "s08")
-        for pair in read_pairs(DATA / f"{person}.npz")[::8]
+        for pair in read_pairs(PAIRS / f"{person}.npz")[::8]
     ]
-    test = read_pairs(DATA / "s06.npz")[::12]
+    test = read_pairs(PAIRS / "s06.npz")[::12]
     figures = evaluate(others, test, ["local-pca"], database="mocap")["methods"]
     assert figures["local-pca"]["E_std"] < 0.94 * figures["raw"]["E_std"]
     assert figures["local-pca"]["E_var"] < figures["raw"]["E_var"]

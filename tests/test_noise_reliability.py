@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from real_data import PAIRS, TAKES, paired, recorded
 from scored_takes import average, blind, still_take
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,
-    KINECT_V2,
     Skeleton,
     State,
     Take,
@@ -40,13 +40,6 @@ from kinefilter.scenes import perform, sample_take
 
 Array = NDArray[np.float64]
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
-paired = pytest.mark.skipif(
-    not (DATA / "ui-prmd").is_dir(), reason="no paired data in ../shared/data"
-)
-recorded = pytest.mark.skipif(
-    not (DATA / "takes").is_dir(), reason="no recorded takes in ../shared/data"
-)
 
 JOINTS = len(KINECT_V1)
 HAND, WRIST = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
@@ -80,7 +73,7 @@ def reach(time: Array, start: float, seconds: float, distance: float) -> Array:
 # What people do
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_a_still_tracked_person_scores_one(skeleton: Skeleton) -> None:
     result = score(still_take(12, skeleton), average(skeleton))
     np.testing.assert_allclose(result.rate, 1.0)
@@ -334,7 +327,7 @@ def test_joints_that_marker_mocap_refutes_are_found() -> None:
         NoiseReliabilityScorer: [],
         ReliabilityScorer: [],
     }
-    for file in sorted((DATA / "ui-prmd").glob("s*.npz")):
+    for file in sorted(PAIRS.glob("s*.npz")):
         for pair in read_pairs(file)[::16]:
             varying = accuracy.varying(pair.take.positions, pair.truth)
             distances = accuracy.distances(pair.take.positions, pair.truth)
@@ -354,7 +347,7 @@ def test_joints_that_marker_mocap_refutes_are_found() -> None:
 @recorded
 def test_recorded_punches_and_kicks_are_doubted_less_than_by_shum() -> None:
     doubts = []
-    for path in sorted((DATA / "takes" / "precog16").glob("*_3.csv.gz")):
+    for path in sorted((TAKES / "precog16").glob("*_3.csv.gz")):
         take = read_take(path)
         reference = measure_reference(take)
         for scorer in (NoiseReliabilityScorer, ReliabilityScorer):

@@ -8,16 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.retarget import View, find_yaw, positions_from_rotations
 from kinefilter.retarget.rotations import about_y, normalize, rotate
 
 Array = NDArray[np.float64]
 
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 yaws = st.floats(-np.pi + 1e-6, np.pi - 1e-6)
 
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.retarget import (
@@ -26,10 +27,6 @@ from kinefilter.retarget.rotations import (
 from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]
-
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 
 
 def wild(skeleton: Skeleton, seed: int, frames: int = 3) -> Array:

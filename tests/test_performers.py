@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -34,9 +35,6 @@ STANDING = sorted(
 )
 
 every_motion = pytest.mark.parametrize("name", MOTIONS)
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 
 
 @cache

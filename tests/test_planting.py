@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from known_motions import noisy, stamps, standing
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.target import planting
 from kinefilter.pipeline.target.contacts import (
     SIDES,
@@ -20,7 +22,7 @@ from kinefilter.pipeline.target.contacts import (
 )
 from kinefilter.pipeline.target.planting import plant_feet
 from kinefilter.retarget.rotations import about_y, rotate
-from kinefilter.scenes import Performance, perform
+from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -30,19 +32,6 @@ ANKLES, TOES = ankles_and_toes(KINECT_V1)
 FEET = [*ANKLES, *TOES]
 STILL = 1e-3  # m: nobody sees a foot move by this
 MOTIONS = ["walk", "kick", "march", "dance", "squat"]
-
-
-def stamps(count: int, fps: float = 30.0) -> Array:
-    return np.arange(count) / fps
-
-
-def standing(frames: int, skeleton: Skeleton = KINECT_V1) -> Array:
-    return np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1))
-
-
-def noisy(act: Performance, sigma: float = 0.006, seed: int = 0) -> Array:
-    rng = np.random.default_rng(seed)
-    return act.positions + rng.normal(0.0, sigma, act.positions.shape)
 
 
 def ones(path: Array) -> Array:
@@ -87,7 +76,7 @@ def test_standing_feet_are_as_long_as_they_are(motion: str) -> None:
         np.testing.assert_allclose(lengths, BODY.lengths[toe], atol=5 * STILL)
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_who_stands_at_ease_is_left_where_they_are(skeleton: Skeleton) -> None:
     path, stands = standing(40, skeleton), np.ones((40, 2), dtype=np.bool_)
     body = standard_body(skeleton)

@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.humanoid import GRAVITY, from_mujoco
 from kinefilter.retarget.rotations import rotate
 from kinefilter.scenes import (
@@ -334,7 +335,7 @@ def test_the_shortest_performances_have_poses_too(frames: int) -> None:
             assert np.all(np.isfinite(path))
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+@every_skeleton
 def test_a_box_picked_up_by_a_performer_leaves_the_floor_and_comes_back(
     skeleton: Skeleton,
 ) -> None:

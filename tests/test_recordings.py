@@ -18,6 +18,7 @@ from published_layouts import (
     msrc_12_text,
     ntu_text,
 )
+from skeletons import every_skeleton
 from text_files import write_text
 
 from kinefilter.characters import (
@@ -150,7 +151,7 @@ def test_msrc_12_with_states_keeps_them(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.state, take.state)
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_kinefilters_own_bvh_is_a_take_of_the_same_joints(
     make_clip: MakeClip, tmp_path: Path, skeleton: Skeleton
 ) -> None:

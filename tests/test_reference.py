@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scored_takes import HAND, Array, every_skeleton, score, still_take, with_state
+from scored_takes import HAND, Array, score, still_take, with_state
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,

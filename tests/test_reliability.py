@@ -11,12 +11,12 @@ from scored_takes import (
     Array,
     average,
     blind,
-    every_skeleton,
     moved,
     score,
     still_take,
     with_state,
 )
+from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, State, Term, standard_body
 

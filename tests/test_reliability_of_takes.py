@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from scored_takes import Array, average, blind, every_skeleton, score
+from real_data import TAKES, recorded
+from scored_takes import Array, average, blind, score
+from skeletons import every_skeleton
 
 from kinefilter.characters import Skeleton, State, Take, Term
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
 from kinefilter.scenes import sample_take
-
-TAKES = Path(__file__).parents[2] / "shared" / "data" / "takes"
-recorded = pytest.mark.skipif(
-    not TAKES.is_dir(), reason="no recorded takes in ../shared/data"
-)
 
 
 @every_skeleton

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import mujoco
@@ -21,6 +23,7 @@ from kinefilter.pipeline.render import Look
 from kinefilter.pipeline.render.backend import find_backend
 from kinefilter.pipeline.render.cameras import axes_toward
 from kinefilter.pipeline.render.raw_figure import RawFigure, figure_names
+from kinefilter.pipeline.render.reliability_colors import reliability_colors
 from kinefilter.pipeline.render.scene import Scene
 from kinefilter.pipeline.render.shot import Shot, Staged
 from kinefilter.pipeline.render.surroundings import corners_of, props_around
@@ -116,7 +119,7 @@ def test_the_figures_bones_end_at_its_joints(make_clip: MakeClip) -> None:
     assert model.geom_rgba[model.geom(f"joint:{skeleton.joints[5]}").id, 3] == 0.0
 
 
-def test_joints_are_green_where_reliable_and_red_where_not(make_clip: MakeClip) -> None:
+def test_joints_are_blue_where_reliable_and_red_where_not(make_clip: MakeClip) -> None:
     clip = make_clip(1)
     rates = np.linspace(0.0, 1.0, len(clip.skeleton))
     clip = replace(clip, reliability=rates[None])
@@ -124,10 +127,22 @@ def test_joints_are_green_where_reliable_and_red_where_not(make_clip: MakeClip) 
     RawFigure(scene.model, clip.positions, clip).pose(scene.data, 0)
     names = figure_names(clip.skeleton)[: len(rates)]
     colors = np.array([scene.model.geom(name).rgba for name in names])
-    balance = colors[:, 1] - colors[:, 0]
+    balance = colors[:, 2] - colors[:, 0]
     assert (np.diff(balance) > 0.0).all()
     assert balance[0] < -0.5
-    assert balance[-1] > 0.3
+    assert balance[-1] > 0.4
+
+
+def test_pictures_and_reports_have_the_same_colors_of_reliability() -> None:
+    part = resources.files("kinefilter.pipeline") / "report/template/arrays.js"
+    hexes = re.search(
+        r'LOW = rgb\("#(\w+)"\), MIDDLE = rgb\("#(\w+)"\), HIGH = rgb\("#(\w+)"\)',
+        part.read_text(encoding="utf-8"),
+    )
+    assert hexes is not None
+    colors = reliability_colors(np.array([-0.1, 0.5, 1.1])) * 255.0
+    found = [bytes(color).hex() for color in np.round(colors).astype(np.uint8)]
+    assert found == [*hexes.groups()]
 
 
 def test_the_raw_take_stands_beside_the_character_and_in_the_picture(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import Browser, missing
+from browser import Browser
 
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
@@ -21,15 +20,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert main(["clean", str(sample_path()), "-o", clip]) == 0
     assert main(["report", clip, "--take", str(sample_path()), "-o", str(path)]) == 0
     return path
-
-
-@pytest.fixture
-def browser() -> Iterator[Browser]:
-    reason = missing()
-    if reason is not None:
-        pytest.skip(reason)
-    with Browser() as opened:
-        yield opened
 
 
 def test_a_page_plays_and_scrubs_without_network_and_errors(

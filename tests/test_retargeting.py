@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rig_motions import ARM, LEG, SIDES, performed
+from rig_motions import ARM, LEG, SIDES, bent_to, performed
 
 from kinefilter.characters import CONTACTS, KINECT_V1, KINECT_V2, Clip, standard_body
 from kinefilter.pipeline import CleanConfig, clean, read_take
@@ -189,13 +189,6 @@ def upper_bone(limb: Array) -> Array:
     """Return the direction of a limb's first bone (T, 3, 3), shape (T, 3)."""
     bone = limb[:, 1] - limb[:, 0]
     return np.asarray(bone / np.linalg.norm(bone, axis=-1, keepdims=True))
-
-
-def bent_to(limb: Array) -> Array:
-    """Return from the line between a limb's ends to its middle (T, 3, 3), (T, 3)."""
-    line, bone = limb[:, 2] - limb[:, 0], limb[:, 1] - limb[:, 0]
-    share = np.sum(bone * line, axis=-1) / np.sum(line * line, axis=-1)
-    return np.asarray(bone - share[:, None] * line)
 
 
 @every_rig

@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
 import kinefilter.scenes.rooms
 from kinefilter.characters import (
     KINECT_V1,
-    KINECT_V2,
     Body,
     InputError,
     Skeleton,
@@ -123,7 +123,7 @@ def test_names_are_unique_and_the_movable_props_are_known(scene: str) -> None:
 
 
 @every_scene
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+@every_skeleton
 def test_the_character_in_a_scene_is_the_one_without(
     scene: str, skeleton: Skeleton
 ) -> None:

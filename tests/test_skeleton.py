@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     CONTACTS,
@@ -75,10 +76,6 @@ SDK_V2 = [
     "HandTipRight",
     "ThumbRight",
 ]
-
-every_skeleton = pytest.mark.parametrize(
-    "skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name
-)
 
 
 # Skeletons

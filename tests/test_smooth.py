@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from known_motions import stamps
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, standard_body
@@ -15,10 +16,6 @@ from kinefilter.scenes import perform
 Array = NDArray[np.float64]
 
 FPS = 30.0
-
-
-def stamps(count: int) -> Array:
-    return np.arange(count) / FPS
 
 
 def noise(count: int, joints: int = 2, seed: int = 0) -> Array:

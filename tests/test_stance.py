@@ -5,18 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rig_motions import bent_to
 
 from kinefilter.retarget.stance import held, near_stance
 from kinefilter.retarget.two_bone import bent_limb
 
 Array = NDArray[np.float64]
-
-
-def bent_to(limb: Array) -> Array:
-    """Return from the line between a limb's ends to its middle (T, 3, 3), (T, 3)."""
-    line, bone = limb[:, 2] - limb[:, 0], limb[:, 1] - limb[:, 0]
-    share = np.sum(bone * line, axis=-1) / np.sum(line * line, axis=-1)
-    return np.asarray(bone - share[:, None] * line)
 
 
 def test_a_bent_limb_has_its_lengths_reaches_its_goal_and_bends_where_it_is_told() -> (

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from real_data import TAKES, recorded
 from text_files import write_text
 
 from kinefilter.characters import (
@@ -21,10 +22,6 @@ from kinefilter.pipeline.formats import (
     write_take_csv,
 )
 
-TAKES = Path(__file__).parents[2] / "shared" / "data" / "takes"
-recorded = pytest.mark.skipif(
-    not TAKES.is_dir(), reason="no recorded takes in ../shared/data"
-)
 # Two joints are enough for most complaints.
 HEADER = "time,Head.x,Head.y,Head.z,Head.state,HandLeft.x,HandLeft.y,HandLeft.z\n"
 ROWS = ["0.0,0,1.6,2,2,0.4,1,2\n", "0.1,0,1.5,2,1,0.4,1,2\n", "0.2,0,1.4,2,2,,,\n"]

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from known_motions import noisy
 from numpy.typing import NDArray
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     CONTACTS,
     KINECT_V1,
-    KINECT_V2,
     State,
     Take,
     standard_body,
@@ -39,11 +40,6 @@ def corrected(positions: Array, trust: Array | None = None) -> CorrectedTake:
     shape = positions.shape[:2]
     trust = np.ones(shape) if trust is None else trust
     return CorrectedTake(positions, None, trust, np.full(len(positions), np.nan))
-
-
-def noisy(act: Performance, sigma: float = 0.006) -> Array:
-    rng = np.random.default_rng(0)
-    return act.positions + rng.normal(0.0, sigma, act.positions.shape)
 
 
 def target_of(act: Performance, **options: Any) -> Target:
@@ -285,7 +281,7 @@ def test_who_sits_keeps_the_feet_still() -> None:
     assert _standing_toes_move(result) < 2e-3
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@every_skeleton
 def test_both_skeletons_have_feet(skeleton: Any) -> None:
     body = standard_body(skeleton)
     act = perform("step_over", body, seed=0)

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
+from kinefilter.characters import Clip, Skeleton
 from kinefilter.pipeline.formats import Export, write_clip
 from kinefilter.pipeline.formats.resample import resampled
 
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+@every_skeleton
 @pytest.mark.parametrize(
     "export",
     [

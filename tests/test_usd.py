@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel, UsdValidation
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -27,7 +28,6 @@ from kinefilter.retarget.rotations import rotate
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]
 
-both_skeletons = pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
 TENTH_OF_A_MILLIMETER = 1e-4
 
 
@@ -71,7 +71,7 @@ def test_usd_skel_puts_every_joint_where_the_clip_has_it(
     )
 
 
-@both_skeletons
+@every_skeleton
 @pytest.mark.parametrize("scene", [False, True])
 @pytest.mark.parametrize(
     ("extension", "export"),
@@ -122,7 +122,7 @@ def test_stage_says_axis_unit_rate_and_range(
     assert Usd.ModelAPI(stage.GetDefaultPrim()).GetKind() == "component"
 
 
-@both_skeletons
+@every_skeleton
 def test_every_joint_has_a_rest_and_a_bind_transform_in_t_pose(
     make_clip: MakeClip, tmp_path: Path, skeleton: Skeleton
 ) -> None:
@@ -143,7 +143,7 @@ def test_every_joint_has_a_rest_and_a_bind_transform_in_t_pose(
     )
 
 
-@both_skeletons
+@every_skeleton
 def test_only_the_root_ever_changes_place_in_its_parent(
     make_clip: MakeClip, tmp_path: Path, skeleton: Skeleton
 ) -> None:
@@ -195,7 +195,7 @@ def skinned(stage: Usd.Stage, code: float) -> NDArray[np.float64]:
     return np.array(points)
 
 
-@both_skeletons
+@every_skeleton
 def test_openusd_skins_the_mesh_as_the_segments_move(
     make_clip: MakeClip, tmp_path: Path, skeleton: Skeleton
 ) -> None:

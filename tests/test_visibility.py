@@ -7,7 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from posed_people import BODY, EXACT, NO_ERRORS, every_skeleton, index, posed, room_with
+from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
+from skeletons import every_skeleton
 
 from kinefilter.characters import (
     InputError,

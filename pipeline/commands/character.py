@@ -28,7 +28,8 @@ class Character:
     skeleton: Skeletons = "kinect_v2"
     """Whose joints it has."""
     scene: str = "basic"
-    """What is around it: a scene, or an MJCF file (.xml)."""
+    """What is around it: a scene (an unknown name lists them), or an MJCF file
+    (.xml)."""
 
     def run(self) -> int:
         """Write the character."""

@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from rich.table import Table
 from tyro.conf import Positional, arg
 
 from kinefilter.characters import InputError
 
 from .terminal import out, progress_bars
-
-if TYPE_CHECKING:
-    from kinefilter.pipeline.studies import Bar
 
 __all__ = ["Reproduce"]
 
@@ -25,16 +21,15 @@ class Reproduce:
     """Measure again what README and the papers say: a table and a plot a study.
 
     Studies of takes and of marker mocap: cleaned-takes, marker-mocap, untrained,
-    methods-new-people, methods-known-people, failures; of speed: speed,
-    million-postures; of the papers, on simulated takes: reliability, shum-table-3,
-    shum-table-4, shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5,
-    chiang-figure-5.
+    methods-new-people, methods-known-people, failures, reliability; of speed: speed,
+    million-postures; of the papers, on simulated takes: shum-table-3, shum-table-4,
+    shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5, chiang-figure-5.
 
     With --all every study and picture is made, and every figure of README compared with
     what was found, in some forty minutes on two cores; exit code 1 if one does not
     hold. The same command again makes only what is missing, or what other code or
-    recordings made. Plots need pip install "kinefilter[reproduce]", the moving picture
-    OpenGL, pictures of pages Chromium and a checkout.
+    recordings made. Needs pip install "kinefilter[reproduce]"; for the moving picture
+    OpenGL, for pictures of pages viser, Chromium and a checkout.
     """
 
     studies: Positional[tuple[str, ...]] = ()
@@ -45,7 +40,10 @@ class Reproduce:
     """Make everything in this folder, and claims.csv: what README says, and what was
     measured."""
     data: Path | None = None
-    """Folder of recordings; default: ../shared/data, if it is there. Without any,
+    """Folder of recordings; default: ../shared/data, if it is there: takes in
+    takes/*/*.csv or .csv.gz, of which *_failure have gross failures and those in
+    precog16 are punches and kicks, and pairs (as of 'simulate --pairs') of one person
+    each in ui-prmd/s*.npz, their clips named m01_... by the movement. Without any,
     people are simulated, and what only recordings tell is not measured."""
     seed: int = 0
     """Draws simulated people, performances and the sensor's errors."""
@@ -68,9 +66,7 @@ class Reproduce:
         check_drawing()
         check_studies_folder(folder)
         data = recordings_folder(self.data)
-        bars = self._study(names, folder, data)
-        if bars:
-            out.print(_held(bars))
+        self._study(names, folder, data)
         return 0 if self.all is None else self._judge(folder, data)
 
     def _folder(self) -> Path:
@@ -83,14 +79,11 @@ class Reproduce:
             raise InputError("give studies and -o FOLDER, or --all FOLDER")
         return self.out
 
-    def _study(
-        self, names: Sequence[str], folder: Path, data: Path | None
-    ) -> list[Bar]:
-        """Run studies, write and print them; return the targets that they have."""
+    def _study(self, names: Sequence[str], folder: Path, data: Path | None) -> None:
+        """Run studies, write and print them."""
         from kinefilter.pipeline.studies import as_table, made, reproduce, write_study
 
         stamp = made.fingerprint(data, seed=self.seed, quick=self.quick)
-        bars: list[Bar] = []
         for name in names:
             if self.all is not None and made.is_made(name, folder, stamp):
                 out.print(f"{folder / name}.csv is there already\n")
@@ -107,8 +100,6 @@ class Reproduce:
             made.say_made(name, folder, stamp)
             out.print(as_table(study))
             out.print(f"wrote {' and '.join(map(str, written))}\n")
-            bars += study.bars
-        return bars
 
     def _judge(self, folder: Path, data: Path | None) -> int:
         """Make the pictures, compare the claims; return the exit code."""
@@ -122,22 +113,3 @@ class Reproduce:
         out.print(verdicts.verdicts_table(found))
         out.print(f"wrote {written}")
         return int(any(verdict.held is False for verdict in found))
-
-
-def _held(bars: Sequence[Bar]) -> Table:
-    """Return which targets were reached."""
-    held = sum(bar.held for bar in bars)
-    table = Table(
-        "figure",
-        "measured",
-        "target",
-        "held",
-        title=f"{held} of {len(bars)} bars held",
-        title_justify="left",
-    )
-    for bar in bars:
-        target = f"{'at most' if bar.at_most else 'at least'} {bar.target:g}"
-        table.add_row(
-            bar.what, f"{bar.measured:.2f}", target, "yes" if bar.held else "no"
-        )
-    return table

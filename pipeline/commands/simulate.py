@@ -20,7 +20,8 @@ class Simulate:
     """Let a virtual Kinect record a scripted motion, of which the truth is known."""
 
     scene: Positional[str]
-    """basic, box, flip_chart, basketball, chair, office, or an MJCF file (.xml)."""
+    """What is around the person: a scene (an unknown name lists them), or an MJCF file
+    (.xml)."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Take to write (.csv)."""
     motion: str = "walk"

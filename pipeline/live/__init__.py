@@ -1,7 +1,7 @@
 """Streams of frames in, poses out: to engines by VMC, to browsers by WebSocket.
 
-``tests/live_figures.py`` measures latency and memory of sessions that last an hour, of
-six people at once, of malformed messages and of readers who are slow.
+``tests/live_figures.py`` measures latency and memory, with one or many people, readers
+that are slow and senders of nonsense.
 """
 
 from __future__ import annotations

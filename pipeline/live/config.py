@@ -51,8 +51,8 @@ class LiveConfig:
     skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
     """The joints of the frames."""
     scene: str | None = None
-    """Scene that each person is in, alone: basic, box, flip_chart, basketball, chair,
-    office, or an MJCF file (.xml)."""
+    """What is around each person, alone: a scene (an unknown name lists them), or an
+    MJCF file (.xml); default: the floor alone."""
     height: float | None = None
     """Stature of everybody [m]; default: each is measured in the first second."""
     mass: float | None = None

@@ -67,6 +67,6 @@ class DoubtWeights:
             return cls(skeleton, usual, weights, intercepts)
         except (InputError, KeyError, ValueError, TypeError, IndexError):
             raise InputError(
-                f"{path}: no reliability weights for {skeleton.name}; install "
-                "kinefilter again"
+                f"{path}: no reliability weights for {skeleton.name}; reinstall "
+                "kinefilter"
             ) from None

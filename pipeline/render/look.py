@@ -35,13 +35,13 @@ class Look:
     every: int = 1
     """Draw every Nth frame only; a video plays as fast as before."""
     compare: Path | None = None
-    """The take that the clip was made of: a stick figure with joints from green
-    (reliable) to red."""
+    """The take that the clip was made of: a stick figure with joints from blue
+    (reliable) over pale yellow to red."""
     place: Literal["beside", "over"] = "beside"
     """Where the take of --compare stands."""
     scene: str | None = None
-    """Room to draw around the clip, one of those of simulate or an MJCF file; default:
-    the things that the clip itself holds."""
+    """Room to draw around the clip: a scene (an unknown name lists them), or an MJCF
+    file (.xml); default: the things that the clip itself holds."""
     shadows: bool = False
     """Draw shadows also where no GPU draws, which then takes five times as long or
     more."""

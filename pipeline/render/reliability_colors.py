@@ -9,19 +9,22 @@ __all__ = ["reliability_colors"]
 
 Array = NDArray[np.float64]
 
-_UNRELIABLE, _RELIABLE = np.array([0.90, 0.15, 0.12]), np.array([0.16, 0.68, 0.20])
+_SHARES = (0.0, 0.5, 1.0)
+_COLORS = np.array([[215, 48, 39], [254, 224, 144], [63, 116, 181]]) / 255.0
 
 
 def reliability_colors(reliability: Array) -> Array:
-    """Return colors from red over yellow to green.
+    """Return colors from red over pale yellow to blue.
+
+    Those of the report (``report/template/arrays.js``), which color-blind people tell
+    apart.
 
     Args:
-        reliability: Rates, cut to 0 (red) and 1 (green), any shape (...).
+        reliability: Rates, cut to 0 (red) and 1 (blue), any shape (...).
 
     Returns:
         Red, green and blue, 0 to 1, shape (..., 3).
     """
-    share = np.clip(reliability, 0.0, 1.0)[..., None]
-    mixed = _UNRELIABLE + share * (_RELIABLE - _UNRELIABLE)
-    mixed[..., :2] += (share * (1.0 - share)) * 1.1  # or the middle would be brown
-    return np.asarray(np.minimum(mixed, 1.0))
+    return np.stack(
+        [np.interp(reliability, _SHARES, color) for color in _COLORS.T], axis=-1
+    )

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 FLOOR_GROUP = 1
 """Group of the geoms that a camera at rest sees the same in every frame."""
 
-_SKIN = (0.42, 0.60, 0.78)
+_SKIN = (0.80, 0.76, 0.70)  # nearly gray: a figure inside keeps its colors
 _TRANSLUCENT = 0.35  # of the skin, where a figure is drawn inside it
 _SKY = ((0.97, 0.98, 0.99), (0.80, 0.85, 0.91))  # at the horizon, overhead
 _TILES = ((0.80, 0.81, 0.82), (0.85, 0.86, 0.87))

@@ -13,11 +13,10 @@ from .drawing import check_drawing
 from .files import check_studies_folder, write_study
 from .pictures import make_pictures
 from .recordings import recordings_folder
-from .study import Bar, Study, as_table
+from .study import Study, as_table
 
 __all__ = [
     "STUDIES",
-    "Bar",
     "Study",
     "as_table",
     "check_drawing",

@@ -1,4 +1,8 @@
-"""How near ``clean`` comes to marker mocap, with nothing learned from recordings."""
+"""How near ``clean`` comes to marker mocap, with no model trained on recordings.
+
+The virtual Kinect that the embedded offsets were learned from was fitted to some of
+these people, and set by hand against others (``tests/calibrate_kinect.py``).
+"""
 
 from __future__ import annotations
 

@@ -11,23 +11,21 @@ from pathlib import Path
 from kinefilter.characters import InputError
 from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.formats import read_take, write_clip
-from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.run import clean
 
 __all__ = ["make_pictures"]
 
 _SIZE, _RATE = "480x270", 10.0  # a moving picture that loads quickly
 _LONGEST = 600.0  # s that a script may take, ten times what it needs. A guess.
-_CHECKOUT = Path(__file__).parents[2]
-_SCRIPTS = {"pages.py": "", "scenes.py": "scenes.png"}
-"""Scripts of the checkout that draw, and what each is told to write in the folder."""
+_PAGES = Path(__file__).parents[2] / "tests" / "pictures" / "pages.py"
 
 
 def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]:
     """Make the pictures of README in a folder, and yield what became of each.
 
-    The moving picture needs OpenGL; those of pages need Chromium and, as that of the
-    scenes, the scripts of the checkout.
+    The moving picture needs OpenGL; those of pages need viser, Chromium and the script
+    of the checkout.
 
     Args:
         folder: Where to write; it is there.
@@ -39,9 +37,7 @@ def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]
         yield f"wrote {path}"
     except InputError as error:
         yield f"not made: {path.name} ({error})"
-    for script in over(tuple(_SCRIPTS), "pages and scenes", progress):
-        path = _CHECKOUT / "tests" / "pictures" / script
-        yield _run(path, folder / _SCRIPTS[script])
+    yield _run(_PAGES, folder)
 
 
 def _draw(path: Path, progress: Progress) -> None:

@@ -10,13 +10,12 @@ from kinefilter.pipeline.reliability.scorers import SCORERS
 from kinefilter.pipeline.training import PairedTake
 
 from .recordings import people, person
-from .study import Bar, Cell, Panel, Series, Study
+from .study import Cell, Panel, Series, Study
 from .takes import CLASSES, study_takes
 
 __all__ = ["reliability"]
 
 _FAR, _VARYING = "over_10_cm", "varying_over_7_cm"
-_BAR = 0.90
 
 
 def reliability(
@@ -78,15 +77,6 @@ def reliability(
                     for scoring in SCORERS
                 ),
             ),
-        ),
-        bars=tuple(
-            Bar(
-                f"area under ROC, {scoring}",
-                areas[0][scoring][_FAR] or 0.0,
-                _BAR,
-                at_most=False,
-            )
-            for scoring in SCORERS
         ),
     )
 

@@ -19,7 +19,7 @@ from kinefilter.pipeline.evaluation.evaluate import observed
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.standard import StandardTake
 
-from .relative_error import bone_errors
+from .bone_errors import bone_errors
 from .study import Cell, Panel, Series, Study
 from .takes import people_of, performed_by
 

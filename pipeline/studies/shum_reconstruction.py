@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, Take, random_body
-from kinefilter.pipeline.config import CleanConfig, Method
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.database.library import builtin_database
 from kinefilter.pipeline.progress import Progress, silent
@@ -19,8 +16,8 @@ from kinefilter.retarget import Standardizer, View
 from kinefilter.retarget.normalise import find_yaw
 from kinefilter.scenes import perform
 
-from .relative_error import bone_errors
-from .study import Bar, Panel, Series, Study
+from .bone_errors import bone_errors
+from .study import Panel, Series, Study
 from .takes import CLASSES, Kind, people_of, study_takes
 
 __all__ = ["shum_table_3", "shum_table_4"]
@@ -37,7 +34,6 @@ _GIVEN: dict[str, tuple[str, ...]] = {
     "(e) all parts": KINECT_V1.joints,
 }
 _PAPER_DIFFERENCES = (6.38, 5.60, 4.52, 4.15, 3.90)  # cm
-_DIFFERENCE_BARS = (6.0, 5.0, 4.0, 3.5, 3.0)  # cm
 _MOTIONS = (
     *("walk", "run", "pick_up", "carry", "point"),
     *("scratch", "punch", "kick", "swing", "dodge"),
@@ -45,7 +41,6 @@ _MOTIONS = (
 """The examples of the paper's own motion database (table I)."""
 
 _PAPER_ERRORS = {"a": (9.59, 7.26), "b": (10.89, 7.44), "c": (12.41, 7.76)}  # cm
-_CUT_BARS = {"a": 40.0, "b": 50.0, "c": 55.0}  # %
 
 
 def shum_table_3(
@@ -77,7 +72,6 @@ def shum_table_3(
         ]
         found.append(np.concatenate(parts).mean(axis=0) * 100.0)
     rows = zip(_GIVEN, found, _PAPER_DIFFERENCES, strict=True)
-    named = zip(_GIVEN, found, _DIFFERENCE_BARS, strict=True)
     setups = [name[:3] for name in _GIVEN]
     return Study(
         name="shum-table-3",
@@ -94,10 +88,6 @@ def shum_table_3(
                     Series("paper", setups, _PAPER_DIFFERENCES, "bars", paper=True),
                 ),
             ),
-        ),
-        bars=tuple(
-            Bar(f"difference {name[:3]}, cm", float(f[0]), target)
-            for name, f, target in named
         ),
     )
 
@@ -129,11 +119,7 @@ def _reconstructed(postures: Array, rate: Array, method: LocalPCA) -> Array:
 
 
 def shum_table_4(
-    *,
-    seed: int = 0,
-    takes: int = 12,
-    models: Mapping[str, Path] | None = None,
-    progress: Progress = silent,
+    *, seed: int = 0, takes: int = 12, progress: Progress = silent
 ) -> Study:
     """Clean takes of three classes of movement, and compare them with the truth.
 
@@ -144,20 +130,17 @@ def shum_table_4(
     Args:
         seed: Draws people, performances and the sensor's errors.
         takes: How many takes of each class.
-        models: Clean with these models, local PCA after them, in place of the default:
-            a file of 'kinefilter train' for each skeleton, by name.
         progress: Wraps the loops, for a progress bar.
     """
     rows = []
-    how = "cleaned by trained models" if models else "cleaned"
     for kind in CLASSES:
         pairs = study_takes(kind, seed=seed, count=takes, progress=progress)
-        rows.append(_cleaned(kind, pairs, models or {}, progress))
+        rows.append(_cleaned(kind, pairs, progress))
     kinds = [f"({kind})" for kind in CLASSES]
     before, after = zip(*_PAPER_ERRORS.values(), strict=True)
     return Study(
         name="shum-table-4",
-        title=f"Takes {how}, against the truth (Shum 2013, Table IV)",
+        title="Takes cleaned, against the truth (Shum 2013, Table IV)",
         columns=(
             *("class", "time_s", "raw_cm", "no_physics_cm", "clean_cm", "cut_percent"),
             *("paper_raw_cm", "paper_clean_cm", "paper_cut_percent"),
@@ -175,25 +158,17 @@ def shum_table_4(
                 ),
             ),
         ),
-        bars=tuple(
-            Bar(f"error cut ({kind}), %", row[5], target, at_most=False)
-            for row, (kind, target) in zip(rows, _CUT_BARS.items(), strict=True)
-        ),
     )
 
 
 def _cleaned(
-    kind: Kind,
-    pairs: list[PairedTake],
-    models: Mapping[str, Path],
-    progress: Progress,
+    kind: Kind, pairs: list[PairedTake], progress: Progress
 ) -> tuple[str, float, float, float, float, float, float, float, float]:
     """Return the row of a class: means over the frames and parts of all its takes."""
     errors: tuple[list[Array], ...] = ([], [], [])
     for k in progress(f"clean ({kind})", len(pairs)):
         take, truth = pairs[k].take, pairs[k].truth
-        model = models.get(take.skeleton.name)
-        made = [_clean(take, model, physics=physics) for physics in (False, True)]
+        made = [_clean(take, physics=physics) for physics in (False, True)]
         motions = (take.positions, *made)
         parts = [bone_errors(one, truth, take.skeleton) for one in motions]
         for found, part in zip(errors, parts, strict=True):
@@ -214,11 +189,9 @@ def _cleaned(
     )
 
 
-def _clean(take: Take, model: Path | None, *, physics: bool) -> Array:
+def _clean(take: Take, *, physics: bool) -> Array:
     """Return what ``clean`` makes of a take [m], (T, J, 3)."""
-    method: Method | None = None if model is None else "local-pca"
-    config = CleanConfig(method=method, model=model, physics=physics)
-    return clean(take, config).clip.positions
+    return clean(take, CleanConfig(physics=physics)).clip.positions
 
 
 def _cut(before: float, after: float) -> float:

@@ -1,4 +1,4 @@
-"""What a study found: a table, a plot, and the bars that were set for it."""
+"""What a study found: a table and a plot."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 from rich.table import Table
 
-__all__ = ["Bar", "Cell", "Panel", "Series", "Study", "as_table"]
+__all__ = ["Cell", "Panel", "Series", "Study", "as_table"]
 
 Cell = str | int | float | None
 """Of a table; None is an empty cell."""
@@ -49,27 +49,6 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Bar:
-    """A target that a figure must reach."""
-
-    what: str
-    """The figure, with its unit."""
-    measured: float
-    """What the study found."""
-    target: float
-    """What was asked for."""
-    at_most: bool = True
-    """False: the figure must be at least the target."""
-
-    @property
-    def held(self) -> bool:
-        """Whether the figure reaches the target."""
-        if self.at_most:
-            return self.measured <= self.target
-        return self.measured >= self.target
-
-
-@dataclass(frozen=True)
 class Study:
     """The result of one study."""
 
@@ -85,8 +64,6 @@ class Study:
     """The plot, row by row."""
     across: int = 1
     """Panels in a row of the plot."""
-    bars: tuple[Bar, ...] = ()
-    """Targets."""
 
 
 def as_table(study: Study) -> Table:

@@ -24,7 +24,7 @@ Color = tuple[float, float, float]
 _JOINT, _BONE = 0.026, 0.011  # m, radii of what is drawn
 _AXIS = np.array([0.0, 1.0, 0.0])  # of the cylinder that a bone is
 _BONE_COLOR = (0.32, 0.33, 0.37)
-_SKIN = (0.60, 0.76, 0.93)
+_SKIN = (0.84, 0.80, 0.75)  # nearly gray: a figure inside keeps its colors
 _TRANSLUCENT = 0.4  # of the skin, where a figure is inside it
 
 

@@ -1,6 +1,6 @@
 """Print how well the built-in motion library covers real mocap.
 
-    python tests/coverage.py ../shared/data
+    python tests/library_coverage.py ../shared/data
 
 For every real posture, the nearest posture of the library, both on the standard body,
 moved so that the middles of the hips meet, both facing +z, over the joints that the
@@ -30,11 +30,9 @@ from kinefilter.pipeline.database.library import (
     _postures_of,
     scripted_postures,
 )
-from kinefilter.pipeline.database.posture_database import (
-    FILTERED_POSTURES,
-    filter_to_count,
-)
-from kinefilter.pipeline.formats import read_bvh
+from kinefilter.pipeline.database.posture_database import FILTERED_POSTURES
+from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.formats.mocap_files import read_mocap
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.pipeline.training import PairedTake, read_pairs, training_set
 from kinefilter.retarget import Standardizer, measured_body
@@ -136,7 +134,7 @@ def read_cmu(folder: Path, every: int) -> tuple[Array, NDArray[np.str_]]:
     """
     postures, clips = [], []
     for file in sorted(folder.glob("*.bvh.gz")):
-        found = _postures_of(read_bvh(file), KINECT_V1, file)[0][1:]
+        found = _postures_of(read_mocap(file), KINECT_V1)[0][1:]
         found = standardized(found)[::every]
         postures.append(found)
         clips.append(np.full(len(found), file.name.split(".")[0]))

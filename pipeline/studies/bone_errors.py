@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
 
-__all__ = ["bone_errors", "relative_error"]
+__all__ = ["bone_errors"]
 
 Array = NDArray[np.float64]
 
@@ -15,8 +15,9 @@ Array = NDArray[np.float64]
 def bone_errors(one: Array, other: Array, skeleton: Skeleton) -> Array:
     """Return how far each part is off, seen from its parent [m], shape (T, S).
 
-    Two motions that differ by where they are as a whole do not differ here. NaN where
-    a part or its parent is missing in either.
+    Eq. 18 is their mean over frames and parts. Two motions that differ by where they
+    are as a whole do not differ here. NaN where a part or its parent is missing in
+    either.
 
     Args:
         one: Joint positions [m], shape (T, J, 3).
@@ -26,8 +27,3 @@ def bone_errors(one: Array, other: Array, skeleton: Skeleton) -> Array:
     ends, starts = skeleton.segments, skeleton.segment_parents
     away = one - other
     return np.asarray(np.linalg.norm(away[:, ends] - away[:, starts], axis=2))
-
-
-def relative_error(one: Array, other: Array, skeleton: Skeleton) -> float:
-    """Return the mean over frames and parts of ``bone_errors`` [m] (eq. 18)."""
-    return float(np.nanmean(bone_errors(one, other, skeleton)))
