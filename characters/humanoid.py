@@ -11,13 +11,14 @@ MuJoCo's world is z up with the character facing +x; ``to_mujoco`` and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body, joint_range
+from .errors import InputError
 
 __all__ = ["Tracking", "build_humanoid", "from_mujoco", "to_mujoco"]
 
@@ -102,7 +103,16 @@ class Tracking:
     peak acceleration of a boxer's fist."""
     largest_angular_acceleration: float = 4000.0
     """Bound of the torque on a part: the inertia its gains are made for times this
-    [rad/s^2]."""
+    [rad/s^2]. A guess."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 < value < np.inf:
+                raise InputError(
+                    f"{field.name} of the tracking is {value:g}; give a finite number "
+                    "above 0"
+                )
 
 
 def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpec:

@@ -20,7 +20,9 @@ from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from kinefilter.characters import Body
 from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.retarget.rotations import (
+    about_x,
     about_y,
+    about_z,
     between,
     inverse,
     multiply,
@@ -43,23 +45,6 @@ _MIRROR = np.array([1.0, 1.0, -1.0, -1.0])  # of a wxyz quaternion, across x = 0
 _MAX_REACH = 0.998  # of a straight limb: a locked joint has no bending direction
 _MAX_ELBOW = np.radians(150.0)
 _MAX_KNEE = np.radians(145.0)
-
-
-def _about(axis: int, angle: ArrayLike) -> Array:
-    half = np.asarray(angle, dtype=float) / 2.0
-    q = np.zeros((*half.shape, 4))
-    q[..., 0], q[..., axis + 1] = np.cos(half), np.sin(half)
-    return q
-
-
-def about_x(angle: ArrayLike) -> Array:
-    """Return the rotation by ``angle`` [rad] about x (forward tilt), (..., 4)."""
-    return _about(0, angle)
-
-
-def about_z(angle: ArrayLike) -> Array:
-    """Return the rotation by ``angle`` [rad] about z (lean to the right), (..., 4)."""
-    return _about(2, angle)
 
 
 _KNEE_FOLLOWS_FOOT = 0.8

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, random_body, standard_body
-from kinefilter.retarget.rotations import inverse, multiply, rotate
+from kinefilter.retarget.rotations import (
+    about_x,
+    about_z,
+    inverse,
+    multiply,
+    rotate,
+)
 from kinefilter.scenes import MOTIONS, Performance, perform
 from kinefilter.scenes.joint_ranges import JOINT_RANGES
-from kinefilter.scenes.puppet import about_x, about_z
 
 PEOPLE = range(3)
 SLACK = 5.0  # deg: sway, and the shoulder's range is measured with the collarbone's

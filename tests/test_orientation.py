@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
-from kinefilter.retarget import (
-    orientation,
-    positions_from_rotations,
-    rotations_from_positions,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Skeleton, standard_body
+from kinefilter.retarget import positions_from_rotations, rotations_from_positions
 from kinefilter.retarget.rotations import (
     IDENTITY,
     about_y,
@@ -181,7 +180,47 @@ def test_leading_axes_pass_through(shape: tuple[int, ...]) -> None:
             np.testing.assert_allclose(rows[k], single, atol=1e-15)
 
 
-def test_hips_and_spine_in_a_line_leave_the_pelvis_as_at_rest() -> None:
-    line = np.array([0.1, -0.2, 0.3])
-    for across, up in ((line, 2.0 * line), (0.0 * line, line), (line, 0.0 * line)):
-        np.testing.assert_array_equal(orientation._frame(across, up), IDENTITY)
+def leaning(skeleton: Skeleton) -> Body:
+    """Return a body whose spine rests 0.4 rad forward, as some sensors have it."""
+    body = standard_body(skeleton)
+    lean = twist(np.array([1.0, 0.0, 0.0]), 0.4)
+    spine = np.array(body.skeleton.children[skeleton.root])[:, None]
+    directions = body.directions.copy()
+    directions[spine] = rotate(lean, directions[spine])
+    return replace(body, directions=directions)
+
+
+@every_skeleton
+@pytest.mark.parametrize("made", [standard_body, leaning])
+def test_hips_and_spine_in_a_line_leave_the_pelvis_as_at_rest(
+    skeleton: Skeleton, made: Callable[[Skeleton], Body]
+) -> None:
+    body, root = made(skeleton), skeleton.root
+    line, zero = np.array([0.1, -0.2, 0.3]), np.zeros(3)
+    hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
+    (spine,) = (j for j in skeleton.children[root] if j not in hips)
+    for across, up in ((line, 2.0 * line), (zero, line), (line, zero), (zero, zero)):
+        posture = np.zeros((len(skeleton), 3))
+        posture[hips], posture[spine] = [across, -across], up
+        rotations = rotations_from_positions(posture, body)
+        np.testing.assert_array_equal(rotations[root], IDENTITY)
+
+
+@every_skeleton
+@pytest.mark.parametrize("with_prior", [False, True])
+def test_a_missing_joint_leaves_its_segments_unknown_and_no_other(
+    skeleton: Skeleton, with_prior: bool
+) -> None:
+    body, elbow = standard_body(skeleton), skeleton.index("ElbowLeft")
+    positions = body.rest_positions.copy()
+    prior = wild(skeleton, 9)[0] if with_prior else None
+    whole = rotations_from_positions(positions, body, prior)
+    positions[elbow] = np.nan
+    rotations = rotations_from_positions(positions, body, prior)
+    unknown = np.isnan(rotations).any(axis=1)
+    arm = {elbow, *skeleton.children[elbow]}
+    if not with_prior:  # each follows its parent
+        for j in skeleton.order:
+            arm |= {j} if skeleton.parents[j] in arm else set()
+    assert set(np.flatnonzero(unknown)) == arm
+    np.testing.assert_array_equal(rotations[~unknown], whole[~unknown])
