@@ -1,6 +1,6 @@
 """Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, Body, random_body, standard_body
+from .anthropometry import STANDARD_HEIGHT, STATURES, Body, random_body, standard_body
 from .errors import InputError, KinefilterError
 from .motion import CONTACTS, Clip, Origin, State, Take, Term
 from .props import Prop, Shape, ShapeKind
@@ -12,6 +12,7 @@ __all__ = [
     "KINECT_V2",
     "SKELETONS",
     "STANDARD_HEIGHT",
+    "STATURES",
     "Body",
     "Clip",
     "InputError",

@@ -6,7 +6,7 @@ Sources:
         stature). Where Kinect's joints are no anatomical landmarks (spine, head, hand,
         foot), the fraction is the median of Kinect skeletons of standing people.
     Masses: de Leva 1996, J. Biomech. 29(9), table 4, men (fractions of body mass).
-    Radii: a capsule of the segment's mass at tissue density.
+    Radii: a cylinder of the segment's mass at tissue density, under its capsule's caps.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from .skeleton import KINECT_V1, KINECT_V2, Skeleton
 
 __all__ = [
     "STANDARD_HEIGHT",
+    "STATURES",
     "Body",
     "joint_range",
     "random_body",
@@ -31,9 +32,13 @@ __all__ = [
 STANDARD_HEIGHT = 1.75
 """Stature [m] of the standard body that postures are compared on."""
 
+STATURES = (0.3, 3.0)
+"""Statures [m] between which a body may be: anything else is a wrong unit."""
+
 _DENSITY = 1050.0  # kg/m^3, whole-body tissue average (Winter 2009, section 4.1.1)
 _BODY_MASS_INDEX = 22.0  # kg/m^2, middle of the WHO's normal range, if no mass is given
 _FOOT_RADIUS = 0.018  # of stature: half the malleolus height of 0.039 (Winter)
+_THICKEST, _THICKEST_HAND = 0.065, 0.018  # of stature
 
 _SHORTEST, _TALLEST = 1.5, 2.0  # m, of random bodies: about 99 % of adults
 # Mean and standard deviation of stature [m], men and women, in ANSUR II (Gordon et al.
@@ -139,10 +144,11 @@ class Body:
     (J, 3), root 0. Sensors differ in where trunk, hips and shoulders are."""
 
     def __post_init__(self) -> None:
-        if not 0.3 < self.height < 3.0:
+        least, most = STATURES
+        if not least < self.height < most:
             raise InputError(
-                f"body height {self.height:g} m is outside 0.3 to 3 m; "
-                "give the height in metres"
+                f"body height {self.height:g} m is outside {least:g} to {most:g} m; "
+                "give the height in meters"
             )
         if not 2.0 < self.mass < 500.0:
             raise InputError(
@@ -182,14 +188,13 @@ class Body:
         radii = np.sqrt(self.masses / (_DENSITY * np.pi * lengths))
         root = self.skeleton.root
         radii[root] = (self.masses[root] * 0.75 / (_DENSITY * np.pi)) ** (1 / 3)
-        # Short segments are no fat discs: no radius above a third of the foot's or
-        # hand's own scale, and soles that lie on the floor.
-        radii = np.minimum(radii, 0.065 * self.height)
+        # Short segments are no fat discs. How thick they may be is a guess.
+        radii = np.minimum(radii, _THICKEST * self.height)
         for j, joint in enumerate(joints):
             if joint.startswith("Foot"):
                 radii[j] = _FOOT_RADIUS * self.height
             elif joint.startswith(("Hand", "Thumb")):
-                radii[j] = min(radii[j], 0.018 * self.height)
+                radii[j] = min(radii[j], _THICKEST_HAND * self.height)
         return radii
 
 

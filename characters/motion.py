@@ -118,7 +118,7 @@ class Take:
 class Clip:
     """A cleaned motion and, per joint and frame, where it came from.
 
-    World frame: right-handed, y up, floor at y = 0, metres, seconds. Joint positions
+    World frame: right-handed, y up, floor at y = 0, meters, seconds. Joint positions
     follow from the rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
     """
 

@@ -105,6 +105,7 @@ def clean(
         reference.directions,
         height=config.height,
         mass=config.mass,
+        source=take.source,
     )
     reliability = SCORERS[config.scoring](take.skeleton, reference).score(take)
     reliability = distrust(reliability, failures, take.skeleton)

@@ -14,9 +14,8 @@ Array = NDArray[np.float64]
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
 _EXACT = 1e-7  # m
-_FIRMNESS_OF_INVENTED = (
-    0.02  # against a measured joint's 1: it moves fifty times as far
-)
+# Against a measured joint's 1: it moves fifty times as far. A guess.
+_FIRMNESS_OF_INVENTED = 0.02
 
 
 class BoneLengths:

@@ -73,7 +73,8 @@ def find_rig(
 ) -> tuple[SourceRig, list[str]]:
     """Return the rig that joints are of, and which of its joints are missing.
 
-    The first whose joints are all there; if there is none, the one that lacks fewest.
+    The first whose joints are all there; if there is none, the one that lacks the
+    smallest share of its own.
 
     Args:
         names: Names of the joints that there are.

@@ -12,7 +12,8 @@ __all__ = ["held", "near_stance"]
 Array = NDArray[np.float64]
 
 _BLEND = 0.15
-"""Seconds in which a foot joins its own path after it stood, and leaves it before."""
+"""Seconds in which a foot joins its own path after it stood, and leaves it before. A
+guess."""
 _TINY = 1e-12
 
 

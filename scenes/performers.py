@@ -101,7 +101,7 @@ class Performance:
 
 
 def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Performance:
-    """Return one performance of a motion, 5 to 14 s long.
+    """Return one performance of a motion, of 5 s or more: its last movement ends.
 
     The character starts near the origin of the world and faces +z.
 
@@ -155,15 +155,16 @@ def _as_one_stands(
 
 
 def perform_medley(
-    parts: Sequence[tuple[str, float]], body: Body, *, seed: int, fps: float = 30.0
+    parts: Sequence[tuple[str, float]], body: Body, *, seed: int
 ) -> Performance:
     """Return several motions one after another on feet that stay where they are.
 
+    30 frames a second. Unlike those of ``perform``, arms may go through the body.
+
     Args:
-        parts: Names of motions other than gaits, and the least duration of each [s].
+        parts: Names of motions on the spot, and the least duration of each [s].
         body: Who performs, on any skeleton kinefilter knows.
         seed: Draws style, tempo and sides; the same seed gives the same arrays.
-        fps: Frames per second.
 
     Raises:
         InputError: A name is not one of a motion on the spot, or there is no part.
@@ -174,10 +175,13 @@ def perform_medley(
     base = stance(puppet, rng, wide=0.4)
     score = Score(base)
     for name, seconds in parts:
-        _check(name, tuple(sorted(_SCRIPTS)))
+        _check(name, MOTIONS)
+        if name in GAITS:
+            known = ", ".join(sorted(_SCRIPTS))
+            raise InputError(f"{name!r} leaves its place; a medley takes {known}")
         score.append(_SCRIPTS[name](puppet, rng, base, seconds))
         score.to(0.4, base)
-    time, pose = score.sample(fps)
+    time, pose = score.sample(30.0)
     name = " ".join(name for name, _ in parts)
     return _performed(name, puppet, time, _alive(pose, time, rng))
 

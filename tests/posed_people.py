@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1, KINECT_V2, Body, standard_body
 from kinefilter.retarget import positions_from_rotations
 from kinefilter.retarget.rotations import about_y, between, multiply
-from kinefilter.scenes import Errors, Performance, Sensor
+from kinefilter.scenes import Performance, Sensor, TrackerErrors
 
 Array = NDArray[np.float64]
 
 BODY = standard_body(KINECT_V1)
 index = KINECT_V1.index
-NO_ERRORS = Errors(
-    **{f.name: 0.0 for f in fields(Errors)} | {"mirrored_beyond": float(np.pi)}
+NO_ERRORS = TrackerErrors(
+    **{f.name: 0.0 for f in fields(TrackerErrors)} | {"mirrored_beyond": float(np.pi)}
 )
 EXACT = replace(
     Sensor(),

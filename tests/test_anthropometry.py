@@ -121,7 +121,7 @@ def test_mass_follows_from_height_at_an_ordinary_body_mass_index(
 
 
 @every_skeleton
-def test_legs_are_capsules_of_their_mass_at_the_density_of_tissue(
+def test_limbs_are_cylinders_of_their_mass_at_the_density_of_tissue(
     skeleton: Skeleton,
 ) -> None:
     body = standard_body(skeleton)
@@ -132,8 +132,8 @@ def test_legs_are_capsules_of_their_mass_at_the_density_of_tissue(
 
 
 @pytest.mark.parametrize("height", [0.3, 0.0, -1.7, 3.0, 175.0, np.nan])
-def test_absurd_heights_are_refused_asking_for_metres(height: float) -> None:
-    with pytest.raises(InputError, match=f"height {height:g} m.*metres"):
+def test_absurd_heights_are_refused_asking_for_meters(height: float) -> None:
+    with pytest.raises(InputError, match=f"height {height:g} m.*meters"):
         standard_body(KINECT_V1, height=height, mass=70.0)
     with pytest.raises(InputError):
         standard_body(KINECT_V2, height=height)

@@ -17,8 +17,8 @@ from kinefilter.characters import (
 )
 from kinefilter.scenes import (
     SENSORS,
-    Errors,
     Sensor,
+    TrackerErrors,
     in_sensor_frame,
     in_world_frame,
     observe,
@@ -124,7 +124,7 @@ def test_takes_of_one_person_share_their_misplacement():
 
 def test_states_follow_what_is_seen():
     act = perform("stand_idle", BODY, seed=1)
-    sure = replace(Errors(), doubt=0.0, merging=0.0, fast=0.0)
+    sure = replace(TrackerErrors(), doubt=0.0, merging=0.0, fast=0.0)
     turned = replace(EXACT, azimuth=np.pi / 2)
     take = observe(act, seed=0, sensor=turned, errors=sure)
     sight = look(act, turned)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import pkgutil
 import subprocess
 import sys
 import tarfile
@@ -12,6 +13,7 @@ import zipfile
 from collections.abc import Collection
 from graphlib import TopologicalSorter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -73,6 +75,9 @@ def test_all_names_are_there(package: str) -> None:
     assert len(set(module.__all__)) == len(module.__all__)
     for name in module.__all__:
         assert hasattr(module, name)
+    folders = {file.name for file in pkgutil.iter_modules(module.__path__)}
+    for name in folders & set(module.__all__):
+        assert isinstance(getattr(module, name), ModuleType), f"{name} hides its file"
 
 
 def test_no_files_import_each_other_in_a_circle() -> None:

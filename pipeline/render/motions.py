@@ -100,7 +100,9 @@ def _posed(take: Take) -> Clip:
             "it is a raw take: clean it, or draw it with --compare beside its clip"
         )
     measured = measure_reference(take)
-    body = measured_body(skeleton, measured.lengths, measured.directions)
+    body = measured_body(
+        skeleton, measured.lengths, measured.directions, source=take.source
+    )
     positions = take.positions.copy()
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         if lacks[0, j]:
