@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError
+from .frozen import freeze, read_only
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton
 
 __all__ = [
@@ -129,7 +130,7 @@ def _table(skeleton: Skeleton) -> dict[str, _Row]:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A body on a skeleton: what its segments measure and weigh."""
+    """A body on a skeleton: what its segments measure and weigh; read-only arrays."""
 
     skeleton: Skeleton
     """The joints, in the order of the arrays."""
@@ -155,11 +156,12 @@ class Body:
                 f"body mass {self.mass:g} kg is outside 2 to 500 kg; "
                 "give the mass in kilograms"
             )
+        freeze(self)
 
     @cached_property
     def rest_offsets(self) -> NDArray[np.float64]:
         """Vector [m] from each joint's parent to it in the T-pose, shape (J, 3)."""
-        return self.directions * self.lengths[:, None]
+        return read_only(self.directions * self.lengths[:, None])
 
     @cached_property
     def rest_positions(self) -> NDArray[np.float64]:
@@ -170,7 +172,7 @@ class Body:
         ):
             positions[j] = positions[p] + self.rest_offsets[j]
         positions[:, 1] -= (positions[:, 1] - self.radii).min()
-        return positions
+        return read_only(positions)
 
     @cached_property
     def masses(self) -> NDArray[np.float64]:
@@ -178,7 +180,7 @@ class Body:
         table = _table(self.skeleton)
         shares = np.array([table.get(j, (0, 0, 0))[1] for j in self.skeleton.joints])
         shares[self.skeleton.root] = 1.0 - shares.sum()
-        return shares * self.mass
+        return read_only(shares * self.mass)
 
     @cached_property
     def radii(self) -> NDArray[np.float64]:
@@ -195,7 +197,7 @@ class Body:
                 radii[j] = _FOOT_RADIUS * self.height
             elif joint.startswith(("Hand", "Thumb")):
                 radii[j] = min(radii[j], _THICKEST_HAND * self.height)
-        return radii
+        return read_only(radii)
 
 
 def standard_body(

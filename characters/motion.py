@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from .anthropometry import Body
 from .errors import InputError
-from .props import Prop, freeze
+from .frozen import freeze
+from .props import Prop
 from .skeleton import Skeleton
 
 __all__ = ["CONTACTS", "Clip", "Origin", "State", "Take", "Term"]

@@ -37,7 +37,7 @@ _LET_GO = 0.05  # s in which a foot that steps joins its measured path
 _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share a frame: feet sink rarely, lift often
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pose:
     """The character after a frame."""
 

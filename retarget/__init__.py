@@ -3,8 +3,8 @@
 from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths
 from .kinematics import positions_from_rotations
-from .normalise import View, find_yaw
-from .orientation import rotations_from_positions
+from .normalize import View, find_yaw
+from .orientation import hang_missing, rotations_from_positions
 from .retargeting import Retargeted, retarget
 from .rig_map import RIGS, load_rig_map
 from .target_rig import built_rig, found_rig
@@ -18,6 +18,7 @@ __all__ = [
     "built_rig",
     "find_yaw",
     "found_rig",
+    "hang_missing",
     "load_rig_map",
     "measured_body",
     "positions_from_rotations",

@@ -21,7 +21,7 @@ from kinefilter.characters import (
     standard_body,
 )
 
-from .normalise import View, find_yaw
+from .normalize import View, find_yaw
 from .rotations import between, matrix_from_wxyz
 
 __all__ = ["Standardizer", "measured_body"]
@@ -151,7 +151,7 @@ class Standardizer:
             Positions [m], NaN where missing, shape (J, 3), and the view taken out.
         """
         standard, view = self.steps(positions[None], weights[None])
-        return standard[0], View(view.root[0], view.yaw[0])
+        return standard[0], view.at(0)
 
     def steps(self, positions: Array, weights: Array) -> tuple[Array, View]:
         """Return the next frames of a motion as ``step`` gives them, all at once.

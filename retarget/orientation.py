@@ -11,7 +11,7 @@ from kinefilter.characters import Body, Skeleton
 
 from .rotations import IDENTITY, about_x, between, inverse, multiply, rotate
 
-__all__ = ["rotations_from_positions"]
+__all__ = ["hang_missing", "rotations_from_positions"]
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,23 @@ def rotations_from_positions(
         bone = positions[..., j, :] - positions[..., p, :]
         rotations[..., j, :] = _aligned(rotations[..., p, :], rest[j], bone)
     return rotations
+
+
+def hang_missing(positions: Array, body: Body) -> Array:
+    """Return postures in which missing joints hang on their parents as at rest.
+
+    Args:
+        positions: Joint positions [m], NaN where missing, shape (..., J, 3).
+        body: The rest posture and lengths of what is missing.
+    """
+    skeleton, hung = body.skeleton, positions.copy()
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        missing = ~np.isfinite(hung[..., j, :]).all(axis=-1, keepdims=True)
+        if missing.any():
+            turns = rotations_from_positions(hung, body)[..., p, :]
+            there = hung[..., p, :] + rotate(turns, body.rest_offsets[j])
+            hung[..., j, :] = np.where(missing, there, hung[..., j, :])
+    return hung
 
 
 def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Clip
-from kinefilter.characters.props import freeze
+from kinefilter.characters.frozen import freeze
 
 from .rest_difference import heading, segment_of, turned
 from .rig_map import SIDES

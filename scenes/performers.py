@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
+from kinefilter.characters.frozen import freeze
 from kinefilter.retarget.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
@@ -82,7 +83,7 @@ _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
 @dataclass(frozen=True, eq=False)
 class Performance:
-    """A motion without error: what a body did."""
+    """A motion without error: what a body did; arrays are read-only."""
 
     name: str
     """Name of the motion."""
@@ -95,6 +96,9 @@ class Performance:
     identity in the T-pose, the root's row the pelvis, shape (T, J, 4)."""
     body: Body
     """Whose motion it is."""
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.time)

@@ -139,6 +139,21 @@ def test_absurd_heights_are_refused_asking_for_meters(height: float) -> None:
         standard_body(KINECT_V2, height=height)
 
 
+@every_skeleton
+def test_a_body_that_many_share_cannot_be_overwritten(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    for name in (
+        "lengths",
+        "directions",
+        "rest_offsets",
+        "rest_positions",
+        "masses",
+        "radii",
+    ):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(body, name)[0] = 9.0
+
+
 @pytest.mark.parametrize("mass", [2.0, 0.0, -70.0, 500.0, 70000.0, np.inf, np.nan])
 def test_absurd_masses_are_refused_asking_for_kilograms(mass: float) -> None:
     with pytest.raises(InputError, match=r"mass.*kilograms"):

@@ -12,7 +12,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Skeleton, standard_body
-from kinefilter.retarget import positions_from_rotations, rotations_from_positions
+from kinefilter.retarget import (
+    hang_missing,
+    positions_from_rotations,
+    rotations_from_positions,
+)
 from kinefilter.retarget.rotations import (
     IDENTITY,
     about_y,
@@ -204,6 +208,26 @@ def test_hips_and_spine_in_a_line_leave_the_pelvis_as_at_rest(
         posture[hips], posture[spine] = [across, -across], up
         rotations = rotations_from_positions(posture, body)
         np.testing.assert_array_equal(rotations[root], IDENTITY)
+
+
+@every_skeleton
+def test_what_is_missing_hangs_on_its_parent_as_at_rest(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    missing = {skeleton.index(j) for j in ("WristLeft", "FootRight", "Head")}
+    gone = [j for j in skeleton.order if {j, skeleton.parents[j]} & missing]
+    gone += [c for j in gone for c in skeleton.children[j] if c not in gone]
+    root = np.zeros((4, 3))
+    whole = positions_from_rotations(wild(skeleton, 10, 4), root, body)
+    turns = rotations_from_positions(whole, body)
+    for j in gone:
+        turns[1:, j] = turns[1:, skeleton.parents[j]]
+    expected = positions_from_rotations(turns, root, body)
+    holed = whole.copy()
+    holed[1:, gone] = np.nan
+    hung = hang_missing(holed, body)
+    np.testing.assert_allclose(hung, expected, atol=1e-7)
+    np.testing.assert_array_equal(hung[0], whole[0])
+    assert np.isnan(holed[1:, gone]).all()
 
 
 @every_skeleton

@@ -80,6 +80,18 @@ def test_all_names_are_there(package: str) -> None:
         assert isinstance(getattr(module, name), ModuleType), f"{name} hides its file"
 
 
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_what_holds_arrays_is_compared_as_an_object(path: Path) -> None:
+    # Arrays have no truth: the equality that dataclasses write would raise ValueError.
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ClassDef):
+            made = [ast.unparse(one) for one in node.decorator_list]
+            fields = [ast.unparse(f) for f in node.body if isinstance(f, ast.AnnAssign)]
+            if any(one.startswith("dataclass") for one in made):
+                arrays = [field for field in fields if "Array" in field]
+                assert not arrays or "eq=False" in " ".join(made), node.name
+
+
 def test_no_files_import_each_other_in_a_circle() -> None:
     modules = {_name(path): path for path in SOURCES}
     TopologicalSorter(

@@ -25,7 +25,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observation:
     """One frame on the standard body, root at the origin, facing +z."""
 
@@ -41,7 +41,7 @@ class Observation:
     """The person's own segment lengths [m], shape (J,)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Correction:
     """The corrected frame, in the same view and size."""
 
@@ -56,7 +56,7 @@ class Correction:
     """How well the method knows the posture, in [0, 1]; NaN: it claims nothing."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObservedTake:
     """A whole take as ``Observation`` shows its frames."""
 

@@ -116,7 +116,7 @@ def _header_number(lines: _Lines, key: str, source: str) -> float:
     return number
 
 
-@dataclass
+@dataclass(eq=False)
 class _Hierarchy:
     """The joints read so far."""
 
