@@ -5,6 +5,7 @@ from .errors import InputError, KinefilterError
 from .motion import CONTACTS, Clip, Origin, State, Take, Term
 from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
+from .tracking import Tracking
 
 __all__ = [
     "CONTACTS",
@@ -25,6 +26,7 @@ __all__ = [
     "State",
     "Take",
     "Term",
+    "Tracking",
     "random_body",
     "skeleton_named",
     "standard_body",

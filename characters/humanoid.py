@@ -11,16 +11,21 @@ at ``from_mujoco``: scenes, physics and drawing work in it between them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body, joint_range
-from .errors import InputError
+from .tracking import Tracking
 
-__all__ = ["Tracking", "build_humanoid", "from_mujoco", "to_mujoco"]
+__all__ = [
+    "GRAVITY",
+    "PULLS",
+    "build_humanoid",
+    "from_mujoco",
+    "joint_masses",
+    "to_mujoco",
+]
 
 GRAVITY = 9.81
 """Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
@@ -86,33 +91,6 @@ def _permute(values: NDArray[np.float64], order: list[int]) -> NDArray[np.float6
     if values.shape[-1] == 4:
         return np.asarray(values[..., [0, *(k + 1 for k in order)]])
     return np.asarray(values[..., order])
-
-
-@dataclass(frozen=True)
-class Tracking:
-    """How hard the target pulls the character."""
-
-    natural_frequency: float = 60.0
-    """Natural frequency of the pull [rad/s]. The gains follow, critically damped, from
-    it and the mass of each part: kp = m w^2, kv = 2 m w. 60 follows a clean
-    motion within 3 mm on average and filters what is faster than 10 Hz."""
-    twist_frequency: float = 40.0
-    """Natural frequency of the torque about the segment axis [rad/s]. A guess."""
-    largest_acceleration: float = 200.0
-    """Bound of the force on a part: its mass times this [m/s^2]. About twice the
-    peak acceleration of a boxer's fist."""
-    largest_angular_acceleration: float = 4000.0
-    """Bound of the torque on a part: the inertia its gains are made for times this
-    [rad/s^2]. A guess."""
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0.0 < value < np.inf:
-                raise InputError(
-                    f"{field.name} of the tracking is {value:g}; give a finite number "
-                    "above 0"
-                )
 
 
 def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpec:

@@ -15,7 +15,7 @@ from .frozen import freeze
 from .props import Prop
 from .skeleton import Skeleton
 
-__all__ = ["CONTACTS", "Clip", "Origin", "State", "Take", "Term"]
+__all__ = ["CONTACTS", "Clip", "Origin", "State", "Take", "Term", "frames_per_second"]
 
 
 CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")
@@ -79,7 +79,8 @@ def _check_time(motion: Any) -> None:
         )
 
 
-def _frames_per_second(time: NDArray[np.float64]) -> float:
+def frames_per_second(time: NDArray[np.float64]) -> float:
+    """Return the nominal frame rate [1/s]: one over the median time step, or 30."""
     steps = np.diff(time)
     steps = steps[steps > 0]
     return float(1.0 / np.median(steps)) if len(steps) else 30.0
@@ -112,7 +113,7 @@ class Take:
     @property
     def fps(self) -> float:
         """Nominal frame rate [1/s]: one over the median time step."""
-        return _frames_per_second(self.time)
+        return frames_per_second(self.time)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,4 +202,4 @@ class Clip:
     @property
     def fps(self) -> float:
         """Nominal frame rate [1/s]: one over the median time step."""
-        return _frames_per_second(self.time)
+        return frames_per_second(self.time)

@@ -50,6 +50,8 @@ class Shape:
                 f"unknown kind of shape {self.kind!r}; known: "
                 + ", ".join(get_args(ShapeKind))
             )
+        if self.kind == "mesh" and not len(self.points):
+            raise InputError("a mesh has no points; give it some, or leave it out")
         freeze(self)
 
     @property

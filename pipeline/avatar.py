@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinefilter.characters import Body, InputError, State, Take
-from kinefilter.characters.humanoid import Tracking
+from kinefilter.characters import Body, InputError, State, Take, Tracking
 from kinefilter.retarget import (
     BoneLengths,
     Standardizer,

@@ -64,7 +64,7 @@ def observe(
     identity = np.random.default_rng([seed if person is None else person, 1])
     sight = look(performance, sensor, scene=scene, prop_poses=prop_poses)
     frames, skeleton = len(performance), performance.body.skeleton
-    fps = 1.0 / float(np.median(np.diff(performance.time))) if frames > 1 else 30.0
+    fps = performance.fps
     eye = in_world_frame(np.zeros(3), sensor)
     placed = misplaced(
         performance,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
 from kinefilter.characters.frozen import freeze
+from kinefilter.characters.motion import frames_per_second
 from kinefilter.retarget.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
@@ -102,6 +103,11 @@ class Performance:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate [1/s]: one over the median time step."""
+        return frames_per_second(self.time)
 
 
 def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Performance:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from kinefilter.characters import Body
+from kinefilter.characters import STANDARD_HEIGHT, Body
 from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.retarget.rotations import (
     about_x,
@@ -82,8 +82,8 @@ class Puppet:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.scale = body.height / 1.75
-        """Size against the 1.75 m the motions are written for."""
+        self.scale = body.height / STANDARD_HEIGHT
+        """Size against the standard body, which the motions are written for."""
         index, rest = body.skeleton.index, body.rest_positions
         pair = [
             [index(f"{stem}{side}") for side in ("Left", "Right")]
@@ -172,7 +172,7 @@ class Puppet:
         Args:
             side: LEFT or RIGHT.
             goal: Outward, up and forward of the joint between the shoulders, thorax
-                frame [m] on a body of 1.75 m, (..., 3). Outward is the arm's own side.
+                frame [m] on the standard body, (..., 3). Outward is the arm's own side.
             elbow_to: Direction the elbow points to, same axes, (..., 3).
         """
         goal, pole = np.asarray(goal, float) * self.scale, np.asarray(elbow_to, float)
@@ -193,6 +193,12 @@ class Puppet:
         arm = wxyz_from_matrix(_frame(along, -hinge))
         bend = (upper**2 + lower**2 - distance**2) / (2.0 * upper * lower)
         return arm, np.pi - np.arccos(bend)
+
+    def reach_both(self, pose: Pose, goal: ArrayLike, elbow_to: ArrayLike) -> Pose:
+        """Return the pose with both hands at mirrored places, as ``reach``."""
+        for side in (LEFT, RIGHT):
+            pose = pose.with_arm(side, self.reach(side, goal, elbow_to))
+        return pose
 
     def reach_world(
         self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import mujoco
 
-from kinefilter.characters import Body, InputError
-from kinefilter.characters.humanoid import Tracking, build_humanoid
+from kinefilter.characters import Body, InputError, Tracking
+from kinefilter.characters.humanoid import build_humanoid
 
 __all__ = ["SCENES", "load_scene", "movable_props", "scene_xml"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinefilter.retarget.rotations import about_x, about_y, inverse, multiply, rotate
 
-__all__ = ["SENSORS", "Sensor", "in_sensor_frame", "in_world_frame"]
+__all__ = ["SENSORS", "Sensor", "in_sensor_frame", "in_world_frame", "sensor_axes"]
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from kinefilter.characters import Body, Skeleton
+from kinefilter.characters import STANDARD_HEIGHT, Body, Skeleton
 from kinefilter.retarget.rotations import rotate
 
 from .misplacement import kinship, misplacements, unsteadiness
@@ -140,7 +140,7 @@ def misplaced(
         person: Draws what differs between people.
     """
     frames = len(performance)
-    fps = 1.0 / float(np.median(np.diff(performance.time))) if frames > 1 else 30.0
+    fps = performance.fps
     truth, body = performance.positions, performance.body
     line = truth - eye
     depth = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -171,7 +171,7 @@ def _bias(
     skeleton = performance.body.skeleton
     offsets = misplacements(skeleton)
     own = kinship(skeleton) @ person.normal(size=offsets.shape)
-    scale = performance.body.height / 1.75
+    scale = performance.body.height / STANDARD_HEIGHT
     offsets = scale * errors.bias * offsets + errors.bias_spread * own
     after = [c[0] if c else j for j, c in enumerate(skeleton.children)]
     turn = performance.rotations

@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, standard_body
-from kinefilter.characters.humanoid import Tracking
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    InputError,
+    Tracking,
+    standard_body,
+)
 from kinefilter.pipeline import Avatar, Pose
 from kinefilter.pipeline.cli import main
 from kinefilter.scenes import perform

@@ -13,11 +13,11 @@ from kinefilter.characters import (
     KINECT_V2,
     InputError,
     Skeleton,
+    Tracking,
     standard_body,
 )
 from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.humanoid import (
-    Tracking,
     build_humanoid,
     from_mujoco,
     joint_masses,

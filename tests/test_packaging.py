@@ -10,7 +10,7 @@ import sys
 import tarfile
 import tomllib
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 from types import ModuleType
@@ -99,22 +99,41 @@ def test_no_files_import_each_other_in_a_circle() -> None:
     ).prepare()  # raises CycleError, which names the circle
 
 
+def test_what_other_files_import_is_said_to_be_public() -> None:
+    modules = {_name(path): path for path in SOURCES}
+    public = {name: _public(path) for name, path in modules.items()}
+    for name, path in modules.items():
+        for source, wanted in _imports(name, path):
+            if source in public and f"{source}.{wanted}" not in modules:
+                assert wanted in public[source], f"{name} imports {source}.{wanted}"
+
+
+def _public(path: Path) -> set[str]:
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            return set(ast.literal_eval(node.value))
+    return set()
+
+
 def _name(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(("kinefilter", *parts)).removesuffix(".__init__")
 
 
 def _imported(name: str, path: Path, modules: Collection[str]) -> set[str]:
-    """Return what a file imports of ours, functions' imports too."""
+    """Return the files that a file imports of ours."""
+    pairs = {(source, f"{source}.{name}") for source, name in _imports(name, path)}
+    return {whole if whole in modules else source for source, whole in pairs} & set(
+        modules
+    )
+
+
+def _imports(name: str, path: Path) -> Iterator[tuple[str, str]]:
+    """Yield module and name of what a file imports from, in functions too."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if not isinstance(node, ast.ImportFrom):
-            continue
-        source = importlib.util.resolve_name(
-            "." * node.level + (node.module or ""), package
-        )
-        for alias in node.names:
-            whole = f"{source}.{alias.name}"
-            found.add(whole if whole in modules else source)
-    return found & set(modules)
+        if isinstance(node, ast.ImportFrom):
+            source = importlib.util.resolve_name(
+                "." * node.level + (node.module or ""), package
+            )
+            yield from ((source, alias.name) for alias in node.names)

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, Body, InputError, standard_body
+from kinefilter.characters import KINECT_V1, Body, InputError, Tracking, standard_body
 from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.humanoid import (
     GRAVITY,
-    Tracking,
     from_mujoco,
     joint_masses,
 )

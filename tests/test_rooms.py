@@ -16,9 +16,10 @@ from kinefilter.characters import (
     Body,
     InputError,
     Skeleton,
+    Tracking,
     standard_body,
 )
-from kinefilter.characters.humanoid import Tracking, build_humanoid, to_mujoco
+from kinefilter.characters.humanoid import build_humanoid, to_mujoco
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.scenes import (
     SCENES,

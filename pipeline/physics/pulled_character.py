@@ -13,11 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, InputError
+from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.humanoid import (
     GRAVITY,
     PULLS,
-    Tracking,
     build_humanoid,
     from_mujoco,
     joint_masses,

@@ -13,7 +13,9 @@ __all__ = [
     "Reference",
     "Reliability",
     "ReliabilityScorer",
+    "column_medians",
     "measure_reference",
+    "segment_lengths",
 ]
 
 Array = NDArray[np.float64]
