@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .gestures import Script
 from .holds import ON_HIPS
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
 __all__ = ["ACTIONS"]
 

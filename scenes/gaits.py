@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from kinefilter.retarget.rotations import about_y, rotate
 
-from .gestures import Script, stance
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script, stance
 
 __all__ = ["GAITS", "TURNS", "gait"]
 

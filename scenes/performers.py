@@ -20,15 +20,16 @@ from kinefilter.characters.motion import frames_per_second
 from kinefilter.retarget.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
-from .breathing import BREATHING
 from .clearance import clear_arms
 from .exercises import EXERCISES
 from .gaits import GAITS, TURNS, gait
-from .gestures import GESTURES, stance
+from .gestures import GESTURES
 from .joint_ranges import within_ranges
+from .lymph_flow import LYMPH_FLOW
 from .poses import Pose, Score
 from .prop_motions import PROP_MOTIONS
 from .puppet import LEFT, RIGHT, Puppet
+from .script import stance
 from .sports import SPORTS
 
 __all__ = ["MOTIONS", "Performance", "perform", "perform_medley"]
@@ -40,13 +41,18 @@ _SCRIPTS = {
     **ACTIONS,
     **TURNS,
     **EXERCISES,
-    **BREATHING,
+    **LYMPH_FLOW,
     **SPORTS,
     **PROP_MOTIONS,
 }
 
 MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
-"""Names of the motions that ``perform`` knows."""
+"""Names of the motions that ``perform`` knows.
+
+Of some there are two: as people do them by themselves (squat, lunge, step_over, sit,
+raise_leg), and as an exercise that holds the arms and is often done wrong (deep_squat,
+inline_lunge, hurdle_step, sit_to_stand, leg_raise).
+"""
 
 _EXTRA_WIDTH = {
     "deep_squat": 0.7,

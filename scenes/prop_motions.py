@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .gestures import Script
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
 __all__ = ["PROP_MOTIONS"]
 

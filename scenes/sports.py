@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .gestures import Script
 from .holds import draw_fault, draw_hold
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
 __all__ = ["SPORTS"]
 

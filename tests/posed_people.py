@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Body, standard_body
 from kinefilter.retarget import positions_from_rotations
@@ -32,7 +32,9 @@ every_skeleton = pytest.mark.parametrize(
 )
 
 
-def posed(frames: int = 1, *, body: Body = BODY, yaw: float = 0.0, **arms: Array):
+def posed(
+    frames: int = 1, *, body: Body = BODY, yaw: float = 0.0, **arms: ArrayLike
+) -> Performance:
     """Stand in T-pose, turned by yaw, limbs pointing where the keywords say."""
     skeleton = body.skeleton
     turn = np.tile(about_y(yaw), (frames, len(skeleton), 1))

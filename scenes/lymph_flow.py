@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .gestures import Script
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
-__all__ = ["BREATHING"]
+__all__ = ["LYMPH_FLOW"]
 
 
 def _breathed(pose: Pose, rng: np.random.Generator, depth: float) -> Pose:
@@ -112,7 +112,7 @@ def _push_down_pumping(
     return score.to(0.8, base)
 
 
-BREATHING: dict[str, Script] = {
+LYMPH_FLOW: dict[str, Script] = {
     "clasp_and_spread": _clasp_and_spread,
     "deep_breathing": _deep_breathing,
     "overhead_pumping": _overhead_pumping,
