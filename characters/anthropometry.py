@@ -36,6 +36,7 @@ STANDARD_HEIGHT = 1.75
 STATURES = (0.3, 3.0)
 """Statures [m] between which a body may be: anything else is a wrong unit."""
 
+_UNIT = 1e-3  # by which a direction may be longer than 1: single precision, and room
 _DENSITY = 1050.0  # kg/m^3, whole-body tissue average (Winter 2009, section 4.1.1)
 _BODY_MASS_INDEX = 22.0  # kg/m^2, middle of the WHO's normal range, if no mass is given
 _FOOT_RADIUS = 0.018  # of stature: half the malleolus height of 0.039 (Winter)
@@ -128,6 +129,30 @@ def _table(skeleton: Skeleton) -> dict[str, _Row]:
     return table
 
 
+def _check_segments(body: Body) -> None:
+    """Raise an InputError for lengths and directions that no body has."""
+    skeleton = body.skeleton
+    count, ends = len(skeleton), skeleton.segments
+    for name, shape in (("lengths", (count,)), ("directions", (count, 3))):
+        found = np.shape(getattr(body, name))
+        if found != shape:
+            raise InputError(
+                f"{name} of a body have shape {found}, expected {shape} for "
+                f"{skeleton.name}"
+            )
+    lengths, norms = body.lengths[ends], np.linalg.norm(body.directions[ends], axis=1)
+    for values, good, words in (
+        (lengths, (lengths > 0.0) & (lengths < np.inf), "is {:g} m long"),
+        (norms, np.abs(norms - 1.0) < _UNIT, "points along a vector of length {:g}"),
+    ):
+        if not good.all():
+            k = int(np.argmin(good))
+            raise InputError(
+                f"the segment to {skeleton.joints[ends[k]]} {words.format(values[k])}; "
+                "give lengths above 0 and unit directions"
+            )
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
     """A body on a skeleton: what its segments measure and weigh; read-only arrays."""
@@ -156,6 +181,7 @@ class Body:
                 f"body mass {self.mass:g} kg is outside 2 to 500 kg; "
                 "give the mass in kilograms"
             )
+        _check_segments(self)
         freeze(self)
 
     @cached_property

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -137,6 +140,32 @@ def test_absurd_heights_are_refused_asking_for_meters(height: float) -> None:
         standard_body(KINECT_V1, height=height, mass=70.0)
     with pytest.raises(InputError):
         standard_body(KINECT_V2, height=height)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("lengths", np.full(5, 0.3), r"lengths of a body have shape \(5,\)"),
+        ("directions", np.zeros(20), r"expected \(20, 3\) for kinect_v1"),
+        ("lengths", 0.0, "segment to WristLeft is 0 m long"),
+        ("lengths", -0.2, "segment to WristLeft is -0.2 m long"),
+        ("lengths", np.nan, "segment to WristLeft is nan m long"),
+        ("lengths", np.inf, "segment to WristLeft is inf m long"),
+        ("directions", 0.0, "segment to WristLeft points along a vector of length 0"),
+        ("directions", np.nan, "segment to WristLeft points along"),
+        ("directions", [0.0, 2.0, 0.0], "segment to WristLeft points .* of length 2"),
+    ],
+)
+def test_segments_that_no_body_has_are_refused_by_name(
+    name: str, value: ArrayLike, words: str
+) -> None:
+    body = standard_body(KINECT_V1)
+    wrong = np.asarray(value)
+    if wrong.shape in ((), (3,)):
+        wrong = getattr(body, name).copy()
+        wrong[KINECT_V1.index("WristLeft")] = value
+    with pytest.raises(InputError, match=words):
+        replace(body, **{name: wrong})
 
 
 @every_skeleton
