@@ -18,6 +18,8 @@ from .skeleton import Skeleton
 __all__ = ["CONTACTS", "Clip", "Origin", "State", "Take", "Term", "frames_per_second"]
 
 
+_UNIT = 1e-3  # by which a quaternion may be longer than 1: single precision, and room
+
 CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")
 """Parts of the feet that stand on the floor, in the order of the arrays."""
 
@@ -76,6 +78,29 @@ def _check_time(motion: Any) -> None:
             f"{motion.source}: time goes backwards at frame {k + 1} "
             f"({time[k - 1]:.4f} s, then {time[k]:.4f} s); "
             "sort the frames by time or cut the take there"
+        )
+
+
+def _check_values(clip: Clip) -> None:
+    """Raise an InputError for rotations, rates or codes that no clip holds."""
+    with np.errstate(over="ignore"):  # of a damaged file
+        lengths = np.sqrt(np.vecdot(clip.rotations, clip.rotations))
+    _refuse(clip, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
+    rate = clip.reliability
+    _refuse(clip, "reliability", rate, ~((rate < 0.0) | (rate > 1.0)))
+    for name, codes in (("state", State), ("deciding_term", Term), ("origin", Origin)):
+        values = getattr(clip, name)
+        _refuse(clip, name, values, (values >= 0) & (values <= max(codes)))
+
+
+def _refuse(
+    clip: Clip, what: str, values: NDArray[Any], good: NDArray[np.bool_]
+) -> None:
+    if not good.all():
+        frame, joint = np.argwhere(~good)[0]
+        raise InputError(
+            f"{clip.source}: frame {frame + 1}, {clip.skeleton.joints[joint]}: "
+            f"{what} {values[frame, joint]:g} is none; write the clip again"
         )
 
 
@@ -194,6 +219,7 @@ class Clip:
                 f"{self.source}: the body is {self.body.skeleton.name}, the clip "
                 f"{self.skeleton.name}"
             )
+        _check_values(self)
         freeze(self)
 
     def __len__(self) -> int:
