@@ -1,10 +1,11 @@
 """Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, Body, random_body, standard_body
+from .anthropometry import STANDARD_HEIGHT, STATURES, Body, random_body, standard_body
 from .errors import InputError, KinefilterError
 from .motion import CONTACTS, Clip, Origin, State, Take, Term
 from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
+from .tracking import Tracking
 
 __all__ = [
     "CONTACTS",
@@ -12,6 +13,7 @@ __all__ = [
     "KINECT_V2",
     "SKELETONS",
     "STANDARD_HEIGHT",
+    "STATURES",
     "Body",
     "Clip",
     "InputError",
@@ -24,6 +26,7 @@ __all__ = [
     "State",
     "Take",
     "Term",
+    "Tracking",
     "random_body",
     "skeleton_named",
     "standard_body",

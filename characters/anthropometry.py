@@ -6,7 +6,7 @@ Sources:
         stature). Where Kinect's joints are no anatomical landmarks (spine, head, hand,
         foot), the fraction is the median of Kinect skeletons of standing people.
     Masses: de Leva 1996, J. Biomech. 29(9), table 4, men (fractions of body mass).
-    Radii: a capsule of the segment's mass at tissue density.
+    Radii: a cylinder of the segment's mass at tissue density, under its capsule's caps.
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError
+from .frozen import freeze, read_only
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton
 
 __all__ = [
     "STANDARD_HEIGHT",
+    "STATURES",
     "Body",
     "joint_range",
     "random_body",
@@ -31,9 +33,14 @@ __all__ = [
 STANDARD_HEIGHT = 1.75
 """Stature [m] of the standard body that postures are compared on."""
 
+STATURES = (0.3, 3.0)
+"""Statures [m] between which a body may be: anything else is a wrong unit."""
+
+_UNIT = 1e-3  # by which a direction may be longer than 1: single precision, and room
 _DENSITY = 1050.0  # kg/m^3, whole-body tissue average (Winter 2009, section 4.1.1)
 _BODY_MASS_INDEX = 22.0  # kg/m^2, middle of the WHO's normal range, if no mass is given
 _FOOT_RADIUS = 0.018  # of stature: half the malleolus height of 0.039 (Winter)
+_THICKEST, _THICKEST_HAND = 0.065, 0.018  # of stature
 
 _SHORTEST, _TALLEST = 1.5, 2.0  # m, of random bodies: about 99 % of adults
 # Mean and standard deviation of stature [m], men and women, in ANSUR II (Gordon et al.
@@ -122,9 +129,35 @@ def _table(skeleton: Skeleton) -> dict[str, _Row]:
     return table
 
 
+def _check_segments(body: Body) -> None:
+    """Raise an InputError for lengths and directions that no body has."""
+    skeleton = body.skeleton
+    count, ends = len(skeleton), skeleton.segments
+    for name, shape in (("lengths", (count,)), ("directions", (count, 3))):
+        found = np.shape(getattr(body, name))
+        if found != shape:
+            raise InputError(
+                f"{name} of a body have shape {found}, expected {shape} for "
+                f"{skeleton.name}"
+            )
+    lengths = body.lengths[ends]
+    with np.errstate(over="ignore"):  # of a damaged file
+        norms = np.linalg.norm(body.directions[ends], axis=1)
+    for values, good, words in (
+        (lengths, (lengths > 0.0) & (lengths < np.inf), "is {:g} m long"),
+        (norms, np.abs(norms - 1.0) < _UNIT, "points along a vector of length {:g}"),
+    ):
+        if not good.all():
+            k = int(np.argmin(good))
+            raise InputError(
+                f"the segment to {skeleton.joints[ends[k]]} {words.format(values[k])}; "
+                "give lengths above 0 and unit directions"
+            )
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A body on a skeleton: what its segments measure and weigh."""
+    """A body on a skeleton: what its segments measure and weigh; read-only arrays."""
 
     skeleton: Skeleton
     """The joints, in the order of the arrays."""
@@ -139,21 +172,24 @@ class Body:
     (J, 3), root 0. Sensors differ in where trunk, hips and shoulders are."""
 
     def __post_init__(self) -> None:
-        if not 0.3 < self.height < 3.0:
+        least, most = STATURES
+        if not least < self.height < most:
             raise InputError(
-                f"body height {self.height:g} m is outside 0.3 to 3 m; "
-                "give the height in metres"
+                f"body height {self.height:g} m is outside {least:g} to {most:g} m; "
+                "give the height in meters"
             )
         if not 2.0 < self.mass < 500.0:
             raise InputError(
                 f"body mass {self.mass:g} kg is outside 2 to 500 kg; "
                 "give the mass in kilograms"
             )
+        _check_segments(self)
+        freeze(self)
 
     @cached_property
     def rest_offsets(self) -> NDArray[np.float64]:
         """Vector [m] from each joint's parent to it in the T-pose, shape (J, 3)."""
-        return self.directions * self.lengths[:, None]
+        return read_only(self.directions * self.lengths[:, None])
 
     @cached_property
     def rest_positions(self) -> NDArray[np.float64]:
@@ -164,7 +200,7 @@ class Body:
         ):
             positions[j] = positions[p] + self.rest_offsets[j]
         positions[:, 1] -= (positions[:, 1] - self.radii).min()
-        return positions
+        return read_only(positions)
 
     @cached_property
     def masses(self) -> NDArray[np.float64]:
@@ -172,7 +208,7 @@ class Body:
         table = _table(self.skeleton)
         shares = np.array([table.get(j, (0, 0, 0))[1] for j in self.skeleton.joints])
         shares[self.skeleton.root] = 1.0 - shares.sum()
-        return shares * self.mass
+        return read_only(shares * self.mass)
 
     @cached_property
     def radii(self) -> NDArray[np.float64]:
@@ -182,15 +218,14 @@ class Body:
         radii = np.sqrt(self.masses / (_DENSITY * np.pi * lengths))
         root = self.skeleton.root
         radii[root] = (self.masses[root] * 0.75 / (_DENSITY * np.pi)) ** (1 / 3)
-        # Short segments are no fat discs: no radius above a third of the foot's or
-        # hand's own scale, and soles that lie on the floor.
-        radii = np.minimum(radii, 0.065 * self.height)
+        # Short segments are no fat discs. How thick they may be is a guess.
+        radii = np.minimum(radii, _THICKEST * self.height)
         for j, joint in enumerate(joints):
             if joint.startswith("Foot"):
                 radii[j] = _FOOT_RADIUS * self.height
             elif joint.startswith(("Hand", "Thumb")):
-                radii[j] = min(radii[j], 0.018 * self.height)
-        return radii
+                radii[j] = min(radii[j], _THICKEST_HAND * self.height)
+        return read_only(radii)
 
 
 def standard_body(

@@ -5,21 +5,27 @@ Bounded PD forces pull the end of every segment to a target point and a bounded 
 turns it about its own axis (Shum 2013, section VII); both are MuJoCo actuators, so the
 engine evaluates them in every substep.
 
-MuJoCo's world is z up with the character facing +x; ``to_mujoco`` and
-``from_mujoco`` are the only places that know.
+MuJoCo's world is z up with the character facing +x. It begins at ``to_mujoco`` and ends
+at ``from_mujoco``: scenes, physics and drawing work in it between them.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body, joint_range
+from .tracking import Tracking
 
-__all__ = ["Tracking", "build_humanoid", "from_mujoco", "to_mujoco"]
+__all__ = [
+    "GRAVITY",
+    "PULLS",
+    "build_humanoid",
+    "from_mujoco",
+    "joint_masses",
+    "to_mujoco",
+]
 
 GRAVITY = 9.81
 """Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
@@ -30,7 +36,7 @@ PULLS = 30
 # Time constant of two steps, the stiffest that MuJoCo allows, and next to no give.
 _HARD_FLOOR = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
 # Flesh gives way by some centimeters, and so must capsules where a tracker lets arms
-# touch the trunk: hard ones would shake.
+# touch the trunk: hard ones would shake. How fast it does is a guess.
 _SOFT_FLESH = ([0.1, 1.0], [0.1, 0.9, 0.03, 0.5, 2.0])
 # Thin capsules have next to no inertia about their axis, and a jumping target spins
 # them up: the inertia of a hand about the wrist, and a tissue damping that takes a
@@ -38,7 +44,7 @@ _SOFT_FLESH = ([0.1, 1.0], [0.1, 0.9, 0.03, 0.5, 2.0])
 _ARMATURE = 0.003  # kg m^2
 _PASSIVE_DAMPING = 10.0  # 1/s
 # Turning a segment about its axis turns what hangs on it, at an angle: the share of its
-# inertia across the axis that the torque's gains are made for.
+# inertia across the axis that the torque's gains are made for. A guess.
 _TURNED_ALONG = 0.1
 # A hand presses on a thing between two hands about as hard as on a heavy shopping bag's
 # handle, and fingers reach around a corner. Both are guesses.
@@ -85,24 +91,6 @@ def _permute(values: NDArray[np.float64], order: list[int]) -> NDArray[np.float6
     if values.shape[-1] == 4:
         return np.asarray(values[..., [0, *(k + 1 for k in order)]])
     return np.asarray(values[..., order])
-
-
-@dataclass(frozen=True)
-class Tracking:
-    """How hard the target pulls the character."""
-
-    natural_frequency: float = 60.0
-    """Natural frequency of the pull [rad/s]. The gains follow, critically damped, from
-    it and the mass of each part: kp = m w^2, kv = 2 m w. 60 follows a clean
-    motion within 3 mm on average and filters what is faster than 10 Hz."""
-    twist_frequency: float = 40.0
-    """Natural frequency of the torque about the segment axis [rad/s]."""
-    largest_acceleration: float = 200.0
-    """Bound of the force on a part: its mass times this [m/s^2]. About twice the
-    peak acceleration of a boxer's fist."""
-    largest_angular_acceleration: float = 4000.0
-    """Bound of the torque on a part: the inertia its gains are made for times this
-    [rad/s^2]."""
 
 
 def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpec:

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from .anthropometry import Body
 from .errors import InputError
-from .props import Prop, freeze
+from .frozen import freeze
+from .props import Prop
 from .skeleton import Skeleton
 
-__all__ = ["CONTACTS", "Clip", "Origin", "State", "Take", "Term"]
+__all__ = ["CONTACTS", "Clip", "Origin", "State", "Take", "Term", "frames_per_second"]
 
+
+_UNIT = 1e-3  # by which a quaternion may be longer than 1: single precision, and room
 
 CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")
 """Parts of the feet that stand on the floor, in the order of the arrays."""
@@ -86,7 +89,31 @@ def _check_time(motion: Any) -> None:
         )
 
 
-def _frames_per_second(time: NDArray[np.float64]) -> float:
+def _check_values(clip: Clip) -> None:
+    """Raise an InputError for rotations, rates or codes that no clip holds."""
+    with np.errstate(over="ignore"):  # of a damaged file
+        lengths = np.sqrt(np.vecdot(clip.rotations, clip.rotations))
+    _refuse(clip, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
+    rate = clip.reliability
+    _refuse(clip, "reliability", rate, ~((rate < 0.0) | (rate > 1.0)))
+    for name, codes in (("state", State), ("deciding_term", Term), ("origin", Origin)):
+        values = getattr(clip, name)
+        _refuse(clip, name, values, (values >= 0) & (values <= max(codes)))
+
+
+def _refuse(
+    clip: Clip, what: str, values: NDArray[Any], good: NDArray[np.bool_]
+) -> None:
+    if not good.all():
+        frame, joint = np.argwhere(~good)[0]
+        raise InputError(
+            f"{clip.source}: frame {frame + 1}, {clip.skeleton.joints[joint]}: "
+            f"{what} {values[frame, joint]:g} is none; write the clip again"
+        )
+
+
+def frames_per_second(time: NDArray[np.float64]) -> float:
+    """Return the nominal frame rate [1/s]: one over the median time step, or 30."""
     steps = np.diff(time)
     steps = steps[steps > 0]
     return float(1.0 / np.median(steps)) if len(steps) else 30.0
@@ -119,14 +146,14 @@ class Take:
     @property
     def fps(self) -> float:
         """Nominal frame rate [1/s]: one over the median time step."""
-        return _frames_per_second(self.time)
+        return frames_per_second(self.time)
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
     """A cleaned motion and, per joint and frame, where it came from.
 
-    World frame: right-handed, y up, floor at y = 0, metres, seconds. Joint positions
+    World frame: right-handed, y up, floor at y = 0, meters, seconds. Joint positions
     follow from the rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
     """
 
@@ -209,6 +236,7 @@ class Clip:
                 f"{self.source}: the body is {self.body.skeleton.name}, the clip "
                 f"{self.skeleton.name}"
             )
+        _check_values(self)
         freeze(self)
 
     def __len__(self) -> int:
@@ -217,4 +245,4 @@ class Clip:
     @property
     def fps(self) -> float:
         """Nominal frame rate [1/s]: one over the median time step."""
-        return _frames_per_second(self.time)
+        return frames_per_second(self.time)

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError
+from .frozen import freeze
 
-__all__ = ["Prop", "Shape", "ShapeKind", "freeze"]
+__all__ = ["Prop", "Shape", "ShapeKind"]
 
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
-
-
-def freeze(value: Any) -> None:
-    """Make every array field of a frozen dataclass a read-only view of itself."""
-    for field in fields(value):
-        array = getattr(value, field.name)
-        if isinstance(array, np.ndarray):
-            view = array.view()
-            view.flags.writeable = False
-            object.__setattr__(value, field.name, view)
 
 
 def _check(value: Any, **expected: int | tuple[int, int]) -> None:
@@ -59,6 +50,8 @@ class Shape:
                 f"unknown kind of shape {self.kind!r}; known: "
                 + ", ".join(get_args(ShapeKind))
             )
+        if self.kind == "mesh" and not len(self.points):
+            raise InputError("a mesh has no points; give it some, or leave it out")
         freeze(self)
 
     @property

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .anthropometry import Body
 from .flesh import Box, Flesh, flesh_of, nearest_on_line
-from .props import freeze
+from .frozen import freeze
 from .skeleton import Skeleton
 from .surface import quads_of
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinefilter.characters import Body, InputError, State, Take
-from kinefilter.characters.humanoid import Tracking
+from kinefilter.characters import Body, InputError, State, Take, Tracking
 from kinefilter.retarget import (
     BoneLengths,
     Standardizer,
@@ -40,7 +39,7 @@ _LET_GO = 0.05  # s in which a foot that steps joins its measured path
 _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share a frame: feet sink rarely, lift often
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pose:
     """The character after a frame."""
 

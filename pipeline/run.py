@@ -41,7 +41,7 @@ _MODEL_RATE = 0.5
 In simulated takes 0.5 to 0.75 do about as well."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CleanResult:
     """A cleaned clip and what happened on the way."""
 
@@ -106,6 +106,7 @@ def clean(
         reference.directions,
         height=config.height,
         mass=config.mass,
+        source=take.source,
     )
     reliability = SCORERS[config.scoring](take.skeleton, reference).score(take)
     reliability = distrust(reliability, failures, take.skeleton)

@@ -17,7 +17,7 @@ __all__ = ["StandardTake", "standardize_take"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StandardTake:
     """Postures on the standard body, root at the origin, facing +z."""
 

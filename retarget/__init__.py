@@ -3,11 +3,11 @@
 from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths
 from .kinematics import positions_from_rotations
-from .normalise import View, find_yaw
-from .orientation import rotations_from_positions
+from .normalize import View, find_yaw
+from .orientation import hang_missing, rotations_from_positions
 from .retargeting import Retargeted, retarget
 from .rig_map import RIGS, load_rig_map
-from .target_rig import built_rig, found_rig
+from .target_rig import built_rig, matched_rig
 
 __all__ = [
     "RIGS",
@@ -17,8 +17,9 @@ __all__ = [
     "View",
     "built_rig",
     "find_yaw",
-    "found_rig",
+    "hang_missing",
     "load_rig_map",
+    "matched_rig",
     "measured_body",
     "positions_from_rotations",
     "retarget",

@@ -12,9 +12,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import STANDARD_HEIGHT, Body, Skeleton, standard_body
+from kinefilter.characters import (
+    STANDARD_HEIGHT,
+    STATURES,
+    Body,
+    InputError,
+    Skeleton,
+    standard_body,
+)
 
-from .normalise import View, find_yaw
+from .normalize import View, find_yaw
 from .rotations import between, matrix_from_wxyz
 
 __all__ = ["Standardizer", "measured_body"]
@@ -22,7 +29,7 @@ __all__ = ["Standardizer", "measured_body"]
 Array = NDArray[np.float64]
 
 # A segment that many times off the average is a tracker's error. Along the trunk the
-# joints have no landmarks, and sensors differ by more.
+# joints have no landmarks, and sensors differ by more. Both are guesses.
 _ODDEST_LIMB, _ODDEST_TRUNK = 1.6, 4.0
 
 
@@ -33,11 +40,13 @@ def measured_body(
     *,
     height: float | None = None,
     mass: float | None = None,
+    source: str = "take",
 ) -> Body:
     """Return the body of a person whose segments were measured.
 
-    Left and right share the mean of what was measured. What was not measured, and limbs
-    that are off the average proportions by a factor of 1.6, take average proportions.
+    Left and right share the mean of what was measured. What was not measured takes
+    average proportions, and so does what is off them by a factor of 1.6 or more, along
+    the trunk 4.
 
     Args:
         skeleton: The joints.
@@ -46,6 +55,7 @@ def measured_body(
             average body hold, shape (J, 3).
         height: Stature [m]; by default from the measured lengths.
         mass: Body mass [kg]; by default from the stature.
+        source: Where the lengths came from, for messages.
 
     Raises:
         InputError: Height or mass is not a human's.
@@ -58,6 +68,11 @@ def measured_body(
         upright = upright[np.isfinite(known[upright])]
         share = known[upright].sum() / average[upright].sum() if len(upright) else 1.0
         height = STANDARD_HEIGHT * float(share)
+        if not STATURES[0] < height < STATURES[1]:
+            raise InputError(
+                f"{source}: the segments measure a stature of {height:.3g} m, expected "
+                f"{STATURES[0]:g} to {STATURES[1]:g} m; are the positions in meters?"
+            )
     body = standard_body(skeleton, height=height, mass=mass)
     factor = np.array(
         [
@@ -136,7 +151,7 @@ class Standardizer:
             Positions [m], NaN where missing, shape (J, 3), and the view taken out.
         """
         standard, view = self.steps(positions[None], weights[None])
-        return standard[0], View(view.root[0], view.yaw[0])
+        return standard[0], view.at(0)
 
     def steps(self, positions: Array, weights: Array) -> tuple[Array, View]:
         """Return the next frames of a motion as ``step`` gives them, all at once.

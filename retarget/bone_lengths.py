@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body
+from kinefilter.characters import Body, InputError
 
 __all__ = ["BoneLengths"]
 
@@ -14,9 +14,8 @@ Array = NDArray[np.float64]
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
 _EXACT = 1e-7  # m
-_FIRMNESS_OF_INVENTED = (
-    0.02  # against a measured joint's 1: it moves fifty times as far
-)
+# Against a measured joint's 1: it moves fifty times as far. A guess.
+_FIRMNESS_OF_INVENTED = 0.02
 
 
 class BoneLengths:
@@ -42,18 +41,25 @@ class BoneLengths:
         self._incidence[rows, self._ends] = 1.0
         self._incidence[rows, self._starts] = -1.0
 
-    def project(self, positions: Array, trust: Array) -> Array:
+    def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions with the body's segment lengths.
 
         Args:
             positions: Joint positions [m], shape (T, J, 3).
-            trust: How far each joint is to be trusted, in [0, 1], shape (T, J): an
-                invented joint gives way to a measured one.
+            firmness: How hard each joint is to move, 0 for an invented one, 1 for a
+                measured one, more for what is to stay, shape (T, J).
+
+        Raises:
+            InputError: A joint is nowhere: all that hangs on it would be invented.
         """
+        if not np.isfinite(positions).all():
+            raise InputError(
+                "positions that are not finite have no lengths; fill missing joints"
+            )
         projected = positions.copy()
         for first in range(0, len(positions), _CHUNK):
             chunk = slice(first, first + _CHUNK)
-            mobility = 1.0 / (trust[chunk] + _FIRMNESS_OF_INVENTED)
+            mobility = 1.0 / (firmness[chunk] + _FIRMNESS_OF_INVENTED)
             projected[chunk] = self._project(positions[chunk], mobility)
         return projected
 

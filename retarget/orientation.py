@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton
 
-from .rotations import IDENTITY, between, inverse, multiply, rotate
+from .rotations import IDENTITY, about_x, between, inverse, multiply, rotate
 
-__all__ = ["rotations_from_positions"]
+__all__ = ["hang_missing", "rotations_from_positions"]
 
 Array = NDArray[np.float64]
 
@@ -52,42 +52,61 @@ def rotations_from_positions(
     return rotations
 
 
+def hang_missing(positions: Array, body: Body) -> Array:
+    """Return postures in which missing joints hang on their parents as at rest.
+
+    Args:
+        positions: Joint positions [m], NaN where missing, shape (..., J, 3).
+        body: The rest posture and lengths of what is missing.
+    """
+    skeleton, hung = body.skeleton, positions.copy()
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        missing = ~np.isfinite(hung[..., j, :]).all(axis=-1, keepdims=True)
+        if missing.any():
+            turns = rotations_from_positions(hung, body)[..., p, :]
+            there = hung[..., p, :] + rotate(turns, body.rest_offsets[j])
+            hung[..., j, :] = np.where(missing, there, hung[..., j, :])
+    return hung
+
+
 def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:
     return multiply(between(rotate(rotation, rest), bone), rotation)
 
 
 def _pelvis(positions: Array, body: Body) -> Array:
-    """Return the pelvis' rotation: x through the hips, y towards the spine."""
-    return multiply(_pelvis_frame(positions, body.skeleton), _from_rest_pelvis(body))
+    """Return the pelvis' rotation: x through the hips, y towards the spine.
+
+    The identity where hips and spine span no plane.
+    """
+    frame, plane = _pelvis_frame(positions, body.skeleton)
+    pelvis = multiply(frame, _from_rest_pelvis(body))
+    return pelvis if np.all(plane) else np.where(plane[..., None], pelvis, IDENTITY)
 
 
 @lru_cache(maxsize=4)
 def _from_rest_pelvis(body: Body) -> Array:
     """Return the inverse of the pelvis' frame in the rest posture."""
-    return inverse(_pelvis_frame(body.rest_positions, body.skeleton))
+    return inverse(_pelvis_frame(body.rest_positions, body.skeleton)[0])
 
 
-def _pelvis_frame(positions: Array, skeleton: Skeleton) -> Array:
+def _pelvis_frame(
+    positions: Array, skeleton: Skeleton
+) -> tuple[Array, NDArray[np.bool_]]:
     left, right = skeleton.index("HipLeft"), skeleton.index("HipRight")
     (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
     across = positions[..., left, :] - positions[..., right, :]
     return _frame(across, positions[..., spine, :] - positions[..., skeleton.root, :])
 
 
-def _frame(x: Array, up: Array) -> Array:
+def _frame(x: Array, up: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the rotation whose x axis is along x and whose y axis is nearest to up.
 
-    The identity where the two span no plane.
+    And whether the two span a plane: otherwise it is anything.
     """
     turned = between(_X, x)
     # What is left is the angle about x from the turned y axis to up.
     seen = rotate(inverse(turned), up)
     ahead, aside = seen[..., 1], seen[..., 2]
-    half = 0.5 * np.arctan2(aside, ahead)
-    about_x = np.zeros((*half.shape, 4))
-    about_x[..., 0], about_x[..., 1] = np.cos(half), np.sin(half)
-    frame = multiply(turned, about_x)
+    frame = multiply(turned, about_x(np.arctan2(aside, ahead)))
     plane = np.sum(x * x, axis=-1) * (ahead**2 + aside**2) > _NO_PLANE**2
-    if np.all(plane):
-        return frame
-    return np.where(plane[..., None], frame, IDENTITY)
+    return frame, np.asarray(plane)

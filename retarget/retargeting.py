@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Clip
-from kinefilter.characters.props import freeze
+from kinefilter.characters.frozen import freeze
 
 from .rest_difference import heading, segment_of, turned
 from .rig_map import SIDES
 from .rotations import IDENTITY, between, inverse, multiply, rotate, slerp
+from .smooth_step import smooth_step
 from .stance import held, near_stance
 from .target_rig import TargetRig
 from .two_bone import bent_limb
@@ -189,8 +190,8 @@ class _Motion:
     def _level_toes(self, side: str, heights: Array) -> None:
         """Turn toes that are near the floor flat, below a foot whose heel is up."""
         turns = self.turns[self.rig.joint(f"{side} foot")]
-        share = _ease(1.0 - heights / _TOE_NEAR)
-        share *= _ease((rotate(turns, _UP)[:, 1] - _STEEP) / (_SLOPING - _STEEP))
+        share = smooth_step(1.0 - heights / _TOE_NEAR)
+        share *= smooth_step((rotate(turns, _UP)[:, 1] - _STEEP) / (_SLOPING - _STEEP))
         self.turns[self.rig.joint(f"{side} toes")] = _leveled(turns, share)
 
     def shortage(self, side: str, goal: Array) -> Array:
@@ -233,8 +234,3 @@ def _leveled(turns: Array, share: Array) -> Array:
     up = rotate(turns, _UP)
     level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
     return slerp(turns, level, share)
-
-
-def _ease(share: Array) -> Array:
-    share = np.clip(share, 0.0, 1.0)
-    return np.asarray(share**2 * (3.0 - 2.0 * share))

@@ -17,7 +17,16 @@ from typing import Any
 
 from kinefilter.characters import InputError
 
-__all__ = ["CHAINS", "PARTS", "RIGS", "SIDES", "MapBone", "RigMap", "load_rig_map"]
+__all__ = [
+    "CHAINS",
+    "OPTIONAL",
+    "PARTS",
+    "RIGS",
+    "SIDES",
+    "MapBone",
+    "RigMap",
+    "load_rig_map",
+]
 
 RIGS = tuple(
     sorted(path.stem for path in (Path(__file__).parent / "rigs").glob("*.toml"))
@@ -43,11 +52,12 @@ CHAINS = {
 """Part of the body, and the part on which it hangs."""
 PARTS = ("pelvis", *CHAINS)
 """What turns bones."""
-_OPTIONAL = {"neck", *(f"{side} {part}" for side in SIDES for part in _LIMBS)} - {
+OPTIONAL = {"neck", *(f"{side} {part}" for side in SIDES for part in _LIMBS)} - {
     f"{side} {part}"
     for side in SIDES
     for part in ("upper arm", "lower arm", "hand", "thigh", "shin", "foot")
 }
+"""Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
 _FIELDS = {"parent", "turned_by", "offset"}
 _LARGEST = 2**20  # bytes: five thousand bones
@@ -83,11 +93,6 @@ class RigMap:
         """Return the bones that a part turns, from the root on."""
         return [bone for bone in self.bones if bone.part == part]
 
-    @property
-    def optional(self) -> tuple[str, ...]:
-        """Parts that a skeleton may lack."""
-        return tuple(sorted(_OPTIONAL))
-
     def plain(self, name: str) -> str:
         """Return a joint's name without namespace and prefix, in lower case."""
         bare = name.rpartition(":")[2].strip().casefold()
@@ -106,16 +111,18 @@ def load_rig_map(rig: str) -> RigMap:
     path = Path(rig)
     if path.suffix.lower() != ".toml":
         raise InputError(
-            f"--rig {rig}: unknown; expected {', '.join(RIGS)} or a map (.toml)"
+            f"unknown rig {rig!r}; expected {', '.join(RIGS)} or a map (.toml)"
         )
     try:
         if path.stat().st_size > _LARGEST:
             raise InputError(f"{rig}: larger than any map; expected bones by name")
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise InputError(
-            f"{rig}: cannot be read as text ({error}); expected a map (.toml)"
+            f"{rig}: cannot be read ({error.strerror}); expected a map (.toml)"
         ) from None
+    except UnicodeDecodeError:
+        raise InputError(f"{rig}: is no text; expected a map (.toml)") from None
     return _parsed(text, rig)
 
 
@@ -181,7 +188,7 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
         seen.add(bone.name)
     for part in PARTS:
         count = sum(bone.part == part for bone in bones)
-        if count == 0 and part not in _OPTIONAL:
+        if count == 0 and part not in OPTIONAL:
             raise InputError(
                 f"{source}: no bone is turned_by {part!r}; name the bone that is"
             )

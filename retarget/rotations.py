@@ -8,11 +8,13 @@ representations; these few functions serve the frame loop, where its overhead co
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "IDENTITY",
+    "about_x",
     "about_y",
+    "about_z",
     "between",
     "continuous",
     "cross",
@@ -42,28 +44,31 @@ _CROSS_SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
-def multiply(a: Array, b: Array) -> Array:
+def multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the Hamilton product ``a * b`` (first b, then a), shape (..., 4)."""
     left = np.asarray(a)[..., _HAMILTON] * _HAMILTON_SIGNS
     return np.asarray((left @ np.asarray(b)[..., None])[..., 0])
 
 
-def inverse(q: Array) -> Array:
+def inverse(q: ArrayLike) -> Array:
     """Return the inverse of unit quaternions, shape (..., 4)."""
-    return np.asarray(q * _CONJUGATE)
+    return np.asarray(np.asarray(q) * _CONJUGATE)
 
 
-def normalize(q: Array) -> Array:
-    """Scale quaternions to unit length; a zero quaternion becomes the identity."""
+def normalize(q: ArrayLike) -> Array:
+    """Scale quaternions to unit length; a zero quaternion becomes the identity.
+
+    One with a NaN in it stays NaN.
+    """
     q = np.asarray(q)
     norm = np.sqrt(np.vecdot(q, q))[..., None]
-    if np.all(norm > 0.0):
+    zero = norm == 0.0
+    if not np.any(zero):
         return np.asarray(q / norm)
-    unit = q / np.where(norm > 0.0, norm, 1.0)
-    return np.asarray(np.where(norm > 0.0, unit, IDENTITY))
+    return np.where(zero, IDENTITY, q / np.where(zero, 1.0, norm))
 
 
-def rotate(q: Array, v: Array) -> Array:
+def rotate(q: ArrayLike, v: ArrayLike) -> Array:
     """Rotate vectors (..., 3) by unit quaternions (..., 4)."""
     q, v = np.asarray(q), np.asarray(v)[..., None]
     across = q[..., _CROSS] * _CROSS_SIGNS
@@ -71,11 +76,12 @@ def rotate(q: Array, v: Array) -> Array:
     return np.asarray((v + q[..., :1, None] * t + across @ t)[..., 0])
 
 
-def cross(a: Array, b: Array) -> Array:
+def cross(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the cross product of vectors (..., 3).
 
     For a single frame, ``np.cross`` spends ten times this on bookkeeping of axes.
     """
+    a, b = np.asarray(a), np.asarray(b)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))
@@ -85,7 +91,7 @@ def cross(a: Array, b: Array) -> Array:
     return product
 
 
-def between(a: Array, b: Array) -> Array:
+def between(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the smallest rotation that turns direction a onto b, shape (..., 4).
 
     Vectors (..., 3) need not be unit; a zero vector gives the identity. Opposite
@@ -106,14 +112,29 @@ def between(a: Array, b: Array) -> Array:
     return normalize(q)
 
 
-def about_y(angle: float | Array) -> Array:
+def about_x(angle: ArrayLike) -> Array:
+    """Return the rotation by ``angle`` [rad] about x: forward for who faces +z."""
+    return _about(1, angle)
+
+
+def about_y(angle: ArrayLike) -> Array:
     """Return the rotation by ``angle`` [rad] about the vertical axis, (..., 4)."""
+    return _about(2, angle)
+
+
+def about_z(angle: ArrayLike) -> Array:
+    """Return the rotation by ``angle`` [rad] about z: to the right for who faces +z."""
+    return _about(3, angle)
+
+
+def _about(part: int, angle: ArrayLike) -> Array:
     half = np.asarray(angle, dtype=float) / 2.0
-    zero = np.zeros_like(half)
-    return np.stack([np.cos(half), zero, np.sin(half), zero], axis=-1)
+    q = np.zeros((*half.shape, 4))
+    q[..., 0], q[..., part] = np.cos(half), np.sin(half)
+    return q
 
 
-def rotation_vector(q: Array) -> Array:
+def rotation_vector(q: ArrayLike) -> Array:
     """Return axis times angle [rad], angle in [0, pi], shape (..., 3)."""
     q = np.asarray(q)
     w, u = q[..., :1], q[..., 1:]
@@ -123,7 +144,7 @@ def rotation_vector(q: Array) -> Array:
     return np.asarray(u * np.where(w < 0.0, -ratio, ratio))
 
 
-def slerp(a: Array, b: Array, share: Array) -> Array:
+def slerp(a: ArrayLike, b: ArrayLike, share: ArrayLike) -> Array:
     """Return rotations on the shortest arc from a to b, shape (..., 4).
 
     Args:
@@ -131,7 +152,7 @@ def slerp(a: Array, b: Array, share: Array) -> Array:
         b: Unit quaternions (..., 4).
         share: 0 at a, 1 at b, shape (...).
     """
-    share = np.asarray(share)[..., None]
+    a, b, share = np.asarray(a), np.asarray(b), np.asarray(share)[..., None]
     cosine = np.sum(a * b, axis=-1, keepdims=True)
     b = np.where(cosine < 0.0, -b, b)
     angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
@@ -142,13 +163,13 @@ def slerp(a: Array, b: Array, share: Array) -> Array:
     return normalize(near * a + far * b)
 
 
-def matrix_from_wxyz(q: Array) -> Array:
+def matrix_from_wxyz(q: ArrayLike) -> Array:
     """Return rotation matrices, columns the rotated axes, shape (..., 3, 3)."""
     axes = np.eye(3)
     return np.stack([rotate(q, axes[k]) for k in range(3)], axis=-1)
 
 
-def wxyz_from_matrix(matrix: Array) -> Array:
+def wxyz_from_matrix(matrix: ArrayLike) -> Array:
     """Return unit quaternions of rotation matrices (..., 3, 3), shape (..., 4)."""
     from scipy.spatial.transform import Rotation
 
@@ -157,8 +178,9 @@ def wxyz_from_matrix(matrix: Array) -> Array:
     return np.asarray(quats.reshape(*np.shape(matrix)[:-2], 4))
 
 
-def continuous(q: Array) -> Array:
-    """Flip signs along axis 0 so that neighbours lie on one hemisphere, (T, ..., 4)."""
+def continuous(q: ArrayLike) -> Array:
+    """Flip signs along axis 0 so that neighbors lie on one hemisphere, (T, ..., 4)."""
+    q = np.asarray(q)
     signed = q.copy()
     if len(q) > 1:
         flips = np.cumprod(np.where(np.vecdot(q[1:], q[:-1]) < 0.0, -1.0, 1.0), axis=0)

@@ -10,7 +10,7 @@ from importlib import resources
 
 from kinefilter.characters import Skeleton
 
-__all__ = ["SourceJoint", "SourceRig", "find_rig", "load_rig"]
+__all__ = ["SourceJoint", "SourceRig", "load_source_rig", "matching_source_rig"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class SourceRig:
 
 
 @cache
-def load_rig(name: str, skeleton: Skeleton) -> SourceRig:
+def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
     """Return a rig for a Kinect's joints from its data file in ``source_rigs``."""
     text = (
         resources.files("kinefilter.retarget")
@@ -68,19 +68,20 @@ def _own(skeleton: Skeleton) -> SourceRig:
     )
 
 
-def find_rig(
+def matching_source_rig(
     names: Collection[str], skeleton: Skeleton, known: Sequence[str]
 ) -> tuple[SourceRig, list[str]]:
     """Return the rig that joints are of, and which of its joints are missing.
 
-    The first whose joints are all there; if there is none, the one that lacks fewest.
+    The first whose joints are all there; if there is none, the one that lacks the
+    smallest share of its own.
 
     Args:
         names: Names of the joints that there are.
         skeleton: The Kinect's joints that are wanted.
         known: Names of the data files to try, the most particular first.
     """
-    rigs = [_own(skeleton), *(load_rig(name, skeleton) for name in known)]
+    rigs = [_own(skeleton), *(load_source_rig(name, skeleton) for name in known)]
     lacks = [sorted(rig.needed - set(names)) for rig in rigs]
     best = min(range(len(rigs)), key=lambda k: len(lacks[k]) / len(rigs[k].needed))
     return rigs[best], lacks[best]

@@ -7,12 +7,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from .runs import runs
+from .smooth_step import smooth_step
+
 __all__ = ["held", "near_stance"]
 
 Array = NDArray[np.float64]
 
 _BLEND = 0.15
-"""Seconds in which a foot joins its own path after it stood, and leaves it before."""
+"""Seconds in which a foot joins its own path after it stood, and leaves it before. A
+guess."""
 _TINY = 1e-12
 
 
@@ -25,7 +29,7 @@ def near_stance(time: Array, stands: NDArray[np.bool_]) -> Array:
     """
     last = np.maximum.accumulate(np.where(stands, time, -np.inf))
     following = np.minimum.accumulate(np.where(stands, time, np.inf)[::-1])[::-1]
-    return _ease(np.minimum(time - last, following - time) / _BLEND)
+    return 1.0 - smooth_step(np.minimum(time - last, following - time) / _BLEND)
 
 
 def held(
@@ -46,7 +50,7 @@ def held(
     Returns:
         Its move [m], shape (T, 3).
     """
-    moves, stances = np.zeros((len(time), 3)), _runs(stands)
+    moves, stances = np.zeros((len(time), 3)), runs(stands)
     for stance in stances:
         steps = -np.diff(path[stance][:, [0, 2]], axis=0)
         moves[stance, 0], moves[stance, 2] = _within(slack, steps).T
@@ -56,9 +60,9 @@ def held(
         gap = slice(first, len(time) if after is None else after.start)
         ended, begins = np.zeros((2, gap.stop - gap.start))
         if before is not None:
-            ended = _ease((time[gap] - time[first - 1]) / _BLEND)
+            ended = 1.0 - smooth_step((time[gap] - time[first - 1]) / _BLEND)
         if after is not None:
-            begins = _ease((time[gap.stop] - time[gap]) / _BLEND)
+            begins = 1.0 - smooth_step((time[gap.stop] - time[gap]) / _BLEND)
         # Each counts the less the nearer the other is, and alone beside its own stance.
         old, new = ended * (1.0 - begins), begins * (1.0 - ended)
         some = (ended + begins - ended * begins) / np.maximum(old + new, _TINY)
@@ -80,15 +84,3 @@ def _within(slack: float, steps: Array) -> Array:
 
 def _shortened(move: Array, most: float) -> Array:
     return np.asarray(move * (most / max(float(np.hypot(*move)), most)))
-
-
-def _ease(share: Array) -> Array:
-    """Return 1 at 0 and 0 from 1 on, smoothly, shape (T,)."""
-    share = np.clip(share, 0.0, 1.0)
-    return np.asarray(1.0 - share**2 * (3.0 - 2.0 * share))
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[slice]:
-    """Return where flags are set, run by run."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags, [0]]).astype(np.int8)))
-    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist()]

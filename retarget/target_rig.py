@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
 
-from .rig_map import CHAINS, PARTS, SIDES, MapBone, RigMap
+from .rig_map import CHAINS, OPTIONAL, PARTS, SIDES, MapBone, RigMap
 
-__all__ = ["RestPose", "TargetRig", "built_rig", "found_rig"]
+__all__ = ["RestPose", "TargetRig", "built_rig", "matched_rig"]
 
 Array = NDArray[np.float64]
 
@@ -99,17 +99,17 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
             )
         parents.append(-1 if bone.parent is None else names.index(bone.parent))
     for part in PARTS:
-        if part not in rig_map.optional and not any(b.part == part for b in bones):
+        if part not in OPTIONAL and not any(b.part == part for b in bones):
             raise InputError(
                 f"{rig_map.name}: the bone turned_by {part!r} has no offset; give it "
-                "one, or give --target a file with this skeleton"
+                "one, or take the skeleton from a file of it"
             )
     positions = np.zeros((len(bones), 3))
     for n, bone in enumerate(bones):
         start = positions[parents[n]] if parents[n] >= 0 else np.zeros(3)
         positions[n] = start + _offset(bone, bones[parents[n]], body)
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
-    rig = found_rig(rig_map, rest, body)
+    rig = matched_rig(rig_map, rest, body)
     joints, height = _lowest(rig, body)
     moving = _below(rest, rig.joint("pelvis"))
     positions[moving, 1] += height - positions[joints, 1].min()
@@ -117,7 +117,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     return TargetRig(replace(rest, names=full), rig.parts, 0.0)
 
 
-def found_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
+def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     """Return a skeleton with its parts found by the names of a map.
 
     The floor is y = 0 where toes (or ankles) are just over it. Otherwise it is as far
@@ -194,12 +194,12 @@ def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
                     f"{rest.source}: has {len(places)} joints {name!r}, expected one"
                 )
             parts.setdefault(part, []).extend(places)
-        if not parts.get(part) and part not in rig_map.optional:
+        if not parts.get(part) and part not in OPTIONAL:
             missing.append(" or ".join(wanted))
     if missing:
         raise InputError(
             f"{rest.source}: no joint {_listed(missing)}, which {rig_map.name} has; "
-            f"found {_listed(rest.names)}; give the --rig of these names or a map "
+            f"found {_listed(rest.names)}; give the rig of these names or a map "
             "(.toml)"
         )
     return {part: tuple(sorted(places)) for part, places in parts.items() if places}

@@ -3,25 +3,25 @@
 from .kinect import observe, sample_take
 from .performers import MOTIONS, Performance, perform, perform_medley
 from .props import prop_poses
-from .rooms import SCENES, load_scene, props, scene_xml
+from .rooms import SCENES, load_scene, movable_props, scene_xml
 from .sensor import SENSORS, Sensor, in_sensor_frame, in_world_frame
-from .tracker_errors import Errors
+from .tracker_errors import TrackerErrors
 
 __all__ = [
     "MOTIONS",
     "SCENES",
     "SENSORS",
-    "Errors",
     "Performance",
     "Sensor",
+    "TrackerErrors",
     "in_sensor_frame",
     "in_world_frame",
     "load_scene",
+    "movable_props",
     "observe",
     "perform",
     "perform_medley",
     "prop_poses",
-    "props",
     "sample_take",
     "scene_xml",
 ]

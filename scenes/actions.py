@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .gestures import Script
+from .holds import ON_HIPS
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
 __all__ = ["ACTIONS"]
 
@@ -21,7 +22,7 @@ def _arms_for_balance(
     for side in (LEFT, RIGHT):
         arms = (
             puppet.arm(rng.uniform(1.2, 1.7), 1.45, 0.2, 0.15),
-            puppet.reach(side, (0.19, -0.45, 0.05), (1.0, 0.1, -0.6)),
+            puppet.reach(side, ON_HIPS, (1.0, 0.1, -0.6)),
             puppet.arm(0.25, 0.9, 0.3, 0.4),
             puppet.reach(side, (0.03, -0.12, 0.26), (0.9, -0.8, 0.1)),
             puppet.arm(rng.uniform(0.8, 1.5), 0.1, 0.0, 0.2),

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from kinefilter.characters.humanoid import GRAVITY
 from kinefilter.retarget.rotations import matrix_from_wxyz, normalize
+from kinefilter.retarget.runs import runs
 
-from .hands import Hands, fading, runs
+from .hands import Hands, fading
 
 __all__ = ["box_path"]
 
@@ -63,9 +64,9 @@ def _carries(hands: Hands, size: Array) -> list[tuple[int, int]]:
     around = (_GRIP[0] < share) & (share < _GRIP[1]) & (hands.ahead > _AHEAD)
     height = hands.middle[:, 2]
     carries = []
-    for first, last in runs(around, hands.frames(_SHORTEST_CARRY)):
-        lift = first + _bottom(height[first : last + 1])
-        drop = last - _bottom(height[first : last + 1][::-1])
+    for run in runs(around, hands.frames(_SHORTEST_CARRY)):
+        lift = run.start + _bottom(height[run])
+        drop = run.stop - 1 - _bottom(height[run][::-1])
         if drop - lift >= hands.frames(_SHORTEST_CARRY):
             carries.append((lift, drop))
     return carries

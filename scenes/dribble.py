@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
+from kinefilter.retarget.runs import runs
+
 from .flight import flown, launch_speed
-from .hands import Hands, runs
+from .hands import Hands
 from .puppet import LEFT, RIGHT
 
 __all__ = ["Contact", "Ending", "contacts", "holds", "under"]
@@ -75,12 +77,12 @@ def holds(hands: Hands, radius: float) -> list[tuple[int, int, bool]]:
     rise = hands.speed[..., 2].mean(axis=1)
     fast = (rise > _THROW) & (hands.middle[:, 2] > hands.head)
     found = []
-    for first, last in runs(near, hands.frames(_SHORTEST_HOLD)):
-        throws = runs(fast[first : last + 1], 1)
+    for run in runs(near, hands.frames(_SHORTEST_HOLD)):
+        last, throws = run.stop - 1, runs(fast[run])
         if throws:  # the ball leaves at the highest speed, the hands stay together
-            start, end = (first + k for k in throws[0])
-            last = start + int(np.argmax(rise[start : end + 1]))
-        found.append((first, last, bool(throws)))
+            start = run.start + throws[0].start
+            last = start + int(np.argmax(rise[run][throws[0]]))
+        found.append((run.start, last, bool(throws)))
     return found
 
 

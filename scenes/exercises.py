@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .gestures import Script
 from .holds import ArmHold, Fault, draw_fault, draw_hold
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
 __all__ = ["EXERCISES"]
 

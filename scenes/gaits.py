@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from kinefilter.retarget.rotations import about_y, rotate
 
-from .gestures import Script, stance
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script, stance
 
 __all__ = ["GAITS", "TURNS", "gait"]
 
@@ -217,8 +217,8 @@ def _load(puppet: Puppet, pose: Pose, rng: np.random.Generator) -> Pose:
 def _turn(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
     """Turn on the spot by small steps, foot after foot."""
     score, pose = Score(base).hold(0.3), base
-    centre = base.ankle.mean(axis=0)
-    home = np.array([centre[0], base.root[1], centre[2]])
+    center = base.ankle.mean(axis=0)
+    home = np.array([center[0], base.root[1], center[2]])
     while score.duration < length:
         way, steps = int(rng.choice([-1, 1])), int(rng.integers(2, 6))
         pace, angle = rng.uniform(0.28, 0.45), rng.uniform(0.35, 0.7)
@@ -226,11 +226,11 @@ def _turn(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -
             side = (step + (way < 0)) % 2  # the foot on the inside goes first
             if step % 2 == 0:
                 heading = pose.pelvis[0] - base.pelvis[0] + way * angle
-            spot = centre + rotate(about_y(heading), base.ankle[side] - centre)
+            spot = center + rotate(about_y(heading), base.ankle[side] - center)
             middle = (pose.ankle[side] + spot) / 2.0 + [0.0, 0.06 * puppet.scale, 0.0]
             yaw = base.foot[side, 0] + heading
             turned = pose.pelvis + np.array([way * angle / 4.0, 0.0, 0.0])
-            shift = pose.ankle[1 - side] - centre
+            shift = pose.ankle[1 - side] - center
             over = home + 0.35 * shift
             air = pose.with_foot(side, ankle=middle, heel=0.25)
             score.to(pace, replace(air, root=over, pelvis=turned))

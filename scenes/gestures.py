@@ -2,54 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script, hanging_arm
 
-__all__ = ["GESTURES", "Script", "stance"]
+__all__ = ["GESTURES"]
 
 Array = NDArray[np.float64]
 
-Script = Callable[[Puppet, np.random.Generator, Pose, float], Score]
-"""Writes a score for a puppet that stands in a pose, at least so many seconds long.
-
-The last movement is played to its end and leads back to the pose.
-"""
-
 _DOWN_OUT = (0.6, -1.0, -0.1)
-
-
-def stance(puppet: Puppet, rng: np.random.Generator, *, wide: float = 0.0) -> Pose:
-    """Return a standing pose of one's own: stance, toes, lean, hanging arms."""
-    width = rng.uniform(0.9, 1.9) + wide
-    pose = puppet.stand(width=width, toe_out=rng.uniform(0.0, 0.25) + 0.1 * wide)
-    step = rng.normal(0.0, 0.03) * puppet.scale
-    ankle = pose.ankle + np.array([[0.0, 0.0, step], [0.0, 0.0, -step]])
-    pose = replace(pose, ankle=ankle)
-    for side in (LEFT, RIGHT):
-        pose = pose.with_arm(side, puppet.arm(*_relaxed(rng)))
-    stoop = rng.uniform(-0.04, 0.14)
-    return pose.leaning(
-        drop=abs(rng.normal(0.0, 0.003)) * puppet.scale,
-        back=rng.normal(0.0, 0.015) * puppet.scale,
-        pelvis=(rng.normal(0.0, 0.06), rng.normal(0.0, 0.04), rng.normal(0.0, 0.03)),
-        spine=(stoop, rng.normal(0.0, 0.03), rng.normal(0.0, 0.05)),
-        head=(rng.normal(0.0, 0.1) - 0.5 * stoop, 0.0, rng.normal(0.0, 0.15)),
-    )
-
-
-def _relaxed(rng: np.random.Generator) -> tuple[float, float, float, float]:
-    return (
-        rng.uniform(0.08, 0.25),
-        rng.uniform(-0.1, 0.9),
-        rng.uniform(0.0, 0.6),
-        rng.uniform(0.1, 0.6),
-    )
 
 
 def _turned(pose: Pose, rng: np.random.Generator, size: float = 1.0) -> Pose:
@@ -210,7 +174,7 @@ def _stand_idle(
                 arm = puppet.reach(side, hips, (1.0, 0.1, -0.6))
                 pose = pose.with_arm(side, arm)
             else:
-                pose = pose.with_arm(side, puppet.arm(*_relaxed(rng)))
+                pose = pose.with_arm(side, puppet.arm(*hanging_arm(rng)))
         score.to(rng.uniform(0.8, 1.3), pose).hold(rng.uniform(0.2, 1.0))
     return score
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.retarget.rotations import rotate, wxyz_from_matrix
+from kinefilter.retarget.smooth_step import smooth_step
 
 from .performers import Performance
 
-__all__ = ["Hands", "fading", "runs"]
+__all__ = ["Hands", "fading"]
 
 Array = NDArray[np.float64]
 
@@ -116,18 +117,7 @@ def fading(time: Array) -> Array:
 
     0.3 s is a guess: quick enough for a grasp, slow enough not to show.
     """
-    share = np.clip(time / 0.3, 0.0, 1.0)
-    return np.asarray(1.0 - share * share * (3.0 - 2.0 * share))
-
-
-def runs(flags: NDArray[np.bool_], shortest: int) -> list[tuple[int, int]]:
-    """Return first and last frame of the runs of at least ``shortest`` true frames."""
-    edges = np.flatnonzero(np.diff(np.pad(flags, 1).astype(np.int8)))
-    return [
-        (int(a), int(b) - 1)
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-        if b - a >= shortest
-    ]
+    return 1.0 - smooth_step(time / 0.3)
 
 
 def _unit(v: Array) -> Array:

@@ -8,14 +8,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters import InputError
+
 from .poses import Pose
 from .puppet import LEFT, RIGHT, Puppet
 
-__all__ = ["ArmHold", "Fault", "draw_fault", "draw_hold"]
+__all__ = ["ON_HIPS", "ArmHold", "Fault", "draw_fault", "draw_hold"]
 
 Array = NDArray[np.float64]
 
-_ON_HIPS = (0.19, -0.45, 0.05)
+ON_HIPS = (0.19, -0.45, 0.05)
+"""Hand on the hip, as ``Puppet.reach`` takes it."""
 _FOLDED = (-0.02, -0.14, 0.26)
 
 
@@ -38,7 +41,7 @@ class ArmHold:
         """Return the pose with both arms so, each off by what the fault says."""
         for side in (LEFT, RIGHT):
             if self.style == "hips":
-                arm = puppet.reach(side, _ON_HIPS, (1.0, 0.1, -0.6))
+                arm = puppet.reach(side, ON_HIPS, (1.0, 0.1, -0.6))
             elif self.style == "folded":
                 arm = puppet.reach(side, _FOLDED, (1.0, -0.6 + 0.2 * side, 0.1))
             else:
@@ -57,9 +60,11 @@ def draw_hold(rng: np.random.Generator, *names: str) -> ArmHold:
     """Return a way to hold the arms, drawn from the named ones.
 
     ``stick`` holds an imagined stick behind the shoulders, elbows level (or low), and
-    ``overhead`` a long one over
-    the head, as the tests of functional movement ask (Cook et al. 2014, Int. J. Sports
-    Phys. Ther. 9(3)).
+    ``overhead`` a long one over the head, as the tests of functional movement ask (Cook
+    et al. 2014, Int. J. Sports Phys. Ther. 9(3)).
+
+    Raises:
+        InputError: There is no such way.
     """
     u, name = rng.uniform, names[int(rng.integers(len(names)))]
     match name:
@@ -83,8 +88,10 @@ def draw_hold(rng: np.random.Generator, *names: str) -> ArmHold:
             return ArmHold("angles", u(0.15, 0.35), u(0.0, 1.2), u(0, 0.6), u(0.1, 0.6))
         case "hips":
             return ArmHold("hips")
-        case _:
+        case "folded":
             return ArmHold("folded")
+        case _:
+            raise InputError(f"unknown way to hold the arms {name!r}")
 
 
 @dataclass(frozen=True, eq=False)

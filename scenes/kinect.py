@@ -21,7 +21,7 @@ from kinefilter.retarget.rotations import IDENTITY
 
 from .performers import Performance, perform_medley
 from .sensor import SENSORS, Sensor, in_sensor_frame, in_world_frame
-from .tracker_errors import Errors, misplaced
+from .tracker_errors import TrackerErrors, misplaced
 from .tracker_states import believed, guessed, swapped
 from .visibility import look
 
@@ -35,7 +35,7 @@ def observe(
     *,
     seed: int,
     sensor: Sensor | None = None,
-    errors: Errors | None = None,
+    errors: TrackerErrors | None = None,
     scene: mujoco.MjSpec | None = None,
     prop_poses: Mapping[str, Array] | None = None,
     person: int | None = None,
@@ -59,12 +59,12 @@ def observe(
         InputError: A moving prop is no body of the scene, not a child of its world,
             or its poses do not fit the performance.
     """
-    sensor, errors = sensor or Sensor(), errors or Errors()
+    sensor, errors = sensor or Sensor(), errors or TrackerErrors()
     rng = np.random.default_rng([seed, 0])
     identity = np.random.default_rng([seed if person is None else person, 1])
     sight = look(performance, sensor, scene=scene, prop_poses=prop_poses)
     frames, skeleton = len(performance), performance.body.skeleton
-    fps = 1.0 / float(np.median(np.diff(performance.time))) if frames > 1 else 30.0
+    fps = performance.fps
     eye = in_world_frame(np.zeros(3), sensor)
     placed = misplaced(
         performance,

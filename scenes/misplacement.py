@@ -28,7 +28,8 @@ _SAME = {
     "HandTip": "Hand",
     "Thumb": "Hand",
 }
-"""Joints that were not in the recordings, and what stands in for them."""
+"""Names of Kinect v2 in tables that have Kinect v1's. Neck, HandTip and Thumb are
+guessed from the joint beside them."""
 
 # Joint -> offset [cm] along the rest axes (left, up, forward) of the segment that ends
 # at it, and of the one that starts there. Spine and Hand: their neighbors' mean.

@@ -15,18 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
+from kinefilter.characters.frozen import freeze
+from kinefilter.characters.motion import frames_per_second
 from kinefilter.retarget.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
-from .breathing import BREATHING
 from .clearance import clear_arms
 from .exercises import EXERCISES
 from .gaits import GAITS, TURNS, gait
-from .gestures import GESTURES, stance
+from .gestures import GESTURES
 from .joint_ranges import within_ranges
+from .lymph_flow import LYMPH_FLOW
 from .poses import Pose, Score
 from .prop_motions import PROP_MOTIONS
 from .puppet import LEFT, RIGHT, Puppet
+from .script import stance
 from .sports import SPORTS
 
 __all__ = ["MOTIONS", "Performance", "perform", "perform_medley"]
@@ -38,13 +41,18 @@ _SCRIPTS = {
     **ACTIONS,
     **TURNS,
     **EXERCISES,
-    **BREATHING,
+    **LYMPH_FLOW,
     **SPORTS,
     **PROP_MOTIONS,
 }
 
 MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
-"""Names of the motions that ``perform`` knows."""
+"""Names of the motions that ``perform`` knows.
+
+Of some there are two: as people do them by themselves (squat, lunge, step_over, sit,
+raise_leg), and as an exercise that holds the arms and is often done wrong (deep_squat,
+inline_lunge, hurdle_step, sit_to_stand, leg_raise).
+"""
 
 _EXTRA_WIDTH = {
     "deep_squat": 0.7,
@@ -82,7 +90,7 @@ _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
 @dataclass(frozen=True, eq=False)
 class Performance:
-    """A motion without error: what a body did."""
+    """A motion without error: what a body did; arrays are read-only."""
 
     name: str
     """Name of the motion."""
@@ -96,12 +104,20 @@ class Performance:
     body: Body
     """Whose motion it is."""
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate [1/s]: one over the median time step."""
+        return frames_per_second(self.time)
+
 
 def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Performance:
-    """Return one performance of a motion, 5 to 14 s long.
+    """Return one performance of a motion, of 5 s or more: its last movement ends.
 
     The character starts near the origin of the world and faces +z.
 
@@ -155,15 +171,16 @@ def _as_one_stands(
 
 
 def perform_medley(
-    parts: Sequence[tuple[str, float]], body: Body, *, seed: int, fps: float = 30.0
+    parts: Sequence[tuple[str, float]], body: Body, *, seed: int
 ) -> Performance:
     """Return several motions one after another on feet that stay where they are.
 
+    30 frames a second. Unlike those of ``perform``, arms may go through the body.
+
     Args:
-        parts: Names of motions other than gaits, and the least duration of each [s].
+        parts: Names of motions on the spot, and the least duration of each [s].
         body: Who performs, on any skeleton kinefilter knows.
         seed: Draws style, tempo and sides; the same seed gives the same arrays.
-        fps: Frames per second.
 
     Raises:
         InputError: A name is not one of a motion on the spot, or there is no part.
@@ -174,10 +191,13 @@ def perform_medley(
     base = stance(puppet, rng, wide=0.4)
     score = Score(base)
     for name, seconds in parts:
-        _check(name, tuple(sorted(_SCRIPTS)))
+        _check(name, MOTIONS)
+        if name in GAITS:
+            known = ", ".join(sorted(_SCRIPTS))
+            raise InputError(f"{name!r} leaves its place; a medley takes {known}")
         score.append(_SCRIPTS[name](puppet, rng, base, seconds))
         score.to(0.4, base)
-    time, pose = score.sample(fps)
+    time, pose = score.sample(30.0)
     name = " ".join(name for name, _ in parts)
     return _performed(name, puppet, time, _alive(pose, time, rng))
 

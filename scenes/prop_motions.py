@@ -11,22 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .gestures import Script
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
 __all__ = ["PROP_MOTIONS"]
 
 Array = NDArray[np.float64]
 
 _DOWN = (0.7, -1.0, -0.1)
-
-
-def _both(puppet: Puppet, pose: Pose, goal: Array, elbow_to: Array) -> Pose:
-    """Put both hands at mirrored places, as ``Puppet.reach``."""
-    for side in (LEFT, RIGHT):
-        pose = pose.with_arm(side, puppet.reach(side, goal, elbow_to))
-    return pose
 
 
 def _crouch(puppet: Puppet, pose: Pose, knees: float, bend: float) -> Pose:
@@ -65,7 +58,7 @@ def _lift_box(
         low = _gripped(puppet, low, half, grip)
         near = np.array([half / puppet.scale, rng.uniform(-0.42, -0.15), 0.33])
         score.to(rng.uniform(0.9, 1.4), low).hold(0.15)
-        hold = _both(puppet, base.leaning(spine=(-0.08, 0, 0)), near, np.array(_DOWN))
+        hold = puppet.reach_both(base.leaning(spine=(-0.08, 0, 0)), near, _DOWN)
         score.to(rng.uniform(0.9, 1.4), hold).hold(rng.uniform(0.2, 0.6))
         for _ in range(rng.integers(1, 3)):
             turn = rng.uniform(-0.5, 0.5)
@@ -74,7 +67,7 @@ def _lift_box(
                 pelvis=(0.5 * turn, 0, 0),
                 spine=(rng.uniform(-0.1, 0.25), 0.0, 0.6 * turn),
             )
-            score.to(0.9, _both(puppet, other, spot, np.array(_DOWN))).hold(0.2)
+            score.to(0.9, puppet.reach_both(other, spot, _DOWN)).hold(0.2)
         score.to(0.9, hold).to(rng.uniform(0.9, 1.4), low).hold(0.1)
         score.to(rng.uniform(0.8, 1.3), base)
     return score
@@ -143,7 +136,7 @@ def _shoot(
 ) -> None:
     """Dip with the ball at the belly, raise it to the brow, stretch up on the toes."""
     dip = _crouch(puppet, base, rng.uniform(0.12, 0.3), 0.4)
-    dip = _both(puppet, dip, np.array([0.1, -0.32, 0.3]), np.array(_DOWN))
+    dip = puppet.reach_both(dip, np.array([0.1, -0.32, 0.3]), _DOWN)
     brow = _crouch(puppet, base, 0.1, 0.1)
     arm = puppet.reach(side, (0.06, 0.22, 0.26), (0.5, -1.0, 0.5))
     brow = brow.with_arm(side, arm)
@@ -234,8 +227,8 @@ def _chair(
                 spot = (rng.uniform(0.08, 0.3), rng.uniform(-0.26, 0.1), 0.36)
                 pose = pose.with_arm(side, puppet.reach(side, spot, (0.9, -1.0, -0.1)))
         elif kind < 0.65:
-            pose = _both(
-                puppet, pose, np.array([-0.02, -0.15, 0.26]), np.array([1, -1, 0])
+            pose = puppet.reach_both(
+                pose, np.array([-0.02, -0.15, 0.26]), np.array([1, -1, 0])
             )
         elif kind < 0.8:
             side = int(rng.integers(2))
@@ -263,7 +256,7 @@ def _office(
     seat.sit(score, rng)
     desk = rng.uniform(-0.28, -0.18)  # of the hands below the shoulders' joint, m
     keys = np.array([rng.uniform(0.04, 0.12), desk, rng.uniform(0.34, 0.44)])
-    typing = _both(puppet, seat.seated, keys, np.array(_DOWN))
+    typing = puppet.reach_both(seat.seated, keys, _DOWN)
     while score.duration < length:
         pose, side = _shifted(typing, rng, 0.6), int(rng.integers(2))
         kind = rng.choice(["type", "mouse", "reach", "phone", "back"])
@@ -271,7 +264,7 @@ def _office(
         if kind == "type":
             for beat in range(rng.integers(4, 9)):
                 spot = keys + rng.normal(0.0, (0.02, 0.008, 0.01))
-                arm = puppet.reach(beat % 2, spot, np.array(_DOWN))
+                arm = puppet.reach(beat % 2, spot, _DOWN)
                 pose = pose.with_arm(beat % 2, arm)
                 score.to(rng.uniform(0.15, 0.25), pose)
             continue

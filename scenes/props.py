@@ -12,7 +12,7 @@ from .ball import ball_path
 from .box import box_path
 from .hands import Hands
 from .performers import Performance
-from .rooms import props
+from .rooms import movable_props
 
 __all__ = ["prop_poses"]
 
@@ -35,7 +35,7 @@ def prop_poses(scene: mujoco.MjSpec, performance: Performance) -> dict[str, Arra
     hands = Hands.of(performance)
     support = _support(scene)
     poses = {}
-    for name in props(scene):
+    for name in movable_props(scene):
         body = model.body(name)
         rest = np.concatenate([body.pos, body.quat])
         poses[name] = np.tile(rest, (len(performance), 1))

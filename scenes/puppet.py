@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from kinefilter.characters import Body
+from kinefilter.characters import STANDARD_HEIGHT, Body
 from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.retarget.rotations import (
+    about_x,
     about_y,
+    about_z,
     between,
     inverse,
     multiply,
@@ -43,23 +45,6 @@ _MIRROR = np.array([1.0, 1.0, -1.0, -1.0])  # of a wxyz quaternion, across x = 0
 _MAX_REACH = 0.998  # of a straight limb: a locked joint has no bending direction
 _MAX_ELBOW = np.radians(150.0)
 _MAX_KNEE = np.radians(145.0)
-
-
-def _about(axis: int, angle: ArrayLike) -> Array:
-    half = np.asarray(angle, dtype=float) / 2.0
-    q = np.zeros((*half.shape, 4))
-    q[..., 0], q[..., axis + 1] = np.cos(half), np.sin(half)
-    return q
-
-
-def about_x(angle: ArrayLike) -> Array:
-    """Return the rotation by ``angle`` [rad] about x (forward tilt), (..., 4)."""
-    return _about(0, angle)
-
-
-def about_z(angle: ArrayLike) -> Array:
-    """Return the rotation by ``angle`` [rad] about z (lean to the right), (..., 4)."""
-    return _about(2, angle)
 
 
 _KNEE_FOLLOWS_FOOT = 0.8
@@ -97,8 +82,8 @@ class Puppet:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.scale = body.height / 1.75
-        """Size against the 1.75 m the motions are written for."""
+        self.scale = body.height / STANDARD_HEIGHT
+        """Size against the standard body, which the motions are written for."""
         index, rest = body.skeleton.index, body.rest_positions
         pair = [
             [index(f"{stem}{side}") for side in ("Left", "Right")]
@@ -187,7 +172,7 @@ class Puppet:
         Args:
             side: LEFT or RIGHT.
             goal: Outward, up and forward of the joint between the shoulders, thorax
-                frame [m] on a body of 1.75 m, (..., 3). Outward is the arm's own side.
+                frame [m] on the standard body, (..., 3). Outward is the arm's own side.
             elbow_to: Direction the elbow points to, same axes, (..., 3).
         """
         goal, pole = np.asarray(goal, float) * self.scale, np.asarray(elbow_to, float)
@@ -208,6 +193,12 @@ class Puppet:
         arm = wxyz_from_matrix(_frame(along, -hinge))
         bend = (upper**2 + lower**2 - distance**2) / (2.0 * upper * lower)
         return arm, np.pi - np.arccos(bend)
+
+    def reach_both(self, pose: Pose, goal: ArrayLike, elbow_to: ArrayLike) -> Pose:
+        """Return the pose with both hands at mirrored places, as ``reach``."""
+        for side in (LEFT, RIGHT):
+            pose = pose.with_arm(side, self.reach(side, goal, elbow_to))
+        return pose
 
     def reach_world(
         self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike

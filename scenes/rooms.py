@@ -10,10 +10,10 @@ from pathlib import Path
 
 import mujoco
 
-from kinefilter.characters import Body, InputError
-from kinefilter.characters.humanoid import Tracking, build_humanoid
+from kinefilter.characters import Body, InputError, Tracking
+from kinefilter.characters.humanoid import build_humanoid
 
-__all__ = ["SCENES", "load_scene", "props", "scene_xml"]
+__all__ = ["SCENES", "load_scene", "movable_props", "scene_xml"]
 
 _FOLDER = Path(__file__).parent
 
@@ -75,7 +75,7 @@ def scene_xml(scene: str | Path, body: Body | None = None) -> str:
     return str(spec.to_xml())
 
 
-def props(scene: mujoco.MjSpec) -> tuple[str, ...]:
+def movable_props(scene: mujoco.MjSpec) -> tuple[str, ...]:
     """Return the names of the movable props: bodies with a free joint.
 
     The character also has one; it is known by its targets.

@@ -12,15 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.retarget.rotations import about_y, inverse, multiply, rotate
+from kinefilter.retarget.rotations import about_x, about_y, inverse, multiply, rotate
 
-__all__ = ["SENSORS", "Sensor", "in_sensor_frame", "in_world_frame"]
+__all__ = ["SENSORS", "Sensor", "in_sensor_frame", "in_world_frame", "sensor_axes"]
 
 Array = NDArray[np.float64]
 
 
 class DepthNoise(NamedTuple):
-    """Standard deviation of one pixel's depth at z metres: a + b z + c z^2 [m]."""
+    """Standard deviation of one pixel's depth at z meters: a + b z + c z^2 [m]."""
 
     constant: float
     linear: float
@@ -96,7 +96,7 @@ SENSORS = {
 }
 """Geometry of the Kinects, from their data sheets.
 
-Depth noise of v1: triangulation's, 1.43 mm times the squared depth in metres
+Depth noise of v1: triangulation's, 1.43 mm times the squared depth in meters
 (Khoshelham & Elberink 2012, Sensors 12(2)). Of azure (narrow view): a
 guess of 1 to 2 mm within its range.
 The skeleton is the performance's, whichever sensor looks at it.
@@ -105,10 +105,8 @@ The skeleton is the performance's, whichever sensor looks at it.
 
 def _view(sensor: Sensor) -> tuple[Array, Array, Array]:
     """Return turn about the vertical, place [m] and tilt that lead to the frame."""
-    half = 0.5 * sensor.tilt
-    tilt = np.array([np.cos(half), np.sin(half), 0.0, 0.0])
     place = np.array([0.0, -sensor.height, sensor.distance])
-    return about_y(np.pi + sensor.azimuth), place, tilt
+    return about_y(np.pi + sensor.azimuth), place, about_x(sensor.tilt)
 
 
 def in_sensor_frame(positions: Array, sensor: Sensor) -> Array:

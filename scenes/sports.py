@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .gestures import Script
 from .holds import draw_fault, draw_hold
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
 __all__ = ["SPORTS"]
 
@@ -131,16 +131,16 @@ def _roll_hands(
             base.leaning(spine=(rng.uniform(-0.05, 0.2), 0, 0)),
             rng.choice([-1, 1]),
         )
-        centre = np.array([0.05, rng.uniform(-0.3, -0.08), rng.uniform(0.3, 0.36)])
+        center = np.array([0.05, rng.uniform(-0.3, -0.08), rng.uniform(0.3, 0.36)])
         reach = np.array([0.0, rng.uniform(0.06, 0.16), rng.uniform(0.05, 0.09)])
         if rng.random() < 0.5:
             reach = np.array([0.0, rng.uniform(0.06, 0.08), rng.uniform(0.08, 0.13)])
-            centre[2] += 0.06
+            center[2] += 0.06
         pace, flare = rng.uniform(0.09, 0.16), rng.uniform(-0.9, -0.1)
         for beat in range(8 * int(rng.integers(2, 5))):
             for side in (LEFT, RIGHT):
                 phase = way * np.pi / 4.0 * beat + np.pi * side
-                spot = centre + reach * [0.0, np.sin(phase), np.cos(phase)]
+                spot = center + reach * [0.0, np.sin(phase), np.cos(phase)]
                 arm = puppet.reach(side, spot, (1.0, flare, -0.1))
                 pose = pose.with_arm(side, arm)
             score.to(pace if beat else 0.8, pose)

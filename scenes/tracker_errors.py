@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from kinefilter.characters import Body, Skeleton
+from kinefilter.characters import STANDARD_HEIGHT, Body, Skeleton
 from kinefilter.retarget.rotations import rotate
 
 from .misplacement import kinship, misplacements, unsteadiness
@@ -21,7 +21,7 @@ from .performers import Performance
 from .sensor import Sensor
 from .visibility import Sight
 
-__all__ = ["Errors", "misplaced", "slow_noise"]
+__all__ = ["TrackerErrors", "misplaced", "slow_noise"]
 
 Array = NDArray[np.float64]
 
@@ -30,8 +30,10 @@ _STARTS = 12.0  # time constants before the take, so that it starts in full swin
 
 
 @dataclass(frozen=True)
-class Errors:
-    """How far the tracker errs. All zero: it sees the truth.
+class TrackerErrors:
+    """How far the tracker errs.
+
+    All zero but ``mirrored_beyond``, which is pi: it sees the truth.
 
     Set by hand so that figures of ``tests/calibrate_kinect.py`` come near those of
     recordings, unless called a guess.
@@ -117,7 +119,7 @@ def misplaced(
     performance: Performance,
     sight: Sight,
     sensor: Sensor,
-    errors: Errors,
+    errors: TrackerErrors,
     *,
     eye: Array,
     rest_front: Array,
@@ -138,7 +140,7 @@ def misplaced(
         person: Draws what differs between people.
     """
     frames = len(performance)
-    fps = 1.0 / float(np.median(np.diff(performance.time))) if frames > 1 else 30.0
+    fps = performance.fps
     truth, body = performance.positions, performance.body
     line = truth - eye
     depth = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -163,13 +165,13 @@ def misplaced(
 
 
 def _bias(
-    performance: Performance, errors: Errors, person: np.random.Generator
+    performance: Performance, errors: TrackerErrors, person: np.random.Generator
 ) -> Array:
     """Misplacement by the tracker's definition of joints [m], (T, J, 3)."""
     skeleton = performance.body.skeleton
     offsets = misplacements(skeleton)
     own = kinship(skeleton) @ person.normal(size=offsets.shape)
-    scale = performance.body.height / 1.75
+    scale = performance.body.height / STANDARD_HEIGHT
     offsets = scale * errors.bias * offsets + errors.bias_spread * own
     after = [c[0] if c else j for j, c in enumerate(skeleton.children)]
     turn = performance.rotations
@@ -177,7 +179,7 @@ def _bias(
 
 
 def _posture_error(
-    performance: Performance, errors: Errors, person: np.random.Generator
+    performance: Performance, errors: TrackerErrors, person: np.random.Generator
 ) -> Array:
     """A smooth random function of the posture, unit variance, (T, J, 3).
 
@@ -217,7 +219,7 @@ def _limb_and_trunk(skeleton: Skeleton) -> list[tuple[list[int], list[int]]]:
     return [(trunk, trunk), *((limb, limb + trunk) for limb in limbs)]
 
 
-def _stir(truth: Array, errors: Errors, fps: float) -> Array:
+def _stir(truth: Array, errors: TrackerErrors, fps: float) -> Array:
     """How much a joint's speed makes it wobble, in [0, 1), (T, J, 1)."""
     if len(truth) < 2:
         return np.zeros((*truth.shape[:2], 1))
@@ -227,7 +229,11 @@ def _stir(truth: Array, errors: Errors, fps: float) -> Array:
 
 
 def _wander(
-    strength: Array, mix: Array, errors: Errors, fps: float, rng: np.random.Generator
+    strength: Array,
+    mix: Array,
+    errors: TrackerErrors,
+    fps: float,
+    rng: np.random.Generator,
 ) -> Array:
     """An error that wanders off in bursts and is forgotten [m], (T, J, 3)."""
     frames, joints = strength.shape[:2]
@@ -247,7 +253,7 @@ def _pixel_noise(
     line: Array,
     sight: Sight,
     sensor: Sensor,
-    errors: Errors,
+    errors: TrackerErrors,
     body: Body,
     rng: np.random.Generator,
 ) -> Array:

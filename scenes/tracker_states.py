@@ -9,7 +9,7 @@ from kinefilter.characters import Skeleton, State
 from kinefilter.retarget.rotations import rotate
 
 from .performers import Performance
-from .tracker_errors import Errors, slow_noise
+from .tracker_errors import TrackerErrors, slow_noise
 from .visibility import Sight
 
 __all__ = ["believed", "guessed", "swapped"]
@@ -56,7 +56,7 @@ def believed(
     performance: Performance,
     sight: Sight,
     in_view: NDArray[np.bool_],
-    errors: Errors,
+    errors: TrackerErrors,
     fps: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
@@ -94,7 +94,7 @@ def guessed(
     performance: Performance,
     sight: Sight,
     state: NDArray[np.uint8],
-    errors: Errors,
+    errors: TrackerErrors,
     fps: float,
     rng: np.random.Generator,
 ) -> Array:
@@ -149,7 +149,7 @@ def swapped(
     positions: Array,
     performance: Performance,
     sight: Sight,
-    errors: Errors,
+    errors: TrackerErrors,
     fps: float,
     toward: Array,
     rng: np.random.Generator,

@@ -5,9 +5,10 @@
 Offsets, steadiness and kinship of joints are fitted to people s02, s03 and s04 of
 ui-prmd (Kinect v2 beside marker mocap). Then the virtual Kinect looks at the mocap of
 all six people, and its figures stand beside the real Kinect's: of s06, s07 and s08,
-against which the numbers of ``Errors`` were set by hand, and of s02, s03 and s04,
-against which they were not. So neither group is unseen in every respect. Last it looks
-at scripted motions, and its states and bone lengths stand beside those of recordings.
+against which the numbers of ``TrackerErrors`` were set by hand, and of s02, s03 and
+s04, against which they were not. So neither group is unseen in every respect. Last it
+looks at scripted motions, and its states and bone lengths stand beside those of
+recordings.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ from kinefilter.characters import (
     Shape,
     ShapeKind,
     Skeleton,
+    Term,
     standard_body,
 )
 from kinefilter.retarget.kinematics import positions_from_rotations
@@ -133,7 +134,7 @@ def make_clip() -> MakeClip:
             body=body,
             state=rng.integers(1, 3, shape).astype(np.uint8),
             reliability=rng.random(shape),
-            deciding_term=rng.integers(0, 5, shape).astype(np.uint8),
+            deciding_term=rng.integers(len(Term), size=shape).astype(np.uint8),
             origin=rng.integers(0, 3, shape).astype(np.uint8),
             moved_by_correction=moved,
             moved_by_physics=rng.random(shape),

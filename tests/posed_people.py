@@ -6,19 +6,19 @@ from dataclasses import fields, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from kinefilter.characters import KINECT_V1, Body, standard_body
 from kinefilter.retarget import positions_from_rotations
 from kinefilter.retarget.rotations import about_y, between, multiply
-from kinefilter.scenes import Errors, Performance, Sensor
+from kinefilter.scenes import Performance, Sensor, TrackerErrors
 
 Array = NDArray[np.float64]
 
 BODY = standard_body(KINECT_V1)
 index = KINECT_V1.index
-NO_ERRORS = Errors(
-    **{f.name: 0.0 for f in fields(Errors)} | {"mirrored_beyond": float(np.pi)}
+NO_ERRORS = TrackerErrors(
+    **{f.name: 0.0 for f in fields(TrackerErrors)} | {"mirrored_beyond": float(np.pi)}
 )
 EXACT = replace(
     Sensor(),
@@ -28,7 +28,9 @@ EXACT = replace(
 )
 
 
-def posed(frames: int = 1, *, body: Body = BODY, yaw: float = 0.0, **arms: Array):
+def posed(
+    frames: int = 1, *, body: Body = BODY, yaw: float = 0.0, **arms: ArrayLike
+) -> Performance:
     """Stand in T-pose, turned by yaw, limbs pointing where the keywords say."""
     skeleton = body.skeleton
     turn = np.tile(about_y(yaw), (frames, len(skeleton), 1))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from skeletons import every_skeleton
 
 from kinefilter.characters import (
@@ -119,7 +123,7 @@ def test_mass_follows_from_height_at_an_ordinary_body_mass_index(
 
 
 @every_skeleton
-def test_legs_are_capsules_of_their_mass_at_the_density_of_tissue(
+def test_limbs_are_cylinders_of_their_mass_at_the_density_of_tissue(
     skeleton: Skeleton,
 ) -> None:
     body = standard_body(skeleton)
@@ -130,11 +134,55 @@ def test_legs_are_capsules_of_their_mass_at_the_density_of_tissue(
 
 
 @pytest.mark.parametrize("height", [0.3, 0.0, -1.7, 3.0, 175.0, np.nan])
-def test_absurd_heights_are_refused_asking_for_metres(height: float) -> None:
-    with pytest.raises(InputError, match=f"height {height:g} m.*metres"):
+def test_absurd_heights_are_refused_asking_for_meters(height: float) -> None:
+    with pytest.raises(InputError, match=f"height {height:g} m.*meters"):
         standard_body(KINECT_V1, height=height, mass=70.0)
     with pytest.raises(InputError):
         standard_body(KINECT_V2, height=height)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("lengths", np.full(5, 0.3), r"lengths of a body have shape \(5,\)"),
+        ("directions", np.zeros(20), r"expected \(20, 3\) for kinect_v1"),
+        ("lengths", 0.0, "segment to WristLeft is 0 m long"),
+        ("lengths", -0.2, "segment to WristLeft is -0.2 m long"),
+        ("lengths", np.nan, "segment to WristLeft is nan m long"),
+        ("lengths", np.inf, "segment to WristLeft is inf m long"),
+        ("directions", 0.0, "segment to WristLeft points along a vector of length 0"),
+        ("directions", np.nan, "segment to WristLeft points along"),
+        ("directions", [0.0, 2.0, 0.0], "segment to WristLeft points .* of length 2"),
+        ("directions", 1e200, "segment to WristLeft points .* of length inf"),
+    ],
+)
+def test_segments_that_no_body_has_are_refused_by_name(
+    name: str, value: ArrayLike, words: str
+) -> None:
+    body = standard_body(KINECT_V1)
+    wrong = np.asarray(value)
+    if wrong.shape in ((), (3,)):
+        wrong = getattr(body, name).copy()
+        wrong[KINECT_V1.index("WristLeft")] = value
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match=words):
+            replace(body, **{name: wrong})
+
+
+@every_skeleton
+def test_a_body_that_many_share_cannot_be_overwritten(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    for name in (
+        "lengths",
+        "directions",
+        "rest_offsets",
+        "rest_positions",
+        "masses",
+        "radii",
+    ):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(body, name)[0] = 9.0
 
 
 @pytest.mark.parametrize("mass", [2.0, 0.0, -70.0, 500.0, 70000.0, np.inf, np.nan])

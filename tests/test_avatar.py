@@ -10,8 +10,13 @@ import pytest
 from known_motions import standing
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, standard_body
-from kinefilter.characters.humanoid import Tracking
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    InputError,
+    Tracking,
+    standard_body,
+)
 from kinefilter.pipeline import Avatar, Pose
 from kinefilter.pipeline.cli import main
 from kinefilter.scenes import perform

@@ -359,6 +359,12 @@ def test_a_given_stature_and_mass_are_kept() -> None:
     assert body.masses.sum() == pytest.approx(90.0)
 
 
+def test_lengths_in_another_unit_are_refused_naming_where_they_came_from() -> None:
+    lengths = 100.0 * standard_body(KINECT_V1).lengths
+    with pytest.raises(InputError, match=r"^a\.csv: .*175 m.*in meters\?"):
+        measured_body(KINECT_V1, lengths, source="a.csv")
+
+
 @pytest.mark.parametrize("wrong", [{"height": 17.0}, {"height": 1.7, "mass": 0.0}])
 def test_absurd_statures_and_masses_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError):

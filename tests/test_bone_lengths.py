@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from scipy.optimize import NonlinearConstraint, minimize
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    InputError,
+    Skeleton,
+    standard_body,
+)
 from kinefilter.retarget import BoneLengths, bone_lengths, positions_from_rotations
 from kinefilter.retarget.rotations import normalize
 
@@ -100,6 +106,14 @@ def test_what_does_not_converge_is_laid_bone_by_bone_from_the_root(
     bones *= (expected / lengths_of(positions, KINECT_V1))[..., None]
     found = laid[:, ends] - laid[:, KINECT_V1.segment_parents]
     np.testing.assert_allclose(found, bones, atol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_joint_that_is_nowhere_is_refused(wrong: float) -> None:
+    positions = postures(KINECT_V1, 2)
+    positions[1, KINECT_V1.index("WristLeft"), 0] = wrong
+    with pytest.raises(InputError, match="missing joints"):
+        BoneLengths(standard_body(KINECT_V1)).project(positions, np.ones((2, 20)))
 
 
 def test_arguments_are_not_modified() -> None:

@@ -24,6 +24,7 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline import CleanConfig, CleanResult, clean, read_take
 from kinefilter.pipeline.config import Method
+from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.formats import read_bvh, read_usd_positions, write_clip
 from kinefilter.pipeline.simulate import simulate, truth_of
 from kinefilter.retarget import positions_from_rotations
@@ -252,6 +253,13 @@ def test_stature_is_found_from_what_a_kinect_sees() -> None:
             config = CleanConfig(method=method, physics=False)
             errors.append(abs(clean(pair.take, config).clip.body.height - truth))
     assert np.mean(away[None]) < 0.7 * np.mean(away["local-pca"])
+
+
+def test_a_take_in_centimeters_is_refused_by_its_name() -> None:
+    take = _perfect("stand_idle")
+    wrong = replace(take, positions=100.0 * take.positions, source="in_cm.csv")
+    with pytest.raises(InputError, match=r"^in_cm\.csv: .*in meters\?"):
+        clean(wrong, corrector=Hold(KINECT_V1))
 
 
 def test_a_take_of_nothing_is_refused() -> None:

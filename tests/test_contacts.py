@@ -21,10 +21,10 @@ from kinefilter.pipeline.target.contacts import (
     ankles_and_toes,
     feet_of,
     find_stance,
-    runs,
 )
 from kinefilter.pipeline.training import read_pairs
 from kinefilter.retarget.rotations import about_y, rotate
+from kinefilter.retarget.runs import runs
 from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]
@@ -198,9 +198,11 @@ def test_the_sequence_is_the_most_probable_of_all(
 
 
 @settings(max_examples=50, deadline=None)
-@given(flags=st.lists(st.booleans(), max_size=30))
-def test_runs_are_the_maximal_spans_of_truth(flags: list[bool]) -> None:
+@given(flags=st.lists(st.booleans(), max_size=30), shortest=st.integers(1, 4))
+def test_runs_are_the_maximal_spans_of_truth(flags: list[bool], shortest: int) -> None:
     spans = runs(np.array(flags, dtype=np.bool_))
+    long = [span for span in spans if span.stop - span.start >= shortest]
+    assert runs(np.array(flags, dtype=np.bool_), shortest) == long
     again = np.zeros(len(flags), dtype=np.bool_)
     for span in spans:
         assert span.start < span.stop

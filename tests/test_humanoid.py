@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import mujoco
 import numpy as np
 import pytest
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, Skeleton, standard_body
-from kinefilter.characters.humanoid import (
+from kinefilter.characters import (
+    KINECT_V1,
+    InputError,
+    Skeleton,
     Tracking,
+    standard_body,
+)
+from kinefilter.characters.anthropometry import joint_range
+from kinefilter.characters.humanoid import (
     build_humanoid,
     from_mujoco,
     joint_masses,
@@ -97,6 +105,23 @@ def test_gains_and_bounds_follow_from_mass_and_frequency() -> None:
             assert actuator.forcerange[1] * np.sqrt(3) == pytest.approx(mass * 120.0)
             compared += 1
     assert compared == 60
+
+
+@pytest.mark.parametrize("field", [field.name for field in fields(Tracking)])
+@pytest.mark.parametrize("wrong", [-60.0, 0.0, np.nan, np.inf])
+def test_a_pull_without_strength_is_refused_by_name(field: str, wrong: float) -> None:
+    with pytest.raises(InputError, match=f"{field} of the tracking is {wrong:g}"):
+        Tracking(**{field: wrong})
+
+
+@every_skeleton
+def test_the_compiled_joints_turn_as_far_as_people_do(skeleton: Skeleton) -> None:
+    model = build_humanoid(standard_body(skeleton)).compile()
+    for j in skeleton.segments:
+        name = skeleton.joints[j]
+        joint = model.joint(name)
+        assert joint.limited[0]
+        assert list(joint.range) == pytest.approx([0.0, joint_range(name)])
 
 
 @pytest.mark.parametrize(

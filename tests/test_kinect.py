@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -18,12 +20,13 @@ from kinefilter.characters import (
 )
 from kinefilter.scenes import (
     SENSORS,
-    Errors,
     Sensor,
+    TrackerErrors,
     in_sensor_frame,
     in_world_frame,
     observe,
     perform,
+    sample_take,
 )
 from kinefilter.scenes.misplacement import kinship, misplacements, unsteadiness
 from kinefilter.scenes.visibility import look
@@ -35,7 +38,7 @@ Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
-def test_the_sensors_frame_and_the_world_are_inverse(sensor):
+def test_the_sensors_frame_and_the_world_are_inverse(sensor: Sensor) -> None:
     placed = replace(sensor, azimuth=0.7, tilt=-0.3, height=1.4, distance=3.1)
     points = np.random.default_rng(0).normal(size=(50, 3))
     there = in_sensor_frame(points, placed)
@@ -44,20 +47,20 @@ def test_the_sensors_frame_and_the_world_are_inverse(sensor):
     np.testing.assert_allclose(gaps, np.linalg.norm(np.diff(points, axis=0), axis=-1))
 
 
-def test_a_sensor_that_looks_up_sees_what_is_level_lower():
+def test_a_sensor_that_looks_up_sees_what_is_level_lower() -> None:
     ahead = np.array([0.0, 1.0, 0.0])
     level, up = (in_sensor_frame(ahead, Sensor(tilt=t)) for t in (0.0, 0.1))
     np.testing.assert_allclose(level, [0.0, 0.0, 2.7], atol=1e-12)
     assert up[1] == pytest.approx(-2.7 * np.sin(0.1))
 
 
-def test_azimuth_turns_the_performer_to_its_left():
+def test_azimuth_turns_the_performer_to_its_left() -> None:
     left = np.array([0.0, 1.0, 1.0])  # a meter before a person who faces the sensor
     turned = in_sensor_frame(left, Sensor(azimuth=np.pi / 2))
     np.testing.assert_allclose(turned, [-1.0, 0.0, 2.7], atol=1e-12)
 
 
-def test_out_of_view_or_range_is_not_tracked():
+def test_out_of_view_or_range_is_not_tracked() -> None:
     act = posed(5)
     low = replace(EXACT, height=1.5, distance=1.5)
     take = observe(act, seed=0, sensor=low)
@@ -71,7 +74,7 @@ def test_out_of_view_or_range_is_not_tracked():
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_noise_grows_with_distance(name):
+def test_noise_grows_with_distance(name: str) -> None:
     act = posed(200)
     sensor = replace(SENSORS[name], dropped_share=0.0)
     errors = replace(NO_ERRORS, grain=5.0)
@@ -87,7 +90,7 @@ def test_noise_grows_with_distance(name):
 
 
 @every_skeleton
-def test_without_errors_the_take_is_the_truth(skeleton):
+def test_without_errors_the_take_is_the_truth(skeleton: Skeleton) -> None:
     act = perform("squat", standard_body(skeleton), seed=0)
     take = observe(act, seed=0, sensor=EXACT, errors=NO_ERRORS)
     assert (take.state != State.NOT_TRACKED).all()
@@ -97,7 +100,7 @@ def test_without_errors_the_take_is_the_truth(skeleton):
 
 
 @pytest.mark.parametrize("motion", ["carry", "sit", "turn"])
-def test_same_seed_same_bytes_and_another_seed_another_take(motion):
+def test_same_seed_same_bytes_and_another_seed_another_take(motion: str) -> None:
     act = perform(motion, BODY, seed=0)
     one, two = (observe(act, seed=3) for _ in range(2))
     assert one.positions.tobytes() == two.positions.tobytes()
@@ -109,7 +112,7 @@ def test_same_seed_same_bytes_and_another_seed_another_take(motion):
     assert np.nanmedian(gap) > 0.001
 
 
-def test_takes_of_one_person_share_their_misplacement():
+def test_takes_of_one_person_share_their_misplacement() -> None:
     act = perform("stand_idle", BODY, seed=0)
     offsets = {}
     for person in (1, 2):
@@ -123,9 +126,9 @@ def test_takes_of_one_person_share_their_misplacement():
     assert same < 0.4 * other
 
 
-def test_states_follow_what_is_seen():
+def test_states_follow_what_is_seen() -> None:
     act = perform("stand_idle", BODY, seed=1)
-    sure = replace(Errors(), doubt=0.0, merging=0.0, fast=0.0)
+    sure = replace(TrackerErrors(), doubt=0.0, merging=0.0, fast=0.0)
     turned = replace(EXACT, azimuth=np.pi / 2)
     take = observe(act, seed=0, sensor=turned, errors=sure)
     sight = look(act, turned)
@@ -137,7 +140,7 @@ def test_states_follow_what_is_seen():
     assert (take.state == State.INFERRED).any()
 
 
-def test_doubt_makes_hidden_joints_likelier_inferred_than_seen_ones():
+def test_doubt_makes_hidden_joints_likelier_inferred_than_seen_ones() -> None:
     act = perform("stand_idle", BODY, seed=1)
     arm = [index(f"{part}Left") for part in ("Elbow", "Wrist", "Hand")]
     shares = []
@@ -147,7 +150,7 @@ def test_doubt_makes_hidden_joints_likelier_inferred_than_seen_ones():
     assert shares[1] > shares[0] + 0.2
 
 
-def test_a_guess_starts_where_the_joint_was_and_ends_hanging():
+def test_a_guess_starts_where_the_joint_was_and_ends_hanging() -> None:
     act = posed(90)
     poses = np.tile([1.0, 0.6, 1.4, 1.0, 0.0, 0.0, 0.0], (90, 1))
     poses[:30, 1] = 9.0
@@ -169,7 +172,7 @@ def test_a_guess_starts_where_the_joint_was_and_ends_hanging():
     np.testing.assert_allclose(length, BODY.lengths[wrist], rtol=1e-9)
 
 
-def test_a_person_seen_from_behind_is_mirrored():
+def test_a_person_seen_from_behind_is_mirrored() -> None:
     act = posed(yaw=np.pi)
     take = observe(
         act, seed=0, sensor=EXACT, errors=replace(NO_ERRORS, mirrored_beyond=2.0)
@@ -195,7 +198,7 @@ def test_behind_is_where_the_sensor_is_not_and_not_a_direction_of_the_room(
     np.testing.assert_allclose(take.positions[tracked], expected[tracked], atol=1e-12)
 
 
-def test_limbs_that_cross_in_the_image_are_swapped_now_and_then():
+def test_limbs_that_cross_in_the_image_are_swapped_now_and_then() -> None:
     down = posed(300, yaw=np.pi / 2, ElbowLeft=[0, -1, 0], ElbowRight=[0, -1, 0])
     errors = replace(NO_ERRORS, swap_rate=2.0, swap_time=0.3)
     take = observe(down, seed=0, sensor=EXACT, errors=errors)
@@ -206,7 +209,7 @@ def test_limbs_that_cross_in_the_image_are_swapped_now_and_then():
     np.testing.assert_allclose(away[:, index("Head")], 0.0, atol=1e-12)
 
 
-def test_what_moves_is_seen_where_it_was():
+def test_what_moves_is_seen_where_it_was() -> None:
     act = perform("swing", BODY, seed=0)
     late = replace(NO_ERRORS, blur=0.01)
     take = observe(act, seed=0, sensor=EXACT, errors=late)
@@ -216,7 +219,7 @@ def test_what_moves_is_seen_where_it_was():
     assert behind == pytest.approx(-0.01, abs=0.004)
 
 
-def test_a_joint_that_moves_wobbles_more_than_one_at_rest():
+def test_a_joint_that_moves_wobbles_more_than_one_at_rest() -> None:
     act = perform("wave", BODY, seed=0)
     errors = replace(NO_ERRORS, wobble=0.03, wobble_time=0.1, stirring_speed=0.5)
     take = observe(act, seed=0, sensor=EXACT, errors=errors)
@@ -230,7 +233,7 @@ def test_a_joint_that_moves_wobbles_more_than_one_at_rest():
     assert error[:, wrists][fast].mean() > 3.0 * error[:, wrists][slow].mean()
 
 
-def test_errors_of_a_posture_come_back_with_the_posture():
+def test_errors_of_a_posture_come_back_with_the_posture() -> None:
     act = perform("squat", BODY, seed=0)
     errors = replace(NO_ERRORS, posture_error=0.02, posture_scale=1.0)
     one, two = (
@@ -245,7 +248,7 @@ def test_errors_of_a_posture_come_back_with_the_posture():
 
 
 @every_skeleton
-def test_misplacements_mirror(skeleton):
+def test_misplacements_mirror(skeleton: Skeleton) -> None:
     offsets = misplacements(skeleton)
     mirrored = offsets[:, skeleton.mirror] * np.array([-1.0, 1.0, 1.0])
     np.testing.assert_allclose(mirrored, offsets, atol=1e-12)
@@ -255,7 +258,7 @@ def test_misplacements_mirror(skeleton):
 
 
 @every_skeleton
-def test_kinship_keeps_the_variance_of_every_joint(skeleton: Skeleton):
+def test_kinship_keeps_the_variance_of_every_joint(skeleton: Skeleton) -> None:
     mix = kinship(skeleton)
     np.testing.assert_allclose(np.sum(mix**2, axis=1), 1.0)
     shared = mix @ mix.T
@@ -263,10 +266,60 @@ def test_kinship_keeps_the_variance_of_every_joint(skeleton: Skeleton):
     assert shared[foot, ankle] == pytest.approx(0.78)
 
 
-def test_kinects_ankles_are_too_high_in_a_take_of_a_standing_person():
+def test_kinects_ankles_are_too_high_in_a_take_of_a_standing_person() -> None:
     act = perform("stand_idle", BODY, seed=0)
     ankle = index("AnkleLeft")
     takes = [observe(act, seed=seed, sensor=EXACT) for seed in range(4)]
     heights = [np.nanmedian(take.positions[:, ankle, 1]) for take in takes]
     truth = np.median(in_sensor_frame(act.positions, EXACT)[:, ankle, 1])
     assert 0.02 < np.mean(heights) - truth < 0.1
+
+
+# Takes --------------------------------------------------------------------------
+
+
+def test_a_person_facing_the_sensor_faces_minus_z_with_its_left_at_minus_x() -> None:
+    take = observe(perform("stand_idle", BODY, seed=0), seed=0)
+    middle = np.nanmedian(take.positions, axis=0)
+    i = KINECT_V1.index
+    assert middle[i("ShoulderLeft"), 0] < middle[i("ShoulderRight"), 0] - 0.3
+    assert middle[i("FootLeft"), 2] < middle[i("AnkleLeft"), 2] - 0.01
+    assert middle[i("HipCenter"), 2] == pytest.approx(2.7, abs=0.1)
+    assert middle[i("FootLeft"), 1] == pytest.approx(-0.97, abs=0.08)
+
+
+@every_skeleton
+def test_bone_lengths_of_an_observed_take_vary_as_a_kinects(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    take = observe(perform("stand_idle", body, seed=0), seed=0)
+    tracked = take.state[..., None] == State.TRACKED
+    positions = np.where(tracked, take.positions, np.nan)
+    long = skeleton.segments[body.lengths[skeleton.segments] > 0.15]
+    parents = np.array([skeleton.parents[j] for j in long])
+    lengths = np.linalg.norm(positions[:, long] - positions[:, parents], axis=-1)
+    variation = np.nanstd(lengths, axis=0) / np.nanmean(lengths, axis=0)
+    assert 0.02 < np.median(variation) < 0.08
+
+
+def test_missing_joints_are_nan_and_time_never_goes_back() -> None:
+    take = sample_take()
+    missing = take.state == State.NOT_TRACKED
+    assert missing.any()
+    np.testing.assert_array_equal(np.isnan(take.positions).all(axis=-1), missing)
+    assert np.isfinite(take.positions[~missing]).all()
+    assert (np.diff(take.time) >= 0).all()
+    assert take.time[0] == 0.0
+
+
+def test_the_sample_take_is_the_shipped_file() -> None:
+    path = files("kinefilter.scenes") / "takes" / "wave_punch_bend.csv"
+    with path.open(newline="") as file:
+        header, *rows = csv.reader(file)
+    take = sample_take()
+    fields = [f"{j}.{f}" for j in KINECT_V1.joints for f in ("x", "y", "z", "state")]
+    assert header == ["time", *fields]
+    table = np.array([[float(cell or "nan") for cell in row] for row in rows])
+    cells = table[:, 1:].reshape(len(table), len(KINECT_V1), 4)
+    np.testing.assert_allclose(table[:, 0], take.time, atol=6e-5)
+    np.testing.assert_allclose(cells[..., :3], take.positions, atol=6e-5)
+    np.testing.assert_array_equal(cells[..., 3], take.state)

@@ -27,7 +27,7 @@ from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
 from kinefilter.pipeline.formats.c3d import read_c3d
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
 from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap
-from kinefilter.retarget.source_rig import find_rig, load_rig
+from kinefilter.retarget.source_rig import load_source_rig, matching_source_rig
 
 Array = NDArray[np.float64]
 # ASF and AMC
@@ -167,7 +167,7 @@ def test_damaged_amc_files_are_refused_naming_the_line(
 
 def standing(skeleton: Skeleton, rig: str) -> Mocap:
     """Return a T-pose under a rig's names [cm], z up, whose left arm moves forward."""
-    body, source = standard_body(skeleton), load_rig(rig, skeleton)
+    body, source = standard_body(skeleton), load_source_rig(rig, skeleton)
     rest = np.tile([0.3, 1.0, 0.2], (len(skeleton), 1))
     for j in skeleton.order[1:]:
         rest[j] = rest[skeleton.parents[j]] + body.rest_offsets[j]
@@ -202,7 +202,8 @@ def test_every_rig_stands_upright_in_meters(skeleton: Skeleton, rig: str) -> Non
 @every_skeleton
 @pytest.mark.parametrize("rig", [*RIGS, "jointed"])
 def test_rigs_name_joints_that_the_skeleton_has(skeleton: Skeleton, rig: str) -> None:
-    found, missing = find_rig(load_rig(rig, skeleton).needed, skeleton, (rig,))
+    needed = load_source_rig(rig, skeleton).needed
+    found, missing = matching_source_rig(needed, skeleton, (rig,))
     assert missing == []
     assert set(found.joints) <= set(skeleton.joints)
     limbs = {"Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle"}

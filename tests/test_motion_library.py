@@ -1,17 +1,26 @@
 """The scripted motions as a whole: human ranges, planted feet, no part in another."""
 
+from __future__ import annotations
+
 from functools import cache
 from itertools import product
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, random_body, standard_body
-from kinefilter.retarget.rotations import inverse, multiply, rotate
+from kinefilter.retarget.rotations import (
+    about_x,
+    about_z,
+    inverse,
+    multiply,
+    rotate,
+)
 from kinefilter.scenes import MOTIONS, Performance, perform
 from kinefilter.scenes.joint_ranges import JOINT_RANGES
-from kinefilter.scenes.puppet import about_x, about_z
 
+Array = NDArray[np.float64]
 PEOPLE = range(3)
 SLACK = 5.0  # deg: sway, and the shoulder's range is measured with the collarbone's
 SIDES = (("Left", 1.0), ("Right", -1.0))
@@ -29,14 +38,14 @@ def performance(name: str, person: int) -> Performance:
     return perform(name, body, seed=person)
 
 
-def performances(name):
+def performances(name: str) -> list[Performance]:
     return [performance(name, person) for person in PEOPLE]
 
 
 # Joint ranges
 
 
-def tilts(turns):
+def tilts(turns: Array) -> tuple[Array, Array, Array]:
     """Flexion, bend to the left and rotation to the left [rad] of rotations."""
     up = rotate(turns, np.array([0.0, 1.0, 0.0]))
     flexion, bend = np.arctan2(up[..., 2], up[..., 1]), np.arcsin(up[..., 0])
@@ -45,15 +54,15 @@ def tilts(turns):
     return flexion, bend, np.arctan2(-left[..., 2], left[..., 0])
 
 
-def bone(p, start, end):
+def bone(p: Performance, start: str, end: str) -> Array:
     line = p.positions[:, index(end)] - p.positions[:, index(start)]
-    return line / np.linalg.norm(line, axis=-1, keepdims=True)
+    return np.asarray(line / np.linalg.norm(line, axis=-1, keepdims=True))
 
 
-def joint_angles(p):
+def joint_angles(p: Performance) -> dict[str, Array]:
     """Every angle of JOINT_RANGES [deg], of both sides one after the other."""
     pelvis, thorax = (p.rotations[:, index(j)] for j in ("HipCenter", "ShoulderCenter"))
-    found = {name: [] for name in JOINT_RANGES}
+    found: dict[str, list[Array]] = {name: [] for name in JOINT_RANGES}
     head = multiply(inverse(thorax), p.rotations[:, index("Head")])
     for part, turns in (
         ("trunk", multiply(inverse(pelvis), thorax)),
@@ -82,7 +91,7 @@ def joint_angles(p):
 
 
 @every_motion
-def test_joints_stay_within_human_ranges(name):
+def test_joints_stay_within_human_ranges(name: str) -> None:
     for p in performances(name):
         angles = joint_angles(p)
         for joint, (least, most) in JOINT_RANGES.items():
@@ -91,7 +100,7 @@ def test_joints_stay_within_human_ranges(name):
 
 
 @every_motion
-def test_speed_and_acceleration_are_human(name):
+def test_speed_and_acceleration_are_human(name: str) -> None:
     for p in performances(name):
         speed = np.linalg.norm(np.diff(p.positions, axis=0), axis=-1) * 30.0
         change = np.linalg.norm(np.diff(p.positions, 2, axis=0), axis=-1) * 900.0
@@ -102,17 +111,17 @@ def test_speed_and_acceleration_are_human(name):
 # Floor
 
 
-def heights(p):
+def heights(p: Performance) -> Array:
     """Lowest height [m] of the body's capsules in each frame, (T,)."""
     low = p.positions[..., 1] - p.body.radii
     parts = [low]
     for j, parent in zip(KINECT_V1.segments, KINECT_V1.segment_parents, strict=True):
         parts.append(p.positions[:, [parent], 1] - p.body.radii[j])
-    return np.concatenate(parts, axis=1).min(axis=1)
+    return np.asarray(np.concatenate(parts, axis=1).min(axis=1))
 
 
 @every_motion
-def test_the_lowest_point_is_on_the_floor(name):
+def test_the_lowest_point_is_on_the_floor(name: str) -> None:
     for p in performances(name):
         low = heights(p)
         assert low.min() > -0.01
@@ -121,7 +130,7 @@ def test_the_lowest_point_is_on_the_floor(name):
 
 
 @every_motion
-def test_a_foot_that_stands_stays_where_it_is(name):
+def test_a_foot_that_stands_stays_where_it_is(name: str) -> None:
     stood = 0
     for p, (side, _) in product(performances(name), SIDES):
         toes = p.positions[:, index(f"Foot{side}")]
@@ -139,7 +148,7 @@ def test_a_foot_that_stands_stays_where_it_is(name):
 # Self-penetration
 
 
-def gap(a, b, c, d):
+def gap(a: Array, b: Array, c: Array, d: Array) -> Array:
     """Distance [m] between the segments a-b and c-d, (T,)."""
     u, v, w = b - a, d - c, a - c
     uu, uv, vv, uw, vw = (
@@ -148,10 +157,10 @@ def gap(a, b, c, d):
     s = np.clip((uv * vw - vv * uw) / np.maximum(uu * vv - uv * uv, 1e-9), 0.0, 1.0)
     t = np.clip((uv * s + vw) / vv, 0.0, 1.0)
     s = np.clip((uv * t - uw) / uu, 0.0, 1.0)
-    return np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=-1)
+    return np.asarray(np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=-1))
 
 
-def overlap(p, first, second):
+def overlap(p: Performance, first: str, second: str) -> Array:
     """How deep [m] the capsules of two segments are in each other, (T,)."""
     ends = [index(first), index(second)]
     starts = [KINECT_V1.parents[j] for j in ends]
@@ -161,7 +170,7 @@ def overlap(p, first, second):
     if first.startswith("Knee") and second.startswith("Knee"):
         # Thighs meet at the groin; a third of the way down they no longer do.
         a, c = a + (b - a) / 3.0, c + (d - c) / 3.0
-    return p.body.radii[ends].sum() - gap(a, b, c, d)
+    return np.asarray(p.body.radii[ends].sum() - gap(a, b, c, d))
 
 
 TRUNK = ("Spine", "ShoulderCenter", "Head")
@@ -169,7 +178,7 @@ LEGS = [f"{part}{side}" for part in ("Knee", "Ankle") for side, _ in SIDES]
 
 
 @every_motion
-def test_arms_do_not_pass_through_trunk_head_and_legs(name):
+def test_arms_do_not_pass_through_trunk_head_and_legs(name: str) -> None:
     for p in performances(name):
         for part, (side, _) in product(("Wrist", "Hand"), SIDES):
             for other in (*TRUNK, *LEGS):
@@ -178,7 +187,7 @@ def test_arms_do_not_pass_through_trunk_head_and_legs(name):
 
 
 @every_motion
-def test_arms_do_not_pass_through_each_other(name):
+def test_arms_do_not_pass_through_each_other(name: str) -> None:
     for p in performances(name):
         for first, second in product(("Elbow", "Wrist", "Hand"), repeat=2):
             if (first, second) != ("Elbow", "Elbow"):
@@ -186,7 +195,7 @@ def test_arms_do_not_pass_through_each_other(name):
 
 
 @every_motion
-def test_legs_do_not_pass_through_each_other(name):
+def test_legs_do_not_pass_through_each_other(name: str) -> None:
     for p in performances(name):
         for first, second in (
             ("KneeLeft", "KneeRight"),
@@ -201,7 +210,7 @@ def test_legs_do_not_pass_through_each_other(name):
 # Size of the library
 
 
-def test_the_library_has_the_classes_of_the_papers_the_data_and_the_scenes():
+def test_the_library_has_the_classes_of_the_papers_the_data_and_the_scenes() -> None:
     assert len(MOTIONS) >= 25
     shum = {"walk", "run", "pick_up", "carry", "point", "scratch", "punch", "kick"}
     shum |= {"swing", "dodge"}
@@ -219,13 +228,13 @@ def test_the_library_has_the_classes_of_the_papers_the_data_and_the_scenes():
 
 
 @every_motion
-def test_a_performance_lasts_five_seconds_at_least(name):
+def test_a_performance_lasts_five_seconds_at_least(name: str) -> None:
     for p in performances(name):
         assert p.time[-1] >= 4.9
 
 
 @pytest.mark.parametrize("name", ["wave", "deep_squat"])
-def test_the_frame_rate_does_not_change_the_motion(name):
+def test_the_frame_rate_does_not_change_the_motion(name: str) -> None:
     body = standard_body(KINECT_V1)
     slow = perform(name, body, seed=1, fps=30.0)
     fast = perform(name, body, seed=1, fps=60.0)
@@ -234,7 +243,7 @@ def test_the_frame_rate_does_not_change_the_motion(name):
     assert np.linalg.norm(apart, axis=-1).mean() < 0.005
 
 
-def test_both_skeletons_share_the_random_body():
+def test_both_skeletons_share_the_random_body() -> None:
     one, two = (
         random_body(skeleton, np.random.default_rng(3))
         for skeleton in (KINECT_V1, KINECT_V2)
@@ -245,7 +254,7 @@ def test_both_skeletons_share_the_random_body():
         assert lengths[0] == pytest.approx(lengths[1])
 
 
-def test_random_bodies_differ_in_height_and_build_and_are_symmetric():
+def test_random_bodies_differ_in_height_and_build_and_are_symmetric() -> None:
     bodies = [random_body(KINECT_V1, np.random.default_rng(k)) for k in range(200)]
     heights = np.array([body.height for body in bodies])
     assert 1.5 <= heights.min() < 1.6

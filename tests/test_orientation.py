@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,9 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Skeleton, standard_body
 from kinefilter.retarget import (
-    orientation,
+    hang_missing,
     positions_from_rotations,
     rotations_from_positions,
 )
@@ -178,7 +181,67 @@ def test_leading_axes_pass_through(shape: tuple[int, ...]) -> None:
             np.testing.assert_allclose(rows[k], single, atol=1e-15)
 
 
-def test_hips_and_spine_in_a_line_leave_the_pelvis_as_at_rest() -> None:
-    line = np.array([0.1, -0.2, 0.3])
-    for across, up in ((line, 2.0 * line), (0.0 * line, line), (line, 0.0 * line)):
-        np.testing.assert_array_equal(orientation._frame(across, up), IDENTITY)
+def leaning(skeleton: Skeleton) -> Body:
+    """Return a body whose spine rests 0.4 rad forward, as some sensors have it."""
+    body = standard_body(skeleton)
+    lean = twist(np.array([1.0, 0.0, 0.0]), 0.4)
+    spine = np.array(body.skeleton.children[skeleton.root])[:, None]
+    directions = body.directions.copy()
+    directions[spine] = rotate(lean, directions[spine])
+    return replace(body, directions=directions)
+
+
+@every_skeleton
+@pytest.mark.parametrize("made", [standard_body, leaning])
+def test_hips_and_spine_in_a_line_leave_the_pelvis_as_at_rest(
+    skeleton: Skeleton, made: Callable[[Skeleton], Body]
+) -> None:
+    body, root = made(skeleton), skeleton.root
+    line, zero = np.array([0.1, -0.2, 0.3]), np.zeros(3)
+    hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
+    (spine,) = (j for j in skeleton.children[root] if j not in hips)
+    for across, up in ((line, 2.0 * line), (zero, line), (line, zero), (zero, zero)):
+        posture = np.zeros((len(skeleton), 3))
+        posture[hips], posture[spine] = [across, -across], up
+        rotations = rotations_from_positions(posture, body)
+        np.testing.assert_array_equal(rotations[root], IDENTITY)
+
+
+@every_skeleton
+def test_what_is_missing_hangs_on_its_parent_as_at_rest(skeleton: Skeleton) -> None:
+    body = standard_body(skeleton)
+    missing = {skeleton.index(j) for j in ("WristLeft", "FootRight", "Head")}
+    gone = [j for j in skeleton.order if {j, skeleton.parents[j]} & missing]
+    gone += [c for j in gone for c in skeleton.children[j] if c not in gone]
+    root = np.zeros((4, 3))
+    whole = positions_from_rotations(wild(skeleton, 10, 4), root, body)
+    turns = rotations_from_positions(whole, body)
+    for j in gone:
+        turns[1:, j] = turns[1:, skeleton.parents[j]]
+    expected = positions_from_rotations(turns, root, body)
+    holed = whole.copy()
+    holed[1:, gone] = np.nan
+    hung = hang_missing(holed, body)
+    np.testing.assert_allclose(hung, expected, atol=1e-7)
+    np.testing.assert_array_equal(hung[0], whole[0])
+    assert np.isnan(holed[1:, gone]).all()
+
+
+@every_skeleton
+@pytest.mark.parametrize("with_prior", [False, True])
+def test_a_missing_joint_leaves_its_segments_unknown_and_no_other(
+    skeleton: Skeleton, with_prior: bool
+) -> None:
+    body, elbow = standard_body(skeleton), skeleton.index("ElbowLeft")
+    positions = body.rest_positions.copy()
+    prior = wild(skeleton, 9)[0] if with_prior else None
+    whole = rotations_from_positions(positions, body, prior)
+    positions[elbow] = np.nan
+    rotations = rotations_from_positions(positions, body, prior)
+    unknown = np.isnan(rotations).any(axis=1)
+    arm = {elbow, *skeleton.children[elbow]}
+    if not with_prior:  # each follows its parent
+        for j in skeleton.order:
+            arm |= {j} if skeleton.parents[j] in arm else set()
+    assert set(np.flatnonzero(unknown)) == arm
+    np.testing.assert_array_equal(rotations[~unknown], whole[~unknown])

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import pkgutil
 import subprocess
 import sys
 import tarfile
 import tomllib
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -73,6 +75,21 @@ def test_all_names_are_there(package: str) -> None:
     assert len(set(module.__all__)) == len(module.__all__)
     for name in module.__all__:
         assert hasattr(module, name)
+    folders = {file.name for file in pkgutil.iter_modules(module.__path__)}
+    for name in folders & set(module.__all__):
+        assert isinstance(getattr(module, name), ModuleType), f"{name} hides its file"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_what_holds_arrays_is_compared_as_an_object(path: Path) -> None:
+    # Arrays have no truth: the equality that dataclasses write would raise ValueError.
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ClassDef):
+            made = [ast.unparse(one) for one in node.decorator_list]
+            fields = [ast.unparse(f) for f in node.body if isinstance(f, ast.AnnAssign)]
+            if any(one.startswith("dataclass") for one in made):
+                arrays = [field for field in fields if "Array" in field]
+                assert not arrays or "eq=False" in " ".join(made), node.name
 
 
 def test_no_files_import_each_other_in_a_circle() -> None:
@@ -82,22 +99,41 @@ def test_no_files_import_each_other_in_a_circle() -> None:
     ).prepare()  # raises CycleError, which names the circle
 
 
+def test_what_other_files_import_is_said_to_be_public() -> None:
+    modules = {_name(path): path for path in SOURCES}
+    public = {name: _public(path) for name, path in modules.items()}
+    for name, path in modules.items():
+        for source, wanted in _imports(name, path):
+            if source in public and f"{source}.{wanted}" not in modules:
+                assert wanted in public[source], f"{name} imports {source}.{wanted}"
+
+
+def _public(path: Path) -> set[str]:
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            return set(ast.literal_eval(node.value))
+    return set()
+
+
 def _name(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(("kinefilter", *parts)).removesuffix(".__init__")
 
 
 def _imported(name: str, path: Path, modules: Collection[str]) -> set[str]:
-    """Return what a file imports of ours, functions' imports too."""
+    """Return the files that a file imports of ours."""
+    pairs = {(source, f"{source}.{name}") for source, name in _imports(name, path)}
+    return {whole if whole in modules else source for source, whole in pairs} & set(
+        modules
+    )
+
+
+def _imports(name: str, path: Path) -> Iterator[tuple[str, str]]:
+    """Yield module and name of what a file imports from, in functions too."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if not isinstance(node, ast.ImportFrom):
-            continue
-        source = importlib.util.resolve_name(
-            "." * node.level + (node.module or ""), package
-        )
-        for alias in node.names:
-            whole = f"{source}.{alias.name}"
-            found.add(whole if whole in modules else source)
-    return found & set(modules)
+        if isinstance(node, ast.ImportFrom):
+            source = importlib.util.resolve_name(
+                "." * node.level + (node.module or ""), package
+            )
+            yield from ((source, alias.name) for alias in node.names)

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, Body, standard_body
+from kinefilter.characters import KINECT_V1, Body, InputError, Tracking, standard_body
 from kinefilter.characters.anthropometry import joint_range
-from kinefilter.characters.humanoid import GRAVITY, Tracking, joint_masses
+from kinefilter.characters.humanoid import (
+    GRAVITY,
+    from_mujoco,
+    joint_masses,
+)
 from kinefilter.pipeline.evaluation.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.pipeline.physics.pulled_character import substeps_in
@@ -228,6 +233,58 @@ def test_starting_again_forgets_the_last_frames_and_pushes() -> None:
     character.push("Head", np.array([300.0, 0.0, 0.0]), 60.0)
     character.step(positions[0], rotations[0], 1 / 30)
     np.testing.assert_array_equal(followed(character), first)
+
+
+@pytest.mark.parametrize("rate", [30.0, 60.0])
+@pytest.mark.parametrize("seconds", [0.01, 0.1])
+def test_a_push_gives_force_times_time_at_any_frame_rate(
+    rate: float, seconds: float
+) -> None:
+    _, positions, rotations = _standing(1, lift=1.0)
+    character = PhysicsFilter(BODY)
+    character.limp = True
+    character.model.opt.gravity[:] = 0.0
+    character.start(positions[0], rotations[0])
+    force = np.array([30.0, 0.0, 100.0])
+    character.push("ShoulderCenter", force, seconds)
+    for _ in range(10):
+        character.step(positions[0], rotations[0], 1.0 / rate)
+    mujoco.mj_forward(character.model, character.data)
+    mujoco.mj_subtreeVel(character.model, character.data)
+    root = character.model.body("HipCenter").id
+    momentum = BODY.mass * from_mujoco(character.data.subtree_linvel[root])
+    given = force * seconds
+    # The engine's steps keep the momentum of spinning arms and legs to about a percent.
+    np.testing.assert_allclose(momentum, given, atol=0.02 * np.linalg.norm(given))
+
+
+def test_a_new_character_stands_in_t_pose_and_can_be_led_from_there() -> None:
+    character = PhysicsFilter(BODY)
+    np.testing.assert_allclose(character.positions, BODY.rest_positions, atol=1e-9)
+    _, positions, rotations = _standing(1)
+    assert character.step(positions[0], rotations[0], 1 / 30)
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.1, np.nan, np.inf])
+def test_a_step_without_time_is_refused(dt: float) -> None:
+    _, positions, rotations = _standing(1)
+    with pytest.raises(InputError, match="time since the last"):
+        PhysicsFilter(BODY).step(positions[0], rotations[0], dt)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_target_that_is_not_finite_is_refused_and_harms_nothing(wrong: float) -> None:
+    _, positions, rotations = _standing(1)
+    character = PhysicsFilter(BODY)
+    for broken in (positions[0].copy(), rotations[0].copy()):
+        broken[3] = wrong
+        frame = {3: positions[0], 4: rotations[0]} | {broken.shape[1]: broken}
+        with pytest.raises(InputError, match="not finite"):
+            character.start(frame[3], frame[4])
+        with pytest.raises(InputError, match="not finite"):
+            character.step(frame[3], frame[4], 1 / 30)
+    assert character.step(positions[0], rotations[0], 1 / 30)
+    np.testing.assert_allclose(character.positions, positions[0], atol=0.01)
 
 
 def test_a_limp_character_falls_and_one_that_is_held_does_not() -> None:

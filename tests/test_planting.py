@@ -18,10 +18,10 @@ from kinefilter.pipeline.target.contacts import (
     SIDES,
     ankles_and_toes,
     find_stance,
-    runs,
 )
 from kinefilter.pipeline.target.planting import plant_feet
 from kinefilter.retarget.rotations import about_y, rotate
+from kinefilter.retarget.runs import runs
 from kinefilter.scenes import perform
 
 Array = NDArray[np.float64]

@@ -16,9 +16,9 @@ from kinefilter.scenes import (
     SCENES,
     Performance,
     load_scene,
+    movable_props,
     perform,
     prop_poses,
-    props,
 )
 from kinefilter.scenes.ball import ball_path
 from kinefilter.scenes.box import box_path
@@ -300,7 +300,7 @@ def test_every_movable_prop_has_a_pose_in_every_frame(scene: str) -> None:
     act = perform("wave", BODY, seed=0)
     spec = load_scene(scene)
     poses = prop_poses(spec, act)
-    assert tuple(poses) == props(spec)
+    assert tuple(poses) == movable_props(spec)
     model = spec.compile()
     for name, path in poses.items():
         assert path.shape == (len(act), 7)

@@ -17,7 +17,7 @@ from kinefilter.retarget import positions_from_rotations, retargeting
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
 from kinefilter.retarget.rotations import about_y, multiply, rotate, rotation_vector
-from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, found_rig
+from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def giant(name: str, clip: Clip) -> TargetRig:
             bone = rest.positions[n] - rest.positions[parent]
             places[n] = places[parent] + factor * bone
     places = rotate(about_y(-np.pi / 2), places)
-    return found_rig(
+    return matched_rig(
         rig_map, replace(rest, positions=places), standard_body(clip.skeleton)
     )
 
@@ -294,7 +294,7 @@ def test_joints_that_no_part_turns_turn_with_their_parents(
         (*plain.parents, hand, 0),
         np.concatenate([plain.positions, plain.positions[[hand, 0]] + [0.1, 0, 0]]),
     )
-    motion = retarget(clip, found_rig(rig_map, rest, clip.body))
+    motion = retarget(clip, matched_rig(rig_map, rest, clip.body))
     np.testing.assert_array_equal(motion.rotations[:, -2], motion.rotations[:, hand])
     still = motion.positions[:, [0, -1]]
     np.testing.assert_array_equal(

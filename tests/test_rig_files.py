@@ -340,7 +340,7 @@ def test_a_damaged_map_or_target_is_followed_or_refused(
 @pytest.mark.parametrize(
     ("out", "flags", "words"),
     [
-        ("clip.bvh", ["--rig", "maya"], "--rig maya: unknown"),
+        ("clip.bvh", ["--rig", "maya"], "unknown rig 'maya'"),
         ("clip.bvh", ["--rig", "none.toml"], "none.toml"),
         ("clip.csv", ["--rig", "mixamo"], "--rig means nothing to a .csv"),
         ("clip.npz", ["--rig", "mixamo"], "--rig means nothing to a .npz"),

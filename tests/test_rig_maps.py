@@ -169,14 +169,21 @@ def test_a_bad_map_is_refused_naming_file_and_bone(
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"a = [" + b"[" * 100_000, None])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"\xff\xfe\x00", "is no text"),
+        (b"a = [" + b"[" * 100_000, "is no TOML"),
+        (None, r"cannot be read \(No such file or directory\)"),
+    ],
+)
 def test_what_is_no_text_no_map_or_no_file_is_refused(
-    tmp_path: Path, content: bytes | None
+    tmp_path: Path, content: bytes | None, words: str
 ) -> None:
     path = tmp_path / "mine.toml"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(InputError, match=r"mine\.toml"):
+    with pytest.raises(InputError, match=rf"mine\.toml: {words}"):
         load_rig_map(str(path))
 
 

@@ -16,17 +16,18 @@ from kinefilter.characters import (
     Body,
     InputError,
     Skeleton,
+    Tracking,
     standard_body,
 )
-from kinefilter.characters.humanoid import Tracking, build_humanoid, to_mujoco
+from kinefilter.characters.humanoid import build_humanoid, to_mujoco
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.scenes import (
     SCENES,
     Sensor,
     load_scene,
+    movable_props,
     perform,
     prop_poses,
-    props,
     scene_xml,
 )
 
@@ -115,7 +116,7 @@ def test_every_scene_stays_at_rest_for_two_seconds(
 def test_names_are_unique_and_the_movable_props_are_known(scene: str) -> None:
     for body in (None, BODY):
         spec = load_scene(scene, body)
-        assert props(spec) == MOVABLE.get(scene, ())
+        assert movable_props(spec) == MOVABLE.get(scene, ())
         names = _names(spec.compile())
         for kind in ("body", "geom", "actuator"):
             assert all(names[kind])
@@ -301,7 +302,7 @@ def test_a_users_scene_takes_the_character_in(
     np.testing.assert_array_equal(model.opt.gravity, alone.opt.gravity)
     assert model.opt.timestep == alone.opt.timestep
     assert model.nmesh == 1
-    assert props(load_scene(path, BODY)) == ("crate",)
+    assert movable_props(load_scene(path, BODY)) == ("crate",)
     users = load_scene(path).compile()
     np.testing.assert_allclose(model.body("post").quat, users.body("post").quat)
     np.testing.assert_allclose(model.body("crate").mass, users.body("crate").mass)

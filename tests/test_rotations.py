@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -14,15 +15,19 @@ from scipy.spatial.transform import Rotation
 from kinefilter.retarget import rotations
 from kinefilter.retarget.rotations import (
     IDENTITY,
+    about_x,
     about_y,
+    about_z,
     between,
     continuous,
+    cross,
     inverse,
     matrix_from_wxyz,
     multiply,
     normalize,
     rotate,
     rotation_vector,
+    slerp,
     wxyz_from_matrix,
 )
 
@@ -70,10 +75,13 @@ def test_product_inverse_rotation_and_matrix_are_those_of_scipy() -> None:
 
 
 def test_names_compose_like_the_algebra() -> None:
-    a, b = random_rotations(50, 4), random_rotations(50, 5)
+    a, b, c = (random_rotations(50, seed) for seed in (4, 5, 8))
     v = np.random.default_rng(6).normal(size=(50, 3))
     np.testing.assert_allclose(
         rotate(multiply(a, b), v), rotate(a, rotate(b, v)), atol=1e-13
+    )
+    np.testing.assert_allclose(
+        multiply(multiply(a, b), c), multiply(a, multiply(b, c)), atol=1e-14
     )
     np.testing.assert_allclose(rotate(inverse(a), rotate(a, v)), v, atol=1e-13)
     assert_same_rotation(multiply(a, inverse(a)), np.tile(IDENTITY, (50, 1)))
@@ -208,14 +216,63 @@ def test_rotation_vectors_are_those_of_scipy() -> None:
     np.testing.assert_allclose(rotation_vector(q), expected, atol=1e-12)
 
 
-def test_about_y_turns_plus_z_to_plus_x() -> None:
-    z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
-    np.testing.assert_allclose(rotate(about_y(np.pi / 2), z), x, atol=1e-15)
+@pytest.mark.parametrize(
+    ("axis", "about"), [("x", about_x), ("y", about_y), ("z", about_z)]
+)
+def test_a_quarter_turn_about_an_axis_takes_the_next_onto_the_one_after(
+    axis: str, about: Callable[[Array], Array]
+) -> None:
+    k = "xyz".index(axis)
+    after, last = np.roll(np.eye(3), -k - 1, axis=0)[:2]
+    np.testing.assert_allclose(
+        rotate(about(np.array(np.pi / 2)), after), last, atol=1e-15
+    )
     turns = np.linspace(-7.0, 7.0, 12).reshape(3, 4)
     expected = (
-        Rotation.from_euler("y", turns.reshape(-1, 1)).as_matrix().reshape(3, 4, 3, 3)
+        Rotation.from_euler(axis, turns.reshape(-1, 1)).as_matrix().reshape(3, 4, 3, 3)
     )
-    np.testing.assert_allclose(matrix_from_wxyz(about_y(turns)), expected, atol=1e-15)
+    np.testing.assert_allclose(matrix_from_wxyz(about(turns)), expected, atol=1e-15)
+
+
+@given(seed=seeds, angle=angles, flipped=st.booleans(), share=st.floats(0.0, 1.0))
+def test_a_share_of_the_way_is_that_share_of_the_angle(
+    seed: int, angle: float, flipped: bool, share: float
+) -> None:
+    axis, start = axis_of(seed), random_rotations(1, seed)[0]
+    end = multiply(start, turn(axis, angle))
+    there = slerp(start, -end if flipped else end, np.array(share))
+    assert np.linalg.norm(there) == pytest.approx(1.0)
+    part = rotation_vector(multiply(inverse(start), there))
+    # At a half turn both ways are shortest.
+    if angle > np.pi - 1e-7 and part @ axis < 0.0:
+        axis = -axis
+    np.testing.assert_allclose(part, share * angle * axis, atol=1e-7)
+
+
+# What they take
+
+
+def test_lists_are_as_good_as_arrays() -> None:
+    p, q = random_rotations(2, 9)
+    u, v = np.random.default_rng(10).normal(size=(2, 3))
+    for function, arrays in (
+        (multiply, (p, q)),
+        (inverse, (p,)),
+        (normalize, (2.0 * p,)),
+        (rotate, (p, u)),
+        (cross, (u, v)),
+        (between, (u, v)),
+        (about_x, (u,)),
+        (about_y, (u,)),
+        (about_z, (u,)),
+        (rotation_vector, (p,)),
+        (slerp, (p, q, np.array(0.3))),
+        (matrix_from_wxyz, (p,)),
+        (wxyz_from_matrix, (matrix_from_wxyz(p),)),
+        (continuous, (np.array([p, -q]),)),
+    ):
+        lists = [array.tolist() for array in arrays]
+        np.testing.assert_array_equal(function(*lists), function(*arrays))
 
 
 # Signs and lengths
@@ -226,6 +283,12 @@ def test_normalize_scales_to_unit_length_and_makes_zero_the_identity() -> None:
     np.testing.assert_allclose(
         normalize(q), np.array([[1.0, 0, 0, 0], [0, -0.6, 0, 0.8], [1.0, 0, 0, 0]])
     )
+
+
+def test_normalize_invents_nothing_for_what_is_unknown() -> None:
+    q = np.array([[np.nan, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0], [3.0, 0.0, 4.0, 0.0]])
+    expected = [[np.nan] * 4, [1.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.8, 0.0]]
+    np.testing.assert_allclose(normalize(q), expected)
 
 
 @given(seed=seeds, frames=st.integers(1, 12))

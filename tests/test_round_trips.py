@@ -41,7 +41,6 @@ from kinefilter.retarget.rotations import (
     multiply,
     rotate,
     rotation_vector,
-    slerp,
 )
 
 Array = NDArray[np.float64]
@@ -285,17 +284,6 @@ def test_resampled_frames_are_even_whole_and_between_their_neighbors(
         last = np.append(np.diff(time) > 0, True)
         line = np.interp(again.time, time[last], clip.positions[last, root, axis])
         np.testing.assert_allclose(again.positions[:, root, axis], line, atol=1e-9)
-
-
-def test_half_of_a_turn_is_half_of_its_angle() -> None:
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 50, 4))
-    a, b = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (a, b))
-    whole = rotation_vector(multiply(inverse(a), b))
-    for share in (0.0, 0.25, 0.5, 1.0):
-        part = rotation_vector(multiply(inverse(a), slerp(a, b, np.full(50, share))))
-        np.testing.assert_allclose(part, share * whole, atol=1e-7)
-    np.testing.assert_allclose(slerp(a, -a, np.full(50, 0.3)), a, atol=1e-9)
 
 
 def test_csv_and_npz_are_resampled_too(make_clip: MakeClip, tmp_path: Path) -> None:

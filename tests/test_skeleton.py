@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import FrozenInstanceError, fields
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from skeletons import every_skeleton
 
 from kinefilter.characters import (
@@ -263,6 +264,37 @@ def test_a_clip_of_the_wrong_shape_is_refused(name: str) -> None:
     for wrong in (arguments[name][1:], arguments[name][:, 1:], arguments[name][..., 0]):
         with pytest.raises(InputError, match=f"a.csv: {name} has shape"):
             Clip(**{**arguments, name: wrong})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("rotations", [0.0, 0.0, 0.0, 0.0], "rotation of length 0"),
+        ("rotations", [1.0, 0.1, 0.0, 0.0], "rotation of length 1.0"),
+        ("rotations", np.nan, "rotation of length nan"),
+        ("rotations", 1e200, "rotation of length inf"),
+        ("reliability", 7.0, "reliability 7"),
+        ("reliability", -0.1, "reliability -0.1"),
+        ("state", 3, "state 3"),
+        ("deciding_term", 4, "deciding_term 4"),
+        ("origin", 3, "origin 3"),
+    ],
+)
+def test_values_that_no_clip_holds_are_refused_by_frame_and_joint(
+    name: str, value: ArrayLike, words: str
+) -> None:
+    arguments = clip_fields()
+    arguments[name] = arguments[name].copy()
+    arguments[name][2, KINECT_V1.index("Head")] = value
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match=rf"a\.csv: frame 3, Head: {words}"):
+            Clip(**arguments)
+
+
+def test_a_clip_need_not_know_how_reliable_it_is() -> None:
+    arguments = clip_fields()
+    Clip(**{**arguments, "reliability": np.full_like(arguments["reliability"], np.nan)})
 
 
 def test_a_force_per_joint_is_refused() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import (
     InputError,
+    Skeleton,
     State,
     standard_body,
 )
@@ -29,7 +31,7 @@ from kinefilter.scenes.visibility import Sight, look
 Array = NDArray[np.float64]
 
 
-def seen(act: Performance, joint: str, **options) -> float:
+def seen(act: Performance, joint: str, **options: Any) -> float:
     sight = look(act, options.pop("sensor", Sensor()), **options)
     return float(sight.visible[0, act.body.skeleton.index(joint)])
 
@@ -38,7 +40,7 @@ def seen(act: Performance, joint: str, **options) -> float:
 
 
 @every_skeleton
-def test_everything_of_a_t_pose_before_the_sensor_is_seen(skeleton):
+def test_everything_of_a_t_pose_before_the_sensor_is_seen(skeleton: Skeleton) -> None:
     sight = look(posed(body=standard_body(skeleton)), Sensor())
     assert sight.visible.min() > 0.9
     np.testing.assert_array_equal(sight.prop, 0.0)
@@ -47,14 +49,14 @@ def test_everything_of_a_t_pose_before_the_sensor_is_seen(skeleton):
     np.testing.assert_allclose(sight.pull[whole], 0.0, atol=1e-12)
 
 
-def test_what_is_behind_the_trunk_is_not_seen():
+def test_what_is_behind_the_trunk_is_not_seen() -> None:
     behind = posed(ElbowLeft=[-0.25, -0.6, -0.8], WristLeft=[-1.0, 0.0, -0.1])
     before = posed(ElbowLeft=[-0.25, -0.6, 0.8], WristLeft=[-1.0, 0.0, 0.1])
     assert seen(behind, "WristLeft") == 0.0
     assert seen(before, "WristLeft") == 1.0
 
 
-def test_the_nearer_of_two_arms_hides_the_other():
+def test_the_nearer_of_two_arms_hides_the_other() -> None:
     down = posed(yaw=np.pi / 2, ElbowLeft=[0, -1, 0], ElbowRight=[0, -1, 0])
     x = down.positions[0, [index("ElbowLeft"), index("ElbowRight")], 2]
     near, far = ("Left", "Right") if x[0] > x[1] else ("Right", "Left")
@@ -65,13 +67,13 @@ def test_the_nearer_of_two_arms_hides_the_other():
     assert sight.rival[0, index(f"Wrist{near}")] == 0.0
 
 
-def test_a_limb_that_points_at_the_sensor_shows_its_near_end():
+def test_a_limb_that_points_at_the_sensor_shows_its_near_end() -> None:
     forward = look(posed(ElbowLeft=[0, 0, 1]), Sensor())
     assert forward.front[0, index("ElbowLeft")] > 0.1
     assert abs(forward.front[0, index("ElbowRight")]) < 0.03
 
 
-def test_a_half_hidden_part_pulls_towards_what_is_seen():
+def test_a_half_hidden_part_pulls_towards_what_is_seen() -> None:
     act = posed()
     knee = act.positions[0, index("KneeLeft")]
     scene = room_with("screen", (0.01, 0.5, 0.5))  # thin in x, MuJoCo's forward
@@ -84,7 +86,7 @@ def test_a_half_hidden_part_pulls_towards_what_is_seen():
     assert sight.visible[0, index("KneeRight")] == 0.0
 
 
-def test_a_box_in_front_hides_the_legs_while_it_is_there():
+def test_a_box_in_front_hides_the_legs_while_it_is_there() -> None:
     act = posed(2)
     poses = np.tile([1.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0], (2, 1))
     poses[1, 1] = 5.0
@@ -100,7 +102,7 @@ def test_a_box_in_front_hides_the_legs_while_it_is_there():
     )
 
 
-def test_a_prop_in_the_hand_is_a_prop_near_the_hand():
+def test_a_prop_in_the_hand_is_a_prop_near_the_hand() -> None:
     act = posed()
     hand = act.positions[0, index("HandLeft")] + np.array([0.12, 0.0, 0.0])
     poses = {"ball": np.concatenate([to_mujoco(hand), IDENTITY])[None]}
@@ -117,7 +119,7 @@ def test_a_prop_in_the_hand_is_a_prop_near_the_hand():
     np.testing.assert_allclose(away[0, index("HandRight")], 0.0, atol=1e-12)
 
 
-def test_a_part_at_the_depth_of_what_surrounds_it_merges_with_it():
+def test_a_part_at_the_depth_of_what_surrounds_it_merges_with_it() -> None:
     act = posed()
     hand = act.positions[0, index("HandLeft")] - np.array([0.0, 0.0, 0.03])
     poses = {"wall": np.concatenate([to_mujoco(hand), IDENTITY])[None]}
@@ -127,7 +129,7 @@ def test_a_part_at_the_depth_of_what_surrounds_it_merges_with_it():
     assert look(act, Sensor()).merged[0, index("HandLeft")] == 0.0
 
 
-def test_a_frame_is_seen_alike_alone_and_among_others():
+def test_a_frame_is_seen_alike_alone_and_among_others() -> None:
     act = perform("cross_arms", BODY, seed=0)
     sight = look(act, Sensor())
     frame = int(np.argmin(sight.visible.mean(axis=1)))
@@ -149,7 +151,7 @@ def _cut(act: Performance, rows: slice) -> Performance:
 
 @every_skeleton
 @pytest.mark.parametrize("motion", ["sit", "turn", "punch"])
-def test_shares_are_shares(motion, skeleton):
+def test_shares_are_shares(motion: str, skeleton: Skeleton) -> None:
     sight = look(perform(motion, standard_body(skeleton), seed=1), Sensor())
     for name in ("visible", "merged", "rival", "prop"):
         share = getattr(sight, name)
@@ -168,13 +170,15 @@ def test_shares_are_shares(motion, skeleton):
         ({"box": np.zeros((3, 7))}, r"box.*\(3, 7\).*\(1, 7\)"),
     ],
 )
-def test_a_prop_that_does_not_fit_is_refused(poses, message):
+def test_a_prop_that_does_not_fit_is_refused(
+    poses: dict[str, Array], message: str
+) -> None:
     scene = room_with("box", (0.1, 0.1, 0.1))
     with pytest.raises(InputError, match=message):
         look(posed(), Sensor(), scene=scene, prop_poses=poses)
 
 
-def test_the_scene_handed_over_is_not_changed():
+def test_the_scene_handed_over_is_not_changed() -> None:
     scene = room_with("box", (0.1, 0.1, 0.1))
     before = scene.to_xml()
     poses = {"box": np.tile([1.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0], (1, 1))}

@@ -23,7 +23,7 @@ from .plan import Job
 from .row import Row
 from .task import clean_file
 
-__all__ = ["Crew", "Processes", "finished_row"]
+__all__ = ["Crew", "Processes", "failed_row", "finished_row"]
 
 
 class Crew(Protocol):

@@ -26,7 +26,7 @@ from .row import Row
 from .sources import find_sources
 from .store import Store
 
-__all__ = ["Outcome", "Standing", "clean_files"]
+__all__ = ["Outcome", "Standing", "Told", "clean_files"]
 
 _DIED = (
     "the process that cleaned it died, twice; is memory short? 'kinefilter clean' may "

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from kinefilter.characters import SKELETONS, InputError, standard_body
+from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, InputError, standard_body
 
 from .terminal import Skeletons, keep, out
 
@@ -21,7 +21,7 @@ class Character:
 
     out: Annotated[Path, arg(aliases=["-o"])]
     """File to write (.xml)."""
-    height: float = 1.75
+    height: float = STANDARD_HEIGHT
     """Stature [m]."""
     mass: float | None = None
     """Body mass [kg]; default: from the stature."""

@@ -25,7 +25,9 @@ class Simulate:
     out: Annotated[Path, arg(aliases=["-o"])]
     """Take to write (.csv)."""
     motion: str = "walk"
-    """What is done, such as walk, deep_squat, tai_chi or lift_box."""
+    """What is done, such as walk, tai_chi or lift_box. squat, lunge, step_over, sit and
+    raise_leg are as people do them by themselves; deep_squat, inline_lunge,
+    hurdle_step, sit_to_stand and leg_raise are exercises, often done wrong."""
     sensor: Literal["v1", "v2", "azure"] = "v2"
     """Which Kinect looks."""
     skeleton: Skeletons | None = None

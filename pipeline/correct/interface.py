@@ -29,7 +29,7 @@ CORRECTED_TRUST = 0.9
 """Trust in a measurement that was corrected: the smoother may move it too. A guess."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observation:
     """One frame on the standard body, root at the origin, facing +z."""
 
@@ -45,7 +45,7 @@ class Observation:
     """The person's own segment lengths [m], shape (J,)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Correction:
     """The corrected frame, in the same view and size."""
 
@@ -60,7 +60,7 @@ class Correction:
     """How well the method knows the posture, in [0, 1]; NaN: it claims nothing."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObservedTake:
     """A whole take as ``Observation`` shows its frames."""
 

@@ -25,7 +25,7 @@ _MOST_ITERATIONS = 1000
 _TOLERANCE = 1e-7  # of what is left of D - A - E, against D
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Decomposition:
     """D = A + E, as it was found."""
 

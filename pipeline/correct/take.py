@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Origin, Take
 from kinefilter.pipeline.standard import StandardTake
-from kinefilter.retarget.rotations import about_y, multiply
 
 from .hold import Hold
 from .in_turn import InTurn
@@ -21,7 +20,7 @@ __all__ = ["CorrectedTake", "correct_take"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CorrectedTake:
     """A corrected take, on the person's body in the sensor's frame."""
 
@@ -81,5 +80,5 @@ def correct_take(
         if result.rotations is not None:
             if rotations is None:
                 rotations = np.empty((*seen.shape[:2], 4), dtype=np.float32)
-            rotations[k] = multiply(about_y(standard.views.yaw[k]), result.rotations)
+            rotations[k] = standard.views.at(k).restore_rotations(result.rotations)
     return CorrectedTake(standard.undo(positions), rotations, trust, coverage)

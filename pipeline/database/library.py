@@ -33,8 +33,8 @@ from kinefilter.pipeline.reliability.shum import (
 from kinefilter.pipeline.spool import Spool
 from kinefilter.pipeline.training import PairedTake
 from kinefilter.retarget.body_size import Standardizer, measured_body
-from kinefilter.retarget.normalise import find_yaw
-from kinefilter.retarget.orientation import rotations_from_positions
+from kinefilter.retarget.normalize import find_yaw
+from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
 from kinefilter.retarget.rotations import about_y, inverse, multiply, rotate
 from kinefilter.scenes import MOTIONS, perform
 
@@ -247,15 +247,12 @@ def _standardized(
 
     Joints that the source has not hang on their parent as they do at rest.
     """
-    skeleton, standard = body.skeleton, standard_body(body.skeleton)
+    standard = standard_body(body.skeleton)
     weights = np.ones(positions.shape[:2])
     postures, view = Standardizer(body).steps(positions, weights)
     if rotations is not None:
-        rotations = multiply(inverse(about_y(view.yaw))[:, None], rotations)
-    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
-        if np.isnan(postures[:, j]).all():
-            turns = rotations_from_positions(postures, standard)[:, p]
-            postures[:, j] = postures[:, p] + rotate(turns, standard.rest_offsets[j])
+        rotations = view.remove_rotations(rotations)
+    postures = hang_missing(postures, standard)
     return postures, rotations_from_positions(postures, standard, rotations)
 
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body
 from kinefilter.characters.humanoid import GRAVITY, joint_masses
-from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes, runs
+from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes
+from kinefilter.retarget.runs import runs
 
 __all__ = [
     "Quality",

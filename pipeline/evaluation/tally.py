@@ -18,7 +18,7 @@ __all__ = ["Tally"]
 Array = NDArray[np.float64]
 
 
-@dataclass
+@dataclass(eq=False)
 class _Person:
     """What a method did on the clips of one person."""
 

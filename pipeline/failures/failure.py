@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Take
+from kinefilter.retarget.runs import runs
 
-__all__ = ["Failure", "FailureKind", "lasting", "runs"]
+__all__ = ["Failure", "FailureKind", "lasting"]
 
 
 class FailureKind(StrEnum):
@@ -68,15 +69,9 @@ def lasting(
         shortest: Stretches shorter than this are left out [s].
     """
     time = take.time
+    ends = [(run.start, run.stop - 1) for run in runs(frames)]
     return [
         Failure(kind, part, a, b, float(time[a]), float(time[b]))
-        for a, b in runs(frames)
+        for a, b in ends
         if time[b] - time[a] >= shortest
     ]
-
-
-def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first and last index of every run of True."""
-    edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
-    ends = np.flatnonzero(edges == -1) - 1
-    return list(zip(np.flatnonzero(edges == 1).tolist(), ends.tolist(), strict=True))

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Take
+from kinefilter.retarget.runs import runs
 
-from .failure import Failure, FailureKind, runs
+from .failure import Failure, FailureKind
 from .trunk import leftward
 
 __all__ = ["mirrored", "unmirrored"]
@@ -34,7 +35,8 @@ def mirrored(take: Take) -> NDArray[np.bool_]:
     norms = np.maximum(np.linalg.norm(left, axis=1), 1e-9)
     cosines = np.sum(left[lag:] * left[:-lag], axis=1) / (norms[lag:] * norms[:-lag])
     # A turn shows in all pairs of frames that have it between them.
-    turns = [(a + b) // 2 + lag // 2 + 1 for a, b in runs(cosines < np.cos(_SPIN))]
+    spins = runs(cosines < np.cos(_SPIN))
+    turns = [(run.start + run.stop - 1) // 2 + lag // 2 + 1 for run in spins]
     for k, turn in enumerate(turns):
         end = turns[k + 1] if k + 1 < len(turns) else len(take)
         frames[turn:end] = k % 2 == 0

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Take
 
-__all__ = ["leftward", "trunk_axes", "upward"]
+__all__ = ["leftward", "trunk_axes", "unit", "upward"]
 
 Array = NDArray[np.float64]
 

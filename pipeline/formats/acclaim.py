@@ -36,7 +36,7 @@ _ROOT = "root"
 _FREEDOMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
-@dataclass
+@dataclass(eq=False)
 class _Bone:
     """A bone, or the root, which has no length."""
 

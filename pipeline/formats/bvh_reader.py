@@ -16,7 +16,7 @@ from .bvh import Bvh
 from .files import open_text
 from .rows import RowReader
 
-__all__ = ["read_bvh"]
+__all__ = ["LARGEST_NUMBER", "MOST_CELLS", "read_bvh"]
 
 MOST_CELLS = 20_000_000
 """Joints times frames at most: an hour of 75 joints at 60 frames a second."""
@@ -116,7 +116,7 @@ def _header_number(lines: _Lines, key: str, source: str) -> float:
     return number
 
 
-@dataclass
+@dataclass(eq=False)
 class _Hierarchy:
     """The joints read so far."""
 

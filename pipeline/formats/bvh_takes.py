@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take
-from kinefilter.retarget.source_rig import find_rig
+from kinefilter.retarget.source_rig import matching_source_rig
 
 from .bvh_reader import read_bvh
 from .mocap import Mocap, bare_name, kinect_motion
@@ -38,7 +38,7 @@ def read_bvh_take(source: str) -> Recording:
     mocap = read_bvh_mocap(source)
     check_length(len(mocap.positions), source)
     names = [bare_name(name) for name in mocap.names]
-    skeleton = KINECT_V1 if find_rig(names, KINECT_V2, ())[1] else KINECT_V2
+    skeleton = KINECT_V1 if matching_source_rig(names, KINECT_V2, ())[1] else KINECT_V2
     motion = kinect_motion(mocap, skeleton, RIGS)
     state = np.full(motion.positions.shape[:2], State.TRACKED, dtype=np.uint8)
     positions, state = missing_marked(motion.meters * motion.positions, state)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.retarget.rotations import IDENTITY, multiply, rotate
-from kinefilter.retarget.source_rig import SourceRig, find_rig
+from kinefilter.retarget.source_rig import SourceRig, matching_source_rig
 
 __all__ = ["KinectMotion", "Mocap", "bare_name", "kinect_motion"]
 
@@ -80,7 +80,7 @@ def kinect_motion(
         InputError: The joints are of no rig, or are in no frame.
     """
     names = [bare_name(name) for name in mocap.names]
-    rig, missing = find_rig(names, skeleton, known)
+    rig, missing = matching_source_rig(names, skeleton, known)
     if missing:
         raise InputError(
             f"{mocap.source}: no joint {missing[0]!r} ({len(missing)} missing); "

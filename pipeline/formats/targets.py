@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Body, InputError
 from kinefilter.retarget.rig_map import RigMap, load_rig_map
 from kinefilter.retarget.rotations import wxyz_from_matrix
-from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, found_rig
+from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 from .bvh import Bvh
 from .bvh_reader import read_bvh
@@ -48,9 +48,9 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
         return built_rig(rig_map, body)
     suffix = target.suffix.lower()
     if suffix == ".bvh":
-        return found_rig(rig_map, _bvh_rest(target, rig_map), body)
+        return matched_rig(rig_map, _bvh_rest(target, rig_map), body)
     if suffix in _USD:
-        return found_rig(rig_map, _usd_rest(target), body)
+        return matched_rig(rig_map, _usd_rest(target), body)
     raise InputError(f"--target {target}: expected .bvh, {', '.join(_USD)}")
 
 

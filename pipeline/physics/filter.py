@@ -23,7 +23,7 @@ _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PhysicsTrace:
     """What the simulation did, frame by frame; arrays of shape (T,)."""
 
@@ -43,7 +43,7 @@ class PhysicsTrace:
         return "ok" if resets == 0 else f"{resets} diverging frames reset"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PhysicsResult:
     """The simulated motion."""
 

@@ -13,11 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body
+from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.humanoid import (
     GRAVITY,
     PULLS,
-    Tracking,
     build_humanoid,
     from_mujoco,
     joint_masses,
@@ -25,6 +24,7 @@ from kinefilter.characters.humanoid import (
 )
 from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes
 from kinefilter.retarget.rotations import (
+    IDENTITY,
     inverse,
     multiply,
     rotation_vector,
@@ -64,8 +64,19 @@ def _substeps_per_update(dt: float) -> int:
     return max(1, int(np.ceil(dt / (_updates_in(dt) * SUBSTEP) - 1e-3)))
 
 
+def _check_target(positions: Array, rotations: Array) -> None:
+    # Not finite once, the character would never be again.
+    if not (np.isfinite(positions).all() and np.isfinite(rotations).all()):
+        raise InputError(
+            "the target has numbers that are not finite; correct the frame first, "
+            "or leave it out"
+        )
+
+
 class PulledCharacter:
     """Steps the humanoid of one body, frame by frame.
+
+    It stands in T-pose at the origin until ``start`` puts it elsewhere.
 
     Args:
         body: The person.
@@ -133,6 +144,7 @@ class PulledCharacter:
             # The engine's own handler writes a log into the user's working folder; a
             # diverging step is in the trace.
             mujoco.set_mju_user_warning(lambda _: None)
+        self.start(body.rest_positions, np.tile(IDENTITY, (n, 1)))
 
     def start(self, positions: Array, rotations: Array) -> None:
         """Put the character at rest onto a target posture.
@@ -140,7 +152,11 @@ class PulledCharacter:
         Args:
             positions: Target joint positions [m], world frame, shape (J, 3).
             rotations: Target world segment rotations, wxyz, shape (J, 4).
+
+        Raises:
+            InputError: The target is not finite.
         """
+        _check_target(positions, rotations)
         mujoco.mj_resetData(self.model, self.data)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
@@ -194,7 +210,15 @@ class PulledCharacter:
                 last two steps, half a frame late.
             stands: Whether each foot (left, right) bears weight, shape (2,); by
                 default none does and the pulls carry the body.
+
+        Raises:
+            InputError: The target is not finite, or no time passes.
         """
+        _check_target(positions, rotations)
+        if not 0.0 < dt < np.inf:
+            raise InputError(
+                f"a step takes {dt:g} s; give the time since the last one, more than 0"
+            )
         before_p, before_q = self._target
         after_p, after_q = to_mujoco(positions), to_mujoco(rotations)
         flipped = np.vecdot(before_q, after_q) < 0.0
@@ -208,8 +232,9 @@ class PulledCharacter:
         needed = self._masses * (gained + _UP * GRAVITY)
         self.data.xfrc_applied[self._bodies] = 0.0
         self._bear(after_p, needed.sum(axis=0), None if self.limp else stands, dt)
-        for part, force, _ in self._pushes:
-            self.data.xfrc_applied[part, :3] += force
+        for part, force, left in self._pushes:
+            # What is left may be shorter than the frame: the impulse is what was asked.
+            self.data.xfrc_applied[part, :3] += force * min(left / dt, 1.0)
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n, nu = after_p.size, len(self._stiffness)
         # In the segment's own frame, as the torques' axes are.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from kinefilter.characters import Skeleton, State, Term
+from kinefilter.characters import STANDARD_HEIGHT, Skeleton, State, Term
 from kinefilter.retarget import measured_body
 
 from .doubt import DoubtWeights
@@ -26,8 +26,6 @@ __all__ = ["TERMS", "LearnedReliabilityScorer"]
 
 Array = NDArray[np.float64]
 
-_STATURE = 1.75
-"""Stature [m] that positions are scaled to."""
 _LEAST = np.array([[1e-4], [0.05], [3e-3]])
 """Added before the logarithm to noise [m], speed [m/s] and length errors [m]: below,
 differences mean nothing. Guesses."""
@@ -72,7 +70,7 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         weights: DoubtWeights | None = None,
     ) -> None:
         body = measured_body(skeleton, reference.lengths, reference.directions)
-        self._scale = _STATURE / body.height
+        self._scale = STANDARD_HEIGHT / body.height
         self._rest = body.rest_positions - body.rest_positions[skeleton.root]
         self._doubt = weights or _embedded_weights(skeleton)
         index = skeleton.index

@@ -15,7 +15,7 @@ from kinefilter.characters import State, Term
 
 from .shum import ReliabilityScorer
 
-__all__ = ["NoiseReliabilityScorer"]
+__all__ = ["MEMORY", "NoiseReliabilityScorer"]
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,9 @@ __all__ = [
     "Reference",
     "Reliability",
     "ReliabilityScorer",
+    "column_medians",
     "measure_reference",
+    "segment_lengths",
 ]
 
 Array = NDArray[np.float64]
@@ -28,7 +30,7 @@ RATE_FRAMES = 6
 """f_total: frames that the rate looks back on, 0.2 s at 30 Hz (eq. 8)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reference:
     """What the person's segments measure, to tell wrong lengths by."""
 
@@ -44,7 +46,7 @@ class Reference:
     such frame, and these are medians over frames where both ends are tracked."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reliability:
     """Reliability of every joint in every frame."""
 

@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Coded", "decode_png", "encode_png", "encode_video", "video_codec"]
+__all__ = [
+    "Coded",
+    "decode_png",
+    "encode_png",
+    "encode_video",
+    "rate_of",
+    "video_codec",
+]
 
 Pixels = NDArray[np.uint8]
 

@@ -14,11 +14,11 @@ from kinefilter.pipeline.formats.files import check_file
 from kinefilter.pipeline.formats.resample import resampled
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.retarget import (
+    hang_missing,
     measured_body,
     positions_from_rotations,
     rotations_from_positions,
 )
-from kinefilter.retarget.rotations import rotate
 
 from .look import Look
 
@@ -100,13 +100,10 @@ def _posed(take: Take) -> Clip:
             "it is a raw take: clean it, or draw it with --compare beside its clip"
         )
     measured = measure_reference(take)
-    body = measured_body(skeleton, measured.lengths, measured.directions)
-    positions = take.positions.copy()
-    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
-        if lacks[0, j]:
-            turns = rotations_from_positions(positions, body)[:, p]
-            positions[:, j] = positions[:, p] + rotate(turns, body.rest_offsets[j])
-    rotations = rotations_from_positions(positions, body)
+    body = measured_body(
+        skeleton, measured.lengths, measured.directions, source=take.source
+    )
+    rotations = rotations_from_positions(hang_missing(take.positions, body), body)
     root = take.positions[:, skeleton.root]
     return Clip(
         time=take.time,

@@ -13,7 +13,7 @@ from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.run import clean
 from kinefilter.pipeline.training import PairedTake
 from kinefilter.retarget import Standardizer, View
-from kinefilter.retarget.normalise import find_yaw
+from kinefilter.retarget.normalize import find_yaw
 from kinefilter.scenes import perform
 
 from .bone_errors import bone_errors

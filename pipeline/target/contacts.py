@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
+from kinefilter.retarget.runs import runs
 
 from .smooth import smooth
 
@@ -15,7 +16,6 @@ __all__ = [
     "ankles_and_toes",
     "feet_of",
     "find_stance",
-    "runs",
 ]
 
 Array = NDArray[np.float64]
@@ -81,12 +81,6 @@ def find_stance(
 def feet_of(contacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether each foot stands, (T, 2), from its parts (CONTACTS), (T, 4)."""
     return np.asarray(contacts.reshape(-1, 2, 2).any(axis=2))
-
-
-def runs(flags: NDArray[np.bool_]) -> list[slice]:
-    """Return the spans in which flags, shape (T,), are true."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
-    return [slice(a, b) for a, b in edges.reshape(-1, 2)]
 
 
 def _log_odds(time: Array, paths: Array) -> Array:

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 from scipy.stats import linregress
 
 from kinefilter.characters import Body
+from kinefilter.retarget.runs import runs
 
-from .contacts import ankles_and_toes, runs
+from .contacts import ankles_and_toes
 
 __all__ = ["floor_height", "leveled", "put_on_floor", "sensor_tilt", "to_world"]
 

@@ -48,4 +48,5 @@ def corrected_body(
         reference.directions,
         height=height,
         mass=mass,
+        source=take.source,
     )

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
+from kinefilter.retarget.runs import runs
+from kinefilter.retarget.smooth_step import smooth_step
 
-from .contacts import ankles_and_toes, runs
+from .contacts import ankles_and_toes
 from .smooth import smooth
 
 __all__ = ["PLANTED", "flat_height", "plant_feet"]
@@ -163,9 +165,8 @@ def _lift(time: Array, toe: Array, sole: float, stands: NDArray[np.bool_]) -> Ar
 
 
 def _ease(share: Array) -> Array:
-    """Return a smooth step of shares in [0, 1], shape (T, 1, 1)."""
-    share = np.clip(share, 0.0, 1.0)
-    return np.asarray((share**2 * (3.0 - 2.0 * share))[:, None, None])
+    """Return a smooth step of shares, shape (T, 1, 1)."""
+    return smooth_step(share)[:, None, None]
 
 
 def _median(values: Array, weights: Array) -> float:

@@ -41,7 +41,7 @@ _BONES_CUTOFF = 2.0  # Hz; lengths are wrong for longer than joints tremble
 _CHUNK = 4096  # frames at a time: an hour's take fits a gigabyte
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Target:
     """A motion in the world frame, floor at y = 0."""
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS
-from kinefilter.pipeline.target.contacts import runs
+from kinefilter.retarget.runs import runs
 
 __all__ = ["Timeline"]
 

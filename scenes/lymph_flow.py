@@ -9,20 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .gestures import Script
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
 
-__all__ = ["BREATHING"]
-
-_Goal = tuple[float, float, float]
-
-
-def _hands(puppet: Puppet, pose: Pose, goal: _Goal, elbow_to: _Goal) -> Pose:
-    """Put both hands at mirrored places, as ``Puppet.reach``."""
-    for side in (LEFT, RIGHT):
-        pose = pose.with_arm(side, puppet.reach(side, goal, elbow_to))
-    return pose
+__all__ = ["LYMPH_FLOW"]
 
 
 def _breathed(pose: Pose, rng: np.random.Generator, depth: float) -> Pose:
@@ -39,7 +30,9 @@ def _deep_breathing(
     low, flare = rng.uniform(-0.42, -0.2), rng.uniform(0.4, 1.0)
     while score.duration < length:
         tight = (rng.uniform(0.04, 0.12), low + rng.normal(0.0, 0.03), 0.24)
-        closed = _hands(puppet, _breathed(base, rng, -0.6), tight, (flare, -1.0, -0.2))
+        closed = puppet.reach_both(
+            _breathed(base, rng, -0.6), tight, (flare, -1.0, -0.2)
+        )
         opened = _breathed(base, rng, 1.0)
         elevation, plane = rng.uniform(0.3, 1.4), rng.uniform(-0.2, 0.6)
         bend = rng.uniform(0.2, 2.0)
@@ -59,14 +52,14 @@ def _clasp_and_spread(
         kind = rng.choice(["chest", "chest", "head", "behind"])
         if kind == "chest":
             spot = (0.03, rng.uniform(-0.25, 0.02), rng.uniform(0.28, 0.5))
-            closed = _hands(puppet, base, spot, (1.0, -0.6, 0.0))
+            closed = puppet.reach_both(base, spot, (1.0, -0.6, 0.0))
         elif kind == "head":
-            closed = _hands(
-                puppet, base, (0.04, rng.uniform(0.42, 0.55), 0.1), (1, 0, 0.3)
+            closed = puppet.reach_both(
+                base, (0.04, rng.uniform(0.42, 0.55), 0.1), (1, 0, 0.3)
             )
         else:
             spot = (0.12, rng.uniform(0.14, 0.22), -0.06)
-            closed = _hands(puppet, base, spot, (1.0, 0.3, rng.uniform(0.2, 0.9)))
+            closed = puppet.reach_both(base, spot, (1.0, 0.3, rng.uniform(0.2, 0.9)))
         opened = _breathed(base, rng, 0.8)
         elevation, plane = rng.uniform(1.2, 1.8), rng.uniform(-0.35, 0.3)
         bend, turn = rng.uniform(0.1, 0.7), rng.uniform(-0.9, 0.0)
@@ -107,19 +100,19 @@ def _push_down_pumping(
     gap, flare = rng.uniform(0.03, 0.12), rng.uniform(0.6, 1.2)
     while score.duration < length:
         top = (gap, rng.uniform(-0.18, 0.0), rng.uniform(0.22, 0.28))
-        raised = _hands(puppet, _breathed(base, rng, 0.6), top, (flare, -0.5, 0.0))
+        raised = puppet.reach_both(_breathed(base, rng, 0.6), top, (flare, -0.5, 0.0))
         end = (
             gap + rng.uniform(0, 0.12),
             rng.uniform(-0.5, -0.4),
             rng.uniform(0.2, 0.3),
         )
-        pushed = _hands(puppet, _breathed(base, rng, -0.4), end, (1.0, -0.2, -0.4))
+        pushed = puppet.reach_both(_breathed(base, rng, -0.4), end, (1.0, -0.2, -0.4))
         score.to(rng.uniform(0.5, 1.0), raised).hold(rng.uniform(0.05, 0.3))
         score.to(rng.uniform(0.4, 0.9), pushed).hold(rng.uniform(0.05, 0.3))
     return score.to(0.8, base)
 
 
-BREATHING: dict[str, Script] = {
+LYMPH_FLOW: dict[str, Script] = {
     "clasp_and_spread": _clasp_and_spread,
     "deep_breathing": _deep_breathing,
     "overhead_pumping": _overhead_pumping,

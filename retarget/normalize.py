@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ Array = NDArray[np.float64]
 _ACROSS, _SIDES = ("Hip", "Shoulder"), ("Left", "Right")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """Where a character stands and which way it faces."""
 
@@ -26,6 +27,10 @@ class View:
     """Position of the root joint [m], world frame, shape (..., 3)."""
     yaw: Array
     """Heading about the vertical axis [rad], 0 facing +z, shape (...)."""
+
+    def at(self, frames: Any) -> View:
+        """Return the view of some frames, or of one."""
+        return View(self.root[frames], self.yaw[frames])
 
     def remove(self, positions: Array) -> Array:
         """Return positions [m] seen from the root, facing +z, shape (..., J, 3)."""

@@ -1,0 +1,38 @@
+"""How hard a target pulls the humanoid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from .errors import InputError
+
+__all__ = ["Tracking"]
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Gains and bounds of the pull; every one above 0, or InputError is raised."""
+
+    natural_frequency: float = 60.0
+    """Natural frequency of the pull [rad/s]. The gains follow, critically damped, from
+    it and the mass of each part: kp = m w^2, kv = 2 m w. 60 follows a clean
+    motion within 3 mm on average and filters what is faster than 10 Hz."""
+    twist_frequency: float = 40.0
+    """Natural frequency of the torque about the segment axis [rad/s]. A guess."""
+    largest_acceleration: float = 200.0
+    """Bound of the force on a part: its mass times this [m/s^2]. About twice the
+    peak acceleration of a boxer's fist."""
+    largest_angular_acceleration: float = 4000.0
+    """Bound of the torque on a part: the inertia its gains are made for times this
+    [rad/s^2]. A guess."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 < value < np.inf:
+                raise InputError(
+                    f"{field.name} of the tracking is {value:g}; give a finite number "
+                    "above 0"
+                )
