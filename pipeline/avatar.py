@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinefilter.characters import Body, InputError, State, Take, Tracking
 from kinefilter.retarget import (
     BoneLengths,
+    Hands,
     Standardizer,
     View,
     rotations_from_positions,
@@ -91,7 +92,8 @@ class Avatar:
         self._scorer = ReliabilityScorer(skeleton, measure_reference(_at_rest(body)))
         self._standardizer = Standardizer(body)
         self._smoother = OneEuro(skeleton)
-        self._bones, self._stance = BoneLengths(body), StanceTracker()
+        self._bones, self._hands = BoneLengths(body), Hands(skeleton)
+        self._stance = StanceTracker()
         self._ankles, self._toes = ankles_and_toes(skeleton)
         self._flat = flat_height(body, self._toes[0])
         self.start()
@@ -191,7 +193,8 @@ class Avatar:
             self._place = place_of(there[None], self.body.skeleton)
         there = self._place.remove(there)
         there, firmness = self._planted(there, found.trust, step)
-        there = self._bones.project(there[None], firmness[None])[0]
+        on_bones = self._bones.project(there[None], firmness[None])[0]
+        there = self._hands.carried(there, on_bones, found.trust, self.body)
         there = put_on_floor(there[None], self.body)[0]
         prior = found.rotations
         if prior is not None:

@@ -2,6 +2,7 @@
 
 from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths
+from .hands import Hands
 from .kinematics import positions_from_rotations
 from .normalize import View, find_yaw
 from .orientation import hang_missing, rotations_from_positions
@@ -12,6 +13,7 @@ from .target_rig import built_rig, matched_rig
 __all__ = [
     "RIGS",
     "BoneLengths",
+    "Hands",
     "Retargeted",
     "Standardizer",
     "View",

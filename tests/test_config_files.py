@@ -26,14 +26,14 @@ def _parsed(text: str, folder: Path | None = Path("/folder")) -> Settings:
 
 def test_every_kind_of_value_is_taken() -> None:
     found = _parsed(
-        'method = "none"\ncutoff = 4\nphysics = false\nfloor = 0.1\nseed = 3\n'
+        'method = "none"\ncutoff = 4\nadapt = true\nfloor = 0.1\nseed = 3\n'
         'rotation-order = "xyz"\nfps = 24.0\nbody = 2\nformat = "ntu"\n'
         'database = "cmu.npz"\nscene = "box"\n'
     )
     config = CleanConfig(
         method="none",
         cutoff=4.0,
-        physics=False,
+        adapt=True,
         floor=0.1,
         seed=3,
         database=Path("/folder/cmu.npz"),

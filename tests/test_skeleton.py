@@ -276,7 +276,7 @@ def test_a_clip_of_the_wrong_shape_is_refused(name: str) -> None:
         ("reliability", 7.0, "reliability 7"),
         ("reliability", -0.1, "reliability -0.1"),
         ("state", 3, "state 3"),
-        ("deciding_term", 4, "deciding_term 4"),
+        ("deciding_term", 5, "deciding_term 5"),
         ("origin", 3, "origin 3"),
     ],
 )

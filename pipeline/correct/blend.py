@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from kinefilter.characters import Skeleton
-from kinefilter.retarget.rotations import between, rotate
+from kinefilter.retarget import Hands
 
 __all__ = ["Blend", "measurement_trust"]
 
@@ -61,13 +61,7 @@ class Blend:
         for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
             self._laplacian[[j, p], [j, p]] += 1.0
             self._laplacian[[j, p], [p, j]] -= 1.0
-        self._forearms = np.array(
-            [
-                [skeleton.index(part + side) for part in ("Elbow", "Wrist")]
-                for side in ("Left", "Right")
-            ]
-        )
-        self._hands = [skeleton.beyond(wrist) for wrist in self._forearms[:, 1]]
+        self._hands = Hands(skeleton)
 
     def __call__(self, prior: Array, measured: Array, trust: Array) -> Array:
         """Return the blended posture [m], shape (J, 3).
@@ -80,19 +74,9 @@ class Blend:
         if trust.min() >= 1.0:
             return measured.copy()
         blended = self._spread(prior, measured, trust)
-        if all(trust[hand].min() >= 1.0 for hand in self._hands):
-            return blended
-        return self._spread(self._turned(prior, blended), measured, trust)
-
-    def _turned(self, prior: Array, blended: Array) -> Array:
-        """Return the prior with its hands turned as the blend turned its forearms."""
-        turned = prior.copy()
-        elbows, wrists = self._forearms.T
-        before, after = (p[wrists] - p[elbows] for p in (prior, blended))
-        turns = between(before, after)
-        for wrist, hand, turn in zip(wrists, self._hands, turns, strict=True):
-            turned[hand] = prior[wrist] + rotate(turn, prior[hand] - prior[wrist])
-        return turned
+        # Again, with hands on the forearms as they are now.
+        turned = self._hands.turned(prior, blended)
+        return self._spread(turned, measured, trust)
 
     def _spread(self, prior: Array, measured: Array, trust: Array) -> Array:
         """Return the prior moved by the spread residual [m], shape (J, 3)."""

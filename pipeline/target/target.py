@@ -17,6 +17,7 @@ from kinefilter.characters import Body
 from kinefilter.pipeline.correct.take import CorrectedTake
 from kinefilter.retarget import (
     BoneLengths,
+    Hands,
     positions_from_rotations,
     rotations_from_positions,
 )
@@ -113,7 +114,8 @@ def make_target(
     firmness = np.maximum(trust, _LEAST_FIRMNESS)
     for part in ankles_and_toes(skeleton):
         firmness[:, part] = np.where(stands, PLANTED, firmness[:, part])
-    positions = _on_bones(time, put_on_floor(planted, body), firmness, body)
+    placed = put_on_floor(planted, body)
+    positions = _on_bones(time, placed, firmness, trust, body)
     twist = _smooth_twist(time, corrected.rotations)
     return Target(
         positions,
@@ -124,14 +126,19 @@ def make_target(
     )
 
 
-def _on_bones(time: Array, positions: Array, firmness: Array, body: Body) -> Array:
+def _on_bones(
+    time: Array, positions: Array, firmness: Array, trust: Array, body: Body
+) -> Array:
     """Return positions with the body's bone lengths, as smooth as they were before.
 
     What the lengths ask for trembles with the noise of neighbors, so it is smoothed,
     and the lengths are restored once more by what little is then missing.
     """
     bones = BoneLengths(body)
-    moved = bones.project(positions, firmness) - positions
+    moved = Hands(body.skeleton).carried(
+        positions, bones.project(positions, firmness), trust, body
+    )
+    moved -= positions
     moved = smooth(time, moved, np.ones(firmness.shape), cutoff=_BONES_CUTOFF)
     return put_on_floor(bones.project(positions + moved, firmness), body)
 

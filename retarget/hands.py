@@ -1,0 +1,77 @@
+"""Hands that nobody saw follow their forearms."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body, Skeleton
+
+from .rotations import between, rotate
+
+__all__ = ["Hands"]
+
+Array = NDArray[np.float64]
+
+
+class Hands:
+    """Turns hands as their forearms are turned.
+
+    Who moves an elbow or a wrist turns the forearm. A hand that was measured stays
+    where it is; one that was invented would hang bent if it did not turn too.
+
+    Args:
+        skeleton: Whose hands they are.
+    """
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        self._parents = np.array(skeleton.parents)
+        self._arms = [
+            (skeleton.index(f"Elbow{side}"), wrist, skeleton.beyond(wrist))
+            for side in ("Left", "Right")
+            for wrist in [skeleton.index(f"Wrist{side}")]
+        ]
+
+    def turned(self, before: Array, after: Array) -> Array:
+        """Return the postures before, their hands turned as their forearms will be.
+
+        Args:
+            before: Joint positions [m], shape (..., J, 3).
+            after: Those with the forearms as they will be, shape (..., J, 3).
+        """
+        turned = before.copy()
+        for elbow, wrist, hand in self._arms:
+            turn = _turn(before, after, elbow, wrist)[..., None, :]
+            at = before[..., [wrist], :]
+            turned[..., hand, :] = at + rotate(turn, before[..., hand, :] - at)
+        return turned
+
+    def carried(self, before: Array, after: Array, trust: Array, body: Body) -> Array:
+        """Return the postures after, hands less trusted turned as their forearms were.
+
+        Args:
+            before: Joint positions [m], shape (..., J, 3).
+            after: Those after joints were moved, shape (..., J, 3).
+            trust: How far each joint of a hand stays where it is, in [0, 1], (..., J).
+            body: Whose bone lengths hands have.
+        """
+        carried = after.copy()
+        for elbow, wrist, hand in self._arms:
+            turn = _turn(before, after, elbow, wrist)
+            for j in hand:
+                p, share = self._parents[j], trust[..., j, None]
+                follows = rotate(turn, _unit(before[..., j, :] - before[..., p, :]))
+                stays = _unit(after[..., j, :] - after[..., p, :])
+                bone = _unit(share * stays + (1.0 - share) * follows)
+                carried[..., j, :] = carried[..., p, :] + body.lengths[j] * bone
+        return carried
+
+
+def _turn(before: Array, after: Array, elbow: int, wrist: int) -> Array:
+    forearms = (p[..., wrist, :] - p[..., elbow, :] for p in (before, after))
+    return between(*forearms)
+
+
+def _unit(vectors: Array) -> Array:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(lengths, 1e-9))
