@@ -58,7 +58,7 @@ def load_model(path: Path) -> Model:
         raise InputError(f"{path}: no such model; make one with 'kinefilter train'")
     arrays = read_arrays(path, "a model of 'kinefilter train'")
     try:
-        version, method = int(arrays["version"]), str(arrays["method"])
+        version, method = int(arrays["version"].item()), str(arrays["method"])
         skeleton = skeleton_named(str(arrays["skeleton"]))
         source = str(arrays["trained_on"])
     except InputError as error:

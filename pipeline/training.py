@@ -116,7 +116,7 @@ def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
     missing = np.isnan(kinect).any(axis=2)
     state = arrays.get("state", np.full(missing.shape, State.TRACKED))
     state = np.where(missing, State.NOT_TRACKED, state).astype(np.uint8)
-    fps, subject = float(arrays["fps"]), str(arrays["subject"])
+    fps, subject = float(arrays["fps"].item()), str(arrays["subject"])
     if not 0.01 < fps < 1e4:
         raise InputError(
             f"{path}: fps is {fps:g}, expected frames a second, such as 30"

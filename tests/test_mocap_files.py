@@ -93,7 +93,7 @@ lower 0
 
 def turn(axes: str, *degrees: float) -> Array:
     """Return the matrix of turns about fixed axes, by SciPy."""
-    return np.asarray(Rotation.from_euler(axes, degrees, degrees=True).as_matrix())
+    return Rotation.from_euler(axes, degrees, degrees=True).as_matrix().reshape(3, 3)
 
 
 def test_amc_bones_end_where_matrices_put_them(tmp_path: Path) -> None:

@@ -231,7 +231,7 @@ class ClusteredGP:
         model = cls(skeleton)
         model.rows_, model.weights_ = arrays["rows"], arrays["weights"]
         model.people_, model.bones_ = arrays["people"], arrays["bones"]
-        noise = float(arrays["noise"])
+        noise = float(arrays["noise"].item())
         model.kernel_ = Kernel(arrays["variances"], arrays["scales"], 0.0, noise)
         model.joints_, model.seen_ = arrays["joints"], arrays["seen"]
         model._prepare()

@@ -112,9 +112,9 @@ class Exemplar:
     @classmethod
     def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
         """Return the fitted corrector that ``arrays`` described."""
-        model = cls(skeleton, neighbors=int(arrays["neighbors"]))
+        model = cls(skeleton, neighbors=int(arrays["neighbors"].item()))
         model.postures_, model.offsets_ = arrays["postures"], arrays["offsets"]
         model.joints_, model.seen_ = arrays["joints"], arrays["seen"]
-        model.width_ = float(arrays["width"])
+        model.width_ = float(arrays["width"].item())
         model._prepare()
         return model

@@ -98,8 +98,8 @@ def _clip(archive: dict[str, Any]) -> Clip:
         body=Body(skeleton=skeleton, **measures),
         source=str(archive["source"]),
         props=tuple(_props(archive)),
-        tilt=float(frame["tilt"]),
-        floor=float(frame["floor"]),
+        tilt=np.asarray(frame["tilt"]).item(),
+        floor=np.asarray(frame["floor"]).item(),
     )
 
 
