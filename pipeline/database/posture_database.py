@@ -124,7 +124,7 @@ class PostureDatabase:
         try:
             skeleton = skeleton_named(str(arrays["skeleton"]))
             shape = (len(arrays["labels"]), len(skeleton))
-            recorded = bool(arrays.get("recorded", False))
+            recorded = bool(np.asarray(arrays.get("recorded", False)).item())
             sound = (
                 arrays["positions"].shape == (*shape, 3)
                 and arrays["rotations"].shape == (*shape, 4)
