@@ -83,8 +83,7 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
 
 def _clip(archive: dict[str, Any]) -> Clip:
     skeleton = skeleton_named(str(archive["skeleton"]))
-    # [()] makes a number of an array without axes and leaves the others.
-    measures = {name: archive[name][()] for name in _BODY}
+    measures: dict[str, Any] = {name: archive[name] for name in _BODY}
     arrays = {name: archive[name] for name in _ARRAYS}
     frame = {name: archive.get(name, np.nan) for name in _FRAME}
     for name, array in (*arrays.items(), *measures.items(), *frame.items()):
@@ -92,10 +91,11 @@ def _clip(archive: dict[str, Any]) -> Clip:
             raise InputError(f"{name} holds no numbers; write the clip again")
     if arrays["time"].dtype.kind != "f":
         raise InputError("time holds no numbers; write the clip again")
+    numbers = {name: measures[name].item() for name in ("height", "mass")}
     return Clip(
         **arrays,
         skeleton=skeleton,
-        body=Body(skeleton=skeleton, **measures),
+        body=Body(skeleton=skeleton, **(measures | numbers)),
         source=str(archive["source"]),
         props=tuple(_props(archive)),
         tilt=np.asarray(frame["tilt"]).item(),
