@@ -32,20 +32,6 @@ class Hands:
             for wrist in [skeleton.index(f"Wrist{side}")]
         ]
 
-    def turned(self, before: Array, after: Array) -> Array:
-        """Return the postures before, their hands turned as their forearms will be.
-
-        Args:
-            before: Joint positions [m], shape (..., J, 3).
-            after: Those with the forearms as they will be, shape (..., J, 3).
-        """
-        turned = before.copy()
-        for elbow, wrist, hand in self._arms:
-            turn = _turn(before, after, elbow, wrist)[..., None, :]
-            at = before[..., [wrist], :]
-            turned[..., hand, :] = at + rotate(turn, before[..., hand, :] - at)
-        return turned
-
     def carried(self, before: Array, after: Array, trust: Array, body: Body) -> Array:
         """Return the postures after, hands less trusted turned as their forearms were.
 

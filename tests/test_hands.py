@@ -51,17 +51,6 @@ def test_a_measured_hand_stays_as_far_as_its_bones_let_it(skeleton: Skeleton) ->
     np.testing.assert_allclose(carried[others], after[others], atol=1e-12)
 
 
-@every_skeleton
-def test_a_prior_is_turned_about_its_own_wrists(skeleton: Skeleton) -> None:
-    rest = standard_body(skeleton).rest_positions
-    after, turned, (_, wrist), hand = _bent(skeleton)
-    found = Hands(skeleton).turned(rest, after)
-    np.testing.assert_array_equal(found[wrist], rest[wrist])
-    np.testing.assert_allclose(
-        found[hand] - found[wrist], turned[hand] - turned[wrist], atol=1e-12
-    )
-
-
 def test_no_hand_of_the_sample_hangs_bent() -> None:
     clip = clean(sample_take()).clip
     index = clip.skeleton.index

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from kinefilter.characters import Skeleton
-from kinefilter.retarget import Hands
 
 __all__ = ["Blend", "measurement_trust"]
 
@@ -51,8 +50,7 @@ class Blend:
     the others: it minimizes sum of w_j |r_j - residual_j|^2 + sum over bones of
     |r_j - r_parent|^2 with w = trust / (1 - trust). Trusted joints end where they were
     measured, the others keep the prior's bones as far as their neighbors allow, and the
-    result is continuous in the trust. A hand that is not trusted turns with its
-    forearm: kept as it was in the room, it would hang bent from a wrist put elsewhere.
+    result is continuous in the trust.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -61,7 +59,6 @@ class Blend:
         for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
             self._laplacian[[j, p], [j, p]] += 1.0
             self._laplacian[[j, p], [p, j]] -= 1.0
-        self._hands = Hands(skeleton)
 
     def __call__(self, prior: Array, measured: Array, trust: Array) -> Array:
         """Return the blended posture [m], shape (J, 3).
@@ -73,13 +70,6 @@ class Blend:
         """
         if trust.min() >= 1.0:
             return measured.copy()
-        blended = self._spread(prior, measured, trust)
-        # Again, with hands on the forearms as they are now.
-        turned = self._hands.turned(prior, blended)
-        return self._spread(turned, measured, trust)
-
-    def _spread(self, prior: Array, measured: Array, trust: Array) -> Array:
-        """Return the prior moved by the spread residual [m], shape (J, 3)."""
         residual = np.where(trust[:, None] > 0.0, measured - prior, 0.0)
         weights = trust / np.maximum(1.0 - trust, 1.0 / _FIRMEST)
         matrix = self._laplacian.copy()
