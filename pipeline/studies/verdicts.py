@@ -57,11 +57,11 @@ def _judged(
     if claim.recordings and not recordings:
         return Verdict(claim, None, None, "not measured: no recordings")
     cell = cells.get((claim.row, claim.column), "")
-    if not cell:
-        return Verdict(claim, None, False)
-    measured = float(cell)
-    if quick:
+    measured = float(cell) if cell else None
+    if quick:  # which leaves out rows, too
         return Verdict(claim, measured, None, "not judged: --quick")
+    if measured is None:
+        return Verdict(claim, None, False)
     return Verdict(claim, measured, claim.holds(measured))
 
 
