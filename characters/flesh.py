@@ -136,7 +136,7 @@ def flesh_of(body: Body) -> Flesh:
 def _radii(body: Body) -> Array:
     """Return the radius of each segment [m], thighs apart, shape (J,)."""
     skeleton, radii = body.skeleton, body.radii.copy()
-    hips = body.rest_positions[[skeleton.index("HipLeft"), skeleton.index("HipRight")]]
+    hips = body.rest_positions[skeleton.hips]
     widest = _APART * float(np.linalg.norm(hips[0] - hips[1]))
     legs = [j for j, n in enumerate(skeleton.joints) if n.startswith(("Knee", "Ankle"))]
     radii[legs] = np.minimum(radii[legs], widest)

@@ -51,6 +51,16 @@ class Skeleton:
         return self.parents.index(-1)
 
     @cached_property
+    def hips(self) -> NDArray[np.intp]:
+        """Indices of the left and the right hip."""
+        return np.array([self.index("HipLeft"), self.index("HipRight")])
+
+    @cached_property
+    def girdle(self) -> int:
+        """Index of the joint of the spine that the shoulders hang on."""
+        return self.parents[self.index("ShoulderLeft")]
+
+    @cached_property
     def order(self) -> tuple[int, ...]:
         """Joint indices with every parent before its children, root first."""
         ordered = [self.root]

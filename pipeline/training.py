@@ -185,7 +185,7 @@ def _standardized(pair: PairedTake) -> tuple[Array, Array, Array, Array]:
     body = measured_body(skeleton, reference.lengths, reference.directions)
     reliability = ReliabilityScorer(skeleton, reference).score(take)
     standard = standardize_take(take, body, reliability)
-    hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
+    hips = skeleton.hips
     # E is relative to the hips' middle, so that is what the two sides share.
     shift = take.positions[:, hips].mean(axis=1) - pair.truth[:, hips].mean(axis=1)
     truth = standard.alongside(pair.truth + shift[:, None], take.positions)

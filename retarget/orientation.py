@@ -92,7 +92,7 @@ def _from_rest_pelvis(body: Body) -> Array:
 def _pelvis_frame(
     positions: Array, skeleton: Skeleton
 ) -> tuple[Array, NDArray[np.bool_]]:
-    left, right = skeleton.index("HipLeft"), skeleton.index("HipRight")
+    left, right = skeleton.hips
     (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
     across = positions[..., left, :] - positions[..., right, :]
     return _frame(across, positions[..., spine, :] - positions[..., skeleton.root, :])

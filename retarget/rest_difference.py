@@ -43,13 +43,9 @@ def segment_of(skeleton: Skeleton, part: str) -> int:
     side, _, limb = part.partition(" ")
     if limb:
         return skeleton.index(f"{_SEGMENTS[limb]}{side.capitalize()}")
-    head, chest = skeleton.index("Head"), _chest(skeleton)
+    head, chest = skeleton.index("Head"), skeleton.girdle
     neck = head if skeleton.parents[head] == chest else skeleton.parents[head]
     return {"pelvis": skeleton.root, "neck": neck, "head": head}[part]
-
-
-def _chest(skeleton: Skeleton) -> int:
-    return skeleton.parents[skeleton.index("ShoulderLeft")]
 
 
 def turned(clip: Clip, rig: TargetRig) -> dict[int, Array]:
@@ -69,8 +65,8 @@ def turned(clip: Clip, rig: TargetRig) -> dict[int, Array]:
         segment = clip.rotations[:, segment_of(clip.skeleton, part)]
         turn = multiply(segment, _difference(rig, part, clip.body, facing))
         turns.update(dict.fromkeys(joints, turn))
-    lower = clip.rotations[:, clip.skeleton.parents[_chest(clip.skeleton)]]
-    upper = clip.rotations[:, _chest(clip.skeleton)]
+    lower = clip.rotations[:, clip.skeleton.parents[clip.skeleton.girdle]]
+    upper = clip.rotations[:, clip.skeleton.girdle]
     spine = rig.parts["spine"]
     for k, joint in enumerate(spine):
         # From the lowest, which the lower spine turns, to the chest.

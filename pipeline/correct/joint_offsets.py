@@ -50,15 +50,14 @@ class JointOffsets:
         self.skeleton = skeleton
         self.samples = samples
         self.seed = seed
-        index, root = skeleton.index, skeleton.root
-        self._girdle = skeleton.parents[index("ShoulderLeft")]
+        root, (left, right) = skeleton.root, skeleton.hips
         first = [next(iter(skeleton.children[j]), j) for j in range(len(skeleton))]
         # The segment that starts at a joint; a leaf has one segment only.
         self._starting = np.array(first)
         # The segment that ends at each joint, the root's being one that starts there,
         # and the line through the hips.
-        self._ends = np.array([*range(len(skeleton)), index("HipLeft")])
-        self._starts = np.array([*skeleton.parents, index("HipRight")])
+        self._ends = np.array([*range(len(skeleton)), left])
+        self._starts = np.array([*skeleton.parents, right])
         self._ends[root], self._starts[root] = first[root], root
         self._hold = Hold(skeleton)
 
@@ -123,7 +122,8 @@ class JointOffsets:
         along = _unit(postures[..., self._ends, :] - postures[..., self._starts, :])
         ending, across = along[..., :-1, :], along[..., -1:, :]
         starting = ending[..., self._starting, :]
-        spine = postures[..., self._girdle, :] - postures[..., self.skeleton.root, :]
+        girdle = postures[..., self.skeleton.girdle, :]
+        spine = girdle - postures[..., self.skeleton.root, :]
         ahead = _unit(cross(across, spine[..., None, :]))
         vectors = np.empty((*postures.shape, 6))
         vectors[..., 0] = ending

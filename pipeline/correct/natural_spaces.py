@@ -46,7 +46,7 @@ class NaturalSpaces:
             for j, name in enumerate(names)
             if "Hand" not in name and "Thumb" not in name
         ]
-        self._hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
+        self._hips = skeleton.hips
         self._carrier = np.arange(len(skeleton))
         for j in skeleton.order:
             if j not in self._joints:

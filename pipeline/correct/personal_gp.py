@@ -52,7 +52,6 @@ class PersonalGP:
         self.samples = samples
         self.seed = seed
         self._hold = Hold(skeleton)
-        self._hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
         self._lengths = standard_body(skeleton).lengths
         self.start()
 
@@ -127,7 +126,7 @@ class PersonalGP:
 
     def _features(self, posture: Array) -> Array:
         """Return posture, movement and length features, and remember the posture."""
-        points = (posture - posture[self._hips].mean(axis=0)).ravel()
+        points = (posture - posture[self.skeleton.hips].mean(axis=0)).ravel()
         self._past = [*self._past[-_LOOKING_BACK:], points]
         back = self._past[0]
         errors = segment_lengths(posture, self.skeleton) - self._lengths

@@ -29,7 +29,6 @@ class Accuracy:
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
         self.limbs = [skeleton.index(joint) for joint in LIMBS]
-        self._hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
         self._lengths = standard_body(skeleton).lengths
 
     def distances(self, positions: Array, truth: Array) -> Array:
@@ -60,7 +59,7 @@ class Accuracy:
         return self._from_hips(positions) - self._from_hips(truth)
 
     def _from_hips(self, positions: Array) -> Array:
-        middle = positions[:, self._hips].mean(axis=1, keepdims=True)
+        middle = positions[:, self.skeleton.hips].mean(axis=1, keepdims=True)
         return np.asarray((positions - middle)[:, self.limbs])
 
     def _standard(self, positions: Array) -> Array:
@@ -72,10 +71,9 @@ class Accuracy:
         skeleton = self.skeleton
         standard = np.full_like(positions, np.nan)
         standard[:, skeleton.root] = 0.0
-        girdle = skeleton.parents[skeleton.index("ShoulderLeft")]
         for j in skeleton.order[1:]:
             parent, length = skeleton.parents[j], self._lengths[j]
-            if j == girdle:
+            if j == skeleton.girdle:
                 length += self._lengths[parent]
                 parent = skeleton.root
             bone = positions[:, j] - positions[:, parent]

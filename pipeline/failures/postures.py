@@ -56,10 +56,10 @@ def through_head(take: Take, side: str) -> NDArray[np.bool_]:
     Sensors lose an arm behind the head or beyond it, and then see one in the head.
     """
     skeleton = take.skeleton
-    neck = skeleton.parents[skeleton.index("ShoulderLeft")]
     elbow, wrist = _joint(take, "Elbow", side), _joint(take, "Wrist", side)
+    neck = take.positions[:, skeleton.girdle]
     head = take.positions[:, skeleton.index("Head")]
-    apart = _distances(elbow, _FOREARM * (wrist - elbow), take.positions[:, neck], head)
+    apart = _distances(elbow, _FOREARM * (wrist - elbow), neck, head)
     apart = np.nan_to_num(apart, nan=np.inf)
     return np.asarray(_steady(take, apart) < _CLEARANCE)
 

@@ -26,8 +26,8 @@ def leftward(take: Take) -> Array:
 def upward(take: Take) -> Array:
     """Return the vector from the root to the middle of the shoulders [m], (T, 3)."""
     skeleton = take.skeleton
-    girdle = skeleton.parents[skeleton.index("ShoulderLeft")]
-    return np.asarray(take.positions[:, girdle] - take.positions[:, skeleton.root])
+    girdle = take.positions[:, skeleton.girdle]
+    return np.asarray(girdle - take.positions[:, skeleton.root])
 
 
 def trunk_axes(take: Take) -> tuple[Array, Array, Array]:

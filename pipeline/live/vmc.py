@@ -61,9 +61,8 @@ class VmcFigure:
         self._segments = segments
         self._spine = list(self.rig.parts["spine"])
         self._shares = np.linspace(0.0, 1.0, len(self._spine))
-        chest = skeleton.parents[skeleton.index("ShoulderLeft")]
+        chest = skeleton.girdle
         self._trunk = (skeleton.parents[chest], chest)
-        self._hips = [skeleton.index(f"Hip{side.capitalize()}") for side in SIDES]
         self._over_hips = self._rest_over_hips()
         bones = [("/VMC/Ext/Bone/Pos", (name, *_AT_ORIGIN)) for name in self._names]
         self._packets = Packets(
@@ -107,7 +106,7 @@ class VmcFigure:
         above = np.where(self._root[:, None], IDENTITY, turns[self._parents])
         local = self._local.copy()
         over, higher = self._over_hips
-        hips = pose.positions[self._hips].mean(axis=0) + higher
+        hips = pose.positions[self.body.skeleton.hips].mean(axis=0) + higher
         local[self._root] = hips + rotate(turns[self._root], over)
         places = local * _MIRRORED
         rotations = multiply(inverse(above), turns) * _TURNED

@@ -73,9 +73,6 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         self._scale = STANDARD_HEIGHT / body.height
         self._rest = body.rest_positions - body.rest_positions[skeleton.root]
         self._doubt = weights or _embedded_weights(skeleton)
-        index = skeleton.index
-        self._hips = index("HipLeft"), index("HipRight")
-        self._girdle = skeleton.parents[index("ShoulderLeft")]
         own = np.arange(len(skeleton))
         before = np.maximum(skeleton.parents, 0)
         after = [next(iter(skeleton.children[j]), j) for j in own]
@@ -131,7 +128,7 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         if not missing[self.skeleton.root, 0]:
             self._root = positions[self.skeleton.root].copy()
         self._posture = np.where(missing, self._posture, positions - self._root)
-        left, right = self._hips
+        left, right = self.skeleton.hips
         relative = self._posture - 0.5 * (self._posture[left] + self._posture[right])
         if self._relative is not None:
             away = relative - self._relative
@@ -157,9 +154,10 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         of the segment that ends at the joint and of the first that starts there. Of
         joints on the right the mirror image.
         """
-        left, right = self._hips
+        left, right = self.skeleton.hips
         across = posture[left] - posture[right]
-        ahead = _cross(across, posture[self._girdle] - posture[self.skeleton.root])
+        spine = posture[self.skeleton.girdle] - posture[self.skeleton.root]
+        ahead = _cross(across, spine)
         frame = _unit(np.array([across, _cross(ahead, across), ahead]))
         parts = np.empty((3, *posture.shape))
         parts[0] = self._scale * posture

@@ -49,9 +49,8 @@ def _lesson(pair: PairedTake) -> tuple[Array, Array]:
     scorer = LearnedReliabilityScorer(skeleton, measure_reference(take), nothing)
     frames = zip(take.positions, take.state, take.time, strict=True)
     clues = [scorer.clues(p, state, float(time)) for p, state, time in frames]
-    hips = [skeleton.index("HipLeft"), skeleton.index("HipRight")]
     away = take.positions - pair.truth
-    away = away - away[:, hips].mean(axis=1, keepdims=True)
+    away = away - away[:, skeleton.hips].mean(axis=1, keepdims=True)
     distance = np.linalg.norm(away, axis=2)
     far = np.where(np.isnan(distance), np.nan, distance > FAR_OFF)
     return np.array(clues[::_EVERY]), far[::_EVERY]

@@ -99,20 +99,19 @@ def _trunk_directions(take: Take) -> Array:
     """Return the median direction of trunk segments in the trunk's frame, (J, 3)."""
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
-    girdle = skeleton.parents[skeleton.index("ShoulderLeft")]
     trunk = [
         *(
             skeleton.index(p + s)
             for p in ("Hip", "Shoulder")
             for s in ("Left", "Right")
         ),
-        *_chain(skeleton, girdle),
+        *_chain(skeleton, skeleton.girdle),
     ]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
     if not seen.any():
         return directions
     points = take.positions[seen]
-    up = points[:, girdle] - points[:, skeleton.root]
+    up = points[:, skeleton.girdle] - points[:, skeleton.root]
     left = sum(
         points[:, skeleton.index(f"{p}Left")] - points[:, skeleton.index(f"{p}Right")]
         for p in ("Hip", "Shoulder")
@@ -149,8 +148,7 @@ def column_medians(values: Array) -> Array:
 def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
     """Tell the frames in T-pose or standing: legs and arms straight, trunk upright."""
     skeleton = take.skeleton
-    girdle = skeleton.parents[skeleton.index("ShoulderLeft")]
-    trunk = take.positions[:, girdle] - take.positions[:, skeleton.root]
+    trunk = take.positions[:, skeleton.girdle] - take.positions[:, skeleton.root]
     upright = trunk[:, 1] > 0.94 * np.linalg.norm(trunk, axis=1)  # within 20 degrees
     sideways, down = [], []
 

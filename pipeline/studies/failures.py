@@ -84,8 +84,7 @@ def _near(pair: PairedTake) -> bool:
     """Tell whether no limb is far from the mocap for long."""
     index = pair.take.skeleton.index
     apart = pair.take.positions - pair.truth
-    hips = [index("HipLeft"), index("HipRight")]
-    apart -= apart[:, hips].mean(axis=1, keepdims=True)
+    apart -= apart[:, pair.take.skeleton.hips].mean(axis=1, keepdims=True)
     joints = [index(j + side) for j in _JOINTS for side in ("Left", "Right")]
     off: Array = np.nan_to_num(np.linalg.norm(apart[:, joints], axis=2))
     limbs = off.reshape(len(off), 2, 2, 2).max(axis=2)  # time, arm or leg, joint, side
