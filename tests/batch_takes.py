@@ -26,6 +26,7 @@ class Here:
     """Does jobs in the test's own process, which is quick to begin."""
 
     room = 2
+    idle = False
 
     def __init__(self, *_: object) -> None:
         self.jobs: list[Job] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from importlib.util import find_spec
@@ -13,11 +14,13 @@ import pytest
 from batch_faults import (
     batch,
     begin,
+    begin_worker,
     check,
     clip_hashes,
     killed_until_done,
     killed_workers,
     rows_done,
+    scheduler,
 )
 from batch_takes import short_take
 from dying import clean_or_die
@@ -96,3 +99,21 @@ def test_a_cluster_whose_workers_die_does_every_take_once(tmp_path: Path) -> Non
     assert begin(batch(takes, tmp_path / "whole", *options)).wait() == 0
     assert killed >= 1
     check(tmp_path / "clips", tmp_path / "whole", "cluster")
+
+
+@needs_dask
+def test_who_waits_for_a_worker_is_told_so(tmp_path: Path) -> None:
+    takes = _takes(tmp_path / "takes", "one")
+    with scheduler() as address:
+        command = batch(takes, tmp_path / "clips", *QUICK, "--scheduler", address)
+        run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        assert run.stderr is not None
+        assert f"dask worker {address}" in run.stderr.readline()
+        worker = begin_worker(address, tmp_path / "worker")
+        try:
+            assert run.communicate()[1] == ""  # once
+            assert run.returncode == 0
+        finally:
+            worker.kill()
+            worker.wait()
+    assert rows_done(tmp_path / "clips") == ["one.csv"]

@@ -159,3 +159,17 @@ def test_an_unknown_body_is_refused_and_nothing_is_written(tmp_path: Path) -> No
     path = write_text(tmp_path / "a", ntu_text([made_up()]))
     assert main(["clean", str(path), "-o", str(tmp_path / "c.usda"), "--body=3"]) == 2
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("written", ["--save-contacts", "-o"])
+def test_no_persons_file_overwrites_the_take(
+    written: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = ntu_text([made_up(), made_up(seed=1)])
+    path = write_text(tmp_path / "mine.2.csv", text)
+    names = {"-o": "clip.bvh"} | {written: "mine.csv"}
+    files = [part for pair in names.items() for part in pair]
+    monkeypatch.chdir(tmp_path)
+    assert main(["clean", path.name, "--body=all", *files]) == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.2.csv"]
+    assert path.read_text(encoding="utf-8") == text

@@ -24,6 +24,7 @@ __all__ = ["Cluster"]
 _ROOM = 1000
 """Jobs that the scheduler has at a time: it gives them to who has none."""
 _PATIENCE = "10s"  # for the scheduler to answer
+_LOOK = 2.0  # s between looks at who is there
 
 
 class Cluster:
@@ -69,15 +70,23 @@ class Cluster:
             future.cancel()
         self._client.close()
 
+    @property
+    def idle(self) -> bool:
+        """Whether the scheduler has no workers."""
+        try:
+            return not self._client.nthreads()
+        except OSError:  # the scheduler has gone, as its jobs will say
+            return False
+
     def submit(self, job: Job) -> None:
         """Give the scheduler a job."""
         self._running[self._pool.submit(clean_file, job)] = job
 
     def finished(self) -> list[tuple[Job, Row | None]]:
-        """Wait for jobs; return those done."""
+        """Wait for jobs, but not for ever; return those done."""
         from distributed.scheduler import KilledWorker
 
-        done = wait(self._running, return_when=FIRST_COMPLETED).done
+        done = wait(self._running, _LOOK, return_when=FIRST_COMPLETED).done
         return [
             (job, finished_row(future, job, (KilledWorker,)))
             for future in done

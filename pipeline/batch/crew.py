@@ -32,11 +32,18 @@ class Crew(Protocol):
     room: int
     """How many jobs they take at once."""
 
+    @property
+    def idle(self) -> bool:
+        """Whether nobody is there."""
+
     def submit(self, job: Job) -> None:
         """Give them a job."""
 
     def finished(self) -> list[tuple[Job, Row | None]]:
-        """Wait for jobs; return those done. None: the process died over it."""
+        """Wait for jobs; return those done. None: the process died over it.
+
+        Where nobody is there it does not wait for long.
+        """
 
 
 class _Worker:
@@ -56,6 +63,8 @@ class _Worker:
 
 class Processes:
     """Processes of this machine, each with one thread of linear algebra."""
+
+    idle = False
 
     def __init__(self, count: int) -> None:
         self.room = count

@@ -48,6 +48,8 @@ class Standing:
     """Their size."""
     failed: int = 0
     """Those that failed."""
+    idle: bool = False
+    """Nobody is there to clean."""
 
 
 @dataclass
@@ -100,7 +102,7 @@ def clean_files(
         jobs: Processes that clean; by default one a core.
         scheduler: Address of a Dask scheduler whose workers clean instead.
         progress: Wraps the building of the built-in database.
-        told: Called after every take.
+        told: Called at the start, after every take, and while nobody is there.
 
     Raises:
         InputError: What was asked for is impossible, or the manifest cannot be
@@ -169,19 +171,24 @@ def _clean(
     start = perf_counter()
     for done in _results(jobs, crew):
         rows = [row for _, row in done]
-        manifest.append(rows)
+        if rows:
+            manifest.append(rows)
         outcome.rows += rows
         outcome.seconds = perf_counter() - start
         standing.takes_done += len(done)
         standing.size_done += sum(job.size for job, _ in done)
         standing.failed += sum(row.status == "failed" for row in rows)
+        standing.idle = not rows and crew.idle
         told(standing)
 
 
 def _results(
     jobs: Sequence[Job], crew: Crew
 ) -> Generator[list[tuple[Job, Row]], None, None]:
-    """Yield rows as they come; a job that kills its process is tried again alone."""
+    """Yield rows as they come, or none while there is nobody to do jobs.
+
+    A job that kills its process is tried again alone.
+    """
     killers = yield from _round(jobs, crew, crew.room)
     for job in (yield from _round(killers, crew, 1)):
         yield [(job, failed_row(job, _DIED))]
@@ -198,8 +205,7 @@ def _round(
         while waiting and running < at_once:
             crew.submit(waiting.popleft())
             running += 1
-        if rows:
-            yield rows  # after those were sent to work who had nothing to do
+        yield rows  # after those were sent to work who had nothing to do
         finished = crew.finished()
         running -= len(finished)
         rows = [(job, row) for job, row in finished if row is not None]

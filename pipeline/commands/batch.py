@@ -74,7 +74,7 @@ class Batch:
 
         self._check()
         try:
-            with _bars() as (progress, told):
+            with _bars(self.scheduler) as (progress, told):
                 outcome = clean_files(
                     self.inputs,
                     self.out,
@@ -102,8 +102,9 @@ class Batch:
 
 
 @contextmanager
-def _bars() -> Iterator[tuple[Progress, Told]]:
+def _bars(scheduler: str | None) -> Iterator[tuple[Progress, Told]]:
     """Yield what shows how many takes are done, and when all will be."""
+    missing = f"no worker yet; start one: dask worker {scheduler} --nthreads 1"
     columns = (
         rich_progress.TextColumn("{task.description}"),
         rich_progress.BarColumn(),
@@ -119,6 +120,10 @@ def _bars() -> Iterator[tuple[Progress, Told]]:
             return bars.track(range(count), count, description=stage)
 
         def told(standing: Standing) -> None:
+            nonlocal missing
+            if standing.idle and missing:
+                err.print(missing)
+                missing = ""
             words = f"clean {standing.takes_done}/{standing.takes}"
             if standing.failed:
                 words += f", {standing.failed} failed"

@@ -75,10 +75,14 @@ class Clean:
             check_report(self.report)
             keep(self.report, *used, self.out, self.json, self.save_contacts)
         recording = read_recording(self.take, format=self.format)
-        results = self._cleaned(recording)
         several = len(recording.takes) > 1 and self.body == "all"
+        for body in recording.numbers(self.body) if several else ():
+            for written in (self.out, self.save_contacts, self.report):
+                if written is not None:
+                    keep(numbered(written, body), *used, self.json)
+        results = self._cleaned(recording)
         for body, result in results.items():
-            self._write(result, body if several else None, used)
+            self._write(result, body if several else None)
             if self.report is not None:
                 path = numbered(self.report, body if several else None)
                 _report(result, recording.take(body), path)
@@ -126,15 +130,12 @@ class Clean:
                 err.print(f"kinefilter: {error}; left out")
         return results
 
-    def _write(
-        self, result: CleanResult, body: int | None, used: tuple[Path | None, ...]
-    ) -> None:
+    def _write(self, result: CleanResult, body: int | None) -> None:
         from kinefilter.pipeline.formats import write_clip, write_contacts
         from kinefilter.pipeline.formats.recording import numbered
         from kinefilter.pipeline.summary import as_tables
 
         path = numbered(self.out, body)
-        keep(path, *used)
         write_clip(result.clip, path, self.export)
         if self.save_contacts is not None:
             write_contacts(result.clip, numbered(self.save_contacts, body))

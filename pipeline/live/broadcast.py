@@ -36,13 +36,9 @@ class Broadcast:
         self.readers: set[_Reader] = set()
         """Who is connected."""
 
-    def encode(self, live: LivePose) -> str:
-        """Return the line of a pose."""
-        return pose_line(live)
-
-    def send(self, live: LivePose, encoded: str) -> None:  # noqa: ARG002 - as all sinks
+    def send(self, live: LivePose) -> None:
         """Give a pose to all readers."""
-        self.give(encoded)
+        self.give(pose_line(live))
 
     def gone(self, body: str, slot: int) -> None:  # noqa: ARG002 - as all sinks
         """Tell all readers that somebody is gone."""

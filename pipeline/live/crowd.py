@@ -41,7 +41,7 @@ class Presence:
     last_seen: float
     """When a frame with them came [s], of our own clock."""
     person: Person | None = None
-    """Who follows them; made by the thread that steps it."""
+    """Who follows them, from their first frame on."""
     stamps: Stamps = field(default_factory=Stamps)
     """Their time stamps."""
     waiting: Waiting | None = None
@@ -49,7 +49,7 @@ class Presence:
 
 
 class Crowd:
-    """Everybody who is there; used by one thread.
+    """Everybody who is there.
 
     The newest frame wins: where poses take longer than frames come, older frames are
     dropped and counted.

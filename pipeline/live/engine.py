@@ -26,18 +26,14 @@ class Engine:
         self._figures: dict[int, VmcFigure] = {}
         self._since: float | None = None
 
-    def encode(self, live: LivePose) -> list[bytes]:
-        """Return the datagrams of a pose."""
+    def send(self, live: LivePose) -> None:
+        """Send the datagrams of a pose."""
         figure = self._figures.get(live.slot)
         if figure is None or figure.body is not live.body:
             figure = self._figures[live.slot] = VmcFigure(live.body)
         if self._since is None:
             self._since = live.time
-        return figure.bundles(live.pose, live.time - self._since)
-
-    def send(self, live: LivePose, encoded: list[bytes]) -> None:
-        """Send the datagrams of a pose."""
-        for datagram in encoded:
+        for datagram in figure.bundles(live.pose, live.time - self._since):
             self._send(live.slot, datagram)
 
     def gone(self, body: str, slot: int) -> None:  # noqa: ARG002 - as all sinks

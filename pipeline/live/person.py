@@ -47,7 +47,7 @@ class Stature:
 
 
 class Person:
-    """Follows one person; stepped by one thread only.
+    """Follows one person.
 
     With a height the standard body of that height is followed from the first frame.
     Without, the person's segments are measured in the first second or so, and poses

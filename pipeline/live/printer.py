@@ -43,13 +43,9 @@ class Printer:
         # A daemon: nothing ends a write that nobody reads.
         threading.Thread(target=self._write, args=(first,), daemon=True).start()
 
-    def encode(self, live: LivePose) -> str:
-        """Return the line of a pose."""
-        return pose_line(live)
-
-    def send(self, live: LivePose, encoded: str) -> None:  # noqa: ARG002 - as all sinks
+    def send(self, live: LivePose) -> None:
         """Write a line as soon as the last is out."""
-        self._put(encoded)
+        self._put(pose_line(live))
 
     def gone(self, body: str, slot: int) -> None:  # noqa: ARG002 - as all sinks
         """Write that somebody is gone."""

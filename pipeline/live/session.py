@@ -6,10 +6,8 @@ import asyncio
 import gc
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
 from pathlib import Path
-from typing import Any
 
 from kinefilter.characters import (
     STANDARD_HEIGHT,
@@ -36,13 +34,16 @@ _TICK = 0.25  # s between looks at who is gone
 _FLUSH = 1.0  # s between writes of the recording: what a kill may cost
 _WARM_UP = 10  # frames; the first of a process take a hundred times as long
 _MOST_BODIES = 32
+_QUIET = 3  # turns of the loop: a WebSocket's message takes as many to get here
 
 
 class Session:
     """Follows the people of a stream.
 
-    Poses are made in one thread beside the loop, which goes on taking frames: while
-    poses are late, the newest frame of each person waits and older ones are dropped.
+    Poses are made in the loop itself: to wake another thread for each takes a busy
+    machine longer than any pose. Between two poses all frames that came are taken in;
+    while poses are late, the newest frame of each person waits and older ones are
+    dropped.
 
     Args:
         config: Where frames come from, who is in them, and where poses go.
@@ -92,13 +93,11 @@ class Session:
         Raises:
             InputError: A port is taken, or a host not known.
         """
-        worker = ThreadPoolExecutor(1, "poses")
+        self._warm_up()
         try:
-            await asyncio.get_running_loop().run_in_executor(worker, self._warm_up)
             async with AsyncExitStack() as stack:
-                await self._serve(stack, worker, stop, started)
+                await self._serve(stack, stop, started)
         finally:
-            worker.shutdown()
             gc.unfreeze()
             if self.recorder is not None:
                 self.recorded = self.recorder.finish()
@@ -106,7 +105,6 @@ class Session:
     async def _serve(
         self,
         stack: AsyncExitStack,
-        worker: ThreadPoolExecutor,
         stop: asyncio.Event,
         started: Callable[[list[Address]], None],
     ) -> None:
@@ -120,7 +118,7 @@ class Session:
         intake = Intake(self.receive, self._done, stop.set, self.tally)
         tasks = [
             asyncio.ensure_future(work)
-            for work in (self._pump(worker), self._tick(), self._record(), stop.wait())
+            for work in (self._pump(), self._tick(), self._record(), stop.wait())
         ]
         try:
             async with open_source(self.ends.source, access, intake) as place:
@@ -153,22 +151,26 @@ class Session:
         for sink in self._sinks:
             await sink.flushed()
 
-    async def _pump(self, worker: ThreadPoolExecutor) -> None:
+    async def _pump(self) -> None:
         """Make the pose of whoever's frame has waited longest, again and again."""
-        loop = asyncio.get_running_loop()
         while True:
             await self._came.wait()
             self._came.clear()
             while (turn := self.crowd.next()) is not None:
-                live, encoded = await loop.run_in_executor(worker, self._pose, *turn)
-                if live is not None:
-                    self._publish(live, encoded, turn[1].arrived)
+                self._pose(*turn)
+                await self._take_in()
             self._idle.set()
 
-    def _pose(
-        self, presence: Presence, waiting: Waiting
-    ) -> tuple[LivePose | None, list[Any]]:
-        """Return somebody's pose, as it is and as each sink sends it."""
+    async def _take_in(self) -> None:
+        """Let poses go, and frames come that arrived during the last pose."""
+        quiet = 0
+        while quiet < _QUIET:
+            self._came.clear()
+            await asyncio.sleep(0)
+            quiet = 0 if self._came.is_set() else quiet + 1
+
+    def _pose(self, presence: Presence, waiting: Waiting) -> None:
+        """Make somebody's pose and send it."""
         if presence.person is None:
             presence.person = Person(self._stature)
         person = presence.person
@@ -181,9 +183,9 @@ class Session:
             # frames must not end the session of the others.
             presence.person = None
             self.tally.count(Event.FAILED)
-            return None, []
+            return
         if pose is None or person.body is None:
-            return None, []
+            return
         live = LivePose(
             presence.id,
             presence.slot,
@@ -192,14 +194,11 @@ class Session:
             pose,
             time.perf_counter() - waiting.arrived,
         )
-        return live, [sink.encode(live) for sink in self._sinks]
-
-    def _publish(self, live: LivePose, encoded: list[Any], arrived: float) -> None:
-        for sink, data in zip(self._sinks, encoded, strict=True):
-            sink.send(live, data)
+        for sink in self._sinks:
+            sink.send(live)
         self.tally.count(Event.POSES)
-        self.tally.count(Event.DIVERGED, int(live.pose.reset))
-        self.tally.latency.add(time.perf_counter() - arrived)
+        self.tally.count(Event.DIVERGED, int(pose.reset))
+        self.tally.latency.add(time.perf_counter() - waiting.arrived)
 
     async def _tick(self) -> None:
         while True:

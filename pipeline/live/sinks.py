@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any, Protocol
+from typing import Protocol
 
 from kinefilter.characters import Skeleton
 
@@ -26,10 +26,7 @@ _LARGEST_ASKED = 2**10  # bytes: readers have nothing to say
 class Sink(Protocol):
     """Where poses go."""
 
-    def encode(self, live: LivePose) -> Any:
-        """Return a pose as ``send`` takes it; the thread that makes poses does it."""
-
-    def send(self, live: LivePose, encoded: Any) -> None:
+    def send(self, live: LivePose) -> None:
         """Send a pose, without waiting for readers."""
 
     def gone(self, body: str, slot: int) -> None:
