@@ -40,10 +40,9 @@ _QUIET = 3  # turns of the loop: a WebSocket's message takes as many to get here
 class Session:
     """Follows the people of a stream.
 
-    Poses are made in the loop itself: to wake another thread for each takes a busy
-    machine longer than any pose. Between two poses all frames that came are taken in;
-    while poses are late, the newest frame of each person waits and older ones are
-    dropped.
+    Poses are made in the loop itself: to wake a thread for each takes a busy machine
+    some milliseconds. Between two poses all frames that came are taken in; while poses
+    are late, the newest frame of each person waits and older ones are dropped.
 
     Args:
         config: Where frames come from, who is in them, and where poses go.
