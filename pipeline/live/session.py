@@ -92,8 +92,8 @@ class Session:
         Raises:
             InputError: A port is taken, or a host not known.
         """
-        self._warm_up()
         try:
+            self._warm_up()
             async with AsyncExitStack() as stack:
                 await self._serve(stack, stop, started)
         finally:
