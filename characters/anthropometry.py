@@ -21,15 +21,6 @@ from .errors import InputError
 from .frozen import freeze, read_only
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton
 
-__all__ = [
-    "STANDARD_HEIGHT",
-    "STATURES",
-    "Body",
-    "joint_range",
-    "random_body",
-    "standard_body",
-]
-
 STANDARD_HEIGHT = 1.75
 """Stature [m] of the standard body that postures are compared on."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["InputError", "KinefilterError"]
-
 
 class KinefilterError(Exception):
     """Base of every error that kinefilter raises on purpose."""

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters.arrays import Array
+
 from .anthropometry import Body
 from .skeleton import Skeleton
 
-__all__ = ["Box", "Flesh", "flesh_of", "nearest_on_line"]
-
-Array = NDArray[np.float64]
 Box = tuple[slice, ...]
 
 _SIDES = ("Left", "Right")

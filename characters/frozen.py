@@ -8,8 +8,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["freeze", "read_only"]
-
 Number = TypeVar("Number", bound=np.generic)
 
 

@@ -18,15 +18,6 @@ from numpy.typing import NDArray
 from .anthropometry import Body, joint_range
 from .tracking import Tracking
 
-__all__ = [
-    "GRAVITY",
-    "PULLS",
-    "build_humanoid",
-    "from_mujoco",
-    "joint_masses",
-    "to_mujoco",
-]
-
 GRAVITY = 9.81
 """Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
 

@@ -15,9 +15,6 @@ from .frozen import freeze
 from .props import Prop
 from .skeleton import Skeleton
 
-__all__ = ["CONTACTS", "Clip", "Origin", "State", "Take", "Term", "frames_per_second"]
-
-
 _UNIT = 1e-3  # by which a quaternion may be longer than 1: single precision, and room
 
 CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from .errors import InputError
 from .frozen import freeze
 
-__all__ = ["Prop", "Shape", "ShapeKind"]
-
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
 
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from .errors import InputError
 
-__all__ = ["KINECT_V1", "KINECT_V2", "SKELETONS", "Skeleton", "skeleton_named"]
-
 
 @dataclass(frozen=True)
 class Skeleton:

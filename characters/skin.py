@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters.arrays import Array
+
 from .anthropometry import Body
 from .flesh import Box, Flesh, flesh_of, nearest_on_line
 from .frozen import freeze
@@ -21,10 +23,6 @@ from .surface import quads_of
 
 if TYPE_CHECKING:
     from scipy import sparse
-
-__all__ = ["INFLUENCES", "Skin", "skin_of"]
-
-Array = NDArray[np.float64]
 
 INFLUENCES = 4
 """Segments that move one point at most: what every engine can do."""

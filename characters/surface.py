@@ -9,9 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["quads_of"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 # Corners of a cell, and its edges as pairs of them along x, y and z.
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])

@@ -8,8 +8,6 @@ import numpy as np
 
 from .errors import InputError
 
-__all__ = ["Tracking"]
-
 
 @dataclass(frozen=True)
 class Tracking:

@@ -12,17 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinefilter.characters import Body, InputError, State, Take, Tracking
+from kinefilter.characters.arrays import Array
 from kinefilter.retarget import (
     BoneLengths,
     Hands,
+    HeadingFrame,
     Standardizer,
-    View,
     rotations_from_positions,
 )
 
 from .correct import Corrector, Observation
 from .correct.filters import OneEuro
-from .database.library import builtin_database
+from .database import builtin_database
 from .default import default_corrector
 from .physics.pulled_character import PulledCharacter
 from .reliability import ReliabilityScorer, measure_reference
@@ -30,10 +31,6 @@ from .target.contacts import StanceTracker, ankles_and_toes
 from .target.floor import put_on_floor
 from .target.placement import place_of
 from .target.planting import PLANTED, flat_height
-
-__all__ = ["Avatar", "Pose"]
-
-Array = NDArray[np.float64]
 
 _LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which to move
 _LET_GO = 0.05  # s in which a foot that steps joins its measured path
@@ -106,7 +103,9 @@ class Avatar:
         self._stance.start()
         self._time: float | None = None
         self._height = self.floor
-        self._place = None if self._in_scene else View(np.zeros(3), np.zeros(()))
+        self._place = (
+            None if self._in_scene else HeadingFrame(np.zeros(3), np.zeros(()))
+        )
         self._moved = np.zeros((2, 2, 3))
         self._anchors = np.zeros((2, 2, 3))
         self._stood = np.zeros(2, dtype=np.bool_)

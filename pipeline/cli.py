@@ -34,8 +34,6 @@ from .commands.signals import ended_gently
 from .commands.terminal import err
 from .workers import one_thread
 
-__all__ = ["main"]
-
 Command = (
     Annotated[Clean, subcommand("clean")]
     | Annotated[Batch, subcommand("batch")]

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, Take
+from kinefilter.characters.arrays import Array
 
 from .target.floor import to_world
-
-__all__ = ["in_clip_frame", "keeps_frame", "same_stamps"]
-
-Array = NDArray[np.float64]
 
 _SKEW = 1e-6  # s between the time stamps of a take and of its clip: rounding
 _ROUNDING = 1e-3  # m: takes are kept in whole millimeters too

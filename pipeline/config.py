@@ -9,8 +9,6 @@ from typing import Literal
 
 from kinefilter.characters import InputError
 
-__all__ = ["CleanConfig", "LearnedMethod", "Method", "TakeFormat"]
-
 LearnedMethod = Literal[
     "best", "local-gp", "clustered-gp", "full-gp", "exemplar", "joint-offsets"
 ]

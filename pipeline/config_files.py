@@ -21,14 +21,6 @@ from .formats.files import read_limited
 from .formats.toml import LARGEST_TOML, parse_toml
 from .settings import Settings, names_file
 
-__all__ = [
-    "FOLDER_FILE",
-    "SettingsFile",
-    "overlaid",
-    "parse_settings",
-    "read_settings",
-]
-
 FOLDER_FILE = "kinefilter.toml"
 """Name of the file that says how the takes of its folder are cleaned."""
 

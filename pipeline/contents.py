@@ -34,8 +34,6 @@ from .formats.usd_contents import usd_contents
 from .models import load_model
 from .training import read_pairs
 
-__all__ = ["contents_of", "contents_of_take"]
-
 _GAP = 1.5
 """Time steps longer than this many usual ones hold frames that never arrived."""
 _PARTS = {

@@ -8,8 +8,6 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-__all__ = ["as_tables"]
-
 _LISTED = 30  # names of joints
 
 

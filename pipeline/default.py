@@ -17,8 +17,6 @@ from .correct.local_pca import Search
 from .database import PostureDatabase
 from .models import load_model
 
-__all__ = ["default_corrector"]
-
 
 def default_corrector(
     database: PostureDatabase, *, search: Search = "solver", seed: int = 0

@@ -6,8 +6,6 @@ import importlib.util
 
 from kinefilter.characters import InputError
 
-__all__ = ["require"]
-
 
 def require(module: str, purpose: str, extra: str) -> None:
     """Raise an InputError if a package is not installed; do not load it.

@@ -15,8 +15,6 @@ from .correct.methods import LEARNED
 from .formats import atomic_path
 from .formats.npz import read_arrays
 
-__all__ = ["Model", "load_model", "save_model"]
-
 _VERSION = 1
 
 

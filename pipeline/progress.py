@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
-__all__ = ["Progress", "over", "silent"]
-
 T = TypeVar("T")
 
 Progress = Callable[[str, int], Iterable[int]]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, InputError, Prop, Skeleton, Take
+from kinefilter.characters.arrays import Array
 from kinefilter.retarget import measured_body
 
 from .config import CleanConfig
@@ -15,12 +16,11 @@ from .correct import Corrector, LocalPCA, WholeTakeCorrector, correct_take
 from .correct.in_turn import InTurn
 from .correct.local_gp import LocalGP
 from .correct.methods import FILTERS, FROM_DATABASE, LEARNED
-from .database import PostureDatabase
-from .database.library import builtin_database
+from .database import PostureDatabase, builtin_database
 from .default import default_corrector
-from .evaluation.metrics import Quality, distances, measure
 from .failures import Failure, distrust, find_failures, unmirrored
 from .formats.contacts import read_contacts
+from .metrics import Quality, distances, measure
 from .models import Model, load_model
 from .physics import PhysicsFilter, PhysicsResult, PhysicsTrace
 from .progress import Progress, silent
@@ -31,10 +31,6 @@ from .target import Target, make_target
 from .target.floor import to_world
 from .target.person import corrected_body
 from .target.placement import place_of
-
-__all__ = ["CleanResult", "clean", "make_corrector"]
-
-Array = NDArray[np.float64]
 
 _MODEL_RATE = 0.5
 """Least reliability of what a model made of a measured joint: it then counts a fifth.
@@ -91,7 +87,7 @@ def clean(
     config = config or CleanConfig()
     _check(take)
     if corrector is None:
-        corrector = make_corrector(take.skeleton, config, progress)
+        corrector = make_corrector(take.skeleton, config)
     distinct = np.concatenate([[True], np.diff(take.time) > 0])
     # Which distinct frame each of the take's shows; a slice copies nothing.
     frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
@@ -220,7 +216,7 @@ def _notes(
 
 
 def make_corrector(
-    skeleton: Skeleton, config: CleanConfig, progress: Progress = silent
+    skeleton: Skeleton, config: CleanConfig
 ) -> Corrector | WholeTakeCorrector:
     """Return the correction method that a config names, for a skeleton.
 
@@ -228,7 +224,7 @@ def make_corrector(
         InputError: The database or model is of another skeleton, or missing.
     """
     if config.model is not None:
-        return _learned(skeleton, config, load_model(config.model), progress)
+        return _learned(skeleton, config, load_model(config.model))
     if config.adapt:
         raise InputError("--adapt needs --model with a model of method local-gp")
     method = config.method
@@ -238,7 +234,7 @@ def make_corrector(
         )
     if method in FILTERS:
         return FILTERS[method](skeleton)
-    database = _database(skeleton, config, progress)
+    database = _database(skeleton, config)
     if method is None:
         return default_corrector(database, search=config.search, seed=config.seed)
     if method == "local-pca":
@@ -246,12 +242,10 @@ def make_corrector(
     return FROM_DATABASE[method](database)
 
 
-def _database(
-    skeleton: Skeleton, config: CleanConfig, progress: Progress
-) -> PostureDatabase:
+def _database(skeleton: Skeleton, config: CleanConfig) -> PostureDatabase:
     """Return the motion database that a config names."""
     if config.database is None:
-        database = builtin_database(skeleton, progress)
+        database = builtin_database(skeleton)
     else:
         database = PostureDatabase.load(config.database)
     if database.skeleton.name != skeleton.name:
@@ -263,9 +257,7 @@ def _database(
     return database
 
 
-def _learned(
-    skeleton: Skeleton, config: CleanConfig, model: Model, progress: Progress
-) -> Corrector:
+def _learned(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector:
     if model.skeleton.name != skeleton.name:
         raise InputError(
             f"{config.model}: a model for {model.skeleton.name}, but the take is "
@@ -286,7 +278,7 @@ def _learned(
         model.corrector.adapt = True
     if config.method != "local-pca":
         return model.corrector
-    database = _database(skeleton, config, progress)
+    database = _database(skeleton, config)
     follower = LocalPCA(database, search=config.search, seed=config.seed)
     return InTurn([model.corrector, follower], least_rate=_MODEL_RATE)
 

@@ -14,8 +14,6 @@ from kinefilter.characters import InputError
 from .config import CleanConfig, TakeFormat
 from .formats.export import Export
 
-__all__ = ["Settings", "fingerprint", "hash_of", "names_file"]
-
 _BLOCK = 2**20  # bytes read at a time
 
 

@@ -10,8 +10,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from kinefilter.characters import InputError
 
-__all__ = ["Spool"]
-
 
 class Spool:
     """Rows put aside one part after another, in a file that nobody else sees.

@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Take
-from kinefilter.retarget import Standardizer, View
+from kinefilter.characters.arrays import Array
+from kinefilter.retarget import HeadingFrame, Standardizer
 
 from .reliability import Reliability
-
-__all__ = ["StandardTake", "standardize_take"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +23,7 @@ class StandardTake:
     """Joint positions [m], NaN where missing, shape (T, J, 3)."""
     reliability: Reliability
     """Of every joint and frame."""
-    views: View
+    views: HeadingFrame
     """What was taken out: root (T, 3) and yaw (T,)."""
     body: Body
     """The person, for the way back."""

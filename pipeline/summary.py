@@ -14,8 +14,6 @@ from kinefilter.characters import Origin, Term
 from .failures import Failure
 from .run import CleanResult
 
-__all__ = ["as_json", "as_tables"]
-
 _ROWS = (
     ("bone-length variation", "bone_length_cv", "{:.2g}"),
     ("jitter, m/s³", "jitter", "{:.0f}"),

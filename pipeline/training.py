@@ -19,16 +19,13 @@ from kinefilter.characters import (
     State,
     Take,
 )
+from kinefilter.characters.arrays import Array
 from kinefilter.retarget import measured_body
 
 from .formats.npz import read_arrays
 from .reliability import ReliabilityScorer, measure_reference
 from .spool import Spool
 from .standard import standardize_take
-
-__all__ = ["PairedTake", "TrainingSet", "read_pairs", "training_set"]
-
-Array = NDArray[np.float64]
 
 _BLOCK = 100_000  # frames looked at at a time; 200 MB of the largest skeleton
 

@@ -3,8 +3,8 @@
 from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths
 from .hands import Hands
+from .heading_frame import HeadingFrame, find_yaw
 from .kinematics import positions_from_rotations
-from .normalize import View, find_yaw
 from .orientation import hang_missing, rotations_from_positions
 from .retargeting import Retargeted, retarget
 from .rig_map import RIGS, load_rig_map
@@ -14,9 +14,9 @@ __all__ = [
     "RIGS",
     "BoneLengths",
     "Hands",
+    "HeadingFrame",
     "Retargeted",
     "Standardizer",
-    "View",
     "built_rig",
     "find_yaw",
     "hang_missing",

@@ -20,13 +20,10 @@ from kinefilter.characters import (
     Skeleton,
     standard_body,
 )
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import between, matrix_from_wxyz
 
-from .normalize import View, find_yaw
-from .rotations import between, matrix_from_wxyz
-
-__all__ = ["Standardizer", "measured_body"]
-
-Array = NDArray[np.float64]
+from .heading_frame import HeadingFrame, find_yaw
 
 # A segment that many times off the average is a tracker's error. Along the trunk the
 # joints have no landmarks, and sensors differ by more. Both are guesses.
@@ -137,7 +134,7 @@ class Standardizer:
         self._yaw = np.array(0.0)
         self._bones = self.body.rest_offsets.copy()
 
-    def step(self, positions: Array, weights: Array) -> tuple[Array, View]:
+    def step(self, positions: Array, weights: Array) -> tuple[Array, HeadingFrame]:
         """Return a posture on the standard body, root at the origin, facing +z.
 
         A missing root or heading is that of the frame before; a joint whose parent is
@@ -153,7 +150,7 @@ class Standardizer:
         standard, view = self.steps(positions[None], weights[None])
         return standard[0], view.at(0)
 
-    def steps(self, positions: Array, weights: Array) -> tuple[Array, View]:
+    def steps(self, positions: Array, weights: Array) -> tuple[Array, HeadingFrame]:
         """Return the next frames of a motion as ``step`` gives them, all at once.
 
         Args:
@@ -167,7 +164,7 @@ class Standardizer:
         missing = np.isnan(positions[..., 0])
         root = _held(positions[:, skeleton.root], self._root)
         yaw = _held(find_yaw(positions, weights, skeleton), self._yaw)
-        view = View(root, yaw)
+        view = HeadingFrame(root, yaw)
         seen = view.remove(positions)
         if missing.any():
             seen[:, skeleton.root] = 0.0
@@ -183,7 +180,7 @@ class Standardizer:
         standard[missing] = np.nan
         return standard, view
 
-    def standardize(self, positions: Array, view: View) -> Array:
+    def standardize(self, positions: Array, view: HeadingFrame) -> Array:
         """Return postures (..., J, 3) in world frame on the standard body, as ``step``.
 
         The root may be elsewhere than the view's, and stays as far from the origin. A
@@ -195,7 +192,7 @@ class Standardizer:
         missing = (self._chain @ lost.astype(float)) > 0.0
         return np.where(missing, np.nan, standard)
 
-    def undo(self, positions: Array, view: View) -> Array:
+    def undo(self, positions: Array, view: HeadingFrame) -> Array:
         """Return standard postures (..., J, 3) on the person's body in their view."""
         bones = _apply(self._to_person, self._bones_of(positions))
         return view.restore(self._chain @ bones)

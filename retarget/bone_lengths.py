@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
-
-__all__ = ["BoneLengths"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40

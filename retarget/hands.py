@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton
-
-from .rotations import between, rotate
-
-__all__ = ["Hands"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import between, rotate
 
 
 class Hands:

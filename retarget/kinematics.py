@@ -6,10 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
-
-from .rotations import rotate
-
-__all__ = ["positions_from_rotations"]
+from kinefilter.characters.rotations import rotate
 
 
 def positions_from_rotations(

@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton
-
-from .rotations import IDENTITY, about_x, between, inverse, multiply, rotate
-
-__all__ = ["hang_missing", "rotations_from_positions"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import (
+    IDENTITY,
+    about_x,
+    between,
+    inverse,
+    multiply,
+    rotate,
+)
 
 _NO_PLANE = 1e-9  # m^2
 _X = np.array([1.0, 0.0, 0.0])

@@ -9,16 +9,12 @@ rest pose counts as upright and flat, and only headings differ.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import about_y, between, multiply, rotate, slerp
 
-from .rotations import about_y, between, multiply, rotate, slerp
 from .target_rig import TargetRig
-
-__all__ = ["heading", "segment_of", "turned"]
-
-Array = NDArray[np.float64]
 
 _SEGMENTS = {
     "clavicle": "Shoulder",

@@ -8,19 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Clip
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.frozen import freeze
+from kinefilter.characters.rotations import (
+    IDENTITY,
+    between,
+    inverse,
+    multiply,
+    rotate,
+    slerp,
+)
 
 from .rest_difference import heading, segment_of, turned
 from .rig_map import SIDES
-from .rotations import IDENTITY, between, inverse, multiply, rotate, slerp
 from .smooth_step import smooth_step
 from .stance import held, near_stance
 from .target_rig import TargetRig
 from .two_bone import bent_limb
 
-__all__ = ["Retargeted", "retarget"]
-
-Array = NDArray[np.float64]
 _Limb = tuple[str, str, str]
 
 _ARM: _Limb = ("upper arm", "lower arm", "hand")

@@ -17,17 +17,6 @@ from typing import Any
 
 from kinefilter.characters import InputError
 
-__all__ = [
-    "CHAINS",
-    "OPTIONAL",
-    "PARTS",
-    "RIGS",
-    "SIDES",
-    "MapBone",
-    "RigMap",
-    "load_rig_map",
-]
-
 RIGS = tuple(
     sorted(path.stem for path in (Path(__file__).parent / "rigs").glob("*.toml"))
 )

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["runs"]
-
 
 def runs(flags: NDArray[np.bool_], shortest: int = 1) -> list[slice]:
     """Return the spans in which flags, shape (T,), are true without a break.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["smooth_step"]
-
 
 def smooth_step(share: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return 0 up to 0 and 1 from 1 on, between them the cubic level at both ends."""

@@ -10,8 +10,6 @@ from importlib import resources
 
 from kinefilter.characters import Skeleton
 
-__all__ = ["SourceJoint", "SourceRig", "load_source_rig", "matching_source_rig"]
-
 
 @dataclass(frozen=True)
 class SourceJoint:

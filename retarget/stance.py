@@ -7,12 +7,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters.arrays import Array
+
 from .runs import runs
 from .smooth_step import smooth_step
-
-__all__ = ["held", "near_stance"]
-
-Array = NDArray[np.float64]
 
 _BLEND = 0.15
 """Seconds in which a foot joins its own path after it stood, and leaves it before. A

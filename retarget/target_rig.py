@@ -6,15 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
+from kinefilter.characters.arrays import Array
 
 from .rig_map import CHAINS, OPTIONAL, PARTS, SIDES, MapBone, RigMap
-
-__all__ = ["RestPose", "TargetRig", "built_rig", "matched_rig"]
-
-Array = NDArray[np.float64]
 
 _ON_FLOOR = 0.1
 """Lengths of a leg: a lowest joint that is no higher over y = 0 stands on that floor.

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["bent_limb"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 _TINY = 1e-9  # m
 

@@ -13,8 +13,6 @@ import mujoco
 from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.humanoid import build_humanoid
 
-__all__ = ["SCENES", "load_scene", "movable_props", "scene_xml"]
-
 _FOLDER = Path(__file__).parent
 
 SCENES = tuple(sorted(path.stem for path in _FOLDER.glob("*.xml")))

@@ -13,8 +13,8 @@ from kinefilter.pipeline.batch.plan import Job
 from kinefilter.pipeline.batch.row import Row
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.simulate import simulate
-from kinefilter.scenes import sample_take
+from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.scenes.sensor import sample_take
 
 __all__ = ["Here", "make_takes", "short_take"]
 

@@ -34,16 +34,11 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
+from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.pipeline import read_take
-from kinefilter.retarget.rotations import matrix_from_wxyz
-from kinefilter.scenes import (
-    MOTIONS,
-    Sensor,
-    in_world_frame,
-    observe,
-    perform,
-)
-from kinefilter.scenes.visibility import look
+from kinefilter.scenes.library import MOTIONS, perform
+from kinefilter.scenes.sensor import Sensor, in_world_frame, observe
+from kinefilter.scenes.sensor.visibility import look
 
 Array = NDArray[np.float64]
 
@@ -316,7 +311,7 @@ def print_table(title: str, columns: dict[str, dict[str, float]]) -> None:
 
 
 def print_fits(fitted: list[Pair], held_out: list[Pair]) -> None:
-    """Print the constants of ``scenes/misplacement.py`` and how well they hold."""
+    """Print the constants of ``sensor/misplacement.py`` and how well they hold."""
     offsets = fit_offsets(fitted)
     size, shared = fit_moving(fitted, offsets)
     gain = fit_foreshortening(fitted[::4])

@@ -19,7 +19,7 @@ from rich.progress import track
 
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.pipeline import Avatar
-from kinefilter.scenes import perform_medley
+from kinefilter.scenes.library import perform_medley
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1
 from kinefilter.retarget import measured_body, rotations_from_positions
-from kinefilter.scenes import Performance
+from kinefilter.scenes.library import Performance
 
 Array = NDArray[np.float64]
 

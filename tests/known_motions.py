@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
-from kinefilter.scenes import Performance
+from kinefilter.scenes.library import Performance
 
 __all__ = ["BODY", "FEET", "Array", "noisy", "polynomial", "stamps", "standing"]
 

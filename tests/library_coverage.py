@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
-from kinefilter.pipeline.database.library import (
+from kinefilter.pipeline.database.build import (
     BUILTIN_POSTURES,
     _postures_of,
     scripted_postures,

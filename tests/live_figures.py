@@ -35,7 +35,7 @@ from websockets.asyncio.client import connect
 
 from kinefilter.characters import Take
 from kinefilter.pipeline import read_take
-from kinefilter.pipeline.bench import sample_path
+from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live import Frame, format_frame
 from kinefilter.pipeline.live.playback import frames_of
 

@@ -12,7 +12,7 @@ from typing import Any
 from websockets.asyncio.client import ClientConnection, connect
 
 from kinefilter.pipeline import read_take
-from kinefilter.pipeline.bench import sample_path
+from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live import (
     Frame,
     LiveConfig,

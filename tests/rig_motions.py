@@ -13,7 +13,7 @@ from kinefilter.characters import (
     State,
     random_body,
 )
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 

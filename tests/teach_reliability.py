@@ -11,8 +11,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinefilter.characters import SKELETONS
-from kinefilter.pipeline.reliability.lessons import learned_weights
-from kinefilter.pipeline.simulate import furnished_pairs
+from kinefilter.pipeline.lab.scorers.lessons import learned_weights
+from kinefilter.pipeline.lab.simulate import furnished_pairs
 
 FOLDER = Path(__file__).parents[1] / "pipeline" / "embedded"
 

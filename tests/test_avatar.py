@@ -19,7 +19,7 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline import Avatar, Pose
 from kinefilter.pipeline.cli import main
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 BODY = standard_body(KINECT_V1)

@@ -22,9 +22,9 @@ from kinefilter.pipeline.batch.sources import find_sources
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
+from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.run import make_corrector
 from kinefilter.pipeline.settings import Settings
-from kinefilter.pipeline.simulate import simulate
 
 FLAGS = ["--method", "none", "--no-physics"]
 

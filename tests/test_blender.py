@@ -22,10 +22,10 @@ from kinefilter.characters import (
     Skeleton,
     random_body,
 )
+from kinefilter.characters.rotations import rotate
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.formats import Export, write_clip
 from kinefilter.pipeline.formats.resample import in_strict_t, resampled
-from kinefilter.retarget.rotations import rotate
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]

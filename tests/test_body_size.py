@@ -20,13 +20,13 @@ from kinefilter.characters import (
     Skeleton,
     standard_body,
 )
+from kinefilter.characters.rotations import about_y, normalize, rotate
 from kinefilter.retarget import (
     Standardizer,
     find_yaw,
     measured_body,
     positions_from_rotations,
 )
-from kinefilter.retarget.rotations import about_y, normalize, rotate
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from kinefilter.characters import (
     Skeleton,
     standard_body,
 )
+from kinefilter.characters.rotations import normalize
 from kinefilter.retarget import BoneLengths, bone_lengths, positions_from_rotations
-from kinefilter.retarget.rotations import normalize
 
 Array = NDArray[np.float64]
 

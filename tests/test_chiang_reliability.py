@@ -20,14 +20,14 @@ from kinefilter.characters import (
     Term,
     standard_body,
 )
+from kinefilter.pipeline.lab.scorers.chiang import ChiangReliabilityScorer
 from kinefilter.pipeline.reliability import (
     Reference,
     Reliability,
     ReliabilityScorer,
     measure_reference,
 )
-from kinefilter.pipeline.reliability.chiang import ChiangReliabilityScorer
-from kinefilter.scenes import sample_take
+from kinefilter.scenes.sensor import sample_take
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import pytest
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.studies import (
+from kinefilter.pipeline.lab.studies import (
     STUDIES,
     claims,
     made,
@@ -20,7 +20,7 @@ from kinefilter.pipeline.studies import (
     reproduce,
     verdicts,
 )
-from kinefilter.pipeline.studies.study import Panel, Series, Study
+from kinefilter.pipeline.lab.studies.study import Panel, Series, Study
 
 ROOT = Path(__file__).parents[1]
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
@@ -128,7 +128,7 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
         made_of.append(name)
         return Study(name, "Made up", ("what", "cm"), (("one", 0.5),), (PANEL,))
 
-    studies = "kinefilter.pipeline.studies"
+    studies = "kinefilter.pipeline.lab.studies"
     monkeypatch.setattr(f"{studies}.STUDIES", {"small": STUDIES["speed"]})
     monkeypatch.setattr(f"{studies}.check_names", lambda _: None)
     monkeypatch.setattr(f"{studies}.reproduce", measured)

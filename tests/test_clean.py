@@ -26,9 +26,10 @@ from kinefilter.pipeline import CleanConfig, CleanResult, clean, read_take
 from kinefilter.pipeline.config import Method
 from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.formats import read_bvh, read_usd_positions, write_clip
-from kinefilter.pipeline.simulate import simulate, truth_of
+from kinefilter.pipeline.lab.simulate import simulate, truth_of
 from kinefilter.retarget import positions_from_rotations
-from kinefilter.scenes import observe, perform, sample_take
+from kinefilter.scenes.library import perform
+from kinefilter.scenes.sensor import observe, sample_take
 
 Array = NDArray[np.float64]
 RECORDED = sorted(p for kind in ("*.csv", "*.csv.gz") for p in TAKES.glob(f"*/{kind}"))

@@ -14,11 +14,10 @@ import pytest
 from viewing import ended, viewing
 
 from kinefilter.characters import KINECT_V1, KINECT_V2
-from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.library import builtin_database
+from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.formats import read_clip, read_take
+from kinefilter.pipeline.lab.bench import sample_path
 
 ROOT = Path(__file__).parents[1]
 SAMPLE = sample_path()

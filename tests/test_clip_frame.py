@@ -26,7 +26,7 @@ from kinefilter.pipeline.render.raw_take import raw_positions
 from kinefilter.pipeline.report import compare
 from kinefilter.pipeline.report.table import METRICS
 from kinefilter.pipeline.run import CleanResult
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from pxr import Usd
 
 from kinefilter.characters import CONTACTS, Clip, InputError
-from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import (
     read_clip,
@@ -23,6 +22,7 @@ from kinefilter.pipeline.formats import (
     write_clip,
     write_contacts,
 )
+from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.target.contacts import feet_of
 
 MakeClip = Callable[..., Clip]

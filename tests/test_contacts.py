@@ -15,6 +15,7 @@ from real_data import PAIRS, paired
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.target import contacts
 from kinefilter.pipeline.target.contacts import (
     SIDES,
@@ -23,9 +24,8 @@ from kinefilter.pipeline.target.contacts import (
     find_stance,
 )
 from kinefilter.pipeline.training import read_pairs
-from kinefilter.retarget.rotations import about_y, rotate
 from kinefilter.retarget.runs import runs
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

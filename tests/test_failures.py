@@ -24,7 +24,7 @@ from kinefilter.pipeline.failures.trunk import trunk_axes
 from kinefilter.pipeline.reliability import Reliability
 from kinefilter.pipeline.summary import as_json
 from kinefilter.pipeline.training import PairedTake, read_pairs
-from kinefilter.scenes import MOTIONS, perform
+from kinefilter.scenes.library import MOTIONS, perform
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ import pytest
 from real_data import DATA, paired, recorded
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.studies import recordings
-from kinefilter.pipeline.studies.cleaned_takes import _FIGURES, _row
-from kinefilter.pipeline.studies.failures import _near
-from kinefilter.pipeline.studies.methods import _study
-from kinefilter.pipeline.studies.takes import study_takes
+from kinefilter.pipeline.lab.studies import recordings
+from kinefilter.pipeline.lab.studies.cleaned_takes import _FIGURES, _row
+from kinefilter.pipeline.lab.studies.failures import _near
+from kinefilter.pipeline.lab.studies.methods import _study
+from kinefilter.pipeline.lab.studies.takes import study_takes
 
 WRIST = KINECT_V1.index("WristLeft")
 

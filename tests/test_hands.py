@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from skeletons import every_skeleton
 
 from kinefilter.characters import Skeleton, standard_body
+from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline import clean
 from kinefilter.retarget import Hands
-from kinefilter.retarget.rotations import about_y, rotate
-from kinefilter.scenes import sample_take
+from kinefilter.scenes.sensor import sample_take
 
 Array = NDArray[np.float64]
 

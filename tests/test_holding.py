@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.pipeline import CleanConfig, clean
+from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.physics import PhysicsFilter
-from kinefilter.pipeline.simulate import simulate
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 Array = NDArray[np.float64]

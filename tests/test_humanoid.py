@@ -23,7 +23,7 @@ from kinefilter.characters.humanoid import (
     joint_masses,
     to_mujoco,
 )
-from kinefilter.retarget.rotations import about_y, rotate
+from kinefilter.characters.rotations import about_y, rotate
 
 
 def test_forward_left_and_up_are_the_axes_of_mujoco() -> None:

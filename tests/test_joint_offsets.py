@@ -22,6 +22,7 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
+from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.config import Method
@@ -29,16 +30,15 @@ from kinefilter.pipeline.correct import Correction, Hold, Observation, joint_off
 from kinefilter.pipeline.correct.in_turn import InTurn
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.correct.take import CorrectedTake
-from kinefilter.pipeline.database.library import builtin_database
+from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.default import default_corrector
-from kinefilter.pipeline.evaluation.accuracy import Accuracy
-from kinefilter.pipeline.evaluation.evaluate import evaluate, observed
+from kinefilter.pipeline.lab.accuracy import Accuracy
+from kinefilter.pipeline.lab.evaluate import evaluate, observed
+from kinefilter.pipeline.lab.simulate import simulate, simulated_pairs
 from kinefilter.pipeline.models import load_model
-from kinefilter.pipeline.simulate import simulate, simulated_pairs
 from kinefilter.pipeline.target.person import corrected_body
 from kinefilter.pipeline.training import TrainingSet, training_set
-from kinefilter.retarget.rotations import about_y, rotate
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 

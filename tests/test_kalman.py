@@ -10,7 +10,7 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.correct import Correction, Hold, Observation
-from kinefilter.pipeline.correct.kalman import (
+from kinefilter.pipeline.lab.methods.kalman import (
     ACCELERATION_DENSITY,
     FIRST_SPEED,
     LONGEST_PREDICTION,

@@ -18,18 +18,22 @@ from kinefilter.characters import (
     State,
     standard_body,
 )
-from kinefilter.scenes import (
+from kinefilter.scenes.library import perform
+from kinefilter.scenes.sensor import (
     SENSORS,
     Sensor,
     TrackerErrors,
     in_sensor_frame,
     in_world_frame,
     observe,
-    perform,
     sample_take,
 )
-from kinefilter.scenes.misplacement import kinship, misplacements, unsteadiness
-from kinefilter.scenes.visibility import look
+from kinefilter.scenes.sensor.misplacement import (
+    kinship,
+    misplacements,
+    unsteadiness,
+)
+from kinefilter.scenes.sensor.visibility import look
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from kinefilter.pipeline import spool, training
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct.lessons import Lessons
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
-from kinefilter.pipeline.database.library import database_from_pairs
-from kinefilter.pipeline.simulate import simulate, write_pairs
+from kinefilter.pipeline.database.build import database_from_pairs
+from kinefilter.pipeline.lab.simulate import simulate, write_pairs
 from kinefilter.pipeline.spool import Spool
 from kinefilter.pipeline.training import PairedTake, TrainingSet, training_set
 

@@ -25,16 +25,17 @@ from kinefilter.characters import (
     Term,
     standard_body,
 )
+from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline import CleanConfig, clean
-from kinefilter.pipeline.evaluation.evaluate import reliability_auc
+from kinefilter.pipeline.lab.evaluate import reliability_auc
+from kinefilter.pipeline.lab.scorers.doubt import DoubtWeights
+from kinefilter.pipeline.lab.scorers.learned import TERMS, LearnedReliabilityScorer
+from kinefilter.pipeline.lab.scorers.lessons import learned_weights, untaught
+from kinefilter.pipeline.lab.simulate import furnished_pairs, simulate
 from kinefilter.pipeline.reliability import measure_reference
-from kinefilter.pipeline.reliability.doubt import DoubtWeights
-from kinefilter.pipeline.reliability.learned import TERMS, LearnedReliabilityScorer
-from kinefilter.pipeline.reliability.lessons import learned_weights, untaught
-from kinefilter.pipeline.simulate import furnished_pairs, simulate
 from kinefilter.pipeline.training import PairedTake, read_pairs
-from kinefilter.retarget.rotations import about_y, rotate
-from kinefilter.scenes import perform, sample_take
+from kinefilter.scenes.library import perform
+from kinefilter.scenes.sensor import sample_take
 
 Array = NDArray[np.float64]
 

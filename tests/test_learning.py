@@ -25,11 +25,11 @@ from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.correct.methods import LEARNED
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
-from kinefilter.pipeline.evaluation.accuracy import Accuracy
-from kinefilter.pipeline.evaluation.evaluate import evaluate
+from kinefilter.pipeline.lab.accuracy import Accuracy
+from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.models import Model, load_model, save_model
 from kinefilter.pipeline.training import PairedTake, read_pairs, training_set
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 BIAS = {"WristLeft": [0.0, 0.06, 0.0], "KneeRight": [0.05, 0.0, -0.03]}

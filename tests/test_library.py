@@ -21,16 +21,16 @@ from kinefilter.characters import (
     Skeleton,
     standard_body,
 )
+from kinefilter.characters.rotations import inverse, rotate
 from kinefilter.pipeline import PostureDatabase
-from kinefilter.pipeline.database.library import (
+from kinefilter.pipeline.database.build import database_from_mocap
+from kinefilter.pipeline.formats import write_clip
+from kinefilter.pipeline.lab.scripted_database import (
     BUILTIN_POSTURES,
-    database_from_mocap,
     scripted_database,
 )
-from kinefilter.pipeline.formats import write_clip
 from kinefilter.retarget import find_yaw, positions_from_rotations
-from kinefilter.retarget.rotations import inverse, rotate
-from kinefilter.scenes import MOTIONS
+from kinefilter.scenes.library import MOTIONS
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import get_args
 from kinefilter.pipeline.commands import Reproduce
 from kinefilter.pipeline.config import LearnedMethod, Method
 from kinefilter.pipeline.correct.methods import FILTERS, FROM_DATABASE, LEARNED
-from kinefilter.pipeline.studies import STUDIES
+from kinefilter.pipeline.lab.studies import STUDIES
 
 ROOT = Path(__file__).parents[1]
 

@@ -21,11 +21,11 @@ import tyro
 from live_session import PATIENCE, SAMPLE, Sender, sample_frame
 
 from kinefilter.pipeline import read_take
-from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import Live, Replay
 from kinefilter.pipeline.commands.live_status import status, summary
 from kinefilter.pipeline.commands.signals import stopped_by_signals
+from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live import LiveConfig, OpenConfig, Session, format_frame
 from kinefilter.pipeline.live.addresses import Address
 from kinefilter.pipeline.live.messages import Reason

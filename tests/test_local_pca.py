@@ -19,12 +19,12 @@ from kinefilter.pipeline.correct.posture_space import (
     PostureSpace,
 )
 from kinefilter.pipeline.correct.search import solve, stochastic_search
-from kinefilter.pipeline.correct.shum_baselines import Nearest, NoReliability
-from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.library import builtin_database
+from kinefilter.pipeline.database import PostureDatabase, builtin_database
+from kinefilter.pipeline.lab.methods.shum_baselines import Nearest, NoReliability
 from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
 from kinefilter.retarget import Standardizer, measured_body
-from kinefilter.scenes import perform, sample_take
+from kinefilter.scenes.library import perform
+from kinefilter.scenes.sensor import sample_take
 
 Array = NDArray[np.float64]
 JOINTS = len(KINECT_V1)

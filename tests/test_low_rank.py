@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.pipeline.correct.interface import ObservedTake, WholeTakeCorrector
-from kinefilter.pipeline.correct.low_rank import (
+from kinefilter.pipeline.lab.methods.low_rank import (
     Decomposition,
     LowRank,
     decompose,
@@ -192,7 +192,7 @@ def test_recovery_scales_with_the_take_and_leaves_it_alone() -> None:
 
 
 def test_running_out_of_iterations_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinefilter.pipeline.correct.low_rank._MOST_ITERATIONS", 3)
+    monkeypatch.setattr("kinefilter.pipeline.lab.methods.low_rank._MOST_ITERATIONS", 3)
     corrector = LowRank(1.0)
     corrector.correct(take_of(corrupted(movement(50, 3))))
     assert not corrector.converged_

@@ -10,8 +10,9 @@ from known_motions import BODY, stamps, standing
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
-from kinefilter.pipeline.evaluation import metrics
-from kinefilter.pipeline.evaluation.metrics import (
+from kinefilter.characters.rotations import normalize
+from kinefilter.pipeline import metrics
+from kinefilter.pipeline.metrics import (
     amplitude,
     bone_length_cv,
     distances,
@@ -20,7 +21,6 @@ from kinefilter.pipeline.evaluation.metrics import (
     measure,
 )
 from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import normalize
 
 # Bone lengths
 

@@ -8,11 +8,7 @@ from known_motions import BODY, Array, polynomial, stamps, standing
 
 from kinefilter.characters import KINECT_V1
 from kinefilter.characters.humanoid import joint_masses
-from kinefilter.pipeline.evaluation.metrics import (
-    flight_error,
-    jitter,
-    peak_speed,
-)
+from kinefilter.pipeline.metrics import flight_error, jitter, peak_speed
 
 # Jitter
 

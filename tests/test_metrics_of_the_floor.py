@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from known_motions import BODY, FEET, polynomial, stamps, standing
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.evaluation.metrics import (
+from kinefilter.characters.rotations import normalize
+from kinefilter.pipeline.metrics import (
     SKATE_HEIGHT,
     SKATE_SPEED,
     floating,
@@ -19,7 +20,6 @@ from kinefilter.pipeline.evaluation.metrics import (
     skate,
 )
 from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import normalize
 
 # Feet
 

@@ -22,7 +22,7 @@ from kinefilter.characters import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.library import database_from_mocap
+from kinefilter.pipeline.database.build import database_from_mocap
 from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
 from kinefilter.pipeline.formats.c3d import read_c3d
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion

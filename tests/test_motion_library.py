@@ -10,15 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, random_body, standard_body
-from kinefilter.retarget.rotations import (
-    about_x,
-    about_z,
-    inverse,
-    multiply,
-    rotate,
-)
-from kinefilter.scenes import MOTIONS, Performance, perform
-from kinefilter.scenes.joint_ranges import JOINT_RANGES
+from kinefilter.characters.rotations import about_x, about_z, inverse, multiply, rotate
+from kinefilter.scenes.library import MOTIONS, Performance, perform
+from kinefilter.scenes.library.joint_ranges import JOINT_RANGES
 
 Array = NDArray[np.float64]
 PEOPLE = range(3)

@@ -21,22 +21,23 @@ from kinefilter.characters import (
     Term,
     standard_body,
 )
+from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline import CleanConfig, clean, read_take
-from kinefilter.pipeline.evaluation.accuracy import Accuracy
+from kinefilter.pipeline.lab.accuracy import Accuracy
+from kinefilter.pipeline.lab.scorers.noise import (
+    DOUBTFUL_ERROR,
+    ERROR_PER_NOISE,
+    NoiseReliabilityScorer,
+)
 from kinefilter.pipeline.reliability import (
     Reference,
     Reliability,
     ReliabilityScorer,
     measure_reference,
 )
-from kinefilter.pipeline.reliability.noise import (
-    DOUBTFUL_ERROR,
-    ERROR_PER_NOISE,
-    NoiseReliabilityScorer,
-)
 from kinefilter.pipeline.training import read_pairs
-from kinefilter.retarget.rotations import about_y, rotate
-from kinefilter.scenes import perform, sample_take
+from kinefilter.scenes.library import perform
+from kinefilter.scenes.sensor import sample_take
 
 Array = NDArray[np.float64]
 

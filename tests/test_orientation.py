@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Skeleton, standard_body
-from kinefilter.retarget import (
-    hang_missing,
-    positions_from_rotations,
-    rotations_from_positions,
-)
-from kinefilter.retarget.rotations import (
+from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,
     inverse,
@@ -27,7 +22,12 @@ from kinefilter.retarget.rotations import (
     rotate,
     rotation_vector,
 )
-from kinefilter.scenes import perform
+from kinefilter.retarget import (
+    hang_missing,
+    positions_from_rotations,
+    rotations_from_positions,
+)
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 

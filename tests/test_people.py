@@ -26,7 +26,7 @@ from kinefilter.pipeline.formats import (
     read_take,
     read_takes,
 )
-from kinefilter.pipeline.simulate import simulate
+from kinefilter.pipeline.lab.simulate import simulate
 
 
 def test_two_people_are_two_takes_in_the_order_in_which_they_appear(

@@ -17,14 +17,9 @@ from kinefilter.characters import (
     Skeleton,
     standard_body,
 )
+from kinefilter.characters.rotations import inverse, rotate
 from kinefilter.retarget.kinematics import positions_from_rotations
-from kinefilter.retarget.rotations import inverse, rotate
-from kinefilter.scenes import (
-    MOTIONS,
-    Performance,
-    perform,
-    perform_medley,
-)
+from kinefilter.scenes.library import MOTIONS, Performance, perform, perform_medley
 
 Array = NDArray[np.float64]
 SEEDS = range(3)

@@ -16,19 +16,19 @@ from kinefilter.characters.humanoid import (
     from_mujoco,
     joint_masses,
 )
-from kinefilter.pipeline.evaluation.metrics import bone_length_cv, jitter, lowest_point
-from kinefilter.pipeline.physics import PhysicsFilter
-from kinefilter.pipeline.physics.pulled_character import substeps_in
-from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import (
+from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,
     inverse,
     multiply,
     rotation_vector,
 )
+from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
+from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.physics.pulled_character import substeps_in
+from kinefilter.retarget import positions_from_rotations
 from kinefilter.retarget.two_bone import bent_limb
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 BODY = standard_body(KINECT_V1)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.target import planting
 from kinefilter.pipeline.target.contacts import (
     SIDES,
@@ -20,9 +21,8 @@ from kinefilter.pipeline.target.contacts import (
     find_stance,
 )
 from kinefilter.pipeline.target.planting import plant_feet
-from kinefilter.retarget.rotations import about_y, rotate
 from kinefilter.retarget.runs import runs
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

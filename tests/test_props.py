@@ -11,19 +11,13 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.humanoid import GRAVITY, from_mujoco
-from kinefilter.retarget.rotations import rotate
-from kinefilter.scenes import (
-    SCENES,
-    Performance,
-    load_scene,
-    movable_props,
-    perform,
-    prop_poses,
-)
-from kinefilter.scenes.ball import ball_path
-from kinefilter.scenes.box import box_path
-from kinefilter.scenes.dribble import Contact, Ending, contacts
-from kinefilter.scenes.hands import Hands
+from kinefilter.characters.rotations import rotate
+from kinefilter.scenes import SCENES, load_scene, movable_props
+from kinefilter.scenes.library import Performance, perform, prop_poses
+from kinefilter.scenes.library.ball import ball_path
+from kinefilter.scenes.library.box import box_path
+from kinefilter.scenes.library.dribble import Contact, Ending, contacts
+from kinefilter.scenes.library.hands import Hands
 
 Array = NDArray[np.float64]
 FPS = 30.0

@@ -37,7 +37,7 @@ from kinefilter.pipeline.formats import (
     write_clip,
 )
 from kinefilter.pipeline.formats.takes import FORMATS
-from kinefilter.pipeline.simulate import simulate
+from kinefilter.pipeline.lab.simulate import simulate
 
 MakeClip = Callable[..., Clip]
 

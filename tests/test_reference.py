@@ -16,13 +16,13 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
+from kinefilter.characters.rotations import IDENTITY, about_y, rotate
 from kinefilter.pipeline.reliability.shum import (
     measure_reference,
     segment_lengths,
 )
 from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import IDENTITY, about_y, rotate
-from kinefilter.scenes import sample_take
+from kinefilter.scenes.sensor import sample_take
 
 
 def arms_down(skeleton: Skeleton = KINECT_V1) -> Array:

@@ -11,7 +11,7 @@ from skeletons import every_skeleton
 from kinefilter.characters import Skeleton, State, Take, Term
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
-from kinefilter.scenes import sample_take
+from kinefilter.scenes.sensor import sample_take
 
 
 @every_skeleton

@@ -19,7 +19,7 @@ from kinefilter.pipeline.render.motions import read_motion, shown_frames
 from kinefilter.pipeline.render.naming import outputs
 from kinefilter.pipeline.render.parts import stretches
 from kinefilter.pipeline.render.raw_take import nearest_frames, raw_positions
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 ASPECT = 16 / 9
 

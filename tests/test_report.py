@@ -25,10 +25,10 @@ from kinefilter.characters import (
     Take,
 )
 from kinefilter.pipeline import clean
-from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.evaluation.metrics import distances
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
+from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.pipeline.metrics import distances
 from kinefilter.pipeline.report import (
     compare,
     parse_limit,

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from browser import Browser
 
-from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.lab.bench import sample_path
 
 _PIXELS = "return document.getElementById('figures').toDataURL()"
 

@@ -15,6 +15,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdValidation
 from rig_motions import performed
 
 from kinefilter.characters import KINECT_V1, Clip, InputError, Prop
+from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import (
     Export,
@@ -27,7 +28,6 @@ from kinefilter.pipeline.formats.targets import target_rig
 from kinefilter.retarget import rig_map as rig_map_module
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
-from kinefilter.retarget.rotations import about_y, rotate
 from kinefilter.retarget.target_rig import TargetRig, built_rig
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from kinefilter.retarget import rotations
-from kinefilter.retarget.rotations import (
+from kinefilter.characters import rotations
+from kinefilter.characters.rotations import (
     IDENTITY,
     about_x,
     about_y,

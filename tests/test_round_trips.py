@@ -23,6 +23,7 @@ from kinefilter.characters import (
     random_body,
     standard_body,
 )
+from kinefilter.characters.rotations import inverse, multiply, rotate, rotation_vector
 from kinefilter.pipeline.formats import (
     Export,
     read_bvh,
@@ -36,12 +37,6 @@ from kinefilter.pipeline.formats.export import RotationOrder
 from kinefilter.pipeline.formats.resample import in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import (
-    inverse,
-    multiply,
-    rotate,
-    rotation_vector,
-)
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]

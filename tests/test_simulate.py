@@ -10,7 +10,7 @@ import pytest
 from kinefilter.characters import InputError
 from kinefilter.pipeline import read_take
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.simulate import simulate
+from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.training import read_pairs
 from kinefilter.scenes import SCENES
 

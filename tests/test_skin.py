@@ -16,10 +16,10 @@ from kinefilter.characters import (
     random_body,
     standard_body,
 )
+from kinefilter.characters.rotations import IDENTITY, multiply, rotate
 from kinefilter.characters.skin import INFLUENCES, Skin, skin_of
 from kinefilter.characters.surface import quads_of
 from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import IDENTITY, multiply, rotate
 
 Array = NDArray[np.float64]
 DENSITY = 1050.0  # kg/m^3

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.pipeline.target.smooth import smooth, smooth_by_speed
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 

@@ -19,18 +19,19 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.simulate import simulate
-from kinefilter.pipeline.studies import (
+from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.studies import (
     STUDIES,
     Study,
     files,
     reproduce,
     write_study,
 )
-from kinefilter.pipeline.studies.bone_errors import bone_errors
-from kinefilter.pipeline.studies.study import Panel, Series
-from kinefilter.pipeline.studies.takes import CLASSES, people_of, study_takes
-from kinefilter.scenes import load_scene, perform, prop_poses
+from kinefilter.pipeline.lab.studies.bone_errors import bone_errors
+from kinefilter.pipeline.lab.studies.study import Panel, Series
+from kinefilter.pipeline.lab.studies.takes import CLASSES, people_of, study_takes
+from kinefilter.scenes import load_scene
+from kinefilter.scenes.library import perform, prop_poses
 
 POSTURE = standard_body(KINECT_V1).rest_positions
 SMALL = Study(

@@ -20,7 +20,7 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline import CleanConfig, CleanResult, clean
 from kinefilter.pipeline.correct import CorrectedTake
-from kinefilter.pipeline.evaluation.metrics import bone_length_cv, lowest_point
+from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
 from kinefilter.pipeline.target.contacts import (
     SIDES,
     ankles_and_toes,
@@ -28,7 +28,7 @@ from kinefilter.pipeline.target.contacts import (
     find_stance,
 )
 from kinefilter.pipeline.target.target import Feet, Target, make_target
-from kinefilter.scenes import Performance, perform
+from kinefilter.scenes.library import Performance, perform
 
 Array = NDArray[np.float64]
 

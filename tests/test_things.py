@@ -9,14 +9,14 @@ import pytest
 
 from kinefilter.characters import KINECT_V1, Prop, standard_body
 from kinefilter.characters.humanoid import from_mujoco
+from kinefilter.characters.rotations import IDENTITY, about_y, multiply, rotate
 from kinefilter.pipeline import CleanConfig, clean
+from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.physics import PhysicsFilter
-from kinefilter.pipeline.simulate import simulate
-from kinefilter.retarget import View
-from kinefilter.retarget.rotations import IDENTITY, about_y, multiply, rotate
+from kinefilter.retarget import HeadingFrame
 
 BODY = standard_body(KINECT_V1)
-HERE = View(np.zeros(3), np.zeros(()))
+HERE = HeadingFrame(np.zeros(3), np.zeros(()))
 SCENE = """
 <mujoco model="things">
   <worldbody>
@@ -34,7 +34,9 @@ SCENE = """
 """
 
 
-def things(tmp_path: Path, seconds: float, place: View = HERE) -> dict[str, Prop]:
+def things(
+    tmp_path: Path, seconds: float, place: HeadingFrame = HERE
+) -> dict[str, Prop]:
     (tmp_path / "things.xml").write_text(SCENE)
     time = np.arange(round(seconds * 30)) / 30.0
     positions = np.tile(BODY.rest_positions, (len(time), 1, 1))
@@ -76,7 +78,7 @@ def test_a_ball_that_nobody_holds_falls_freely(tmp_path: Path) -> None:
 
 
 def test_a_place_moves_and_turns_everything(tmp_path: Path) -> None:
-    place = View(np.array([3.0, 0.0, -1.0]), np.array(0.7))
+    place = HeadingFrame(np.array([3.0, 0.0, -1.0]), np.array(0.7))
     here, there = things(tmp_path, 0.2), things(tmp_path, 0.2, place)
     for name, prop in there.items():
         moved = rotate(about_y(0.7), here[name].positions) + place.root

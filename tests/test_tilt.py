@@ -10,7 +10,7 @@ from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.target.contacts import find_stance
 from kinefilter.pipeline.target.floor import leveled, sensor_tilt
-from kinefilter.scenes import perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 BODY = standard_body(KINECT_V1)

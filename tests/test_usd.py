@@ -21,9 +21,9 @@ from kinefilter.characters import (
     Skeleton,
     Term,
 )
+from kinefilter.characters.rotations import rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
 from kinefilter.pipeline.formats import Export, read_usd_positions, write_clip
-from kinefilter.retarget.rotations import rotate
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]

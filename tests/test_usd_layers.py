@@ -10,8 +10,8 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from kinefilter.characters import KINECT_V2, Clip, InputError
+from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.formats import Export, read_usd_positions, write_clip
-from kinefilter.retarget.rotations import rotate
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]

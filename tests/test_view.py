@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
 from kinefilter.pipeline import CleanConfig, clean, read_take
-from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import read_contacts, write_contacts
+from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.view import Viewed, cleaned, opened_viewer, read_viewed
 from kinefilter.pipeline.view.contact_edits import PARTS, ContactEdits
 from kinefilter.pipeline.view.layers import names_of, way_aside

@@ -19,10 +19,10 @@ from websockets.sync.client import connect
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig, clean, read_take
-from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import write_contacts
+from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.view import read_viewed
 from kinefilter.pipeline.view.server import may_connect, opened_server
 

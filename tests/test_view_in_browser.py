@@ -18,8 +18,8 @@ from browser import Browser
 from numpy.typing import NDArray
 
 from kinefilter.pipeline import CleanConfig, clean, read_take
-from kinefilter.pipeline.bench import sample_path
 from kinefilter.pipeline.formats.contacts import read_contacts
+from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.view import Viewed, Viewer, cleaned, opened_viewer
 

@@ -18,15 +18,10 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.retarget.rotations import IDENTITY
-from kinefilter.scenes import (
-    Performance,
-    Sensor,
-    in_world_frame,
-    observe,
-    perform,
-)
-from kinefilter.scenes.visibility import Sight, look
+from kinefilter.characters.rotations import IDENTITY
+from kinefilter.scenes.library import Performance, perform
+from kinefilter.scenes.sensor import Sensor, in_world_frame, observe
+from kinefilter.scenes.sensor.visibility import Sight, look
 
 Array = NDArray[np.float64]
 

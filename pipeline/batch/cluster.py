@@ -19,8 +19,6 @@ from .plan import Job
 from .row import Row
 from .task import clean_file
 
-__all__ = ["Cluster"]
-
 _ROOM = 1000
 """Jobs that the scheduler has at a time: it gives them to who has none."""
 _PATIENCE = "10s"  # for the scheduler to answer

@@ -10,8 +10,6 @@ from kinefilter.pipeline.settings import Settings
 
 from .sources import Source, is_take
 
-__all__ = ["check_contacts"]
-
 
 def check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
     """Raise an InputError if a file of contacts would be used for several people.

@@ -23,8 +23,6 @@ from .plan import Job
 from .row import Row
 from .task import clean_file
 
-__all__ = ["Crew", "Processes", "failed_row", "finished_row"]
-
 
 class Crew(Protocol):
     """Who does the jobs; a context that ends them."""

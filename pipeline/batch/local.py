@@ -15,8 +15,6 @@ from kinefilter.pipeline.settings import hash_of
 
 from .store import Found
 
-__all__ = ["LocalStore"]
-
 _TEMPORARY = 33  # characters of the stem of what ``atomic_path`` writes first
 
 

@@ -23,8 +23,6 @@ from .remote_manifest import PartedManifest
 from .row import ClipRow, Row, parse_rows
 from .store import Store
 
-__all__ = ["CSV", "LINES", "Manifest", "open_manifest", "write_csv"]
-
 LINES = "manifest.jsonl"
 """Name of the file of lines, which a resumed run reads; a URL has ``PARTS``."""
 CSV = "manifest.csv"

@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import PurePosixPath
 
-__all__ = ["apart", "clip_names"]
-
 _Key = Callable[[str], str]
 
 

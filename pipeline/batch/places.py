@@ -9,8 +9,6 @@ from .local import LocalStore
 from .remote import RemoteStore, kind_of_url
 from .store import Store, is_url
 
-__all__ = ["kind_of", "store_at"]
-
 
 def store_at(place: str) -> Store:
     """Return the store whose root is a path or URL.

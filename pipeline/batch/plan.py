@@ -14,7 +14,6 @@ from kinefilter.pipeline.config_files import (
     overlaid,
     parse_settings,
 )
-from kinefilter.pipeline.correct.methods import FROM_DATABASE
 from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import read_limited
 from kinefilter.pipeline.formats.toml import LARGEST_TOML
@@ -26,8 +25,6 @@ from .naming import clip_names
 from .row import Row
 from .sources import Source
 from .store import Found, Store, real
-
-__all__ = ["Job", "is_done", "plan_jobs", "uses_builtin_database"]
 
 _ZIPPED = 4  # times as long as its file is what was zipped: numbers give 2 to 10
 
@@ -183,13 +180,3 @@ def is_done(job: Job, row: Row | None, written: Mapping[str, Found]) -> bool:
         and (file.stamp == clip.stamp or job.store.sha256(file.name) == clip.sha256)
         for clip in row.clips
     )
-
-
-def uses_builtin_database(settings: Settings) -> bool:
-    """Tell whether a take with these settings asks for the built-in database."""
-    config = settings.config
-    if config.database is not None:
-        return False
-    if config.method is None:
-        return config.model is None
-    return config.method in FROM_DATABASE

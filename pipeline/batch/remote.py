@@ -19,8 +19,6 @@ from kinefilter.pipeline.settings import hash_of
 
 from .store import Found
 
-__all__ = ["RemoteStore", "kind_of_url"]
-
 _WHOLE_PUTS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"})
 """Object stores: what is put there appears whole, and there is no renaming."""
 _TAGS = ("ETag", "etag", "md5", "mtime", "LastModified", "last_modified", "updated")

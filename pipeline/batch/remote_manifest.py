@@ -14,8 +14,6 @@ from .places import store_at
 from .row import Row, parse_rows
 from .store import Store
 
-__all__ = ["PARTS", "PartedManifest"]
-
 PARTS = "manifest"
 """Name of the folder of parts."""
 _FULL = 1000  # rows of a part: under a megabyte

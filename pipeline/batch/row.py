@@ -11,8 +11,6 @@ import numpy as np
 from kinefilter.characters import InputError
 from kinefilter.pipeline.run import CleanResult
 
-__all__ = ["ClipRow", "Row", "clip_row", "parse_rows", "row_from_json"]
-
 
 @dataclass(frozen=True, slots=True)
 class ClipRow:

@@ -9,10 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
-from kinefilter.characters import SKELETONS, InputError
+from kinefilter.characters import InputError
 from kinefilter.pipeline.config_files import read_settings
-from kinefilter.pipeline.database.library import builtin_database
-from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.workers import cores
 
@@ -21,12 +19,10 @@ from .crew import Crew, Processes, failed_row
 from .local import LocalStore
 from .manifest import Manifest, open_manifest, write_csv
 from .places import store_at
-from .plan import Job, is_done, plan_jobs, uses_builtin_database
+from .plan import Job, is_done, plan_jobs
 from .row import Row
 from .sources import find_sources
 from .store import Store
-
-__all__ = ["Outcome", "Standing", "Told", "clean_files"]
 
 _DIED = (
     "the process that cleaned it died, twice; is memory short? 'kinefilter clean' may "
@@ -82,7 +78,6 @@ def clean_files(
     given: Collection[str] = (),
     jobs: int | None = None,
     scheduler: str | None = None,
-    progress: Progress = silent,
     told: Told = lambda _: None,
 ) -> Outcome:
     """Clean takes into a folder that mirrors theirs, and go on where a run ended.
@@ -101,7 +96,6 @@ def clean_files(
         given: Names of settings that no file may change.
         jobs: Processes that clean; by default one a core.
         scheduler: Address of a Dask scheduler whose workers clean instead.
-        progress: Wraps the building of the built-in database.
         told: Called at the start, after every take, and while nobody is there.
 
     Raises:
@@ -120,8 +114,6 @@ def clean_files(
         outcome, todo = _sifted(planned, manifest, store)
         try:
             _tidy(store)
-            if any(uses_builtin_database(job.settings) for job in todo):
-                _build_database(progress)
             _clean(todo, crew, manifest, outcome, told)
             _tidy(store)
         except BaseException:
@@ -151,12 +143,6 @@ def _tidy(store: Store) -> None:
     """Remove what processes that were killed had begun to write."""
     if isinstance(store, LocalStore):
         store.remove_unfinished()
-
-
-def _build_database(progress: Progress) -> None:
-    """Have the built-in database in the cache, before every process builds its own."""
-    for skeleton in SKELETONS.values():
-        builtin_database(skeleton, progress)
 
 
 def _crew(scheduler: str | None, jobs: int) -> Processes | Cluster:

@@ -15,8 +15,6 @@ from .naming import apart
 from .places import kind_of, store_at
 from .store import Found, Store, is_url, real
 
-__all__ = ["Source", "find_sources", "is_take"]
-
 _TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh")
 """Extensions of files that may be takes, zipped (``.gz``) or not."""
 _CERTAIN = (".skeleton", ".bvh")

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-__all__ = ["Found", "Store", "is_url", "real"]
-
 
 @dataclass(frozen=True, slots=True)
 class Found:

@@ -10,8 +10,6 @@ from rich.table import Table
 from .row import ClipRow, Row
 from .run import Outcome
 
-__all__ = ["as_tables"]
-
 _WORST = 5
 _MOST_FAILED = 20  # names; the manifest has all
 

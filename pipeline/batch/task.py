@@ -27,8 +27,6 @@ from .plan import Job
 from .row import ClipRow, Row, clip_row
 from .sources import is_take
 
-__all__ = ["clean_file"]
-
 _KEPT = 4  # correction methods in memory: two skeletons, of two folders at a time
 _LONGEST = 1000  # characters of an error that a row keeps
 

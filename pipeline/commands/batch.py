@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.batch.run import Told
     from kinefilter.pipeline.progress import Progress
 
-__all__ = ["Batch"]
-
 
 @dataclass(frozen=True)
 class Batch:
@@ -74,7 +72,7 @@ class Batch:
 
         self._check()
         try:
-            with _bars(self.scheduler) as (progress, told):
+            with _bars(self.scheduler) as (_, told):
                 outcome = clean_files(
                     self.inputs,
                     self.out,
@@ -84,7 +82,6 @@ class Batch:
                     given=self.given,
                     jobs=self.jobs,
                     scheduler=self.scheduler,
-                    progress=progress,
                     told=told,
                 )
         except KeyboardInterrupt:

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from .terminal import keep, out, write_json
 
-__all__ = ["Bench"]
-
 
 @dataclass(frozen=True)
 class Bench:
@@ -21,8 +19,8 @@ class Bench:
 
     def run(self) -> int:
         """Time and print."""
-        from kinefilter.pipeline.bench import as_table, bench
         from kinefilter.pipeline.formats import check_folder
+        from kinefilter.pipeline.lab.bench import as_table, bench
 
         if self.json is not None:
             check_folder(self.json)

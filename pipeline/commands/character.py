@@ -12,8 +12,6 @@ from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, InputError, standa
 
 from .terminal import Skeletons, keep, out
 
-__all__ = ["Character"]
-
 
 @dataclass(frozen=True)
 class Character:

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.formats import Recording
     from kinefilter.pipeline.run import CleanResult
 
-__all__ = ["Clean"]
-
 
 @dataclass(frozen=True)
 class Clean:

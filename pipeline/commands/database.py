@@ -13,8 +13,6 @@ from kinefilter.characters import SKELETONS, InputError
 
 from .terminal import Skeletons, clips_of, in_folders, keep, out, progress_bars
 
-__all__ = ["Database"]
-
 _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".npz")
 
 
@@ -22,20 +20,22 @@ _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".npz")
 class DatabaseBuild:
     """Build a motion database from mocap."""
 
-    files: Positional[tuple[Path, ...]]
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Database to write (.npz)."""
+    files: Positional[tuple[Path, ...]] = ()
     """Mocap: BVH (.gz too), AMC with its ASF, C3D of joint centers; or pairs files
     (.npz), of which the mocap is taken. A folder stands for the files below it; they
     may be larger than memory."""
-    out: Annotated[Path, arg(aliases=["-o"])]
-    """Database to write (.npz)."""
     skeleton: Skeletons = "kinect_v1"
     """Skeleton of the takes that it is for."""
     count: int = 2574
     """About how many postures to keep."""
+    scripted: bool = False
+    """Build from scripted performances in place of files: the built-in database."""
 
     def run(self) -> int:
         """Build and write."""
-        from kinefilter.pipeline.database.library import (
+        from kinefilter.pipeline.database.build import (
             database_from_mocap,
             database_from_pairs,
         )
@@ -46,6 +46,8 @@ class DatabaseBuild:
         if self.count < 2:
             raise InputError(f"--count {self.count}: a database needs two postures")
         check_folder(self.out)
+        if bool(self.files) == self.scripted:
+            raise InputError("give mocap files or --scripted, one of the two")
         files = in_folders(self.files, _MOCAP)
         keep(self.out, *files)
         skeleton = SKELETONS[self.skeleton]
@@ -53,7 +55,11 @@ class DatabaseBuild:
         if paired and len(paired) < len(files):
             raise InputError(f"{paired[0]}: give mocap or pairs files, not both")
         with progress_bars() as progress:
-            if paired:
+            if self.scripted:
+                from kinefilter.pipeline.lab.scripted_database import scripted_database
+
+                database = scripted_database(skeleton, progress)
+            elif paired:
                 pairs = clips_of(paired, progress)
                 database = database_from_pairs(pairs, skeleton, count=self.count)
             else:

@@ -10,8 +10,6 @@ from kinefilter.characters import InputError
 
 from .terminal import clips_of, keep, out, progress_bars, write_json
 
-__all__ = ["Evaluate"]
-
 
 @dataclass(frozen=True)
 class Evaluate:
@@ -53,8 +51,8 @@ class Evaluate:
     def run(self) -> int:
         """Evaluate and print."""
         from kinefilter.pipeline.database import PostureDatabase
-        from kinefilter.pipeline.evaluation.evaluate import as_table, evaluate
         from kinefilter.pipeline.formats import check_folder
+        from kinefilter.pipeline.lab.evaluate import as_table, evaluate
 
         if self.json is not None:
             check_folder(self.json)

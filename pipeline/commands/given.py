@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["given_options"]
-
 
 def given_options(arguments: Sequence[str]) -> frozenset[str]:
     """Return the names of the options that arguments hold, as fields are called.

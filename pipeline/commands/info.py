@@ -12,8 +12,6 @@ from kinefilter.pipeline.config import TakeFormat
 
 from .terminal import out
 
-__all__ = ["Info"]
-
 
 @dataclass(frozen=True)
 class Info:

@@ -10,13 +10,11 @@ from tyro.conf import OmitArgPrefixes
 
 from kinefilter.pipeline.live.config import LiveConfig, OpenConfig
 
-from .terminal import err, progress_bars, write_json
+from .terminal import err, write_json
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.live import Session
     from kinefilter.pipeline.live.addresses import Address
-
-__all__ = ["Live"]
 
 
 @dataclass(frozen=True)
@@ -40,16 +38,12 @@ class Live:
         """Follow until Ctrl-C, SIGTERM or the end of the input."""
         import asyncio
 
-        from kinefilter.characters import skeleton_named
-        from kinefilter.pipeline.database.library import builtin_database
         from kinefilter.pipeline.formats import check_folder
         from kinefilter.pipeline.live import Session
 
         if self.json is not None:
             check_folder(self.json)
         session = Session(self.config, self.access)
-        with progress_bars() as progress:
-            builtin_database(skeleton_named(self.config.skeleton), progress)
         asyncio.run(self._followed(session))
         return self._ended(session)
 

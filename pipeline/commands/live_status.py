@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.live import Session
     from kinefilter.pipeline.live.tally import Tally
 
-__all__ = ["shown", "status", "summary"]
-
 _REFRESH = 0.3  # s between two lines on a terminal
 _LOGGED = 60.0  # s between two lines where there is no terminal, as in a log file
 

@@ -13,8 +13,6 @@ from kinefilter.pipeline.render.look import Look
 
 from .terminal import err, keep, out, progress_bars
 
-__all__ = ["Render"]
-
 
 @dataclass(frozen=True)
 class Render:

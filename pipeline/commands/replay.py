@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from kinefilter.characters import Take
     from kinefilter.pipeline.live.addresses import Address
 
-__all__ = ["Replay"]
-
 
 @dataclass(frozen=True)
 class Replay:

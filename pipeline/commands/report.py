@@ -10,8 +10,6 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from .terminal import err, keep, out
 
-__all__ = ["Report"]
-
 
 @dataclass(frozen=True)
 class Report:

@@ -13,8 +13,6 @@ from kinefilter.characters import InputError
 
 from .terminal import out, progress_bars
 
-__all__ = ["Reproduce"]
-
 
 @dataclass(frozen=True)
 class Reproduce:
@@ -52,7 +50,7 @@ class Reproduce:
 
     def run(self) -> int:
         """Study, write, print."""
-        from kinefilter.pipeline.studies import (
+        from kinefilter.pipeline.lab.studies import (
             STUDIES,
             check_drawing,
             check_names,
@@ -81,7 +79,12 @@ class Reproduce:
 
     def _study(self, names: Sequence[str], folder: Path, data: Path | None) -> None:
         """Run studies, write and print them."""
-        from kinefilter.pipeline.studies import as_table, made, reproduce, write_study
+        from kinefilter.pipeline.lab.studies import (
+            as_table,
+            made,
+            reproduce,
+            write_study,
+        )
 
         stamp = made.fingerprint(data, seed=self.seed, quick=self.quick)
         for name in names:
@@ -103,7 +106,7 @@ class Reproduce:
 
     def _judge(self, folder: Path, data: Path | None) -> int:
         """Make the pictures, compare the claims; return the exit code."""
-        from kinefilter.pipeline.studies import make_pictures, verdicts
+        from kinefilter.pipeline.lab.studies import make_pictures, verdicts
 
         with progress_bars() as progress:
             for line in make_pictures(folder, progress=progress):

@@ -12,8 +12,6 @@ from kinefilter.characters import InputError, State
 
 from .terminal import Skeletons, keep, out
 
-__all__ = ["Simulate"]
-
 
 @dataclass(frozen=True)
 class Simulate:
@@ -42,7 +40,7 @@ class Simulate:
     def run(self) -> int:
         """Simulate and write."""
         from kinefilter.pipeline.formats import check_folder, write_take_csv
-        from kinefilter.pipeline.simulate import simulate, truth_of, write_pairs
+        from kinefilter.pipeline.lab.simulate import simulate, truth_of, write_pairs
 
         for path, suffix in (
             (self.out, ".csv"),

@@ -17,17 +17,6 @@ from kinefilter.pipeline.progress import Progress, over
 if TYPE_CHECKING:
     from kinefilter.pipeline.training import PairedTake
 
-__all__ = [
-    "Skeletons",
-    "clips_of",
-    "err",
-    "in_folders",
-    "keep",
-    "out",
-    "progress_bars",
-    "write_json",
-]
-
 # Names of files are printed as they are, whatever brackets and colons they hold.
 out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
 err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)

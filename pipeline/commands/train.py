@@ -13,8 +13,6 @@ from kinefilter.pipeline.config import LearnedMethod
 
 from .terminal import Skeletons, clips_of, in_folders, keep, out, progress_bars
 
-__all__ = ["Train"]
-
 
 @dataclass(frozen=True)
 class Train:
@@ -39,8 +37,8 @@ class Train:
         """Learn and write."""
         from kinefilter.pipeline.correct.methods import LEARNED
         from kinefilter.pipeline.formats import check_folder
+        from kinefilter.pipeline.lab.simulate import furnished_pairs, simulated_pairs
         from kinefilter.pipeline.models import Model, save_model
-        from kinefilter.pipeline.simulate import furnished_pairs, simulated_pairs
         from kinefilter.pipeline.training import training_set
 
         if self.out.suffix != ".npz":

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.view import Viewed
     from kinefilter.pipeline.view.viewer import Again
 
-__all__ = ["View"]
-
 
 @dataclass(frozen=True)
 class View:

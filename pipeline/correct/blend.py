@@ -7,10 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from kinefilter.characters import Skeleton
-
-__all__ = ["Blend", "measurement_trust"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 UNRELIABLE, RELIABLE = 0.3, 0.95
 """Reliability rates below which a measurement counts for nothing and from which it is

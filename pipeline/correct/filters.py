@@ -8,17 +8,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
 
 from .hold import Hold
 from .interface import Correction, Observation, ObservedTake
-
-__all__ = ["Butterworth", "OneEuro", "SavitzkyGolay", "bridge_gaps"]
-
-Array = NDArray[np.float64]
 
 _LEAST_STEP = 1e-3  # s: a repeated time stamp is no reason to divide by zero
 

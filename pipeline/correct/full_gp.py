@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
 
@@ -22,10 +23,6 @@ from .gaussian_process import Kernel, fit_kernel
 from .hold import Hold
 from .interface import Correction, Observation
 from .lessons import Lessons, add_offsets
-
-__all__ = ["FullGP", "JointFeatures", "JointKernels"]
-
-Array = NDArray[np.float64]
 
 _FOR_KERNEL = 400  # samples the hyper-parameters are learned from
 _FOR_VARIANCE = 10  # nearest samples the variance is taken from

@@ -15,16 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
-__all__ = [
-    "Kernel",
-    "fit_kernel",
-    "grow_factor",
-    "grow_inverse",
-    "informative_samples",
-    "log_marginal_likelihood",
-]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 _STEPS = 40
 _REACH = np.log(1e3)  # how far a hyper-parameter may leave its first guess, in logs

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, standard_body
+from kinefilter.characters.arrays import Array
 
 from .blend import Blend
 from .interface import Correction, Observation
-
-__all__ = ["Hold"]
-
-Array = NDArray[np.float64]
 
 
 class Hold:

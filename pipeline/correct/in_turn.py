@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from kinefilter.characters.arrays import Array
 
 from .interface import Correction, Corrector, Mover, Observation
-
-__all__ = ["InTurn"]
-
-Array = NDArray[np.float64]
 
 
 class InTurn:

@@ -5,25 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol, Self, runtime_checkable
 
-import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
-
-__all__ = [
-    "CORRECTED_TRUST",
-    "Correction",
-    "Corrector",
-    "LearnedCorrector",
-    "Mover",
-    "Observation",
-    "ObservedTake",
-    "WholeTakeCorrector",
-]
-
-Array = NDArray[np.float64]
 
 CORRECTED_TRUST = 0.9
 """Trust in a measurement that was corrected: the smoother may move it too. A guess."""

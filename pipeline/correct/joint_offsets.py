@@ -16,17 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import cross
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
-from kinefilter.retarget.rotations import cross
 
 from .hold import Hold
 from .interface import Correction, Observation
 from .lessons import Lessons, add_offsets
-
-__all__ = ["JointOffsets"]
-
-Array = NDArray[np.float64]
 
 _CHUNK = 4096  # frames at a time: their vectors are many times the positions
 _RIDGE = 0.2

@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, standard_body
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.training import TrainingSet
 
 from .hold import Hold
 from .interface import CORRECTED_TRUST, Correction, Observation
-
-__all__ = ["Lessons", "add_offsets"]
-
-Array = NDArray[np.float64]
 
 _LEAST_FRAMES = 100
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import TrainingSet
 
@@ -25,10 +26,6 @@ from .hold import Hold
 from .interface import Correction, Observation
 from .lessons import Lessons, add_offsets
 from .local_models import LinearTrend, LocalModels
-
-__all__ = ["LocalGP", "least_energy"]
-
-Array = NDArray[np.float64]
 
 _POOL = 4  # samples drawn for each that may be kept: what budgeting chooses from
 _MOST_LEARNED = 20  # samples a local model, and models a joint, may gain online

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 
+from kinefilter.characters.arrays import Array
+
 from .full_gp import JointKernels
 from .gaussian_process import grow_factor, grow_inverse
-
-__all__ = ["LinearTrend", "LocalModels"]
-
-Array = NDArray[np.float64]
 
 _SLOPE = 0.1  # of an offset by a joint's place, as far as one would guess (a guess)
 _SCATTER = 0.03  # m, of the offsets about the line (a guess)

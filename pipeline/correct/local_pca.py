@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import standard_body
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.retarget.rotations import normalize
 
 from .blend import Blend, measurement_trust
 from .interface import CORRECTED_TRUST, Correction, Observation
@@ -17,12 +18,8 @@ from .natural_spaces import NaturalSpaces
 from .posture_space import EnergyWeights, PostureEnergy, PostureSpace
 from .search import solve, stochastic_search
 
-__all__ = ["LocalPCA", "Search"]
-
 Search = Literal["solver", "stochastic"]
 """How the posture of least energy is found: the solver, or the paper's sampling."""
-
-Array = NDArray[np.float64]
 
 _SENSOR_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, sizes standardized
 _NEIGHBORS = 5

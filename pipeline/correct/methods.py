@@ -6,22 +6,20 @@ from collections.abc import Callable
 
 from kinefilter.characters import Skeleton
 from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
+from kinefilter.pipeline.lab.methods.exemplar import Exemplar
+from kinefilter.pipeline.lab.methods.kalman import ConstantLengthKalman
+from kinefilter.pipeline.lab.methods.low_rank import LowRank
+from kinefilter.pipeline.lab.methods.shum_baselines import Nearest, NoReliability
 
-from .clustered_gp import ClusteredGP
-from .exemplar import Exemplar
 from .filters import Butterworth, OneEuro, SavitzkyGolay
 from .full_gp import FullGP
 from .hold import Hold
 from .interface import Corrector, LearnedCorrector, WholeTakeCorrector
 from .joint_offsets import JointOffsets
-from .kalman import ConstantLengthKalman
 from .local_gp import LocalGP
 from .local_pca import LocalPCA
-from .low_rank import LowRank
 from .personal_gp import PersonalGP
-from .shum_baselines import Nearest, NoReliability
-
-__all__ = ["FILTERS", "FROM_DATABASE", "LEARNED"]
 
 FILTERS: dict[str, Callable[[Skeleton], Corrector | WholeTakeCorrector]] = {
     "none": Hold,

@@ -9,14 +9,10 @@ they hardly vary is error (probabilistic PCA, Tipping & Bishop 1999, section 2).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
-
-__all__ = ["NaturalSpaces"]
-
-Array = NDArray[np.float64]
 
 # Chosen on six people with marker mocap beside the Kinect, with the mocap of the others
 # and unrelated CMU motion as databases.

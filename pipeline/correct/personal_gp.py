@@ -16,16 +16,13 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from kinefilter.characters import InputError, Skeleton, standard_body
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.reliability.shum import segment_lengths
 from kinefilter.pipeline.training import TrainingSet
 
 from .hold import Hold
 from .interface import CORRECTED_TRUST, Correction, Observation
-
-__all__ = ["PersonalGP"]
-
-Array = NDArray[np.float64]
 
 # Chosen by leaving one of six people out; each of them may be halved or doubled at a
 # loss of a twentieth of what is gained.

@@ -9,13 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
-
-__all__ = ["EnergyWeights", "PostureEnergy", "PostureSpace"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
+from kinefilter.characters.arrays import Array
+
 from .posture_space import PostureEnergy, PostureSpace
-
-__all__ = ["solve", "stochastic_search"]
-
-Array = NDArray[np.float64]
 
 _STEPS = 8
 _CONVERGED = 1e-3  # latent step [m], over all joints together: no one sees less

@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Origin, Take
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.standard import StandardTake
 
 from .hold import Hold
 from .in_turn import InTurn
 from .interface import Corrector, Observation, ObservedTake, WholeTakeCorrector
-
-__all__ = ["CorrectedTake", "correct_take"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,5 @@
 """The motion database: where natural postures come from, and those nearest to one."""
 
-from .posture_database import PostureDatabase
+from .posture_database import PostureDatabase, builtin_database
 
-__all__ = ["PostureDatabase"]
+__all__ = ["PostureDatabase", "builtin_database"]

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, skeleton_named
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.npz import read_arrays
 
 from .posture_index import PostureIndex
 
-__all__ = ["FILTERED_POSTURES", "PostureDatabase"]
-
-Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 FILTERED_POSTURES = 2574
@@ -151,3 +150,11 @@ class PostureDatabase:
             str(path),
             recorded,
         )
+
+
+@lru_cache(maxsize=4)
+def builtin_database(skeleton: Skeleton) -> PostureDatabase:
+    """Return the database of scripted motions that comes with kinefilter."""
+    folder = resources.files("kinefilter.pipeline").joinpath("embedded")
+    with resources.as_file(folder / f"{skeleton.name}_postures.npz") as path:
+        return PostureDatabase.load(path)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PostureIndex"]
+from kinefilter.characters.arrays import Array
 
-Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 _BLOCK = 128  # postures: fewer fit tighter boxes, more cost fewer calls. Timed.

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["filter_postures", "filter_to_count"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 _BLOCK = 512  # postures compared at a time, a matter of speed alone
 _TOO_MANY = 50_000

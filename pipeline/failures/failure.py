@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from kinefilter.characters import Take
 from kinefilter.retarget.runs import runs
 
-__all__ = ["Failure", "FailureKind", "lasting"]
-
 
 class FailureKind(StrEnum):
     """What is wrong with part of a take."""

@@ -15,8 +15,6 @@ from .leaps import leaps
 from .mirrored import mirrored, unmirrored
 from .postures import bent_backwards, out_of_range, through_head
 
-__all__ = ["distrust", "find_failures"]
-
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
 _SHORT = 0.3  # s: an arm is where it cannot be for less when it only brushes by
 _DOUBTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)

@@ -6,11 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Take
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.reliability.shum import column_medians
-
-__all__ = ["leaps"]
-
-Array = NDArray[np.float64]
 
 _LEAP = 0.6
 """How far a limb's joint leaps, as a share of the segment that ends there: 35 degrees.

@@ -14,8 +14,6 @@ from kinefilter.retarget.runs import runs
 from .failure import Failure, FailureKind
 from .trunk import leftward
 
-__all__ = ["mirrored", "unmirrored"]
-
 _SPIN = np.radians(120.0)
 _SPIN_TIME = 1.0 / 6.0
 """Nobody turns the trunk by that much [rad] in this time [s]: figure skaters reach six

@@ -7,13 +7,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from kinefilter.characters import Take
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.reliability.shum import column_medians
 
 from .trunk import trunk_axes, unit, upward
-
-__all__ = ["bent_backwards", "out_of_range", "through_head"]
-
-Array = NDArray[np.float64]
 
 _BACKWARDS = 0.06
 """Share of a leg's length by which a knee is behind the line from hip to ankle: 14

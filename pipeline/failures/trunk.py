@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Take
-
-__all__ = ["leftward", "trunk_axes", "unit", "upward"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 
 def leftward(take: Take) -> Array:

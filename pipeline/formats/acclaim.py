@@ -15,19 +15,15 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
-from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 
 from .bvh_reader import LARGEST_NUMBER, MOST_CELLS
 from .euler import wxyz_from_euler
 from .files import open_text
 from .mocap import Mocap
-
-__all__ = ["Acclaim", "read_amc", "read_asf"]
-
-Array = NDArray[np.float64]
 
 _FRAME_TIME = 1.0 / 120.0
 """Time between frames [s]: no AMC tells it, CMU's cameras took 120 a second."""

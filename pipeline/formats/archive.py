@@ -21,8 +21,6 @@ from kinefilter.characters import (
 from .files import atomic_path
 from .npz import read_arrays
 
-__all__ = ["read_clip", "write_npz"]
-
 _ARRAYS = tuple(
     field.name
     for field in fields(Clip)

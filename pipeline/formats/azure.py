@@ -24,8 +24,6 @@ from kinefilter.characters import KINECT_V2, InputError, State
 from .bodies import Sighting, takes_of
 from .recording import Recording, check_length
 
-__all__ = ["JOINTS", "LARGEST", "read_azure"]
-
 LARGEST = 2**29
 """Bytes of JSON at most: an hour without spaces, ten minutes of two people with."""
 

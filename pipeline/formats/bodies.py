@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, State, Take
+from kinefilter.characters.arrays import Array
 
 from .recording import check_extent, check_length, check_rate, missing_marked
-
-__all__ = ["Sighting", "takes_of"]
-
-Array = NDArray[np.float64]
 
 _AWAY = 2.0
 """A body that is new within this time [s] may be one that was lost. A guess."""

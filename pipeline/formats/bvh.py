@@ -8,11 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.retarget.rotations import multiply, rotate
+from kinefilter.characters.rotations import multiply, rotate
 
 from .euler import wxyz_from_euler
-
-__all__ = ["Bvh"]
 
 
 @dataclass(frozen=True, eq=False)

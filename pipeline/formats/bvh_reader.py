@@ -16,8 +16,6 @@ from .bvh import Bvh
 from .files import open_text
 from .rows import RowReader
 
-__all__ = ["LARGEST_NUMBER", "MOST_CELLS", "read_bvh"]
-
 MOST_CELLS = 20_000_000
 """Joints times frames at most: an hour of 75 joints at 60 frames a second."""
 LARGEST_NUMBER = 1e9

@@ -17,8 +17,6 @@ from .bvh_reader import read_bvh
 from .mocap import Mocap, bare_name, kinect_motion
 from .recording import Recording, check_extent, check_length, missing_marked
 
-__all__ = ["RIGS", "read_bvh_mocap", "read_bvh_take"]
-
 RIGS = ("cmu", "motionbuilder", "jointed")
 """Skeletons that BVH files have, the most particular first."""
 

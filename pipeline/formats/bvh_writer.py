@@ -15,8 +15,6 @@ from .export import Export
 from .files import atomic_path
 from .rig import Rig, RigMotion
 
-__all__ = ["write_bvh"]
-
 _FRAMES_AT_ONCE = 1000  # about a megabyte of text
 _END_SHARE = 0.3  # an end site goes on by this share of its bone, enough to be seen
 

@@ -22,8 +22,6 @@ from .files import check_file
 from .guarded import read_guarded
 from .mocap import Mocap
 
-__all__ = ["read_c3d"]
-
 _BLOCK = 512  # bytes
 _MAGIC = 0x50  # second byte of every C3D file
 _LARGEST = 2**30  # bytes

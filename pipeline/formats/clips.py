@@ -18,8 +18,6 @@ from .tables import write_take_csv
 from .targets import target_rig
 from .usd import write_usd
 
-__all__ = ["check_writable", "write_clip"]
-
 _EXTENSIONS = (".usda", ".usdc", ".usd", ".usdz", ".bvh", ".csv", ".npz")
 
 

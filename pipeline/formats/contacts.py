@@ -14,8 +14,6 @@ from .archive import read_clip
 from .files import atomic_path, beginning, open_text
 from .rows import RowReader
 
-__all__ = ["claims_contacts", "contact_table", "read_contacts", "write_contacts"]
-
 _HEADER = ("time", *CONTACTS)
 _ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.retarget.rotations import multiply
-
-__all__ = ["continuous_euler", "wxyz_from_euler"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import multiply
 
 _LOCKED = (
     1e-7  # cosine of the middle angle below which the outer two are one: sqrt(eps)

@@ -7,13 +7,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
+from kinefilter.characters.arrays import Array
 
-__all__ = ["Export", "RotationOrder"]
-
-Array = NDArray[np.float64]
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped

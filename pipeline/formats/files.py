@@ -14,15 +14,6 @@ from typing import IO, Any, TextIO, cast
 
 from kinefilter.characters import InputError
 
-__all__ = [
-    "atomic_path",
-    "beginning",
-    "check_file",
-    "check_folder",
-    "open_text",
-    "read_limited",
-]
-
 _GZIP_MAGIC = b"\x1f\x8b"
 
 LARGEST_TEXT = 2**30

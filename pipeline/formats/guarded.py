@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
-__all__ = ["read_guarded"]
-
 _SECONDS = 120.0
 _MEMORY = 2 * 2**30  # bytes of address space, libraries included
 _NAME = "kinefilter.pipeline.formats.guarded"

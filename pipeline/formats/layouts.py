@@ -14,8 +14,6 @@ from kinefilter.characters import (
     Skeleton,
 )
 
-__all__ = ["LAYOUTS", "V2_CELLS", "Layout"]
-
 _AXES = ("x", "y", "z")
 
 

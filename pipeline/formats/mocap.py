@@ -6,15 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, standard_body
-from kinefilter.retarget.rotations import IDENTITY, multiply, rotate
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import IDENTITY, multiply, rotate
 from kinefilter.retarget.source_rig import SourceRig, matching_source_rig
-
-__all__ = ["KinectMotion", "Mocap", "bare_name", "kinect_motion"]
-
-Array = NDArray[np.float64]
 
 _Z_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """Minus a quarter turn about x, wxyz: what pointed along z points along y."""

@@ -14,8 +14,6 @@ from .c3d import read_c3d
 from .files import beginning, check_file
 from .mocap import Mocap
 
-__all__ = ["RIGS", "read_mocap", "sorted_mocap"]
-
 RIGS = ("cmu", "motionbuilder", "acclaim", "plug_in_gait")
 """Skeletons that mocap comes on, besides the Kinects' own."""
 _C3D_MAGIC = 0x50

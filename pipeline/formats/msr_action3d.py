@@ -27,8 +27,6 @@ from .recording import (
 )
 from .rows import RowReader
 
-__all__ = ["JOINTS", "read_msr_action3d"]
-
 JOINTS = (
     *("ShoulderRight", "ShoulderLeft", "ShoulderCenter", "Spine"),
     *("HipRight", "HipLeft", "HipCenter"),

@@ -15,8 +15,6 @@ from kinefilter.characters import InputError
 
 from .files import check_file
 
-__all__ = ["array_names", "read_arrays"]
-
 _LARGEST = 2**31
 """Bytes of all arrays: nine hours of the largest skeleton's positions."""
 _KINDS = "biufUS"  # truth values, numbers and text

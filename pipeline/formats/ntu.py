@@ -20,8 +20,6 @@ from kinefilter.characters import KINECT_V2, InputError, State
 from .bodies import Sighting, takes_of
 from .recording import MOST_FRAMES, Recording, check_length
 
-__all__ = ["read_ntu"]
-
 _FRAMES_PER_SECOND = 30.0
 _BODY_VALUES = 10
 _JOINT_VALUES = 12

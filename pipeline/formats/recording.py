@@ -10,18 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, State, Take
+from kinefilter.characters.arrays import Array
 
-__all__ = [
-    "MOST_FRAMES",
-    "Recording",
-    "check_extent",
-    "check_length",
-    "check_rate",
-    "missing_marked",
-    "numbered",
-]
-
-Array = NDArray[np.float64]
 _Path = TypeVar("_Path", bound=PurePath)
 
 MOST_FRAMES = 1_000_000

@@ -8,12 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Prop, standard_body
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.retarget import positions_from_rotations
-from kinefilter.retarget.rotations import between, multiply, slerp
-
-__all__ = ["in_strict_t", "resampled"]
-
-Array = NDArray[np.float64]
 
 _CHUNK = 4096  # frames at a time, to bound the memory
 _END = 1e-6  # of a frame: the last one is not lost to rounding

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, Skeleton
+from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.retargeting import Retargeted
-from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.target_rig import RestPose, TargetRig
-
-__all__ = ["Rig", "RigMotion", "motion_of", "retargeted_motion", "rig_of"]
 
 
 @dataclass(frozen=True, eq=False)

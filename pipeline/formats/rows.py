@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
-__all__ = ["Block", "RowReader"]
-
 _BLOCK_LINES = 2000  # some megabytes of text at a time, whatever the file's length
 
 

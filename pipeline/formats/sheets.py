@@ -21,8 +21,6 @@ from .recording import (
 )
 from .rows import Block, RowReader
 
-__all__ = ["read_sheet"]
-
 _LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
 
 # A block's time [s], positions [m] (R, J, 3) and states (R, J).

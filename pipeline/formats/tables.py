@@ -8,12 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Origin, Skeleton, State, Take
+from kinefilter.characters.arrays import Array
 
 from .files import atomic_path
-
-__all__ = ["take_header", "take_rows", "write_take_csv"]
-
-Array = NDArray[np.float64]
 
 _FRAMES_AT_ONCE = 1000  # about a megabyte of text
 

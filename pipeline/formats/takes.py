@@ -18,8 +18,6 @@ from .ntu import read_ntu
 from .recording import Recording
 from .sheets import read_sheet
 
-__all__ = ["FORMATS", "claims_take", "read_recording", "read_take", "read_takes"]
-
 _MSRC_CELLS = 81
 _MSR_CELLS = 4
 _NAMES = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")

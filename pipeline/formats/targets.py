@@ -9,20 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import wxyz_from_matrix
 from kinefilter.retarget.rig_map import RigMap, load_rig_map
-from kinefilter.retarget.rotations import wxyz_from_matrix
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 from .bvh import Bvh
 from .bvh_reader import read_bvh
 from .usd_contents import check_usd
-
-__all__ = ["target_rig"]
-
-Array = NDArray[np.float64]
 
 _UNITS = (1.0, 0.01, 0.001, 0.0254)  # m, cm, mm, inches
 _LEG = 0.86  # m: thigh and shin of a body of 1.75 m (Winter 2009, figure 4.1)

@@ -10,8 +10,6 @@ from kinefilter.characters import InputError
 
 from .files import read_limited
 
-__all__ = ["LARGEST_TOML", "parse_toml", "read_toml"]
-
 LARGEST_TOML = 2**16
 """Bytes of a file that somebody wrote by hand."""
 

@@ -36,8 +36,6 @@ from .usd_character import (
 )
 from .usd_props import define_props
 
-__all__ = ["write_usd"]
-
 _RATE_TOLERANCE = 0.005  # stamps jitter; a rate this near to a whole number is one
 _STAMP = 315619200  # s: 2 January 1980, for equal packages; zip knows no earlier year
 _CODE_DECIMALS = 6  # of a frame: takes rounding errors off whole frames, nothing else

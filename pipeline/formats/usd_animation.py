@@ -9,18 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
-from kinefilter.retarget.rotations import continuous
 
 from .export import Export
 from .rig import Rig, RigMotion
 from .usd_character import ANIMATION, CHARACTER, SKELETON, SKIN, joint_paths
 from .usd_props import props_extent
 from .usd_provenance import write_provenance
-
-__all__ = ["write_animation"]
-
-Array = NDArray[np.float64]
 
 _FRAMES_AT_ONCE = 1000  # bounds the memory of the conversion
 

@@ -6,29 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.characters.skin import INFLUENCES, skin_of
-from kinefilter.retarget.rotations import matrix_from_wxyz
 
 from .export import Export
 from .rig import Rig, rig_of
-
-__all__ = [
-    "ANIMATION",
-    "CHARACTER",
-    "SKELETON",
-    "SKIN",
-    "check_character",
-    "define_character",
-    "define_skeleton",
-    "joint_paths",
-    "set_axes",
-    "write_character",
-]
-
-Array = NDArray[np.float64]
 
 CHARACTER = "/Character"
 SKELETON = f"{CHARACTER}/Skeleton"

@@ -15,8 +15,6 @@ from kinefilter.characters import InputError
 from .guarded import read_guarded
 from .usd_reader import read_usd_positions
 
-__all__ = ["check_usd", "usd_contents"]
-
 _LARGEST = 2**31  # bytes
 
 

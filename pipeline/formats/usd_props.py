@@ -6,17 +6,13 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Prop, Shape
-from kinefilter.retarget.rotations import rotate
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import rotate
 
 from .export import Export
 from .usd_character import CHARACTER
-
-__all__ = ["define_props", "props_extent"]
-
-Array = NDArray[np.float64]
 
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _LINEAR = 2.2  # exponent from a screen's colors to light, about that of sRGB

@@ -33,12 +33,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Clip, Origin, Term
+from kinefilter.characters.arrays import Array
 
 from .usd_character import CHARACTER
-
-__all__ = ["write_provenance"]
-
-Array = NDArray[np.float64]
 
 _UNMEASURED = -1.0
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
-__all__ = ["read_usd_positions"]
-
 
 def read_usd_positions(
     path: str | os.PathLike[str],

@@ -23,8 +23,6 @@ from kinefilter.pipeline.loopback import OWN_PAGES, is_loopback
 if TYPE_CHECKING:
     from websockets.datastructures import Headers
 
-__all__ = ["Access", "certificate_of", "make_access", "read_token"]
-
 _SHORTEST_TOKEN = 16  # characters; shorter ones can be guessed
 _LARGEST_TOKEN_FILE = 2**12  # bytes
 

@@ -9,8 +9,6 @@ from urllib.parse import urlsplit
 from kinefilter.characters import InputError
 from kinefilter.pipeline.loopback import is_loopback
 
-__all__ = ["MOST_PORT", "STANDARD", "Address", "listening_host", "read_address"]
-
 STANDARD = "-"
 """The scheme of the standard input and output."""
 MOST_PORT = 2**16 - 1

@@ -16,8 +16,6 @@ from .tally import Event, Tally
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
-__all__ = ["Broadcast"]
-
 _WAITING = 32  # lines that wait for a reader: a second of one person; poses get old
 _DEAD = 10.0  # s: who reads nothing for as long makes room, and may come again
 _SENT_AHEAD = 2**17  # bytes that the system keeps for a slow reader, two seconds of one

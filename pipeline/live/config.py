@@ -13,8 +13,6 @@ from kinefilter.characters import InputError
 
 from .limits import MOST_BODIES
 
-__all__ = ["LiveConfig", "OpenConfig"]
-
 
 @dataclass(frozen=True)
 class OpenConfig:

@@ -9,8 +9,6 @@ from .person import Person, Stature
 from .stamps import Arrival, Stamps
 from .tally import Event, Tally
 
-__all__ = ["Crowd", "Presence", "Waiting"]
-
 _GONE = 2.0  # s unseen after which a body is put to rest
 
 

@@ -10,8 +10,6 @@ from kinefilter.characters import InputError
 
 from .addresses import MOST_PORT, Address
 
-__all__ = ["Datagrams", "open_datagrams"]
-
 
 class Datagrams:
     """Sends to a host.

@@ -11,8 +11,6 @@ from .access import Access, make_access
 from .addresses import STANDARD, Address, listening_host, read_address
 from .config import LiveConfig, OpenConfig
 
-__all__ = ["Ends", "find_ends"]
-
 _SOURCES = ("udp", "ws", "wss", STANDARD)
 _SINKS = ("vmc", "ws", "wss", STANDARD)
 

@@ -7,8 +7,6 @@ from .poses import LivePose
 from .tally import Event, Tally
 from .vmc import VmcFigure, absence
 
-__all__ = ["Engine"]
-
 
 class Engine:
     """Sends each person to a port of their own: the first to PORT, the next to PORT+1.

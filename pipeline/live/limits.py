@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 
-__all__ = ["LARGEST_MESSAGE", "MOST_BODIES", "MOST_CONNECTIONS", "Peers", "Rate"]
-
 LARGEST_MESSAGE = 2**15
 """Bytes of a message: twice those of six bodies of 25 joints with all their digits, and
 less than a datagram holds."""

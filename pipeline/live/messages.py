@@ -26,20 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KinefilterError, Skeleton, State
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.recording import missing_marked
 
 from .limits import LARGEST_MESSAGE, MOST_BODIES
-
-__all__ = [
-    "Frame",
-    "MalformedError",
-    "Reason",
-    "SeenBody",
-    "format_frame",
-    "parse_frame",
-]
-
-Array = NDArray[np.float64]
 
 _FARTHEST = 100.0  # m: no sensor of people sees that far
 _LATEST = 1e12  # s: clocks count from 1970, in seconds

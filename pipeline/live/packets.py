@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LARGEST_BUNDLE", "Packets", "message"]
-
 LARGEST_BUNDLE = 1400
 """Bytes: what an Ethernet packet holds."""
 _HEAD, _PREFIX = 16, 4  # bytes of a bundle's head, and before each message in it

@@ -15,8 +15,6 @@ from kinefilter.retarget import measured_body
 
 from .messages import SeenBody
 
-__all__ = ["Person", "Stature"]
-
 _MEASURED_FOR = 1.0
 """Time [s] that a person is measured for. In recorded takes segment lengths are then on
 average 7 mm from those of the whole take, after 3 s 5 mm."""

@@ -12,8 +12,6 @@ from kinefilter.characters import InputError, Take
 from .messages import Frame, SeenBody, format_frame
 from .senders import Sender
 
-__all__ = ["frames_of", "replay"]
-
 
 def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
     """Yield the frames of a recording, those of one stamp together.

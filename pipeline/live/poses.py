@@ -23,8 +23,6 @@ from typing import Any
 from kinefilter.characters import Body, Skeleton
 from kinefilter.pipeline.avatar import Pose
 
-__all__ = ["LivePose", "gone_line", "pose_line", "skeleton_line"]
-
 _DECIMALS = 5  # 0.01 mm
 
 

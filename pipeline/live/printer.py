@@ -14,8 +14,6 @@ from kinefilter.characters import Skeleton
 from .poses import LivePose, gone_line, pose_line, skeleton_line
 from .tally import Event, Tally
 
-__all__ = ["Printer", "write_out"]
-
 _STDOUT = 1
 _WAITING = 32  # lines that wait for a reader, as for those of WebSockets
 _GOODBYE = 1.0  # s for the last lines

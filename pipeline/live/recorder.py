@@ -18,8 +18,6 @@ from kinefilter.pipeline.formats.tables import take_header, take_rows
 from .messages import SeenBody
 from .tally import Event, Tally
 
-__all__ = ["Recorder"]
-
 _MOST_FILES = 64  # bodies in one recording
 _MOST_WAITING = 10_000  # frames: what a disk may be behind
 _LEAST = 2  # frames of a take

@@ -21,8 +21,6 @@ from .printer import write_out
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
 
-__all__ = ["Sender", "open_sender"]
-
 _SOONEST, _LATEST = 0.2, 5.0  # s between attempts to connect, doubled every time
 _PATIENCE = 5.0  # s for a connection
 

@@ -28,8 +28,6 @@ from .sinks import Sink, open_sink
 from .sources import Intake, open_source
 from .tally import Event, Tally
 
-__all__ = ["Session"]
-
 _TICK = 0.25  # s between looks at who is gone
 _FLUSH = 1.0  # s between writes of the recording: what a kill may cost
 _WARM_UP = 10  # frames; the first of a process take a hundred times as long

@@ -18,8 +18,6 @@ from .printer import Printer
 from .tally import Tally
 from .websocket import open_server
 
-__all__ = ["Sink", "open_sink"]
-
 _LARGEST_ASKED = 2**10  # bytes: readers have nothing to say
 
 

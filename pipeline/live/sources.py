@@ -24,8 +24,6 @@ from .websocket import open_server
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
-__all__ = ["Intake", "Receiver", "open_source"]
-
 _STDIN = 0
 _CHUNK = 2**16  # bytes
 

@@ -7,8 +7,6 @@ from enum import Enum, auto
 
 import numpy as np
 
-__all__ = ["Arrival", "Stamps"]
-
 _STARTED_ANEW = 2.0
 """A stamp this much [s] before the last is no late frame: the sender's clock began
 anew."""

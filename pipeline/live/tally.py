@@ -10,8 +10,6 @@ import numpy as np
 
 from .messages import Reason
 
-__all__ = ["Event", "Latency", "Tally"]
-
 _BIN = 1e-4  # s
 _BINS = 10_000  # a second; what took longer counts as that
 _RECENT = 300  # poses that the status line speaks of: ten seconds of one person

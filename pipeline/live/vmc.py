@@ -12,20 +12,16 @@ from __future__ import annotations
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, State
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate, slerp
 from kinefilter.pipeline.avatar import Pose
 from kinefilter.retarget.rest_difference import segment_of, turned
 from kinefilter.retarget.rig_map import SIDES, load_rig_map
-from kinefilter.retarget.rotations import IDENTITY, inverse, multiply, rotate, slerp
 from kinefilter.retarget.target_rig import built_rig
 
 from .packets import Packets, message
-
-__all__ = ["VmcFigure", "absence"]
-
-Array = NDArray[np.float64]
 
 _AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # x, y, z [m], then xyzw
 _MIRRORED = np.array([-1.0, 1.0, 1.0])

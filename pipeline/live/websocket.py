@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
     from websockets.http11 import Request, Response
 
-__all__ = ["Handler", "open_server"]
-
 Handler = Callable[["ServerConnection"], Awaitable[None]]
 
 _PATIENCE = 5.0  # s for a handshake, and for the answer to a ping

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import from_mujoco
+from kinefilter.characters.rotations import continuous
 from kinefilter.retarget.kinematics import positions_from_rotations
-from kinefilter.retarget.rotations import continuous
 
 from .pulled_character import PulledCharacter
 from .things import Things
-
-__all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace"]
-
-Array = NDArray[np.float64]
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError, Tracking
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import (
     GRAVITY,
     PULLS,
@@ -22,18 +23,9 @@ from kinefilter.characters.humanoid import (
     joint_masses,
     to_mujoco,
 )
+from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
 from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes
-from kinefilter.retarget.rotations import (
-    IDENTITY,
-    inverse,
-    multiply,
-    rotation_vector,
-)
 from kinefilter.scenes import load_scene
-
-__all__ = ["PulledCharacter", "substeps_in"]
-
-Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 UPDATE = 1.0 / 60.0

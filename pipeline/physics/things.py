@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Prop, Shape, ShapeKind
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import from_mujoco
-from kinefilter.retarget import View
-from kinefilter.retarget.rotations import continuous
-
-__all__ = ["Things"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.rotations import continuous
+from kinefilter.retarget import HeadingFrame
 
 _KINDS: dict[int, ShapeKind] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
@@ -56,7 +52,7 @@ class Things:
             self._poses[frame, :, :3] = self._data.xpos[self._moving]
             self._poses[frame, :, 3:] = self._data.xquat[self._moving]
 
-    def props(self, place: View) -> tuple[Prop, ...]:
+    def props(self, place: HeadingFrame) -> tuple[Prop, ...]:
         """Return the things and their motion in the world frame of a take.
 
         Args:
@@ -64,7 +60,7 @@ class Things:
         """
         return tuple(self._prop(body, place) for body in self._geoms)
 
-    def _prop(self, body: int, place: View) -> Prop:
+    def _prop(self, body: int, place: HeadingFrame) -> Prop:
         if body in self._moving:
             poses = self._poses[:, self._moving.index(body)]
         else:

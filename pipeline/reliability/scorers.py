@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from .chiang import ChiangReliabilityScorer
-from .learned import LearnedReliabilityScorer
-from .noise import NoiseReliabilityScorer
-from .shum import ReliabilityScorer
+from kinefilter.pipeline.lab.scorers.chiang import ChiangReliabilityScorer
+from kinefilter.pipeline.lab.scorers.learned import LearnedReliabilityScorer
+from kinefilter.pipeline.lab.scorers.noise import NoiseReliabilityScorer
 
-__all__ = ["SCORERS"]
+from .shum import ReliabilityScorer
 
 SCORERS: dict[str, type[ReliabilityScorer]] = {
     "shum": ReliabilityScorer,

@@ -8,17 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take
-
-__all__ = [
-    "Reference",
-    "Reliability",
-    "ReliabilityScorer",
-    "column_medians",
-    "measure_reference",
-    "segment_lengths",
-]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 SMALLEST_DISPLACEMENT = 0.03
 """d_min [m]: a joint that moved less has not turned (eq. 3)."""

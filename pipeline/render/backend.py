@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 from kinefilter.characters import InputError
 
-__all__ = ["Backend", "find_backend"]
-
 _TRIED = ("egl", "osmesa")
 _LONGEST = 60.0  # s that a driver may take to start, a guess
 _NAMES = {"egl": "EGL", "osmesa": "OSMesa"}

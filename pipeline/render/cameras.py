@@ -7,15 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.formats.toml import read_toml
-from kinefilter.retarget.rotations import rotate
-
-__all__ = ["CAMERAS", "CameraPath", "axes_toward", "camera_path", "check_camera"]
-
-Array = NDArray[np.float64]
 
 CAMERAS = ("front", "side", "three-quarter", "orbit", "follow")
 """Cameras that find their place themselves."""

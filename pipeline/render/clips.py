@@ -22,8 +22,6 @@ from .shot import Shot, Staged
 from .video import FASTEST_GIF, write_gif, write_mp4
 from .work import draw_parts
 
-__all__ = ["Rendering", "render_clips"]
-
 
 @dataclass(frozen=True)
 class Rendering:

@@ -14,15 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Coded",
-    "decode_png",
-    "encode_png",
-    "encode_video",
-    "rate_of",
-    "video_codec",
-]
-
 Pixels = NDArray[np.uint8]
 
 # Quality 18 of x264 is said to look lossless; lines on a floor show below that.

@@ -15,8 +15,6 @@ from kinefilter.pipeline.formats import atomic_path
 
 from .codec import encode_png
 
-__all__ = ["frame_path", "is_drawn", "is_numbered", "write_frame"]
-
 _HEADER = 8 + 25  # bytes of the signature and the first chunk
 _KEY = b"kinefilter\0"
 _NUMBER = re.compile(r"%0?\d*d")

@@ -10,8 +10,6 @@ from tyro.conf import arg
 
 from kinefilter.characters import InputError
 
-__all__ = ["Look"]
-
 _SIDES = (16, 8192)  # pixels: the smallest that codecs take, the largest that GL does
 _RATES = (0.1, 240.0)  # frames a second that a video can have
 _SAMPLES = (0, 1, 2, 4, 8, 16)

@@ -22,8 +22,6 @@ from kinefilter.retarget import (
 
 from .look import Look
 
-__all__ = ["read_motion", "shown_frames"]
-
 _READ = (".npz", ".csv", ".bvh")
 _SKEW = 1e-6  # s that a frame may lie outside of --from and --to
 

@@ -11,8 +11,6 @@ from kinefilter.pipeline.formats import check_folder
 
 from .frames import is_numbered
 
-__all__ = ["outputs"]
-
 _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"
 

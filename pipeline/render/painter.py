@@ -14,8 +14,6 @@ from .cameras import CameraPath
 from .raw_figure import RawFigure
 from .scene import FLOOR_GROUP, Scene
 
-__all__ = ["Painter"]
-
 Pixels = NDArray[np.uint8]
 
 _MORE_GEOMS = 100  # than the model's: room for what MuJoCo itself adds

@@ -8,8 +8,6 @@ from typing import Any
 
 from .codec import decode_png
 
-__all__ = ["with_palette"]
-
 _SIDE = 16  # pixels: a palette is a picture of its 256 colors
 _STEP = Fraction(1, 1000)  # s; filters want a time base, and their order is all
 

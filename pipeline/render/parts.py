@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["Parts", "stretches"]
-
 Parts = tuple[range, ...]
 
 _PART = 60

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Skeleton
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.retarget.rotations import between, matrix_from_wxyz
+from kinefilter.characters.rotations import between, matrix_from_wxyz
 
 from .reliability_colors import reliability_colors
-
-__all__ = ["RawFigure", "figure_names"]
-
-Array = NDArray[np.float64]
 
 _JOINT, _BONE = 0.032, 0.012  # m, radii of what is drawn
 _AXIS = np.array([0.0, 0.0, 1.0])  # of a capsule

@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, Take
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.clip_frame import in_clip_frame, keeps_frame
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.target.floor import leveled, to_world
-
-__all__ = ["nearest_frames", "raw_positions"]
-
-Array = NDArray[np.float64]
 
 _APART = 0.1  # s between a frame and the measurement shown for it, at most
 _LEAST_TILT = np.radians(1.5)  # below, it is what cleaning moved

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["reliability_colors"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 _SHARES = (0.0, 0.5, 1.0)
 _COLORS = np.array([[215, 48, 39], [254, 224, 144], [63, 116, 181]]) / 255.0

@@ -10,15 +10,11 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, Prop, Shape
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.skin import skin_of
-
-__all__ = ["FLOOR_GROUP", "Scene"]
-
-Array = NDArray[np.float64]
 
 FLOOR_GROUP = 1
 """Group of the geoms that a camera at rest sees the same in every frame."""

@@ -9,8 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.settings import hash_of
 
 from .backend import Backend
@@ -19,10 +19,6 @@ from .look import Look
 from .motions import read_motion, shown_frames
 from .raw_take import raw_positions
 from .surroundings import corners_of, props_around
-
-__all__ = ["Shot", "Staged"]
-
-Array = NDArray[np.float64]
 
 _SKIN = 0.13  # m from a joint to the skin: the head's, about
 _BESIDE = 0.35  # m between the raw figure and the character, a guess by eye

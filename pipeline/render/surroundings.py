@@ -6,10 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Prop
+from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.target.placement import place_of
-from kinefilter.retarget.rotations import rotate
-
-__all__ = ["corners_of", "props_around"]
 
 
 def props_around(clip: Clip, frames: Clip, scene: str | None) -> tuple[Prop, ...]:

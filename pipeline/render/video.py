@@ -14,8 +14,6 @@ from kinefilter.pipeline.formats import atomic_path
 from .codec import Coded, rate_of, video_codec
 from .palette import with_palette
 
-__all__ = ["FASTEST_GIF", "write_gif", "write_mp4"]
-
 FASTEST_GIF = 50.0
 """Frames a second that programs still play as they are."""
 

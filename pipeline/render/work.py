@@ -24,8 +24,6 @@ from .shot import Shot, Staged
 if TYPE_CHECKING:
     from .painter import Painter
 
-__all__ = ["draw_parts"]
-
 Pixels = NDArray[np.uint8]
 
 _LEAST_REACH = 1.5  # m

@@ -6,20 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, Take
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.clip_frame import in_clip_frame, same_stamps
-from kinefilter.pipeline.evaluation.metrics import measure
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.formats.files import check_file
+from kinefilter.pipeline.metrics import measure
 from kinefilter.pipeline.target.contacts import feet_of
 
 from .table import figures_of
-
-__all__ = ["Compared", "compare", "read_compared"]
-
-Array = NDArray[np.float64]
 
 _TRY = "give the take that the clip was made of"
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall is as large

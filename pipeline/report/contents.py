@@ -10,15 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Origin, Term
-from kinefilter.pipeline.evaluation.metrics import even_differences
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.metrics import even_differences
 
 from .compared import Compared
 from .limits import Limit
 from .table import METRICS
-
-__all__ = ["contents_of"]
-
-Array = NDArray[np.float64]
 
 _MISSING = -(2**15)  # of the int16 that a position is written as
 _FARTHEST = 2**15 - 1  # mm from the origin

@@ -16,8 +16,6 @@ from kinefilter.pipeline.formats.toml import LARGEST_TOML, parse_toml
 
 from .table import METRICS
 
-__all__ = ["Limit", "parse_limit", "read_limits"]
-
 _FORM = re.compile(r"\s*(\w+)\s*([<>])\s*(\S+)\s*")
 _EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
 

@@ -17,8 +17,6 @@ from .compared import Compared
 from .contents import contents_of
 from .limits import Limit
 
-__all__ = ["check_report", "page_of", "write_report"]
-
 _SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from kinefilter.pipeline.evaluation.metrics import Quality
-
-__all__ = ["METRICS", "figures_of"]
+from kinefilter.pipeline.metrics import Quality
 
 METRICS = {
     "skate": "feet on the floor slide, m per frame",

@@ -6,19 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
 from kinefilter.retarget.runs import runs
 
 from .smooth import smooth
-
-__all__ = [
-    "SIDES",
-    "StanceTracker",
-    "ankles_and_toes",
-    "feet_of",
-    "find_stance",
-]
-
-Array = NDArray[np.float64]
 
 SIDES = ("Left", "Right")
 """Order of the feet."""

@@ -7,13 +7,10 @@ from numpy.typing import NDArray
 from scipy.stats import linregress
 
 from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array
 from kinefilter.retarget.runs import runs
 
 from .contacts import ankles_and_toes
-
-__all__ = ["floor_height", "leveled", "put_on_floor", "sensor_tilt", "to_world"]
-
-Array = NDArray[np.float64]
 
 _LEAST_STANCES = 5  # that show a slope
 _WALKED = 1.0  # m, in depth

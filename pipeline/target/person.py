@@ -9,8 +9,6 @@ from kinefilter.pipeline.correct import CorrectedTake
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.retarget import measured_body
 
-__all__ = ["corrected_body"]
-
 _FRAMES = 20_000  # enough for medians; an hour's take is to fit a gigabyte
 
 

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
-from kinefilter.retarget import View, find_yaw
-
-__all__ = ["place_of"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
+from kinefilter.retarget import HeadingFrame, find_yaw
 
 _FIRST_FRAMES = 15  # half a second, in which people do not walk far
 
 
-def place_of(positions: Array, skeleton: Skeleton) -> View:
+def place_of(positions: Array, skeleton: Skeleton) -> HeadingFrame:
     """Return where a motion begins: what ``remove`` takes out lands it in a scene.
 
     In a scene the person stands at the origin and faces +z (MuJoCo's +x).
@@ -26,4 +22,4 @@ def place_of(positions: Array, skeleton: Skeleton) -> View:
     """
     first = np.median(positions[:_FIRST_FRAMES], axis=0)
     yaw = find_yaw(first, np.ones(len(first)), skeleton)
-    return View(first[skeleton.root] * [1.0, 0.0, 1.0], np.nan_to_num(yaw))
+    return HeadingFrame(first[skeleton.root] * [1.0, 0.0, 1.0], np.nan_to_num(yaw))

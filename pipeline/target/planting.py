@@ -8,15 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array
 from kinefilter.retarget.runs import runs
 from kinefilter.retarget.smooth_step import smooth_step
 
 from .contacts import ankles_and_toes
 from .smooth import smooth
-
-__all__ = ["PLANTED", "flat_height", "plant_feet"]
-
-Array = NDArray[np.float64]
 
 PLANTED = 20.0
 """Firmness of a standing foot where bones ask for a move; a measured joint has 1."""

@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 
-__all__ = ["smooth", "smooth_by_speed"]
-
-Array = NDArray[np.float64]
+from kinefilter.characters.arrays import Array
 
 _ORDER = 3
 # Of smooth_by_speed, chosen on simulated takes and three of six recorded people.

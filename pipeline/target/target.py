@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.pipeline.correct.take import CorrectedTake
 from kinefilter.retarget import (
     BoneLengths,
@@ -21,16 +23,11 @@ from kinefilter.retarget import (
     positions_from_rotations,
     rotations_from_positions,
 )
-from kinefilter.retarget.rotations import continuous, normalize
 
 from .contacts import ankles_and_toes, feet_of, find_stance
 from .floor import floor_height, leveled, put_on_floor, sensor_tilt
 from .planting import PLANTED, plant_feet
 from .smooth import smooth, smooth_by_speed
-
-__all__ = ["Feet", "Target", "make_target"]
-
-Array = NDArray[np.float64]
 
 Feet = Literal["auto", "always", "never"]
 """When feet stand still."""

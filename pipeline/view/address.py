@@ -6,8 +6,6 @@ import socket
 
 from kinefilter.characters import InputError
 
-__all__ = ["check_address", "taken"]
-
 
 def check_address(bind: str, port: int) -> None:
     """Raise an InputError if nothing can listen there.

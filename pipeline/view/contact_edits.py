@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS
 
-__all__ = ["PARTS", "ContactEdits"]
-
 Flags = NDArray[np.bool_]
 
 PARTS: dict[str, tuple[int, ...]] = {

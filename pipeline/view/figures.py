@@ -10,15 +10,13 @@ import viser
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Prop, Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import IDENTITY, between
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.render.reliability_colors import reliability_colors
-from kinefilter.retarget.rotations import IDENTITY, between
 
 from .solids import surface_of, upright_cylinder
 
-__all__ = ["Layer", "SkinFigure", "StickFigure", "Things"]
-
-Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 _JOINT, _BONE = 0.026, 0.011  # m, radii of what is drawn

@@ -7,15 +7,12 @@ import viser
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip
-from kinefilter.retarget.rotations import rotate
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import rotate
 
 from .figures import Layer, SkinFigure, StickFigure, Things
 from .marks import FootMarks, ForceBar
 from .viewed import Viewed
-
-__all__ = ["Layers", "names_of", "way_aside"]
-
-Array = NDArray[np.float64]
 
 _HIDDEN = ("cleaned", "physics")  # at first: the skin shows where they are
 _CLEANED, _PHYSICS = (0.36, 0.27, 0.72), (0.93, 0.47, 0.13)  # colors of their bones

@@ -7,14 +7,11 @@ import viser
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import IDENTITY
 from kinefilter.pipeline.target.contacts import ankles_and_toes
-from kinefilter.retarget.rotations import IDENTITY
 
 from .solids import upright_cylinder
-
-__all__ = ["FootMarks", "ForceBar"]
-
-Array = NDArray[np.float64]
 
 _RADIUS, _THICK = 0.055, 0.006  # m, of what marks a part of a foot that stands
 _STANDS = np.array([0, 100, 36], dtype=np.uint8)

@@ -8,8 +8,6 @@ import viser
 
 from .contact_edits import PARTS
 
-__all__ = ["BESIDE", "SHADOWS", "STEPS", "Panel"]
-
 STEPS = {"-10": -10, "-1": -1, "+1": 1, "+10": 10}
 """Frames that the buttons go on by, by what is written on them."""
 BESIDE = "raw beside"

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Playback"]
-
 _SHORTEST = 1.0 / 60.0  # s between two pictures: screens show no more
 
 

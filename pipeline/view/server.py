@@ -19,8 +19,6 @@ from kinefilter.pipeline.loopback import is_loopback
 
 from .address import check_address, taken
 
-__all__ = ["address_of", "opened_server"]
-
 
 class _Server(viser.ViserServer):
     """viser's server, which its pages cannot ask for a public address."""

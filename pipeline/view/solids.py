@@ -7,8 +7,6 @@ import trimesh
 
 from kinefilter.characters import Shape
 
-__all__ = ["surface_of", "upright_cylinder"]
-
 
 def upright_cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
     """Return a cylinder about the y axis [m], centered."""

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.render.cameras import camera_path
-
-__all__ = ["set_stage"]
-
-Array = NDArray[np.float64]
 
 _ASPECT = 1.0  # of the page beside its panel, or more: there is room for a label
 _FRAMES = 1000  # at least, of a long motion, that the first view is to hold

@@ -8,8 +8,6 @@ import numpy as np
 
 from kinefilter.characters import Clip, Term
 
-__all__ = ["status_html"]
-
 _TERMS = {int(term): term.words for term in Term}
 
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from kinefilter.characters import CONTACTS
 from kinefilter.retarget.runs import runs
 
-__all__ = ["Timeline"]
-
 _WIDTH = 600  # steps of the picture: about the pixels that a panel has
 _ROW = 16  # pixels from one row to the next
 _BAR = 10  # pixels that a bar is high

@@ -5,16 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kinefilter.characters import Clip, Take
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.progress import Progress, silent
-
-__all__ = ["Viewed", "cleaned", "read_viewed"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,6 @@ from .status import status_html
 from .timeline import Timeline
 from .viewed import Viewed
 
-__all__ = ["Again", "Viewer", "opened_viewer"]
-
 Again = Callable[[Path, Progress], Viewed]
 """Cleans the take once more, with the contacts of a file."""
 Action = Callable[[Any], object]

@@ -22,7 +22,7 @@ from browser import Browser
 
 from kinefilter.characters import Clip, Take
 from kinefilter.pipeline import CleanConfig, read_take
-from kinefilter.pipeline.bench import sample_path
+from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.report import compare, read_limits, write_report
 from kinefilter.pipeline.view import cleaned, opened_viewer
 from kinefilter.pipeline.workers import one_thread

@@ -1,0 +1,222 @@
+"""Motion databases from mocap and from the mocap side of pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from kinefilter.characters import (
+    Body,
+    InputError,
+    Skeleton,
+    State,
+    Take,
+    standard_body,
+)
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
+from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
+from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap, sorted_mocap
+from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability.shum import (
+    column_medians,
+    measure_reference,
+    segment_lengths,
+)
+from kinefilter.pipeline.spool import Spool
+from kinefilter.pipeline.training import PairedTake
+from kinefilter.retarget.body_size import Standardizer, measured_body
+from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
+
+from .posture_database import FILTERED_POSTURES, PostureDatabase
+from .threshold_rule import filter_to_count
+
+POSTURES_PER_SECOND = 30.0
+"""Rate [1/s] at which postures are taken from motions."""
+
+
+_EVERY_OTHER = 2  # frame of pairs: the filter drops more than that
+_T_POSE_TOLERANCE = np.radians(25.0)
+
+
+def database_from_mocap(
+    files: Sequence[Path],
+    skeleton: Skeleton,
+    *,
+    count: int = FILTERED_POSTURES,
+    progress: Progress = silent,
+) -> PostureDatabase:
+    """Build a database from mocap.
+
+    Args:
+        files: BVH, AMC with its ASF, or C3D files, with the joint names of
+            ``retarget/source_rigs``; their unit of length does not matter.
+        skeleton: The skeleton of the takes to clean.
+        count: About how many postures the threshold rule keeps.
+        progress: Wraps the loop over the files, for a progress bar.
+
+    Raises:
+        InputError: A file is no mocap, or lacks a joint; no files.
+    """
+    motions, skeletons = sorted_mocap(files)
+    parts = (
+        (file.name.split(".")[0], *_postures_of(read_mocap(file, skeletons), skeleton))
+        for file in over(motions, "read", progress)
+    )
+    return filtered_database(parts, skeleton, f"{len(motions)} mocap files", count)
+
+
+def database_from_pairs(
+    pairs: Iterable[PairedTake],
+    skeleton: Skeleton,
+    *,
+    count: int = FILTERED_POSTURES,
+) -> PostureDatabase:
+    """Build a database from the mocap side of pairs.
+
+    Args:
+        pairs: Clips, looked at one after another.
+        skeleton: Of all of them.
+        count: About how many postures the threshold rule keeps.
+
+    Raises:
+        InputError: No pairs, none with mocap in it, or one of another skeleton.
+    """
+    people: set[str] = set()
+    database = filtered_database(
+        _truths(pairs, skeleton, people), skeleton, "pairs", count
+    )
+    return replace(database, source=f"mocap of {', '.join(sorted(people))}")
+
+
+def _truths(
+    pairs: Iterable[PairedTake], skeleton: Skeleton, people: set[str]
+) -> Iterator[tuple[str, Array, Array]]:
+    """Yield name, postures and rotations of the mocap; note who moved."""
+    for pair in pairs:
+        if pair.take.skeleton != skeleton:
+            raise InputError(
+                f"{pair.take.source}: pairs of {pair.take.skeleton.name}, but the "
+                f"database is for {skeleton.name}; add --skeleton "
+                f"{pair.take.skeleton.name}"
+            )
+        people.add(pair.subject)
+        truth = pair.truth[::_EVERY_OTHER]
+        missing = np.isnan(truth).any(axis=2)
+        # A joint that is missing now and then costs its frames, one that is missing
+        # always is put where it is at rest.
+        truth = truth[(missing == missing.all(axis=0)).all(axis=1)]
+        if not len(truth):
+            continue
+        missing = np.isnan(truth).any(axis=2)
+        state = np.where(missing, State.NOT_TRACKED, State.TRACKED).astype(np.uint8)
+        time = np.arange(len(truth)) * _EVERY_OTHER / POSTURES_PER_SECOND
+        seen = np.where(missing[..., None], np.nan, truth)
+        take = Take(time, seen, state, skeleton, pair.take.source)
+        reference = measure_reference(take)
+        body = measured_body(skeleton, reference.lengths, reference.directions)
+        yield pair.clip, *standard_postures(seen, None, body)
+
+
+def filtered_database(
+    parts: Iterable[tuple[str, Array, Array]],
+    skeleton: Skeleton,
+    source: str,
+    count: int = FILTERED_POSTURES,
+    *,
+    recorded: bool = True,
+) -> PostureDatabase:
+    """Return the database of the postures that differ.
+
+    All are put aside on a disk, so that there may be more than memory holds.
+    """
+    # Rounded as the file rounds them: a database is the same before and after.
+    positions, rotations = Spool(np.float32), Spool(np.float32)
+    names, ends = [], []
+    for name, postures, turns in parts:
+        positions.add(postures)
+        rotations.add(turns)
+        names.append(name)
+        ends.append(len(positions))
+    if len(positions) < 2:
+        raise InputError(
+            f"{source}: {len(positions)} postures make no database; give files with "
+            "motion in them"
+        )
+    kept = filter_to_count(positions.array(), count)
+    return PostureDatabase(
+        positions.array()[kept],
+        rotations.array()[kept],
+        np.array(names)[np.searchsorted(ends, kept, side="right")],
+        skeleton,
+        source,
+        recorded,
+    )
+
+
+def standard_postures(
+    positions: Array, rotations: Array | None, body: Body
+) -> tuple[Array, Array]:
+    """Return postures and segment rotations on the standard body, without yaw.
+
+    Joints that the source has not hang on their parent as they do at rest.
+    """
+    standard = standard_body(body.skeleton)
+    weights = np.ones(positions.shape[:2])
+    postures, view = Standardizer(body).steps(positions, weights)
+    if rotations is not None:
+        rotations = view.remove_rotations(rotations)
+    postures = hang_missing(postures, standard)
+    return postures, rotations_from_positions(postures, standard, rotations)
+
+
+def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
+    """Return the normalized postures of mocap, 30 a second."""
+    motion = kinect_motion(mocap, skeleton, RIGS)
+    positions, step = motion.positions, 1.0 / POSTURES_PER_SECOND
+    # A joint that is missing now and then costs its frames.
+    missing = np.isnan(positions).any(axis=2)
+    whole = (missing == missing.all(axis=0)).all(axis=1)
+    frames = np.flatnonzero(whole)[:: max(1, round(step / motion.frame_time))]
+    if not len(frames):
+        raise InputError(
+            f"{mocap.source}: no frame has all joints; give motion of a whole body"
+        )
+    lengths = column_medians(segment_lengths(positions, skeleton))
+    ends, average = skeleton.segments, standard_body(skeleton)
+    # Meters per unit of the file; mocap's own lengths are taken as they are.
+    unit = np.nanmedian(average.lengths[ends] / lengths[ends])
+    known = unit * lengths > 1e-3
+    body = replace(average, lengths=np.where(known, unit * lengths, average.lengths))
+    prior = None
+    if motion.turns is not None and whole[0]:
+        prior = _since_t_pose(motion.turns, positions[0], body)
+    return standard_postures(
+        unit * positions[frames], None if prior is None else prior[frames], body
+    )
+
+
+def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
+    """Return rotations since the T-pose, which mocap files often hold as first frame.
+
+    None where the first frame is another: then nothing is known about the twist.
+    """
+    skeleton = body.skeleton
+    heading = about_y(find_yaw(first, np.ones(len(skeleton)), skeleton))
+    limbs = [
+        skeleton.index(part + side)
+        for part in ("Elbow", "Wrist", "Knee", "Ankle")
+        for side in ("Left", "Right")
+    ]
+    bones = first[limbs] - first[[skeleton.parents[j] for j in limbs]]
+    rest = rotate(heading, body.rest_offsets[limbs])
+    cosines = np.sum(bones * rest, axis=1) / (
+        np.linalg.norm(bones, axis=1) * np.linalg.norm(rest, axis=1)
+    )
+    if not np.all(cosines > np.cos(_T_POSE_TOLERANCE)):
+        return None
+    return multiply(multiply(turns, inverse(turns[:1])), heading)

@@ -1,3 +1,0 @@
-"""How good a motion is, by itself (``metrics``) and beside the truth (``accuracy``)."""
-
-__all__: list[str] = []

@@ -1,0 +1,246 @@
+"""One Gaussian process over the whole body, on bones of standard length.
+
+Chiang, Chen, Li, Wang & Fu 2017, "Kinect joint position denoising by clustered
+Gaussian process regression": joint standardization, a process on cluster centroids of
+reliable postures, limb lengths restored, standardization undone.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky
+from sklearn.cluster import KMeans
+
+from kinefilter.characters import Skeleton, standard_body
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.correct.gaussian_process import Kernel, fit_kernel
+from kinefilter.pipeline.correct.hold import Hold
+from kinefilter.pipeline.correct.interface import (
+    CORRECTED_TRUST,
+    Correction,
+    Observation,
+)
+from kinefilter.pipeline.correct.lessons import Lessons
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.training import TrainingSet
+
+_POOL = 25  # frames drawn for each centroid
+_FOR_KERNEL = 400  # centroids the hyper-parameters are learned from
+_SHORT, _LONG = 0.5, 1.0  # length scales to start from, of the spread of postures
+_LIKE = 0.03  # m over all segments: within it two people have the same proportions
+_UNLIKE = 0.003  # weight of an example of other proportions
+_PEOPLE = 800  # examples of how long segments are, beside how long they are seen
+
+
+class BoneWalk:
+    """Gives bones other lengths and keeps their directions (Chiang eq. 1, 2).
+
+    Args:
+        skeleton: The joints.
+    """
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        rest = standard_body(skeleton)
+        self._ends, self._starts = skeleton.segments, skeleton.segment_parents
+        self._rest = rest.directions[self._ends]
+        self.lengths = rest.lengths[self._ends]
+        """Of the standard body [m], shape (S,)."""
+        # The sum of bones from the root on, as one product.
+        self._chain = np.zeros((len(skeleton), len(self._ends)))
+        for s, (j, p) in enumerate(zip(self._ends, self._starts, strict=True)):
+            self._chain[j] = self._chain[p]
+            self._chain[j, s] = 1.0
+
+    def measure(self, postures: Array) -> tuple[Array, Array]:
+        """Return the bones' directions (..., S, 3) and lengths [m] (..., S).
+
+        A bone without a length points as it does at rest.
+        """
+        bones = postures[..., self._ends, :] - postures[..., self._starts, :]
+        lengths = np.sqrt(np.sum(bones * bones, axis=-1))
+        there = (lengths > 1e-6)[..., None]
+        directions = bones / np.where(there, lengths[..., None], 1.0)
+        return np.where(there, directions, self._rest), lengths
+
+    def lay(self, directions: Array, lengths: Array) -> Array:
+        """Return the posture of bones [m], root at the origin, (..., J, 3)."""
+        return np.asarray(self._chain @ (directions * lengths[..., None]))
+
+    def standardized(self, postures: Array) -> Array:
+        """Return postures (..., J, 3) on the standard bones, root at the origin."""
+        return self.lay(self.measure(postures)[0], self.lengths)
+
+
+class ClusteredGP:
+    """Moves joints to where a process over the whole standardized posture has them.
+
+    The process is on the difference of mocap and Kinect: the prior is the measurement,
+    where the paper's is the origin, so that unknown postures stay as they are.
+
+    Args:
+        skeleton: The joints.
+        centroids: Clusters of training postures, Q.
+        smallest_reliability: Rate that every joint of a training posture exceeds.
+        seed: Draws the frames and starts the clusters.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        centroids: int = 800,
+        smallest_reliability: float = 0.7,
+        seed: int = 0,
+    ) -> None:
+        self.skeleton = skeleton
+        self.centroids = centroids
+        self.smallest_reliability = smallest_reliability
+        self.seed = seed
+        self._hold = Hold(skeleton)
+        self._walk = BoneWalk(skeleton)
+
+    def start(self) -> None:
+        """Forget all frames."""
+        self._hold.start()
+
+    def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
+        """Learn from pairs.
+
+        Raises:
+            InputError: The reliable pairs are too few, or of another skeleton.
+        """
+        lessons = Lessons.drawn(
+            training,
+            self.skeleton,
+            _POOL * self.centroids,
+            self.seed,
+            above=self.smallest_reliability,
+        )
+        for _ in progress("clusters", 1):
+            self.joints_, self.seen_ = lessons.learned, lessons.seen
+            truth = lessons.postures.copy()
+            truth[:, self.joints_] += lessons.offsets
+            self.people_ = lessons.lengths[:_PEOPLE].astype(np.float32)
+            self.bones_ = self._walk.measure(truth[:_PEOPLE])[1].astype(np.float32)
+            targets = self._walk.standardized(truth)
+            inputs = self._walk.standardized(lessons.postures)
+            offsets = (targets - inputs)[:, self.joints_].reshape(len(inputs), -1)
+            count = min(self.centroids, len(inputs))
+            # Section 3.3: it is the mocap that is clustered, and Kinect along with it.
+            labels = KMeans(count, n_init=1, random_state=self.seed).fit_predict(
+                self._features(targets)
+            )
+            rows = _averaged(self._features(inputs), labels)
+            outputs = _averaged(offsets, labels)
+        # Rounded as a model file rounds: a model is the same before and after.
+        self.rows_ = rows.astype(np.float32)
+        for _ in progress("process", 1):
+            self._fit_process(self.rows_.astype(float), outputs)
+        self._prepare()
+        return self
+
+    def _fit_process(self, rows: Array, outputs: Array) -> None:
+        """Learn hyper-parameters (eq. 4) and the prediction matrix M (section 3.1)."""
+        some = np.random.default_rng(self.seed).permutation(len(rows))[:_FOR_KERNEL]
+        power = max(float(np.mean(outputs * outputs)), 1e-6)
+        spread = max(float(np.sqrt(rows.var(axis=0).sum())), 1e-2)
+        scales = 1.0 / (spread * np.array([[_LONG], [_SHORT]]))
+        start = Kernel(np.array([power, power]), scales, 0.0, power / 10.0)
+        self.kernel_ = fit_kernel(start, rows[some], outputs[some])
+        factor = cholesky(self.kernel_.of_samples(rows))
+        weights = cho_solve((factor, False), outputs)
+        self.weights_ = weights.astype(np.float32)
+
+    def _prepare(self) -> None:
+        self._rows = self.rows_.astype(float)
+        matrix = self.kernel_.of_samples(self._rows)
+        self._inverse = np.linalg.inv(matrix)
+        # What is left of the variance at the median centroid itself (eq. 5).
+        explained = self.kernel_.noise - self.kernel_.noise**2 * np.diag(self._inverse)
+        self._certain = float(np.median(explained))
+        moved = np.zeros(len(self.skeleton), dtype=bool)
+        moved[self.joints_] = True
+        self._moved = moved
+
+    def _features(self, postures: Array) -> Array:
+        """Return what is compared: every joint that the sensor measures, (..., F)."""
+        points = postures[..., self.seen_, :]
+        return np.asarray(points.reshape(*points.shape[:-2], -1))
+
+    def step(self, observation: Observation) -> Correction:
+        """Correct the next frame."""
+        missing = np.isnan(observation.positions[:, 0])
+        posture = self._hold.step(observation).positions
+        directions = self._walk.measure(posture)[0]
+        standard = self._walk.lay(directions, self._walk.lengths)
+        offsets, coverage = self._predict(standard)
+        standard[self.joints_] += offsets
+        # What has no offset of its own goes along with its parent.
+        own = (self._moved & ~missing)[self.skeleton.segments, None]
+        directions = np.where(own, self._walk.measure(standard)[0], directions)
+        # Section 2.2 undoes with the person's lengths. The caller's way back knows
+        # those that Kinect saw; on the standard body, these make mocap's of them.
+        corrected = self._walk.lay(directions, self._lengths(observation.lengths))
+        corrected += posture[self.skeleton.root]
+        return Correction(
+            corrected, None, np.where(missing, 0.0, CORRECTED_TRUST), coverage
+        )
+
+    def _lengths(self, seen: Array | None) -> Array:
+        """Return mocap's bone lengths [m] on the body that Kinect's are standard on.
+
+        Averaged over the examples, those of like people weighing more.
+
+        Args:
+            seen: The person's own segment lengths, as Kinect has them [m], (J,).
+        """
+        if seen is None:
+            return self._walk.lengths
+        squares = np.sum((self.people_ - seen) ** 2, axis=1)
+        weights = np.exp(-0.5 * squares / _LIKE**2) + _UNLIKE
+        return np.asarray(weights @ self.bones_ / weights.sum())
+
+    def _predict(self, standard: Array) -> tuple[Array, float]:
+        """Return offsets [m] of the learned joints (M, 3), and the coverage."""
+        likeness = self.kernel_(self._features(standard)[None], self._rows)[0]
+        offsets = (likeness @ self.weights_).reshape(-1, 3)  # eq. 5
+        explained = float(likeness @ (self._inverse @ likeness))
+        most = max(self.kernel_.prior - self._certain, 1e-12)
+        return offsets, float(np.clip(explained / most, 0.0, 1.0))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the fitted state as named arrays, for a model file."""
+        return {
+            "rows": self.rows_,
+            "people": self.people_,
+            "bones": self.bones_,
+            "weights": self.weights_,
+            "variances": self.kernel_.variances,
+            "scales": self.kernel_.scales,
+            "noise": np.array(self.kernel_.noise),
+            "joints": self.joints_,
+            "seen": self.seen_,
+        }
+
+    @classmethod
+    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
+        """Return the fitted corrector that ``arrays`` described."""
+        model = cls(skeleton)
+        model.rows_, model.weights_ = arrays["rows"], arrays["weights"]
+        model.people_, model.bones_ = arrays["people"], arrays["bones"]
+        noise = float(arrays["noise"].item())
+        model.kernel_ = Kernel(arrays["variances"], arrays["scales"], 0.0, noise)
+        model.joints_, model.seen_ = arrays["joints"], arrays["seen"]
+        model._prepare()
+        return model
+
+
+def _averaged(values: Array, labels: NDArray[np.intp]) -> Array:
+    """Return each cluster's mean of the rows of ``values``, (Q, F)."""
+    used, labels, sizes = np.unique(labels, return_inverse=True, return_counts=True)
+    sums = np.zeros((len(used), values.shape[1]))
+    np.add.at(sums, labels, values)
+    return np.asarray(sums / sizes[:, None])

@@ -1,0 +1,3 @@
+"""Reliability scorers beside the default one."""
+
+__all__: list[str] = []

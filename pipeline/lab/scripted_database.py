@@ -1,0 +1,54 @@
+"""The built-in motion database, made again from scripted performances.
+
+``kinefilter database build --scripted`` writes it; the wheel ships what it wrote in
+``pipeline/embedded``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from kinefilter.characters import Skeleton, random_body
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.database.build import (
+    POSTURES_PER_SECOND,
+    filtered_database,
+    standard_postures,
+)
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.scenes.library import MOTIONS, perform
+
+BUILTIN_POSTURES = 5000
+"""About how many the built-in database holds: twice Shum's, so that half of the real
+postures are within 8 cm of one."""
+
+_PEOPLE = 6
+
+
+def scripted_database(
+    skeleton: Skeleton, progress: Progress = silent
+) -> PostureDatabase:
+    """Perform every scripted motion and keep what differs."""
+    parts = scripted_postures(skeleton, progress)
+    return filtered_database(
+        parts, skeleton, "built-in", BUILTIN_POSTURES, recorded=False
+    )
+
+
+def scripted_postures(
+    skeleton: Skeleton, progress: Progress = silent, *, people: int = _PEOPLE
+) -> Iterator[tuple[str, Array, Array]]:
+    """Yield name, postures and rotations of every scripted performance.
+
+    People of different height and build perform. Postures and segment rotations are
+    on the standard body, 30 a second.
+    """
+    # Every motion once, then again: the filter keeps what comes first.
+    for k in progress("motion database", people * len(MOTIONS)):
+        seed, name = k // len(MOTIONS), MOTIONS[k % len(MOTIONS)]
+        body = random_body(skeleton, np.random.default_rng(seed))
+        act = perform(name, body, seed=seed, fps=POSTURES_PER_SECOND)
+        yield name, *standard_postures(act.positions, act.rotations, body)

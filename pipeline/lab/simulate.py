@@ -1,0 +1,161 @@
+"""Takes whose truth is known: a performance in a scene, before the virtual Kinect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kinefilter.characters import SKELETONS, InputError, State, Take, random_body
+from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.training import PairedTake
+from kinefilter.scenes import load_scene
+from kinefilter.scenes.library import MOTIONS, perform, prop_poses
+from kinefilter.scenes.sensor import SENSORS, in_sensor_frame, observe
+
+_SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
+_OWN_SENSOR = {"kinect_v1": "v1", "kinect_v2": "v2"}
+_IN_THE_WAY = ("office", "flip_chart", "box")
+"""Scenes with a thing before a person who does something else."""
+_HANDLED = (
+    ("box", "lift_box"),
+    ("flip_chart", "flip_chart"),
+    ("basketball", "basketball"),
+    ("chair", "chair"),
+    ("chair", "sit_to_stand"),
+    ("office", "office"),
+)
+"""Scenes and what people do with the thing in them."""
+_ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
+"""Motions that go through things, or need one."""
+
+
+def simulate(
+    scene: str | Path,
+    motion: str,
+    *,
+    sensor: str = "v2",
+    skeleton: str | None = None,
+    seed: int = 0,
+    person: int | None = None,
+) -> PairedTake:
+    """Return what a virtual Kinect sees of a motion in a scene, and the truth.
+
+    Args:
+        scene: One of ``SCENES``, or the path of an MJCF file.
+        motion: One of ``MOTIONS``.
+        sensor: One of ``SENSORS``.
+        skeleton: Name of the take's skeleton; by default the sensor's own (for Azure
+            Kinect, Kinect v2's).
+        seed: Draws the person, the performance and the sensor's errors.
+        person: Draws the person alone, with what the sensor always errs by in them;
+            by default the seed.
+
+    Raises:
+        InputError: An unknown scene, motion, sensor or skeleton.
+    """
+    for name, known in ((motion, MOTIONS), (sensor, tuple(SENSORS))):
+        if name not in known:
+            raise InputError(f"unknown name {name!r}; known: {', '.join(known)}")
+    room = load_scene(scene)
+    person = seed if person is None else person
+    body = random_body(
+        SKELETONS[skeleton or _SKELETON[sensor]], np.random.default_rng(person)
+    )
+    act = perform(motion, body, seed=seed)
+    take = observe(
+        act,
+        seed=seed,
+        person=person,
+        sensor=SENSORS[sensor],
+        scene=room,
+        prop_poses=prop_poses(room, act),
+    )
+    # Frames that never arrived have no truth; stamps tremble far less than a frame.
+    frames = np.searchsorted(act.time, take.time - 0.5 * np.diff(act.time).mean())
+    frames = np.minimum(frames, len(act) - 1)
+    truth = in_sensor_frame(act.positions, SENSORS[sensor])[frames]
+    stem = f"{Path(scene).stem}_{motion}_{sensor}"
+    return PairedTake(take, truth, f"person {person}", f"{stem}_e{seed:02d}")
+
+
+def simulated_pairs(
+    skeleton: str, *, people: int = 400, progress: Progress = silent
+) -> list[PairedTake]:
+    """Return takes of Kinect v2 to learn from, each of another simulated person.
+
+    One motion of the library after the other, on a bare floor. Nobody in them is in
+    the built-in database or in the studies.
+
+    Args:
+        skeleton: Name of the takes' skeleton.
+        people: How many, at most 900.
+        progress: Wraps the loop over the takes, for a progress bar.
+    """
+    return [
+        simulate("basic", MOTIONS[k % len(MOTIONS)], skeleton=skeleton, seed=100 + k)
+        for k in progress("simulate", min(people, 900))
+    ]
+
+
+def furnished_pairs(
+    skeleton: str, *, people: int = 600, progress: Progress = silent
+) -> list[PairedTake]:
+    """Return takes to learn from in which things hide people as well.
+
+    Of ten people four move on a bare floor, three behind a thing, and three do
+    something with one. They are people of ``simulated_pairs``, seen by the sensor whose
+    skeleton it is.
+
+    Args:
+        skeleton: Name of the takes' skeleton.
+        people: How many, at most 900.
+        progress: Wraps the loop over the takes, for a progress bar.
+    """
+    rng = np.random.default_rng(0)
+    standing = [motion for motion in MOTIONS if motion not in _ELSEWHERE]
+    pairs = []
+    for k in progress("simulate", min(people, 900)):
+        turn = k % 10
+        if turn < 4:
+            scene, motion = "basic", str(rng.choice(MOTIONS))
+        elif turn < 7:
+            scene, motion = _IN_THE_WAY[turn - 4], str(rng.choice(standing))
+        else:
+            scene, motion = _HANDLED[rng.integers(len(_HANDLED))]
+        sensor = _OWN_SENSOR[skeleton]
+        pairs.append(simulate(scene, motion, sensor=sensor, seed=100 + k))
+    return pairs
+
+
+def truth_of(pair: PairedTake) -> Take:
+    """Return the truth of a simulated take as a take without any error."""
+    state = np.full(pair.take.state.shape, State.TRACKED, dtype=np.uint8)
+    return Take(pair.take.time, pair.truth, state, pair.take.skeleton, pair.clip)
+
+
+def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:
+    """Write clips of one person as a pairs file, as ``read_pairs`` reads them.
+
+    Clips are at a constant rate there: the median of the stamps' is written.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    stop = np.cumsum([len(pair.take) for pair in pairs])
+    steps = np.concatenate([np.diff(pair.take.time) for pair in pairs])
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(
+            file,
+            joints=np.array(pairs[0].take.skeleton.joints),
+            fps=np.float32(1.0 / np.median(steps)),
+            subject=np.array(pairs[0].subject),
+            kinect=np.concatenate([pair.take.positions for pair in pairs]),
+            mocap=np.concatenate([pair.truth for pair in pairs]),
+            state=np.concatenate([pair.take.state for pair in pairs]),
+            clip=np.array([pair.clip for pair in pairs]),
+            start=np.concatenate([[0], stop[:-1]]),
+            stop=stop,
+        )

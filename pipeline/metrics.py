@@ -1,0 +1,277 @@
+"""Every figure of quality that kinefilter prints, with its definition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.humanoid import GRAVITY, joint_masses
+from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes
+from kinefilter.retarget.runs import runs
+
+SKATE_HEIGHT = 0.05
+"""A foot joint lower than this over its standing height [m] should not slide."""
+
+SKATE_SPEED = 0.2
+"""A foot on the floor that is faster than this [m/s] visibly skates."""
+
+_SHORTEST_FLIGHT = 5  # frames that a parabola is fitted to
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How good a motion is by itself; names and units as in ``clean --json``."""
+
+    bone_length_cv: float
+    """Standard deviation over mean of segment lengths, mean over segments."""
+    jitter: float
+    """Mean magnitude of the third time derivative of joint positions [m/s^3]."""
+    skate_mm_per_frame: float
+    """Mean horizontal movement of feet on the floor [mm per frame]."""
+    skate_share_over_0p2: float
+    """Share of the frames of feet on the floor that move over 0.2 m/s."""
+    skate_max_m_per_s: float
+    """Fastest horizontal movement of a foot on the floor [m/s]."""
+    penetration_mm: float
+    """How far the lowest point of the body ever is under the floor [mm]."""
+    penetration_mean_mm: float
+    """The same, mean over frames [mm]."""
+    float_mm: float
+    """How far the soles of standing feet are over the floor, mean [mm]."""
+    amplitude_kept: float
+    """Root mean square movement of the joints about their mean, over that of raw."""
+    peak_hand_speed: float
+    """Speed [m/s] that the hands exceed in a hundredth of the frames."""
+    flight_error: float
+    """How far the center of mass is from falling freely in flight [m/s^2]."""
+    lowest_point_mm: float
+    """Height of the lowest point of the body over the floor [mm]."""
+    moved_cm: float
+    """Mean distance of the joints from where they were measured [cm]."""
+
+
+def bone_length_cv(positions: Array, body: Body) -> float:
+    """Return the mean coefficient of variation of segment lengths over the frames.
+
+    Args:
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+        body: The skeleton.
+    """
+    variations = []
+    for j in body.skeleton.segments:
+        bones = positions[:, j] - positions[:, body.skeleton.parents[j]]
+        lengths = np.linalg.norm(bones, axis=1)
+        lengths = lengths[~np.isnan(lengths)]
+        if len(lengths) > 1:
+            variations.append(lengths.std() / lengths.mean())
+    return float(np.mean(variations)) if variations else float("nan")
+
+
+def jitter(time: Array, positions: Array) -> float:
+    """Return the mean magnitude of the third difference over dt^3 [m/s^3].
+
+    Only runs of four frames at the nominal rate (within half a step) count, with the
+    joint present in all of them.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+    """
+    third, nominal = even_differences(time, positions, 3)
+    third = third.T[~np.isnan(third.T)]
+    return float(third.mean() / nominal**3) if len(third) else float("nan")
+
+
+def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, float]:
+    """Return magnitudes of a difference [m], and the nominal step [s].
+
+    NaN where a step is off the nominal one by half of it or more, and where the joint
+    is missing in one of the frames; shape (T - order, J), empty for too short motions.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+        order: Of the difference, 1 or more.
+    """
+    count, joints = max(len(time) - order, 0), positions.shape[1]
+    steps, nominal = np.diff(time), _nominal_step(time)
+    even = np.abs(steps - nominal) < 0.5 * nominal
+    sizes = np.full((count, joints), np.nan)
+    whole = np.all([even[k : k + count] for k in range(order)], axis=0)
+    for j in range(joints if count else 0):
+        size = np.linalg.norm(np.diff(positions[:, j], n=order, axis=0), axis=1)
+        sizes[whole, j] = size[whole]
+    return sizes, nominal
+
+
+def lowest_point(positions: Array, body: Body) -> Array:
+    """Return the height [m] of the body's lowest point in each frame, shape (T,).
+
+    Segments are capsules, so their lowest point is under one of their ends; a missing
+    joint is nowhere, a frame without joints NaN.
+    """
+    skeleton = body.skeleton
+    radii = body.radii[skeleton.segments]
+    heights = positions[..., 1]
+    ends = heights[:, skeleton.segments] - radii
+    starts = heights[:, skeleton.segment_parents] - radii
+    return np.asarray(np.fmin.reduce(np.concatenate([ends, starts], axis=1), axis=1))
+
+
+def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, float]:
+    """Return how feet slide while they should stand.
+
+    A foot stands between two frames if its joint is under 5 cm over its standing height
+    in both. Returns the mean horizontal movement [mm per nominal frame], the share
+    of those frames with more than 0.2 m/s, and the highest speed [m/s]; NaN where no
+    foot ever stands.
+    """
+    steps = np.diff(time)
+    steps = np.where(steps > 0, steps, np.nan)
+    speeds = []
+    for side in ("Left", "Right"):
+        foot = body.skeleton.index(f"Foot{side}")
+        height = positions[:, foot, 1] - body.radii[foot]
+        low = height < SKATE_HEIGHT
+        moved = np.linalg.norm(np.diff(positions[:, foot][:, [0, 2]], axis=0), axis=1)
+        speeds.append((moved / steps)[low[1:] & low[:-1]])
+    speed = np.concatenate(speeds)
+    speed = speed[~np.isnan(speed)]
+    if len(speed) == 0:
+        return float("nan"), float("nan"), float("nan")
+    share = float(np.mean(speed > SKATE_SPEED))
+    return float(speed.mean() * _nominal_step(time) * 1e3), share, float(speed.max())
+
+
+def floating(positions: Array, stands: NDArray[np.bool_], body: Body) -> float:
+    """Return how far the soles of standing feet are over the floor, mean [m].
+
+    Args:
+        positions: Joint positions [m], floor at y = 0, shape (T, J, 3).
+        stands: Whether each foot (left, right) stands, shape (T, 2).
+        body: Whose soles they are.
+    """
+    _, toes = ankles_and_toes(body.skeleton)
+    over = np.maximum(positions[:, toes, 1] - body.radii[toes], 0.0)[stands]
+    over = over[~np.isnan(over)]
+    return float(over.mean()) if len(over) else float("nan")
+
+
+def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:
+    """Return the speed [m/s] that joints exceed in a hundredth of the frames.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+        joints: Which ones.
+    """
+    steps = np.diff(time)
+    moved = np.linalg.norm(np.diff(positions[:, joints], axis=0), axis=2)
+    speed = moved[steps > 0] / steps[steps > 0, None]
+    speed = speed[~np.isnan(speed)]
+    return float(np.percentile(speed, 99.0)) if len(speed) else float("nan")
+
+
+def flight_error(
+    time: Array, positions: Array, stands: NDArray[np.bool_], body: Body
+) -> float:
+    """Return how far the center of mass is from falling freely in flight [m/s^2].
+
+    In flight, no foot stands and nothing of the body is under 5 cm, for five frames or
+    more. Over each flight, the mean acceleration (that of the parabola which fits best)
+    is compared with gravity's; mean over flights by frames, NaN without any. Momentum
+    is consistent where this is zero. A joint that is missing in a flight has no mass.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], floor at y = 0, NaN where missing, (T, J, 3).
+        stands: Whether each foot (left, right) stands, shape (T, 2).
+        body: Whose masses they are.
+    """
+    flying = ~stands.any(axis=1) & (lowest_point(positions, body) > SKATE_HEIGHT)
+    masses = joint_masses(body)
+    errors, frames = [], []
+    for flight in runs(flying):
+        span, path = time[flight], positions[flight]
+        seen = ~np.isnan(path[..., 0]).any(axis=0)
+        if len(span) < _SHORTEST_FLIGHT or (np.diff(span) <= 0).any() or not seen.any():
+            continue
+        center = np.average(path[:, seen], axis=1, weights=masses[seen])
+        fit = np.polynomial.polynomial.polyfit(span - span.mean(), center, 2)
+        errors.append(float(np.linalg.norm(2.0 * fit[2] + [0.0, GRAVITY, 0.0])))
+        frames.append(len(span))
+    return float(np.average(errors, weights=frames)) if errors else float("nan")
+
+
+def amplitude(positions: Array, body: Body) -> Array:
+    """Return how far each joint moves about its mean place under the root, (J,).
+
+    Root mean square distance [m]; NaN for the root and for joints never seen.
+    """
+    relative = positions - positions[:, [body.skeleton.root]]
+    moves = np.full(positions.shape[1], np.nan)
+    for j in body.skeleton.segments:
+        path = relative[:, j][~np.isnan(relative[:, j, 0])]
+        if len(path) > 1:
+            moves[j] = np.sqrt(np.mean(np.sum((path - path.mean(axis=0)) ** 2, axis=1)))
+    return moves
+
+
+def _nominal_step(time: Array) -> float:
+    """Return the median time between frames that differ in time [s], or NaN."""
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def distances(positions: Array, raw: Array) -> Array:
+    """Return the distance [m] of every joint from its measurement, shape (T, J)."""
+    away = [
+        np.linalg.norm(positions[:, j] - raw[:, j], axis=1)
+        for j in range(positions.shape[1])
+    ]
+    return np.stack(away, axis=1)
+
+
+def measure(
+    time: Array,
+    positions: Array,
+    raw: Array,
+    body: Body,
+    stands: NDArray[np.bool_],
+) -> Quality:
+    """Return the quality of a motion beside the measurement it came from.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], world frame, floor at 0, shape (T, J, 3).
+        raw: The measurement in the same frame, NaN where missing, shape (T, J, 3).
+        body: Whose capsules they are.
+        stands: Whether each foot (left, right) stands, shape (T, 2).
+    """
+    hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]
+    slide, share, fastest = skate(time, positions, body)
+    low = lowest_point(positions, body)
+    low = low[~np.isnan(low)]
+    moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
+    both = raw_moves > 1e-6
+    kept = moves[both].sum() / raw_moves[both].sum() if both.any() else np.nan
+    return Quality(
+        bone_length_cv=bone_length_cv(positions, body),
+        jitter=jitter(time, positions),
+        skate_mm_per_frame=slide,
+        skate_share_over_0p2=share,
+        skate_max_m_per_s=fastest,
+        penetration_mm=float(max(-low.min(), 0.0) * 1e3),
+        penetration_mean_mm=float(np.mean(np.maximum(-low, 0.0)) * 1e3),
+        float_mm=floating(positions, stands, body) * 1e3,
+        amplitude_kept=float(kept),
+        peak_hand_speed=peak_speed(time, positions, hands),
+        flight_error=flight_error(time, positions, stands, body),
+        lowest_point_mm=float(low.min() * 1e3),
+        moved_cm=float(np.nanmean(distances(positions, raw)) * 1e2),
+    )

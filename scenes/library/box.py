@@ -1,0 +1,118 @@
+"""A box along the script: between the hands while they lift it, else at rest.
+
+The box is carried while the hands are about its width apart and in front of the body.
+It is lifted where they are lowest before they rise, and set down where they are lowest
+before they part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.humanoid import GRAVITY
+from kinefilter.characters.rotations import matrix_from_wxyz, normalize
+from kinefilter.retarget.runs import runs
+
+from .hands import Hands, fading
+
+Support = Callable[[Array], float]
+
+# Guesses that suit the scripted motions.
+_GRIP = (0.5, 1.6)  # distance of the hand joints, as a share of the box's width
+_AHEAD = 0.25  # m, in front of the root joint: hands that hang hold nothing
+_SHORTEST_CARRY = 0.4  # s
+_STIR = 0.03  # m: a rise by which lifting shows
+_ARM = 0.35  # m: the hands take only what is so near, and set down from so low
+
+
+def box_path(hands: Hands, size: Array, rest: Array, support: Support) -> Array:
+    """Return position [m] and rotation wxyz of the box, shape (T, 7).
+
+    Until it is first lifted, the box lies under the place where that will be, or is in
+    the hands from the start if that is in the air. Let go in the air, it falls.
+
+    Args:
+        hands: The hands.
+        size: Half extents of the box [m], y between the hands, shape (3,).
+        rest: Pose of the untouched box, shape (7,).
+        support: Height [m] of what is under a point.
+    """
+    path = np.tile(np.asarray(rest, dtype=float), (len(hands.time), 1))
+    for number, (lift, drop) in enumerate(_carries(hands, size)):
+        lying = path[lift].copy()
+        if number == 0:
+            lying = _laid(hands, lift, size, support)
+            if hands.middle[lift, 2] - lying[2] > _ARM:
+                lift, lying = 0, _held(hands)[0]
+            path[:] = lying
+        elif np.linalg.norm(hands.middle[lift] - lying[:3]) > _ARM:
+            continue
+        path[lift:] = _carried(hands, lying, lift, drop, size, support)[lift:]
+    path[:, 2] = np.maximum(path[:, 2], _half_height(path[:, 3:], size))
+    return path
+
+
+def _carries(hands: Hands, size: Array) -> list[tuple[int, int]]:
+    """Return the frames between which the box leaves its support and lands."""
+    share = hands.gap / (2.0 * size[1])
+    around = (_GRIP[0] < share) & (share < _GRIP[1]) & (hands.ahead > _AHEAD)
+    height = hands.middle[:, 2]
+    carries = []
+    for run in runs(around, hands.frames(_SHORTEST_CARRY)):
+        lift = run.start + _bottom(height[run])
+        drop = run.stop - 1 - _bottom(height[run][::-1])
+        if drop - lift >= hands.frames(_SHORTEST_CARRY):
+            carries.append((lift, drop))
+    return carries
+
+
+def _bottom(height: Array) -> int:
+    """Index of the lowest point before the first clear rise."""
+    lowest = np.minimum.accumulate(height)
+    rises = np.flatnonzero(height > lowest + _STIR)
+    return int(np.argmin(height[: rises[0] + 1])) if len(rises) else 0
+
+
+def _held(hands: Hands) -> Array:
+    """Pose of the box between the hands, level along the body, shape (T, 7)."""
+    return np.concatenate([hands.middle, hands.turn], axis=-1)
+
+
+def _laid(hands: Hands, frame: int, size: Array, support: Support) -> Array:
+    """Pose of the box on what is under the hands, upright, shape (7,)."""
+    x, y, z, *turn = _held(hands)[frame]
+    upright = normalize(np.array([turn[0], 0.0, 0.0, turn[3]]))
+    return np.array([x, y, support(np.array([x, y, z])) + size[2], *upright])
+
+
+def _carried(
+    hands: Hands, lying: Array, lift: int, drop: int, size: Array, support: Support
+) -> Array:
+    """Pose of a box that is lifted and put down again, right from the lift on."""
+    held, time = _held(hands), hands.time
+    landed = _laid(hands, drop, size, support)
+    fall = held[drop, 2] - landed[2]
+    path = held + fading(time - time[lift])[:, None] * _off(lying, held[lift])
+    if fall < _ARM:
+        path += fading(time[drop] - time)[:, None] * _off(landed, held[drop])
+    path[drop:] = landed
+    if fall >= _ARM:
+        since = time[drop:] - time[drop]
+        path[drop:, 2] += np.maximum(fall - 0.5 * GRAVITY * since**2, 0.0)
+    path[:, 3:] = normalize(path[:, 3:])
+    return path
+
+
+def _off(wanted: Array, held: Array) -> Array:
+    """Difference of two poses, the quaternions of one hemisphere, shape (7,)."""
+    sign = np.ones(7)
+    sign[3:] = 1.0 if wanted[3:] @ held[3:] >= 0.0 else -1.0
+    return np.asarray(sign * wanted - held)
+
+
+def _half_height(turn: Array, size: Array) -> Array:
+    """Height [m] of the center of a turned box that touches the floor, shape (T,)."""
+    return np.asarray(np.abs(matrix_from_wxyz(turn)[:, 2]) @ size)

@@ -1,0 +1,343 @@
+"""Scripted motions of the upper body: what hands do while the feet stand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kinefilter.characters.arrays import Array
+
+from .poses import Pose, Score
+from .puppet import LEFT, RIGHT, Puppet
+from .script import Script, hanging_arm
+
+_DOWN_OUT = (0.6, -1.0, -0.1)
+
+
+def _turned(pose: Pose, rng: np.random.Generator, size: float = 1.0) -> Pose:
+    """Vary the trunk a little, so that no repetition is like the one before."""
+    return pose.leaning(
+        side=0.015 * size * rng.normal(),
+        spine=tuple(0.04 * size * rng.normal(size=3)),
+        head=tuple(0.1 * size * rng.normal(size=3)),
+    )
+
+
+def _either(rng: np.random.Generator) -> list[int]:
+    """Return one side or both."""
+    return [[LEFT], [RIGHT], [LEFT, RIGHT]][rng.integers(3)]
+
+
+def _wave(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+    score = Score(base).hold(0.4)
+    while score.duration < length:
+        sides, pace = _either(rng), rng.uniform(0.22, 0.42)
+        elevation, plane = rng.uniform(0.9, 2.3), rng.uniform(0.0, 0.7)
+        elbow, swing = rng.uniform(0.6, 1.6), rng.uniform(0.2, 0.45)
+        pose = _turned(base, rng)
+        for beat in range(rng.integers(4, 9)):
+            turn = -1.45 + (-1) ** beat * swing * rng.uniform(0.7, 1.1)
+            bend = elbow - (-1) ** beat * 0.5 * swing
+            for side in sides:
+                pose = pose.with_arm(side, puppet.arm(elevation, plane, turn, bend))
+            score.to(pace if beat else rng.uniform(0.6, 0.9), pose)
+        score.to(rng.uniform(0.6, 1.0), base).hold(rng.uniform(0.1, 0.6))
+    return score
+
+
+def _point(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    score = Score(base).hold(0.3)
+    while score.duration < length:
+        side = int(rng.integers(2))
+        plane = rng.uniform(-0.2, 2.0)
+        toward = (1.0 - 2.0 * side) * (np.pi / 2.0 - plane)
+        pose = base.leaning(
+            spine=(0.05, 0.0, 0.25 * toward), head=(0.0, 0.0, 0.5 * toward)
+        )
+        elevation = rng.uniform(0.9, 2.2)
+        aim = puppet.arm(
+            elevation, plane, rng.uniform(0.2, 0.9), rng.uniform(0.05, 0.4)
+        )
+        score.to(rng.uniform(0.5, 1.0), pose.with_arm(side, aim))
+        nudge = puppet.arm(elevation + rng.normal(0, 0.15), plane, 0.4, 0.15)
+        score.to(rng.uniform(0.4, 1.0), _turned(pose, rng, 0.5).with_arm(side, nudge))
+        if rng.random() < 0.6:
+            score.to(rng.uniform(0.6, 1.0), base).hold(rng.uniform(0.1, 0.5))
+    return score
+
+
+def _scratch(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    score = Score(base).hold(0.3)
+    while score.duration < length:
+        side = int(rng.integers(2))
+        pose = _turned(base, rng)
+        if rng.random() < 0.55:
+            goal = np.array([rng.uniform(0.09, 0.15), rng.uniform(0.17, 0.32), 0.03])
+            pole, rub = (1.0, rng.uniform(-0.6, 0.3), 0.6), (0.02, 0.03, 0.02)
+            pose = pose.leaning(head=(0.15, 0.0, 0.0))
+        else:
+            goal = np.array([-0.17, rng.uniform(-0.32, -0.12), 0.2])
+            pole, rub = (0.7, -1.0, 0.2), (0.01, 0.04, 0.01)
+            pose = pose.with_arm(1 - side, puppet.arm(0.3, 1.2, 0.5, 0.8))
+        pace = rng.uniform(0.18, 0.3)
+        for beat in range(rng.integers(4, 9)):
+            spot = goal + (-1) ** beat * np.array(rub) * rng.uniform(0.5, 1.2)
+            score.to(
+                pace if beat else rng.uniform(0.7, 1.1),
+                pose.with_arm(side, puppet.reach(side, spot, pole)),
+            )
+        score.to(rng.uniform(0.7, 1.1), base).hold(rng.uniform(0.1, 0.5))
+    return score
+
+
+def _clap(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+    score = Score(base).hold(0.3)
+    height, forward = rng.uniform(-0.25, 0.1), rng.uniform(0.3, 0.42)
+    overhead, flare = rng.random() < 0.25, rng.uniform(0.3, 1.0)
+    while score.duration < length:
+        gap, pace = rng.uniform(0.12, 0.35), rng.uniform(0.16, 0.32)
+        pose = _turned(base, rng)
+        if overhead:
+            height, forward = rng.uniform(0.42, 0.5), 0.12
+        for beat in range(2 * rng.integers(3, 6)):
+            apart = 0.04 if beat % 2 else gap * rng.uniform(0.8, 1.1)
+            goal = (apart, height + rng.normal(0, 0.01), forward)
+            for side in (LEFT, RIGHT):
+                arm = puppet.reach(side, goal, (flare, 0.3 if overhead else -0.9, 0.1))
+                pose = pose.with_arm(side, arm)
+            score.to(pace if beat else 0.8, pose)
+        if rng.random() < 0.5:
+            score.to(0.8, base).hold(rng.uniform(0.1, 0.6))
+    return score
+
+
+def _cross_arms(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    score = Score(base).hold(0.3)
+    while score.duration < length:
+        over = int(rng.integers(2))
+        pose, ready = _turned(base, rng), base
+        height = rng.uniform(-0.26, -0.16)
+        for side in (over, 1 - over):
+            front = 0.25 if side == over else 0.18
+            goal = (-0.14, height + (0.03 if side == over else -0.02), front)
+            pole = (0.75, -1.0, 0.25)
+            pose = pose.with_arm(side, puppet.reach(side, goal, pole))
+            wide = (0.1, height - 0.05, front + 0.1)
+            ready = ready.with_arm(side, puppet.reach(side, wide, pole))
+        score.to(rng.uniform(0.5, 0.8), ready)
+        score.to(rng.uniform(0.35, 0.6), pose)
+        for _ in range(rng.integers(1, 3)):
+            turn = rng.normal(0, 0.15)
+            score.to(rng.uniform(0.7, 1.2), pose.leaning(spine=(0.0, 0.0, turn)))
+        score.to(rng.uniform(0.35, 0.6), ready)
+        score.to(rng.uniform(0.5, 0.8), base).hold(rng.uniform(0.1, 0.4))
+    return score
+
+
+def _talk(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+    score = Score(base).hold(0.2)
+    calm = (rng.uniform(0.08, 0.2), rng.uniform(-0.35, -0.2), rng.uniform(0.25, 0.35))
+    while score.duration < length:
+        pose = _turned(base, rng, 1.5)
+        for side in _either(rng):
+            goal = np.array(calm) + rng.normal(0.0, (0.09, 0.09, 0.05))
+            goal[0] = max(goal[0], 0.06)
+            pose = pose.with_arm(side, puppet.reach(side, goal, _DOWN_OUT))
+        score.to(rng.uniform(0.35, 0.9), pose)
+        if rng.random() < 0.15:
+            score.to(0.7, base)
+    return score
+
+
+def _stand_idle(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    score = Score(base).hold(0.5)
+    while score.duration < length:
+        weight = rng.normal(0.0, 0.3)
+        pose = _turned(base, rng).leaning(
+            side=0.12 * weight * puppet.scale,
+            pelvis=(0.0, 0.0, -0.15 * weight),
+            spine=(0.0, 0.2 * weight, 0.0),
+        )
+        for side in (LEFT, RIGHT):
+            if rng.random() < 0.45:
+                hips = (rng.uniform(0.17, 0.21), rng.uniform(-0.5, -0.42), 0.04)
+                arm = puppet.reach(side, hips, (1.0, 0.1, -0.6))
+                pose = pose.with_arm(side, arm)
+            else:
+                pose = pose.with_arm(side, puppet.arm(*hanging_arm(rng)))
+        score.to(rng.uniform(0.8, 1.3), pose).hold(rng.uniform(0.2, 1.0))
+    return score
+
+
+def _raise_arms(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    score = Score(base).hold(0.4)
+    plane = rng.choice([0.0, 0.0, 0.6, 0.6, 1.5, -1.7]) + rng.normal(0.0, 0.08)
+    behind = plane < -1.0
+    sides = _either(rng)
+    bend = rng.uniform(0.03, 0.25)
+    while score.duration < length:
+        top = rng.uniform(0.5, 0.9) if behind else rng.uniform(1.3, 2.8)
+        pose = _turned(base, rng, 0.6).leaning(spine=(0.1 if behind else -0.05, 0, 0))
+        low = base
+        for side in sides:
+            turn = -0.45 * max(top - 1.0, 0.0)
+            pose = pose.with_arm(side, puppet.arm(top, plane, turn, bend))
+            low = low.with_arm(side, puppet.arm(0.12, plane, 0.1, bend))
+        score.to(0.3, low).to(rng.uniform(0.8, 1.5), pose).hold(rng.uniform(0.1, 0.4))
+        score.to(rng.uniform(0.8, 1.5), low)
+    return score
+
+
+def _rotate_arms(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    sides, elevation = _either(rng), rng.choice([0.12, 0.12, 1.4])
+    plane, elbow = rng.uniform(0.0, 0.3), rng.uniform(1.35, 1.7)
+    score = Score(base).hold(0.3)
+    inward, outward = (0.75, -0.9) if elevation < 1.0 else (0.7, -1.5)
+    while score.duration < length:
+        for turn in (
+            0.0,
+            outward * rng.uniform(0.7, 1.1),
+            inward * rng.uniform(0.6, 1),
+        ):
+            pose = _turned(base, rng, 0.5)
+            for side in sides:
+                pose = pose.with_arm(side, puppet.arm(elevation, plane, turn, elbow))
+            score.to(rng.uniform(0.7, 1.2), pose)
+    return score
+
+
+def _reach_up(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    score = Score(base).hold(0.3)
+    while score.duration < length:
+        sides, high = _either(rng), rng.uniform(0.4, 0.66)
+        lean = 0.0 if len(sides) == 2 else (2.0 * sides[0] - 1.0) * 0.12
+        pose = _turned(base, rng).leaning(
+            drop=-0.05, spine=(-0.08, lean, 0.0), head=(-0.35, 0.0, 0.0)
+        )
+        for side in sides:
+            goal = (rng.uniform(0.05, 0.3), high, rng.uniform(0.05, 0.45))
+            pose = pose.with_arm(side, puppet.reach(side, goal, (0.7, -0.5, 0.6)))
+        score.to(rng.uniform(0.7, 1.2), pose).hold(rng.uniform(0.1, 0.4))
+        score.to(rng.uniform(0.7, 1.2), base).hold(rng.uniform(0.05, 0.3))
+    return score
+
+
+def _guard(puppet: Puppet, pose: Pose, rng: np.random.Generator) -> Pose:
+    for side in (LEFT, RIGHT):
+        goal = (rng.uniform(0.07, 0.14), rng.uniform(-0.08, 0.06), 0.28)
+        pose = pose.with_arm(side, puppet.reach(side, goal, (0.7, -1.0, 0.0)))
+    return pose
+
+
+def _punch(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    base = base.leaning(drop=0.04 * puppet.scale)
+    guard = _guard(puppet, base, rng)
+    score = Score(base).hold(0.2).to(0.7, guard)
+    side = int(rng.integers(2))
+    while score.duration < length:
+        side = 1 - side if rng.random() < 0.75 else side
+        turn = (2.0 * side - 1.0) * rng.uniform(0.2, 0.55)
+        pose = guard.leaning(
+            back=-0.04,
+            pelvis=(0.5 * turn, 0.05, 0.0),
+            spine=(0.1, 0.0, turn),
+            head=(0.0, 0.0, -turn),
+        )
+        for seconds, goal, pole in _blow(rng):
+            arm = puppet.reach(side, goal, pole)
+            score.to(seconds, pose.with_arm(side, arm))
+        score.to(rng.uniform(0.25, 0.4), _turned(guard, rng, 0.5))
+        score.hold(rng.uniform(0.05, 0.5))
+    return score
+
+
+def _blow(
+    rng: np.random.Generator,
+) -> list[tuple[float, tuple[float, ...], tuple[float, ...]]]:
+    """Return (duration, hand, elbow direction) of a straight, hook or upper cut."""
+    quick, height = rng.uniform(0.16, 0.3), rng.uniform(-0.2, 0.1)
+    kind = rng.choice(["straight", "straight", "hook", "upper"])
+    if kind == "straight":
+        return [(quick, (rng.uniform(-0.02, 0.12), height, 0.75), (1.0, -0.6, 0.0))]
+    if kind == "hook":
+        up = (0.8, 0.3, -0.3)
+        return [
+            (0.22, (0.42, height, 0.25), up),
+            (quick, (-0.02, height, 0.42), up),
+        ]
+    low = (0.6, -1.0, -0.4)
+    return [(0.22, (0.2, -0.4, 0.2), low), (quick, (0.05, 0.08, 0.38), low)]
+
+
+def _swing(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    """Two hands swing a sword or bat through a cut; sometimes one hand."""
+    base = base.leaning(drop=0.05 * puppet.scale)
+    main = int(rng.integers(2))
+    both = rng.random() < 0.8
+    rest = np.array([0.0, -0.3, 0.38])
+    score = Score(base).hold(0.2).to(0.8, _grip(puppet, base, main, rest, both))
+    while score.duration < length:
+        slant, turn = rng.choice([0.0, 0.5, 1.0, -1.0]), rng.uniform(0.2, 0.5)
+        height = rng.uniform(0.75, 1.1)
+        for s, seconds in ((0.0, 0.7), (0.35, 0.12), (0.7, 0.12), (1.0, 0.18)):
+            sweep = np.cos(np.pi * s)
+            spot = (
+                0.2 * slant * sweep,
+                -0.1 + 0.42 * sweep * height * (1.0 - 0.6 * (abs(slant) > 0.9)),
+                0.16 + 0.26 * np.sin(np.pi * s) + 0.16 * s,
+            )
+            side = (1.0 - 2.0 * main) * slant * sweep
+            pose = base.leaning(
+                pelvis=(0.4 * turn * side, 0.05 + 0.08 * s, 0.0),
+                spine=(0.15 * s, 0.0, turn * side),
+                head=(0.0, 0.0, -turn * side),
+            )
+            score.to(seconds, _grip(puppet, pose, main, np.array(spot), both))
+        score.to(0.6, _grip(puppet, _turned(base, rng), main, rest, both))
+        score.hold(rng.uniform(0.1, 0.4))
+    return score
+
+
+def _grip(puppet: Puppet, pose: Pose, main: int, spot: Array, both: bool) -> Pose:
+    """Hold a grip at ``spot`` (towards the main hand, up, forward) [m]."""
+    up = np.array([0.02, 0.05, 0.03])
+    pole = (0.9, -0.8, 0.1)
+    pose = pose.with_arm(main, puppet.reach(main, spot + up, pole))
+    if both:
+        other = (spot - up) * np.array([-1.0, 1.0, 1.0])
+        pose = pose.with_arm(1 - main, puppet.reach(1 - main, other, pole))
+    return pose
+
+
+GESTURES: dict[str, Script] = {
+    "clap": _clap,
+    "cross_arms": _cross_arms,
+    "point": _point,
+    "punch": _punch,
+    "raise_arms": _raise_arms,
+    "reach_up": _reach_up,
+    "rotate_arms": _rotate_arms,
+    "scratch": _scratch,
+    "stand_idle": _stand_idle,
+    "swing": _swing,
+    "talk": _talk,
+    "wave": _wave,
+}
+"""Motions that stand, by name."""

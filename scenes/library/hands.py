@@ -1,0 +1,120 @@
+"""What the hands of a performer do, as props feel it, in MuJoCo's world (z up)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.humanoid import to_mujoco
+from kinefilter.characters.rotations import rotate, wxyz_from_matrix
+from kinefilter.retarget.smooth_step import smooth_step
+
+from .performers import Performance
+
+
+@dataclass(frozen=True, eq=False)
+class Hands:
+    """Both hands over time, left before right."""
+
+    time: Array
+    """Time [s], shape (T,)."""
+    positions: Array
+    """Hand joints [m], shape (T, 2, 3)."""
+    elbows: Array
+    """Elbow joints [m], shape (T, 2, 3)."""
+    root: Array
+    """Root joint [m], shape (T, 3)."""
+    head: Array
+    """Height of the head joint [m], shape (T,)."""
+    forward: Array
+    """Where the pelvis faces, unit vectors, shape (T, 3)."""
+    radius: float
+    """Radius of a hand [m]."""
+
+    @classmethod
+    def of(cls, performance: Performance) -> Hands:
+        """Return the hands of a performance."""
+        skeleton = performance.body.skeleton
+        positions = to_mujoco(performance.positions)
+        hand, elbow = (
+            [skeleton.index(f"{stem}{side}") for side in ("Left", "Right")]
+            for stem in ("Hand", "Elbow")
+        )
+        pelvis = to_mujoco(performance.rotations[:, skeleton.root])
+        return cls(
+            time=performance.time,
+            positions=positions[:, hand],
+            elbows=positions[:, elbow],
+            root=positions[:, skeleton.root],
+            head=positions[:, skeleton.index("Head"), 2],
+            forward=rotate(pelvis, np.array([1.0, 0.0, 0.0])),
+            radius=float(performance.body.radii[hand[0]]),
+        )
+
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+        span = float(self.time[-1] - self.time[0])
+        return (len(self.time) - 1) / span if span > 0.0 else 30.0
+
+    def frames(self, seconds: float) -> int:
+        """Return how many frames a duration [s] is, at least one."""
+        return max(1, round(seconds * self.rate))
+
+    @cached_property
+    def speed(self) -> Array:
+        """Velocity of the hand joints [m/s], shape (T, 2, 3)."""
+        if len(self.time) < 2:
+            return np.zeros_like(self.positions)
+        return np.asarray(np.gradient(self.positions, self.time, axis=0))
+
+    @cached_property
+    def middle(self) -> Array:
+        """Point halfway between the hands [m], shape (T, 3)."""
+        return np.asarray(self.positions.mean(axis=1))
+
+    @cached_property
+    def gap(self) -> Array:
+        """Distance between the hand joints [m], shape (T,)."""
+        return np.asarray(np.linalg.norm(self._line, axis=-1))
+
+    @cached_property
+    def ahead(self) -> Array:
+        """How far the middle is in front of the root joint [m], shape (T,)."""
+        return np.asarray(np.sum((self.middle - self.root) * self.forward, axis=-1))
+
+    @cached_property
+    def reach(self) -> Array:
+        """Unit vectors along the forearms and across the hands' line, shape (T, 3)."""
+        way = (self.positions - self.elbows).mean(axis=1)
+        line = _unit(self._line)
+        return _unit(way - np.sum(way * line, axis=-1, keepdims=True) * line)
+
+    @cached_property
+    def turn(self) -> Array:
+        """Rotation, wxyz, of what both hands hold level, shape (T, 4).
+
+        Its y axis points from the right hand to the left.
+        """
+        y = _unit(self._line)
+        x = _unit(np.cross(y, np.array([0.0, 0.0, 1.0])))
+        return wxyz_from_matrix(np.stack([x, y, np.cross(x, y)], axis=-1))
+
+    @property
+    def _line(self) -> Array:
+        return np.asarray(self.positions[:, 0] - self.positions[:, 1])
+
+
+def fading(time: Array) -> Array:
+    """Return what is left of an offset, smoothly from 1 at 0 s to 0 at 0.3 s.
+
+    0.3 s is a guess: quick enough for a grasp, slow enough not to show.
+    """
+    return 1.0 - smooth_step(time / 0.3)
+
+
+def _unit(v: Array) -> Array:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9))

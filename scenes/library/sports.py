@@ -1,0 +1,330 @@
+"""Scripted sports and arts: tai chi, golf, dance, jumps, rolling hands, bent legs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .holds import draw_fault, draw_hold
+from .poses import Pose, Score
+from .puppet import LEFT, RIGHT, Puppet
+from .script import Script
+
+_Goal = tuple[float, float, float]
+_ELBOW_DOWN = (0.7, -1.0, -0.1)
+
+# Hands of named tai chi forms: (leading hand, other hand), each outward, up and forward
+# of the joint between the shoulders [m] on a body of 1.75 m.
+_TAI_CHI: dict[str, tuple[_Goal, _Goal]] = {
+    "hold the ball": ((0.02, -0.1, 0.34), (0.02, -0.38, 0.32)),
+    "part the mane": ((0.18, 0.02, 0.52), (0.24, -0.46, 0.08)),
+    "brush knee and push": ((0.1, -0.06, 0.55), (0.3, -0.45, 0.12)),
+    "white crane": ((0.22, 0.16, 0.36), (0.25, -0.44, 0.1)),
+    "single whip": ((0.3, 0.0, 0.48), (0.62, 0.0, 0.12)),
+    "cloud hands": ((-0.02, 0.0, 0.42), (0.1, -0.4, 0.3)),
+    "push": ((0.12, -0.06, 0.56), (0.12, -0.06, 0.56)),
+    "ward off": ((-0.02, -0.06, 0.42), (0.12, -0.26, 0.34)),
+    "raise hands": ((0.18, -0.04, 0.58), (0.18, -0.04, 0.58)),
+}
+
+
+def _tai_chi(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    """Slow forms on bent knees, the weight going from foot to foot."""
+    forward = rng.uniform(0.0, 0.45) * puppet.leg
+    lead = int(rng.integers(2))
+    score = Score(base).hold(0.2)
+    if forward > 0.15 * puppet.leg:
+        spot = base.ankle[lead] + np.array([0.0, 0.0, forward])
+        shift = 0.6 * float(base.ankle[1 - lead, 0] - base.root[0])
+        air = base.leaning(drop=0.08 * puppet.leg, side=shift)
+        score.to(0.8, air.stepping(lead, spot, 0.08 * puppet.scale))
+        base = base.with_foot(lead, ankle=spot, heel=0.0)
+    middle = base.ankle.mean(axis=0)
+    names = list(_TAI_CHI)
+    while score.duration < length:
+        goals = _TAI_CHI[names[int(rng.integers(len(names)))]]
+        main, weight = int(rng.integers(2)), rng.uniform(-0.35, 0.35)
+        over = middle + weight * (base.ankle[lead] - base.ankle[1 - lead])
+        turn = (2.0 * main - 1.0) * rng.uniform(-0.2, 0.5)
+        pose = base.leaning(
+            drop=rng.uniform(0.06, 0.25) * puppet.leg,
+            side=float(over[0] - base.root[0]),
+            back=float(base.root[2] - over[2]),
+            pelvis=(0.5 * turn, 0.08, 0.0),
+            spine=(rng.uniform(-0.05, 0.15), 0.0, 0.5 * turn),
+        )
+        for side, goal in ((main, goals[0]), (1 - main, goals[1])):
+            spot = np.array(goal) + rng.normal(0.0, 0.05, 3)
+            spot[0] = max(spot[0], -0.02)
+            pose = pose.with_arm(side, puppet.reach(side, spot, _ELBOW_DOWN))
+        score.to(rng.uniform(0.9, 1.5), pose).hold(rng.uniform(0.0, 0.2))
+    return score
+
+
+def _golf_swing(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    """Address, backswing, downswing, follow-through, both hands at one grip.
+
+    Order and turns after Hume et al. 2005, Sports Med. 35(5): the shoulders turn about
+    twice as far as the pelvis, the downswing takes a quarter of a second.
+    """
+    trail = int(rng.integers(2))  # the side the club is swung back to
+    away, tilt = 1.0 - 2.0 * trail, rng.uniform(0.3, 0.5)
+    base = base.leaning(drop=0.06 * puppet.leg)
+    stance = base.leaning(
+        back=0.06, pelvis=(0.0, tilt, 0.0), spine=(0.25, -0.05 * away, 0.0)
+    )
+    home, address = base, _club(puppet, stance, trail, 0.0, -0.54, 0.36)
+    score = Score(home).hold(0.2).to(0.9, address).hold(rng.uniform(0.2, 0.5))
+    while score.duration < length:
+        size = rng.uniform(0.5, 1.0)
+        keys = (  # time, shoulders, pelvis, hands across, up, forward, weight
+            (0.4, 0.35, 0.15, 0.22, -0.42, 0.42, 0.3),
+            (0.4, 0.75, 0.45, 0.38, 0.14 * size, 0.36, 0.6),
+            (0.15, 0.4, 0.1, 0.28, -0.3, 0.42, 0.0),
+            (0.1, 0.0, -0.35, 0.0, -0.56, 0.36, -0.4),
+            (0.12, -0.35, -0.6, -0.26, -0.36, 0.44, -0.7),
+            (0.3, -0.75, -0.9, -0.36, 0.16 * size, 0.32, -1.0),
+        )
+        for seconds, shoulders, pelvis, across, up, forward, weight in keys:
+            turn = away * size
+            pose = stance.leaning(
+                side=0.05 * weight * turn * puppet.scale,
+                pelvis=(pelvis * turn, -0.25 * max(-weight, 0.0) * tilt, 0.0),
+                spine=(-0.15 * max(-weight, 0.0), 0.0, (shoulders - pelvis) * turn),
+                head=(0.1, 0.0, -0.6 * shoulders * turn * (weight > -0.8)),
+            )
+            pose = pose.with_foot(
+                trail, heel=0.7 * max(-weight - 0.2, 0.0) * size, knee_out=0.0
+            )
+            score.to(seconds, _club(puppet, pose, trail, across * size, up, forward))
+        score.hold(rng.uniform(0.2, 0.5)).to(0.9, address).hold(0.2)
+    return score.to(0.8, home)
+
+
+def _club(
+    puppet: Puppet, pose: Pose, trail: int, across: float, up: float, forward: float
+) -> Pose:
+    """Put both hands at a grip ``across`` to the trailing side [m]."""
+    arm = puppet.reach(trail, (across + 0.02, up - 0.03, forward), (0.8, -1.0, 0.0))
+    pose = pose.with_arm(trail, arm)
+    goal = (-across + 0.02, up + 0.03, forward)
+    return pose.with_arm(1 - trail, puppet.reach(1 - trail, goal, (0.8, -1.0, 0.0)))
+
+
+def _roll_hands(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    """Roll the hands about each other before the chest, up and down or to and fro."""
+    score = Score(base).hold(0.2)
+    while score.duration < length:
+        pose, way = (
+            base.leaning(spine=(rng.uniform(-0.05, 0.2), 0, 0)),
+            rng.choice([-1, 1]),
+        )
+        center = np.array([0.05, rng.uniform(-0.3, -0.08), rng.uniform(0.3, 0.36)])
+        reach = np.array([0.0, rng.uniform(0.06, 0.16), rng.uniform(0.05, 0.09)])
+        if rng.random() < 0.5:
+            reach = np.array([0.0, rng.uniform(0.06, 0.08), rng.uniform(0.08, 0.13)])
+            center[2] += 0.06
+        pace, flare = rng.uniform(0.09, 0.16), rng.uniform(-0.9, -0.1)
+        for beat in range(8 * int(rng.integers(2, 5))):
+            for side in (LEFT, RIGHT):
+                phase = way * np.pi / 4.0 * beat + np.pi * side
+                spot = center + reach * [0.0, np.sin(phase), np.cos(phase)]
+                arm = puppet.reach(side, spot, (1.0, flare, -0.1))
+                pose = pose.with_arm(side, arm)
+            score.to(pace if beat else 0.8, pose)
+    return score.to(0.8, base)
+
+
+def _bend_leg(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    """Bend one leg: the heel to the seat, the knee to the chest, or in between."""
+    hold = draw_hold(rng, "hips", "hanging", "wide", "forward", "folded", "stick")
+    ready = hold.put(puppet, base, draw_fault(rng))
+    score, side = Score(base).hold(0.2).to(0.7, ready), int(rng.integers(2))
+    while score.duration < length:
+        side = 1 - side if rng.random() < 0.5 else side
+        fault = draw_fault(rng)
+        flexion = rng.choice([rng.uniform(-0.25, 0.4), rng.uniform(0.6, 1.8)])
+        knee = rng.uniform(1.0, 2.2) if flexion < 0.5 else rng.uniform(0.9, 2.2)
+        tall = hold.put(puppet, fault.bend(puppet, ready, 0.6), fault)
+        shift = 0.8 * float(tall.ankle[1 - side, 0] - tall.root[0])
+        tall = tall.leaning(side=shift)
+        up = puppet.swing_leg(tall, side, flexion, rng.uniform(0.0, 0.35), knee)
+        score.to(rng.uniform(0.6, 1.1), up).hold(rng.uniform(0.05, 0.4))
+        score.to(rng.uniform(0.6, 1.1), ready).hold(rng.uniform(0.1, 0.4))
+    return score.to(0.7, base)
+
+
+# Arms of the classical positions: (elevation, plane, rotation, elbow) [rad] of each.
+_ROUND_LOW = (0.45, 1.1, 0.5, 0.6)
+_ROUND_FRONT = (1.15, 1.15, 0.7, 0.9)
+_ROUND_HIGH = (2.55, 0.6, -0.8, 0.6)
+_SIDE = (1.4, 0.2, 0.0, 0.25)
+_AHEAD = (1.55, 1.35, 0.1, 0.15)
+_BEHIND = (0.75, -0.9, 0.0, 0.2)
+_PORT_DE_BRAS = (
+    (_ROUND_LOW, _ROUND_LOW),
+    (_ROUND_FRONT, _ROUND_FRONT),
+    (_SIDE, _SIDE),
+    (_ROUND_FRONT, _SIDE),
+    (_ROUND_HIGH, _SIDE),
+    (_ROUND_HIGH, _ROUND_FRONT),
+    (_ROUND_HIGH, _ROUND_HIGH),
+    (_AHEAD, _SIDE),
+    (_AHEAD, _BEHIND),
+)
+
+
+_LEGS = ("front", "side", "back", "passe")
+
+
+def _danced(puppet: Puppet, pose: Pose, rng: np.random.Generator) -> Pose:
+    """Put the arms in one of the positions, with the trunk following."""
+    arms = _PORT_DE_BRAS[int(rng.integers(len(_PORT_DE_BRAS)))]
+    first = int(rng.integers(2))
+    for side, angles in ((first, arms[0]), (1 - first, arms[1])):
+        elevation, plane, rotation, elbow = angles + rng.normal(0.0, 0.14, 4)
+        arm = puppet.arm(
+            np.clip(elevation, 0.2, 2.8), plane, rotation, max(elbow, 0.05)
+        )
+        pose = pose.with_arm(side, arm)
+    lean, turn = rng.normal(0.0, 0.2, 2)
+    return pose.leaning(
+        spine=(rng.normal(0.0, 0.15), lean, turn),
+        head=(rng.normal(-0.05, 0.15), 0.0, rng.normal(0.0, 0.3)),
+    )
+
+
+def _dance(
+    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
+) -> Score:
+    """Positions of classical dance: plies, legs to all sides, turned trunks, rises."""
+    score = Score(base).hold(0.1)
+    while score.duration < length:
+        pose = _danced(puppet, base, rng)
+        kind = rng.choice([*_LEGS, *_LEGS, "plie", "rise", "step", "step", "step"])
+        side = int(rng.integers(2))
+        if kind == "plie":
+            depth = rng.uniform(0.1, 0.58)
+            pose = pose.leaning(
+                drop=depth * puppet.leg,
+                back=rng.uniform(0.1, 0.4) * depth * puppet.leg,
+                pelvis=(0.0, rng.uniform(0.0, 0.8) * depth, 0.0),
+            )
+            for foot in (LEFT, RIGHT):
+                pose = pose.with_foot(foot, knee_out=rng.uniform(0.1, 0.9))
+        elif kind == "rise":
+            rise = rng.uniform(0.4, 0.8)
+            pose = pose.leaning(drop=-0.2)
+            for foot in (LEFT, RIGHT):
+                pose = pose.with_foot(foot, heel=rise)
+        elif kind == "step":
+            pose, air = _dance_step(puppet, pose, rng, side)
+            score.to(0.45, air)
+        else:
+            pose = _dance_leg(puppet, pose, rng, side, str(kind))
+        score.to(rng.uniform(0.45, 0.8), pose).hold(rng.uniform(0.0, 0.2))
+        if kind == "step":
+            score.to(0.45, air)
+        score.to(rng.uniform(0.4, 0.6), _danced(puppet, base, rng))
+    return score.to(0.6, base)
+
+
+def _dance_leg(
+    puppet: Puppet, pose: Pose, rng: np.random.Generator, side: int, kind: str
+) -> Pose:
+    top, way = rng.uniform(0.3, 1.15), 1.0 - 2.0 * side
+    flexion, abduction, knee = {
+        "front": (1.5 * top, 0.15, 0.1),
+        "side": (0.5 * top, 0.75 * top, 0.1),
+        "back": (-0.45 * top, 0.1, rng.choice([0.1, 1.0])),
+        "passe": (1.2 * top, 0.5, 1.9 * top),
+    }[kind]
+    shift = 0.8 * float(pose.ankle[1 - side, 0] - pose.root[0])
+    sink = rng.uniform(0.0, 0.14) * puppet.leg
+    pose = pose.leaning(side=shift, drop=sink, back=0.3 * sink)
+    if kind == "back":  # an arabesque: the trunk tips as the leg goes up
+        tip = rng.uniform(0.1, 1.2) * top
+        pose = pose.leaning(
+            pelvis=(0, tip, 0), spine=(-0.5 * tip, 0, 0), back=0.1 * tip
+        )
+    if kind == "side":
+        pose = pose.leaning(pelvis=(0.0, 0.0, -0.25 * top * way))
+    return puppet.swing_leg(pose, side, flexion, abduction, knee)
+
+
+def _dance_step(
+    puppet: Puppet, pose: Pose, rng: np.random.Generator, side: int
+) -> tuple[Pose, Pose]:
+    """Return a long step onto a bent knee, the other leg long, and its midway."""
+    way, heading = 1.0 - 2.0 * side, rng.uniform(-0.4, 1.6)
+    size = rng.uniform(0.4, 1.05) * puppet.leg
+    by = size * np.array([way * np.sin(heading), 0.0, np.cos(heading)])
+    air = pose.leaning(side=0.5 * float(pose.ankle[1 - side, 0] - pose.root[0]))
+    air = air.stepping(side, pose.ankle[side] + by, 0.1 * puppet.scale)
+    share, lean = rng.uniform(0.35, 0.8), rng.normal(0.05, 0.2)
+    pose = pose.with_foot(side, ankle=pose.ankle[side] + by)
+    pose = pose.with_foot(1 - side, heel=rng.uniform(0.2, 1.0))
+    pose = pose.leaning(
+        drop=rng.uniform(0.04, 0.3) * puppet.leg,
+        side=share * float(by[0]),
+        back=-share * float(by[2]),
+        pelvis=(rng.normal(0.0, 0.3), lean, 0.0),
+    )
+    return pose, air
+
+
+def _jump(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+    """Jump on the spot: squat, swing the arms, fly, land softly.
+
+    The time in the air is that of a free fall from the height, up and down.
+    """
+    score, gravity = Score(base).hold(0.3), 9.81
+    while score.duration < length:
+        high, tuck = rng.uniform(0.06, 0.35), rng.uniform(0.0, 0.9)
+        split = rng.uniform(-0.9, 0.9) if rng.random() < 0.5 else 0.0
+        swing, spread = rng.uniform(0.3, 2.2), rng.uniform(0.3, 1.5)
+        low = base.leaning(
+            drop=rng.uniform(0.15, 0.35) * puppet.leg,
+            back=0.05,
+            pelvis=(0.0, 0.35, 0.0),
+            spine=(0.35, 0.0, 0.0),
+            head=(-0.3, 0.0, 0.0),
+        )
+        off, land = base.leaning(drop=-0.2), low.leaning(drop=-0.1 * puppet.leg)
+        for side in (LEFT, RIGHT):
+            low = low.with_arm(side, puppet.arm(0.6, -1.2, 0.0, 0.3))
+            off = off.with_foot(side, heel=0.7)
+            up = puppet.arm(swing, spread, -0.3 * swing, 0.4)
+            off = off.with_arm(side, up)
+            land = land.with_arm(side, puppet.arm(1.0, spread, 0.0, 0.5))
+        trunk = puppet.trunk(off)
+        top = replace(off, root=trunk.root + np.array([0.0, high, 0.0]))
+        for side in (LEFT, RIGHT):
+            way = split * (1.0 - 2.0 * side)
+            flexion = np.clip(0.9 * tuck + way, -0.4, 1.6)
+            top = puppet.swing_leg(top, side, flexion, 0.1, 1.5 * tuck + 0.15)
+        half = float(np.sqrt(2.0 * high / gravity))
+        score.to(0.7, low).to(0.4, replace(off, root=trunk.root))
+        score.to(half, top).to(half, replace(off, root=trunk.root))
+        score.to(0.25, land).to(0.6, base).hold(rng.uniform(0.1, 0.4))
+    return score
+
+
+SPORTS: dict[str, Script] = {
+    "bend_leg": _bend_leg,
+    "dance": _dance,
+    "golf_swing": _golf_swing,
+    "jump": _jump,
+    "roll_hands": _roll_hands,
+    "tai_chi": _tai_chi,
+}
+"""Sports and arts, by name."""

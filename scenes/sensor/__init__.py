@@ -1,0 +1,15 @@
+"""The virtual Kinect: what a sensor would have recorded of a performance."""
+
+from .geometry import SENSORS, Sensor, in_sensor_frame, in_world_frame
+from .kinect import observe, sample_take
+from .tracker_errors import TrackerErrors
+
+__all__ = [
+    "SENSORS",
+    "Sensor",
+    "TrackerErrors",
+    "in_sensor_frame",
+    "in_world_frame",
+    "observe",
+    "sample_take",
+]

@@ -1,0 +1,275 @@
+"""What a skeleton tracker makes of what a Kinect sees: errors of place.
+
+Each error has a cause: the tracker's own definition of joints, surfaces half hidden
+or foreshortened, postures it was not taught, its wobble, the motion during one
+exposure, the noise of the depth image, props taken for limbs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from kinefilter.characters import STANDARD_HEIGHT, Body, Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import rotate
+from kinefilter.scenes.library.performers import Performance
+
+from .geometry import Sensor
+from .misplacement import kinship, misplacements, unsteadiness
+from .visibility import Sight
+
+_FEATURES = 96  # random cosines: enough that no direction of posture is left out
+_STARTS = 12.0  # time constants before the take, so that it starts in full swing
+
+
+@dataclass(frozen=True)
+class TrackerErrors:
+    """How far the tracker errs.
+
+    All zero but ``mirrored_beyond``, which is pi: it sees the truth.
+
+    Set by hand so that figures of ``tests/calibrate_kinect.py`` come near those of
+    recordings, unless called a guess.
+    """
+
+    bias: float = 1.0
+    """Share of the tracker's own definition of joints (``misplacement``), 1 as
+    recorded."""
+    bias_spread: float = 0.011
+    """Standard deviation of that definition between people, along each axis of each
+    segment [m]."""
+    pull: float = 0.5
+    """Share of the way to the center of what is seen of a part that a joint goes. A
+    guess."""
+    foreshortening: float = 0.1
+    """Share of the way to the surface of a limb that points at the sensor that a joint
+    goes. Recordings give -0.3 to 0.3, joint by joint: they show no more."""
+    posture_error: float = 0.015
+    """Standard deviation along each axis of a mean joint's error that comes back with
+    the posture [m]: the tracker was not taught this person in it."""
+    posture_scale: float = 0.8
+    """Change of the posture after which that error is another: root of the sum of
+    squares over the directions of all segments."""
+    wobble: float = 0.047
+    """Standard deviation along each axis of a mean joint's wandering error while it
+    moves fast [m]."""
+    calm: float = 0.12
+    """Share of this wobble that is left while the joint is still."""
+    stirring_speed: float = 0.5
+    """Speed of a joint at which half of the rest of the wobble is there [m/s]."""
+    wobble_time: float = 0.17
+    """Time constant in which a wandering error is forgotten [s]."""
+    burst: float = 1.5
+    """Spread of the wobble's strength over time, standard deviation of its natural
+    logarithm: most frames are calm, some jump."""
+    burst_time: float = 0.15
+    """Time constant of that strength [s]."""
+    hidden_wobble: float = 2.0
+    """How many times as much a joint wobbles more when nothing of it is seen."""
+    blur: float = 0.004
+    """Mean time by which what is measured lies behind the frame's time stamp [s]; it
+    varies as much."""
+    grain: float = 5.0
+    """Number of neighboring pixels that share one error of depth."""
+    prop: float = 0.5
+    """Share of the way to a prop's surface, where it fills all surroundings of a
+    joint, by which the joint is taken there. A guess."""
+    doubt: float = 0.12
+    """Standard deviation of what the tracker believes to see of a part, as a share of
+    the part."""
+    doubt_time: float = 0.3
+    """Time constant of this doubt [s]."""
+    trust: float = 0.0
+    """What is added to the share of a part that must be believed seen for it to be
+    tracked (``tracker_states``)."""
+    merging: float = 0.2
+    """Share of a part that is believed unseen when all its surroundings are at its own
+    depth."""
+    fast: float = 0.08
+    """Share of a part that is believed unseen for each meter per second by which it
+    moves against the trunk [s/m]: it is smeared over what lies behind."""
+    guess: float = 1.0
+    """Share of the way from the measurement to the tracker's guess that a joint of
+    which nothing is seen goes."""
+    guess_time: float = 0.8
+    """Time constant in which a guess goes from where the joint was last seen, as seen
+    from its parent, to where such joints mostly are [s]. A guess."""
+    jump: float = 0.04
+    """Standard deviation along each axis of the jump with which a guess may begin
+    [m]. A guess."""
+    swap_rate: float = 2.0
+    """Rate at which limbs whose surroundings are all filled by the other side's are
+    swapped [1/s]. A guess."""
+    swap_time: float = 0.4
+    """Mean time for which they stay swapped [s]. A guess."""
+    mirrored_beyond: float = 2.0
+    """Angle off facing the sensor from which a person is taken for one who faces it,
+    left and right swapped [rad]; pi: never. Kinect's trackers assume that people face
+    them."""
+
+
+def misplaced(
+    performance: Performance,
+    sight: Sight,
+    sensor: Sensor,
+    errors: TrackerErrors,
+    *,
+    eye: Array,
+    rest_front: Array,
+    rng: np.random.Generator,
+    person: np.random.Generator,
+) -> Array:
+    """Return where the tracker puts joints that it sees [m], world, shape (T, J, 3).
+
+    Args:
+        performance: The truth.
+        sight: What is seen of it.
+        sensor: Its noise of depth and pixels.
+        errors: How far the tracker errs.
+        eye: Place of the sensor [m], world, shape (3,).
+        rest_front: ``front`` of the body standing before the sensor [m], shape (J,):
+            that surfaces are so far before their joints is what the tracker knows.
+        rng: Draws what differs between takes.
+        person: Draws what differs between people.
+    """
+    frames = len(performance)
+    fps = performance.fps
+    truth, body = performance.positions, performance.body
+    line = truth - eye
+    depth = np.linalg.norm(line, axis=-1, keepdims=True)
+    line = line / depth
+    unsteady = unsteadiness(body.skeleton)[:, None]
+    hidden = 1.0 - sight.visible[..., None]
+    away = _bias(performance, errors, person) + errors.pull * sight.pull
+    nearer = sight.front - rest_front * (sight.visible > 0.0)
+    away -= errors.foreshortening * nearer[..., None] * line
+    away += (
+        errors.posture_error * unsteady * _posture_error(performance, errors, person)
+    )
+    stir = errors.calm + (1.0 - errors.calm) * _stir(truth, errors, fps)
+    strength = errors.wobble * unsteady * stir * (1.0 + errors.hidden_wobble * hidden)
+    away += _wander(strength, kinship(body.skeleton), errors, fps, rng)
+    away += errors.prop * sight.prop[..., None] * sight.prop_pull
+    if frames > 1:
+        late = errors.blur * (1.0 + slow_noise((*truth.shape[:2], 1), 0.1 * fps, rng))
+        away -= late * np.gradient(truth, 1.0 / fps, axis=0)
+    away += _pixel_noise(depth, line, sight, sensor, errors, body, rng)
+    return np.asarray(truth + away)
+
+
+def _bias(
+    performance: Performance, errors: TrackerErrors, person: np.random.Generator
+) -> Array:
+    """Misplacement by the tracker's definition of joints [m], (T, J, 3)."""
+    skeleton = performance.body.skeleton
+    offsets = misplacements(skeleton)
+    own = kinship(skeleton) @ person.normal(size=offsets.shape)
+    scale = performance.body.height / STANDARD_HEIGHT
+    offsets = scale * errors.bias * offsets + errors.bias_spread * own
+    after = [c[0] if c else j for j, c in enumerate(skeleton.children)]
+    turn = performance.rotations
+    return rotate(turn, offsets[0]) + rotate(turn[:, after], offsets[1])
+
+
+def _posture_error(
+    performance: Performance, errors: TrackerErrors, person: np.random.Generator
+) -> Array:
+    """A smooth random function of the posture, unit variance, (T, J, 3).
+
+    Of a limb's joints: of the posture of trunk and limb. Random cosines of segment
+    directions: a draw from a Gaussian process with a Gaussian kernel (Rahimi & Recht
+    2007). The directions are the world's: the sensor sees a turned person as another
+    posture.
+    """
+    skeleton = performance.body.skeleton
+    parents = np.maximum(skeleton.parents, 0)
+    bones = performance.positions - performance.positions[:, parents]
+    bones /= np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9)
+    weights = person.normal(size=(_FEATURES, len(skeleton), 3))
+    weights = np.sqrt(2.0 / _FEATURES) * (kinship(skeleton) @ weights)
+    drawn = np.empty(bones.shape)
+    for part, posture in _limb_and_trunk(skeleton):
+        slopes = person.normal(size=(3 * len(posture), _FEATURES))
+        phases = person.uniform(0.0, 2.0 * np.pi, _FEATURES)
+        angles = bones[:, posture].reshape(len(bones), -1) @ slopes
+        waves = np.cos(angles / max(errors.posture_scale, 1e-6) + phases)
+        drawn[:, part] = np.tensordot(waves, weights[:, part], axes=1)
+    return drawn
+
+
+def _limb_and_trunk(skeleton: Skeleton) -> list[tuple[list[int], list[int]]]:
+    """Joints of each limb and of the trunk, and those whose segments matter there."""
+    tops = ("Elbow", "Knee")
+    limbs = []
+    for joint in skeleton.joints:
+        if joint.startswith(tops):
+            limb = [skeleton.index(joint)]
+            for j in limb:
+                limb.extend(skeleton.children[j])
+            limbs.append(limb)
+    far = {j for limb in limbs for j in limb}
+    trunk = [j for j in range(len(skeleton)) if j not in far]
+    return [(trunk, trunk), *((limb, limb + trunk) for limb in limbs)]
+
+
+def _stir(truth: Array, errors: TrackerErrors, fps: float) -> Array:
+    """How much a joint's speed makes it wobble, in [0, 1), (T, J, 1)."""
+    if len(truth) < 2:
+        return np.zeros((*truth.shape[:2], 1))
+    velocity = np.gradient(truth, 1.0 / fps, axis=0)
+    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+    return np.asarray(speed / (speed + max(errors.stirring_speed, 1e-6)))
+
+
+def _wander(
+    strength: Array,
+    mix: Array,
+    errors: TrackerErrors,
+    fps: float,
+    rng: np.random.Generator,
+) -> Array:
+    """An error that wanders off in bursts and is forgotten [m], (T, J, 3)."""
+    frames, joints = strength.shape[:2]
+    lead = int(_STARTS * errors.wobble_time * fps)
+    strength = np.concatenate([np.repeat(strength[:1], lead, axis=0), strength])
+    calm = mix @ slow_noise((lead + frames, joints, 1), errors.burst_time * fps, rng)
+    # The mean square of the log-normal strength is one.
+    force = np.exp(errors.burst * calm - errors.burst**2)
+    kept = np.exp(-1.0 / max(errors.wobble_time * fps, 1e-6))
+    pushes = mix @ rng.normal(size=(lead + frames, joints, 3)) * force * strength
+    walk = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], pushes, axis=0)
+    return np.asarray(walk[lead:])
+
+
+def _pixel_noise(
+    depth: Array,
+    line: Array,
+    sight: Sight,
+    sensor: Sensor,
+    errors: TrackerErrors,
+    body: Body,
+    rng: np.random.Generator,
+) -> Array:
+    """Noise of the depth image, averaged over what is seen of a part [m], (T, J, 3)."""
+    density = sensor.pixels(depth)
+    area = np.pi * body.radii[:, None] ** 2 * sight.visible[..., None]
+    count = np.maximum(density * area / max(errors.grain, 1.0), 1.0)
+    across = np.sqrt(1.0 / (12.0 * density)) * min(errors.grain, 1.0)
+    along = sensor.depth_noise.at(depth) * min(errors.grain, 1.0)
+    noise = across * rng.normal(size=line.shape)
+    noise += (along - across) * rng.normal(size=depth.shape) * line
+    return np.asarray(noise / np.sqrt(count))
+
+
+def slow_noise(shape: tuple[int, ...], steps: float, rng: np.random.Generator) -> Array:
+    """Return noise of unit variance that forgets itself in ``steps`` frames.
+
+    A first-order autoregressive process along axis 0 that starts in its steady state.
+    """
+    kept = np.exp(-1.0 / max(steps, 1e-6))
+    pushes = np.sqrt(1.0 - kept**2) * rng.normal(size=shape)
+    pushes[0] /= np.sqrt(1.0 - kept**2)
+    return np.asarray(lfilter([1.0], [1.0, -kept], pushes, axis=0))

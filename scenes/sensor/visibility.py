@@ -1,0 +1,355 @@
+"""What a sensor sees of each joint, past the body itself and what stands in the room.
+
+From the sensor, rays go to the neighborhood of every joint: a disk across the line of
+sight that the part's own capsule fills, and a ring around it. Whatever a ray of the
+disk meets before the part hides it; whatever a ray of the ring meets at the part's own
+depth cannot be told from it in a depth image. The rays are MuJoCo's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body, InputError, Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.humanoid import to_mujoco
+from kinefilter.scenes.library.performers import Performance
+
+from .geometry import Sensor, in_world_frame, sensor_axes
+
+_DISK_RAYS = 24
+_RING_RAYS = 12
+_DISK = 0.8  # of the part's radius: rays at its very edge would miss it by rounding
+_RING = 0.04  # m around the part: about five pixels of a Kinect v2 at 2.7 m
+_SAME_DEPTH = 0.06  # m: less contrast than a part's own thickness, a guess
+_NEAR_PROP = 0.12  # m: a prop nearer to a part than this may be taken for it, a guess
+_CHEST_BREADTH = 0.174  # of stature (Drillis & Contini 1966 in Winter 2009, fig. 4.1)
+_HIP_BREADTH = 0.191
+_SIDES = ("Left", "Right")
+_CHUNK = 1024  # frames, so that an hour's take needs no gigabytes
+_FAR = 20.0  # m: beyond any Kinect's range
+_PREFIX = "seen:"  # keeps the names of the body apart from those of the scene
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a sensor sees of each joint; vectors in the world of the performance."""
+
+    visible: Array
+    """Share of the part that nothing hides, in [0, 1], shape (T, J)."""
+    pull: Array
+    """From the center of the part's surface to that of what is seen of it [m], shape
+    (T, J, 3); zero where all or nothing is seen."""
+    front: Array
+    """How much nearer to the sensor the seen surface is than the joint's own radius
+    would put it [m]: a limb that points at the sensor, shape (T, J)."""
+    merged: Array
+    """Share of the surroundings at the part's own depth, in [0, 1], shape (T, J)."""
+    rival: Array
+    """Share of disk and ring filled by the same part of the other side, (T, J)."""
+    prop: Array
+    """Share of disk and ring filled by props as near as the part itself, (T, J)."""
+    prop_pull: Array
+    """From the part's surface to the center of those props' [m], shape (T, J, 3)."""
+
+
+def look(
+    performance: Performance,
+    sensor: Sensor,
+    *,
+    scene: mujoco.MjSpec | None = None,
+    prop_poses: Mapping[str, Array] | None = None,
+) -> Sight:
+    """Return what a sensor sees of a performance.
+
+    Args:
+        performance: Joint positions and segment rotations, world frame.
+        sensor: Where the sensor stands.
+        scene: The room and its props, z up as MuJoCo has it; by default a bare floor.
+        prop_poses: For bodies of the scene that move: position [m] and orientation
+            wxyz in every frame, MuJoCo's world, shape (T, 7).
+
+    Raises:
+        InputError: A moving prop is no body of the scene, not a child of its world,
+            or its poses do not fit the performance.
+    """
+    prop_poses = dict(prop_poses or {})
+    for name, poses in prop_poses.items():
+        if np.shape(poses) != (len(performance), 7):
+            raise InputError(
+                f"poses of prop {name!r} have shape {np.shape(poses)}, expected "
+                f"{(len(performance), 7)}: position and quaternion in every frame"
+            )
+    scanner = _Scanner(performance.body, sensor, scene, tuple(prop_poses))
+    parts = []
+    for start in range(0, len(performance), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        parts.append(
+            scanner.scan(
+                performance.positions[rows],
+                performance.rotations[rows],
+                [np.asarray(poses, float)[rows] for poses in prop_poses.values()],
+            )
+        )
+    return Sight(
+        *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sight))
+    )
+
+
+class _Scanner:
+    """A body in a scene before a sensor."""
+
+    def __init__(
+        self,
+        body: Body,
+        sensor: Sensor,
+        scene: mujoco.MjSpec | None,
+        moving: tuple[str, ...],
+    ) -> None:
+        self.skeleton = body.skeleton
+        self.sensor = sensor
+        spec = _with_body(scene, body, moving)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
+        names = [_PREFIX + j for j in body.skeleton.joints] + list(moving)
+        ids = [self.model.body(name).id for name in names]
+        self.slots = self.model.body_mocapid[ids]
+        owner = {i: j for j, i in enumerate(ids[: len(body.skeleton)])}
+        part = np.array([owner.get(b, -1) for b in self.model.geom_bodyid] + [-1])
+        plane = int(mujoco.mjtGeom.mjGEOM_PLANE)
+        fixed = self.model.geom_bodyid == 0
+        flat = (self.model.geom_type == plane) & fixed
+        self.is_prop = (part < 0) & ~np.append(flat, True)
+        self.is_hit = np.append(np.ones(self.model.ngeom, bool), False)
+        own = _own_parts(body.skeleton)
+        self.own = np.where(part >= 0, own[:, part], False)  # (J, geoms + none)
+        kin = _kin(body.skeleton)
+        self.kin = np.where(part >= 0, kin[:, part], False) | self.own
+        self.rival = self.own[body.skeleton.mirror] & ~self.own
+        self.rival[body.skeleton.mirror == np.arange(len(own))] = False
+        self.radii = _part_radii(body)
+
+    def scan(self, positions: Array, rotations: Array, props: list[Array]) -> Sight:
+        """Return what is seen of the postures (T, J, 3) and (T, J, 4)."""
+        eye = in_world_frame(np.zeros(3), self.sensor)
+        spots = self._spots(positions, eye)
+        rays = spots - eye
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        reach, geoms = self._cast(positions, rotations, props, eye, rays)
+        found = eye + reach[..., None] * rays
+        return self._judge(spots, found, geoms)
+
+    def _spots(self, positions: Array, eye: Array) -> Array:
+        """Points [m] that the rays aim at: on the part's front and around it."""
+        line = positions - eye
+        line /= np.linalg.norm(line, axis=-1, keepdims=True)
+        right = np.cross(sensor_axes(self.sensor)[1], line)
+        right /= np.linalg.norm(right, axis=-1, keepdims=True)
+        up = np.cross(line, right)
+        pattern = _pattern()
+        disk = (
+            self.radii[:, None] * _DISK * np.linalg.norm(pattern[:_DISK_RAYS], axis=1)
+        )
+        bulge = np.sqrt(self.radii[:, None] ** 2 - disk**2)
+        forward = np.pad(bulge, ((0, 0), (0, _RING_RAYS)))
+        wide = np.empty((len(self.radii), len(pattern)))
+        wide[:, :_DISK_RAYS] = _DISK * self.radii[:, None]
+        wide[:, _DISK_RAYS:] = self.radii[:, None] + _RING
+        x, y = wide * pattern[:, 0], wide * pattern[:, 1]
+        return np.asarray(
+            positions[:, :, None]
+            + x[..., None] * right[:, :, None]
+            + y[..., None] * up[:, :, None]
+            - forward[..., None] * line[:, :, None]
+        )
+
+    def _cast(
+        self,
+        positions: Array,
+        rotations: Array,
+        props: list[Array],
+        eye: Array,
+        rays: Array,
+    ) -> tuple[Array, NDArray[np.int32]]:
+        """Return how far each ray goes [m] and the geom it meets, -1: none."""
+        frames, joints, count = rays.shape[:3]
+        starts = positions[:, np.maximum(self.skeleton.parents, 0)].copy()
+        starts[:, self.skeleton.root] = positions[:, self.skeleton.root]
+        place = np.concatenate(
+            [to_mujoco(starts), *(p[:, None, :3] for p in props)], axis=1
+        )
+        turn = np.concatenate(
+            [to_mujoco(rotations), *(p[:, None, 3:] for p in props)], axis=1
+        )
+        point = to_mujoco(eye)
+        beams = np.ascontiguousarray(to_mujoco(rays).reshape(frames, -1))
+        reach = np.empty((frames, joints * count))
+        geoms = np.empty((frames, joints * count), dtype=np.int32)
+        model, data = self.model, self.data
+        for t in range(frames):
+            data.mocap_pos[self.slots] = place[t]
+            data.mocap_quat[self.slots] = turn[t]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_multiRay(
+                model,
+                data,
+                point,
+                beams[t],
+                None,
+                True,
+                -1,
+                geoms[t],
+                reach[t],
+                None,
+                joints * count,
+                _FAR,
+            )
+        shape = (frames, joints, count)
+        return reach.reshape(shape), geoms.reshape(shape)
+
+    def _judge(self, spots: Array, found: Array, geoms: NDArray[np.int32]) -> Sight:
+        joint = np.arange(len(self.radii))[:, None]
+        # A ray that meets nothing has geom -1: the last column of the tables.
+        own = self.own[joint, geoms]
+        disk = own[..., :_DISK_RAYS]
+        there = spots[..., :_DISK_RAYS, :]
+        center = there.mean(axis=2)
+        seen = np.asarray(disk.any(axis=-1))
+        pull = np.where(seen[..., None], _mean_where(there, disk) - center, 0.0)
+        eye = in_world_frame(np.zeros(3), self.sensor)
+        far = np.linalg.norm(found - eye, axis=-1)
+        depth = np.linalg.norm(there - eye, axis=-1)
+        nearer = (depth - far[..., :_DISK_RAYS])[..., None]
+        front = np.where(seen, _mean_where(nearer, disk)[..., 0], 0.0)
+        near = np.linalg.norm(found - center[..., None, :], axis=-1)
+        apart = np.abs(far - (depth.mean(axis=-1) - front)[..., None])
+        hit = self.is_hit[geoms]
+        alike = hit & ~self.kin[joint, geoms] & (apart < _SAME_DEPTH)
+        rival = self.rival[joint, geoms]
+        prop = self.is_prop[geoms] & (near < self.radii[:, None] + _NEAR_PROP)
+        away = _mean_where(found, prop) - center
+        return Sight(
+            visible=disk.mean(axis=-1),
+            pull=pull,
+            front=front,
+            merged=alike[..., _DISK_RAYS:].mean(axis=-1),
+            rival=rival.mean(axis=-1),
+            prop=prop.mean(axis=-1),
+            prop_pull=np.where(prop.any(axis=-1)[..., None], away, 0.0),
+        )
+
+
+def _mean_where(values: Array, mask: NDArray[np.bool_]) -> Array:
+    """Mean of vectors (..., N, 3) over the N that a mask keeps, 0 where none."""
+    count = np.maximum(mask.sum(axis=-1), 1)
+    total = np.einsum("...nk,...n->...k", values, mask.astype(float))
+    return np.asarray(total / count[..., None])
+
+
+def _pattern() -> Array:
+    """Return unit-disk points that fill a disk evenly (Vogel 1979), then a ring."""
+    k = np.arange(_DISK_RAYS)
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * k
+    radius = np.sqrt((k + 0.5) / _DISK_RAYS)
+    disk = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    around = 2.0 * np.pi * (np.arange(_RING_RAYS) + 0.5) / _RING_RAYS
+    ring = np.stack([np.cos(around), np.sin(around)], axis=1)
+    # An even filling of few points is not quite centered.
+    return np.concatenate([disk - disk.mean(axis=0), ring])
+
+
+def _with_body(
+    scene: mujoco.MjSpec | None, body: Body, moving: tuple[str, ...]
+) -> mujoco.MjSpec:
+    if scene is None:
+        spec = mujoco.MjSpec()
+        floor = mujoco.mjtGeom.mjGEOM_PLANE
+        spec.worldbody.add_geom(name="floor", type=floor, size=[0.0, 0.0, 1.0])
+    else:
+        spec = scene.copy()
+    for name in moving:
+        prop = spec.body(name)
+        if prop is None or prop.parent != spec.worldbody:
+            raise InputError(
+                f"the scene has no prop {name!r} among the children of its world; "
+                "it has " + ", ".join(b.name for b in spec.worldbody.bodies)
+            )
+        for joint in list(prop.joints):
+            spec.delete(joint)
+        prop.mocap = True
+    _add_parts(spec, body)
+    return spec
+
+
+def _add_parts(spec: mujoco.MjSpec, body: Body) -> None:
+    """Add one body a segment that can be put anywhere, with the capsules it has."""
+    offsets = to_mujoco(body.rest_offsets)
+    capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+    for j, joint in enumerate(body.skeleton.joints):
+        part = spec.worldbody.add_body(name=_PREFIX + joint, mocap=True)
+        for side in _flanks(body, j):
+            aside = np.array([0.0, side, 0.0])
+            end = offsets[j] + 1e-6 * (j == body.skeleton.root)
+            part.add_geom(
+                type=capsule,
+                fromto=[*aside, *(end + aside)],
+                size=[body.radii[j], 0.0, 0.0],
+            )
+
+
+def _flanks(body: Body, j: int) -> tuple[float, ...]:
+    """Sideways places [m] of a segment's capsules: a trunk is wider than deep."""
+    joint = body.skeleton.joints[j]
+    if joint not in _TRUNK:
+        return (0.0,)
+    breadth = _HIP_BREADTH if j == body.skeleton.root else _CHEST_BREADTH
+    half = max(0.0, 0.5 * breadth * body.height - float(body.radii[j]))
+    return (half, -half)
+
+
+_TRUNK = (
+    *("HipCenter", "Spine", "ShoulderCenter"),
+    *("SpineBase", "SpineMid", "SpineShoulder"),
+)
+_TRUNK_ENDS = ("Hip", "Shoulder")
+
+
+def _own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
+    """Return which segments a joint is seen on, shape (joint J, segment J).
+
+    The two that meet there; a joint of the trunk is seen on all of the trunk.
+    """
+    own = np.eye(len(skeleton), dtype=bool)
+    for j, children in enumerate(skeleton.children):
+        own[j, list(children)] = True
+    ends = [stem + side for stem in _TRUNK_ENDS for side in _SIDES]
+    names = (*_TRUNK, *ends, "Neck")
+    trunk = [skeleton.index(j) for j in skeleton.joints if j in names]
+    own[np.ix_(trunk, trunk)] = True
+    return own
+
+
+def _kin(skeleton: Skeleton) -> NDArray[np.bool_]:
+    """Return which segments are next to a joint's own along the limb, (J, J)."""
+    kin = np.zeros((len(skeleton), len(skeleton)), dtype=bool)
+    for j, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            kin[j, parent] = kin[parent, j] = True
+    return kin
+
+
+def _part_radii(body: Body) -> Array:
+    """Return the radius [m] that the part around each joint shows, shape (J,).
+
+    The thinner of the two segments that meet there, so that the disk is filled.
+    """
+    radii = body.radii.copy()
+    for j, children in enumerate(body.skeleton.children):
+        radii[j] = min(radii[j], *(body.radii[c] for c in children), np.inf)
+    return radii
