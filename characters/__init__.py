@@ -2,7 +2,8 @@
 
 from .anthropometry import STANDARD_HEIGHT, STATURES, Body, random_body, standard_body
 from .errors import InputError, KinefilterError
-from .motion import CONTACTS, Clip, Origin, State, Take, Term
+from .kinematics import positions_from_rotations
+from .motion import CONTACTS, Clip, Motion, Origin, State, Take, Term
 from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
 from .tracking import Tracking
@@ -18,6 +19,7 @@ __all__ = [
     "Clip",
     "InputError",
     "KinefilterError",
+    "Motion",
     "Origin",
     "Prop",
     "Shape",
@@ -27,6 +29,7 @@ __all__ = [
     "Take",
     "Term",
     "Tracking",
+    "positions_from_rotations",
     "random_body",
     "skeleton_named",
     "standard_body",

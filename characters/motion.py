@@ -1,17 +1,19 @@
-"""What a sensor gave (Take) and what an animator gets (Clip)."""
+"""What a sensor gave (Take), how a body moves (Motion), what animators get (Clip)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from typing import Any
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body
 from .errors import InputError
-from .frozen import freeze
+from .frozen import freeze, read_only
+from .kinematics import positions_from_rotations
 from .props import Prop
 from .skeleton import Skeleton
 
@@ -86,26 +88,14 @@ def _check_time(motion: Any) -> None:
         )
 
 
-def _check_values(clip: Clip) -> None:
-    """Raise an InputError for rotations, rates or codes that no clip holds."""
-    with np.errstate(over="ignore"):  # of a damaged file
-        lengths = np.sqrt(np.vecdot(clip.rotations, clip.rotations))
-    _refuse(clip, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
-    rate = clip.reliability
-    _refuse(clip, "reliability", rate, ~((rate < 0.0) | (rate > 1.0)))
-    for name, codes in (("state", State), ("deciding_term", Term), ("origin", Origin)):
-        values = getattr(clip, name)
-        _refuse(clip, name, values, (values >= 0) & (values <= max(codes)))
-
-
 def _refuse(
-    clip: Clip, what: str, values: NDArray[Any], good: NDArray[np.bool_]
+    motion: Motion, what: str, values: NDArray[Any], good: NDArray[np.bool_]
 ) -> None:
     if not good.all():
         frame, joint = np.argwhere(~good)[0]
         raise InputError(
-            f"{clip.source}: frame {frame + 1}, {clip.skeleton.joints[joint]}: "
-            f"{what} {values[frame, joint]:g} is none; write the clip again"
+            f"{motion.source}: frame {frame + 1}, {motion.skeleton.joints[joint]}: "
+            f"{what} {values[frame, joint]:g} is not valid; write the clip again"
         )
 
 
@@ -146,30 +136,77 @@ class Take:
         return frames_per_second(self.time)
 
 
-@dataclass(frozen=True, eq=False)
-class Clip:
-    """A cleaned motion and, per joint and frame, where it came from.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Motion:
+    """How a body moves; arrays are read-only.
 
     World frame: right-handed, y up, floor at y = 0, meters, seconds. Joint positions
-    follow from the rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
+    follow from root and rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
     """
 
     time: NDArray[np.float64]
-    """Time stamps [s], those of the take, shape (T,)."""
-    positions: NDArray[np.float64]
-    """Joint positions [m], world frame, shape (T, J, 3)."""
+    """Time stamps [s], never decreasing, shape (T,)."""
+    body: Body
+    """The body that moves: skeleton, segment lengths and rest posture."""
+    root: NDArray[np.float64]
+    """Position of the root joint [m], world frame, shape (T, 3)."""
     rotations: NDArray[np.float64]
     """World rotation of the segment that ends at each joint, unit quaternions wxyz,
     shape (T, J, 4), identity in the rest posture; the root's row is the pelvis."""
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    body: Body
-    """The body that moves: segment lengths and rest posture."""
+    source: str = "motion"
+    """Where the motion came from, for messages."""
+
+    def __post_init__(self) -> None:
+        _check_shapes(self, self._shapes())
+        _check_time(self)
+        with np.errstate(over="ignore"):  # of a damaged file
+            lengths = np.sqrt(np.vecdot(self.rotations, self.rotations))
+        _refuse(self, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
+        freeze(self)
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        t, j = len(self.time), len(self.skeleton)
+        return {"time": (t,), "root": (t, 3), "rotations": (t, j, 4)}
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The joints, in the order of the arrays."""
+        return self.body.skeleton
+
+    @cached_property
+    def positions(self) -> NDArray[np.float64]:
+        """Joint positions [m], world frame, shape (T, J, 3)."""
+        found = positions_from_rotations(self.rotations, self.root, self.body)
+        return read_only(found)
+
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate [1/s]: one over the median time step."""
+        return frames_per_second(self.time)
+
+    def at(self, frames: Any) -> Self:
+        """Return the motion in some frames, in their order: a slice or indices."""
+        return replace(self, **self._at(frames))
+
+    def _at(self, frames: Any) -> dict[str, Any]:
+        return {name: getattr(self, name)[frames] for name in self._shapes()}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Clip(Motion):
+    """A cleaned motion and, per joint and frame, where it came from.
+
+    Time stamps are those of the take.
+    """
+
     state: NDArray[np.uint8]
     """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
     frames where left and right were put back."""
     reliability: NDArray[np.float64]
-    """Reliability rate in [0, 1], shape (T, J)."""
+    """Reliability in [0, 1], NaN where unknown, shape (T, J)."""
     deciding_term: NDArray[np.uint8]
     """Which reliability term decided (Term), shape (T, J)."""
     origin: NDArray[np.uint8]
@@ -185,8 +222,6 @@ class Clip:
     external_force: NDArray[np.float64]
     """Force on the body that no muscle and no floor gives [body weights], shape (T,);
     NaN where nothing was simulated."""
-    source: str = "clip"
-    """Where the motion came from, for messages."""
     props: tuple[Prop, ...] = ()
     """What was around the character in the simulation."""
     tilt: float = float("nan")
@@ -198,48 +233,65 @@ class Clip:
     for ``tilt``."""
 
     def __post_init__(self) -> None:
-        t, j = len(self.time), len(self.skeleton)
-        per_joint = dict.fromkeys(
-            (
-                "state",
-                "reliability",
-                "deciding_term",
-                "origin",
-                "moved_by_correction",
-                "moved_by_physics",
-            ),
-            (t, j),
-        )
-        _check_shapes(
-            self,
-            {
-                "time": (t,),
-                "positions": (t, j, 3),
-                "rotations": (t, j, 4),
-                **per_joint,
-                "contacts": (t, len(CONTACTS)),
-                "external_force": (t,),
-            },
-        )
+        super().__post_init__()
         for prop in self.props:
-            if len(prop.positions) not in (1, t):
+            if len(prop.positions) not in (1, len(self)):
                 raise InputError(
                     f"{self.source}: prop {prop.name} has {len(prop.positions)} "
-                    f"places, expected 1 or {t}, one a frame"
+                    f"places, expected 1 or {len(self)}, one a frame"
                 )
-        _check_time(self)
-        if self.body.skeleton != self.skeleton:
-            raise InputError(
-                f"{self.source}: the body is {self.body.skeleton.name}, the clip "
-                f"{self.skeleton.name}"
-            )
-        _check_values(self)
-        freeze(self)
+        score = self.reliability
+        _refuse(self, "reliability", score, ~((score < 0.0) | (score > 1.0)))
+        codes = (("state", State), ("deciding_term", Term), ("origin", Origin))
+        for name, known in codes:
+            values = getattr(self, name)
+            _refuse(self, name, values, (values >= 0) & (values <= max(known)))
 
-    def __len__(self) -> int:
-        return len(self.time)
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        t, j = len(self.time), len(self.skeleton)
+        return {
+            **super()._shapes(),
+            **dict.fromkeys(_PER_JOINT, (t, j)),
+            "contacts": (t, len(CONTACTS)),
+            "external_force": (t,),
+        }
 
-    @property
-    def fps(self) -> float:
-        """Nominal frame rate [1/s]: one over the median time step."""
-        return frames_per_second(self.time)
+    def _at(self, frames: Any) -> dict[str, Any]:
+        props = tuple(prop.at(frames) for prop in self.props)
+        return {**super()._at(frames), "props": props}
+
+    @classmethod
+    def of(cls, motion: Motion, **known: Any) -> Self:
+        """Return a clip of a motion of which nothing else is known.
+
+        Joints count as tracked and measured, feet as lifted; numbers are NaN.
+
+        Args:
+            motion: How the body moves.
+            known: Fields of the clip that are known after all.
+        """
+        shape = motion.rotations.shape[:2]
+        unknown = np.full(shape, np.nan)
+        fields: dict[str, Any] = {
+            "state": np.full(shape, State.TRACKED, dtype=np.uint8),
+            "reliability": unknown,
+            "deciding_term": np.zeros(shape, dtype=np.uint8),
+            "origin": np.full(shape, Origin.MEASURED, dtype=np.uint8),
+            "moved_by_correction": unknown,
+            "moved_by_physics": unknown,
+            "contacts": np.zeros((shape[0], len(CONTACTS)), dtype=np.bool_),
+            "external_force": np.full(shape[0], np.nan),
+        }
+        moves = {name: getattr(motion, name) for name in _MOTION}
+        return cls(**moves, **fields | known)
+
+
+_MOTION = tuple(field.name for field in fields(Motion))
+_PER_JOINT = (
+    "state",
+    "reliability",
+    "deciding_term",
+    "origin",
+    "moved_by_correction",
+    "moved_by_physics",
+)

@@ -144,9 +144,8 @@ def clean(
         stages["physics"] = measure(take.time, after, raw, body, target.stands)
     clip = Clip(
         time=source.time,
-        positions=after[frames],
+        root=after[frames, take.skeleton.root],
         rotations=rotations[frames],
-        skeleton=take.skeleton,
         body=body,
         state=source.state,
         reliability=reliability.rate[frames],

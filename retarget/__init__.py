@@ -4,7 +4,6 @@ from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths
 from .hands import Hands
 from .heading_frame import HeadingFrame, find_yaw
-from .kinematics import positions_from_rotations
 from .orientation import hang_missing, rotations_from_positions
 from .retargeting import Retargeted, retarget
 from .rig_map import RIGS, load_rig_map
@@ -23,7 +22,6 @@ __all__ = [
     "load_rig_map",
     "matched_rig",
     "measured_body",
-    "positions_from_rotations",
     "retarget",
     "rotations_from_positions",
 ]

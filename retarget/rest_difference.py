@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinefilter.characters import Body, Clip, Skeleton
+from kinefilter.characters import Body, Motion, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_y, between, multiply, rotate, slerp
 
@@ -44,11 +44,11 @@ def segment_of(skeleton: Skeleton, part: str) -> int:
     return {"pelvis": skeleton.root, "neck": neck, "head": head}[part]
 
 
-def turned(clip: Clip, rig: TargetRig) -> dict[int, Array]:
+def turned(motion: Motion, rig: TargetRig) -> dict[int, Array]:
     """Return the world rotation since the rest pose of every joint that a part turns.
 
     Args:
-        clip: The motion.
+        motion: The motion.
         rig: The skeleton.
 
     Returns:
@@ -58,16 +58,16 @@ def turned(clip: Clip, rig: TargetRig) -> dict[int, Array]:
     for part, joints in rig.parts.items():
         if part == "spine":
             continue
-        segment = clip.rotations[:, segment_of(clip.skeleton, part)]
-        turn = multiply(segment, _difference(rig, part, clip.body, facing))
+        segment = motion.rotations[:, segment_of(motion.skeleton, part)]
+        turn = multiply(segment, _difference(rig, part, motion.body, facing))
         turns.update(dict.fromkeys(joints, turn))
-    lower = clip.rotations[:, clip.skeleton.parents[clip.skeleton.girdle]]
-    upper = clip.rotations[:, clip.skeleton.girdle]
+    lower = motion.rotations[:, motion.skeleton.parents[motion.skeleton.girdle]]
+    upper = motion.rotations[:, motion.skeleton.girdle]
     spine = rig.parts["spine"]
     for k, joint in enumerate(spine):
         # From the lowest, which the lower spine turns, to the chest.
         share = k / (len(spine) - 1) if len(spine) > 1 else 1.0
-        turn = slerp(lower, upper, np.full(len(clip), share))
+        turn = slerp(lower, upper, np.full(len(motion), share))
         turns[joint] = multiply(turn, facing)
     return turns
 

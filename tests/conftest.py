@@ -26,9 +26,9 @@ from kinefilter.characters import (
     ShapeKind,
     Skeleton,
     Term,
+    positions_from_rotations,
     standard_body,
 )
-from kinefilter.retarget.kinematics import positions_from_rotations
 
 MakeClip = Callable[..., Clip]
 

@@ -8,9 +8,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinefilter.characters import KINECT_V1, Body, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    Body,
+    positions_from_rotations,
+    standard_body,
+)
 from kinefilter.characters.rotations import about_y, between, multiply
-from kinefilter.retarget import positions_from_rotations
 from kinefilter.scenes.library import Performance
 from kinefilter.scenes.sensor import Sensor, TrackerErrors
 

@@ -18,6 +18,7 @@ from kinefilter.characters import (
     Body,
     InputError,
     Skeleton,
+    positions_from_rotations,
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, normalize, rotate
@@ -25,7 +26,6 @@ from kinefilter.retarget import (
     Standardizer,
     find_yaw,
     measured_body,
-    positions_from_rotations,
 )
 
 Array = NDArray[np.float64]

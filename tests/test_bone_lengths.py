@@ -15,10 +15,11 @@ from kinefilter.characters import (
     KINECT_V2,
     InputError,
     Skeleton,
+    positions_from_rotations,
     standard_body,
 )
 from kinefilter.characters.rotations import normalize
-from kinefilter.retarget import BoneLengths, bone_lengths, positions_from_rotations
+from kinefilter.retarget import BoneLengths, bone_lengths
 
 Array = NDArray[np.float64]
 

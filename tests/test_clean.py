@@ -20,6 +20,7 @@ from kinefilter.characters import (
     Skeleton,
     State,
     Take,
+    positions_from_rotations,
     standard_body,
 )
 from kinefilter.pipeline import CleanConfig, CleanResult, clean, read_take
@@ -27,7 +28,6 @@ from kinefilter.pipeline.config import Method
 from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.formats import read_bvh, read_usd_positions, write_clip
 from kinefilter.pipeline.lab.simulate import simulate, truth_of
-from kinefilter.retarget import positions_from_rotations
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import observe, sample_take
 

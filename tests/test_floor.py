@@ -10,12 +10,17 @@ from known_motions import standing
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Skeleton,
+    positions_from_rotations,
+    standard_body,
+)
 from kinefilter.characters.rotations import about_y, normalize, rotate
 from kinefilter.pipeline.metrics import lowest_point
 from kinefilter.pipeline.target.contacts import find_stance
 from kinefilter.pipeline.target.floor import floor_height, put_on_floor
-from kinefilter.retarget import positions_from_rotations
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

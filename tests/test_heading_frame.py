@@ -10,9 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    Skeleton,
+    positions_from_rotations,
+    standard_body,
+)
 from kinefilter.characters.rotations import about_y, normalize, rotate
-from kinefilter.retarget import HeadingFrame, find_yaw, positions_from_rotations
+from kinefilter.retarget import HeadingFrame, find_yaw
 
 Array = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ from kinefilter.characters import (
     Clip,
     InputError,
     Skeleton,
+    positions_from_rotations,
     standard_body,
 )
 from kinefilter.characters.rotations import inverse, rotate
@@ -29,7 +30,7 @@ from kinefilter.pipeline.lab.scripted_database import (
     BUILTIN_POSTURES,
     scripted_database,
 )
-from kinefilter.retarget import find_yaw, positions_from_rotations
+from kinefilter.retarget import find_yaw
 from kinefilter.scenes.library import MOTIONS
 
 Array = NDArray[np.float64]

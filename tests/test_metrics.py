@@ -9,7 +9,12 @@ import pytest
 from known_motions import BODY, stamps, standing
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    Skeleton,
+    positions_from_rotations,
+    standard_body,
+)
 from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline import metrics
 from kinefilter.pipeline.metrics import (
@@ -20,7 +25,6 @@ from kinefilter.pipeline.metrics import (
     jitter,
     measure,
 )
-from kinefilter.retarget import positions_from_rotations
 
 # Bone lengths
 

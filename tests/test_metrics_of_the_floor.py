@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from known_motions import BODY, FEET, polynomial, stamps, standing
 
-from kinefilter.characters import KINECT_V1
+from kinefilter.characters import KINECT_V1, positions_from_rotations
 from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.metrics import (
     SKATE_HEIGHT,
@@ -19,7 +19,6 @@ from kinefilter.pipeline.metrics import (
     lowest_point,
     skate,
 )
-from kinefilter.retarget import positions_from_rotations
 
 # Feet
 

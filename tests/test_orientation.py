@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Body,
+    Skeleton,
+    positions_from_rotations,
+    standard_body,
+)
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,
@@ -24,7 +31,6 @@ from kinefilter.characters.rotations import (
 )
 from kinefilter.retarget import (
     hang_missing,
-    positions_from_rotations,
     rotations_from_positions,
 )
 from kinefilter.scenes.library import perform

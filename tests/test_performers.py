@@ -15,10 +15,10 @@ from kinefilter.characters import (
     KINECT_V2,
     InputError,
     Skeleton,
+    positions_from_rotations,
     standard_body,
 )
 from kinefilter.characters.rotations import inverse, rotate
-from kinefilter.retarget.kinematics import positions_from_rotations
 from kinefilter.scenes.library import MOTIONS, Performance, perform, perform_medley
 
 Array = NDArray[np.float64]

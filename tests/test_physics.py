@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, Body, InputError, Tracking, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    Body,
+    InputError,
+    Tracking,
+    positions_from_rotations,
+    standard_body,
+)
 from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.humanoid import (
     GRAVITY,
@@ -26,7 +33,6 @@ from kinefilter.characters.rotations import (
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.pipeline.physics.pulled_character import substeps_in
-from kinefilter.retarget import positions_from_rotations
 from kinefilter.retarget.two_bone import bent_limb
 from kinefilter.scenes.library import perform
 

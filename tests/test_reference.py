@@ -14,6 +14,7 @@ from kinefilter.characters import (
     Skeleton,
     State,
     Take,
+    positions_from_rotations,
     standard_body,
 )
 from kinefilter.characters.rotations import IDENTITY, about_y, rotate
@@ -21,7 +22,6 @@ from kinefilter.pipeline.reliability.shum import (
     measure_reference,
     segment_lengths,
 )
-from kinefilter.retarget import positions_from_rotations
 from kinefilter.scenes.sensor import sample_take
 
 

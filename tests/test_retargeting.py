@@ -11,10 +11,17 @@ import pytest
 from numpy.typing import NDArray
 from rig_motions import ARM, LEG, SIDES, bent_to, performed
 
-from kinefilter.characters import CONTACTS, KINECT_V1, KINECT_V2, Clip, standard_body
+from kinefilter.characters import (
+    CONTACTS,
+    KINECT_V1,
+    KINECT_V2,
+    Clip,
+    positions_from_rotations,
+    standard_body,
+)
 from kinefilter.characters.rotations import about_y, multiply, rotate, rotation_vector
 from kinefilter.pipeline import CleanConfig, clean, read_take
-from kinefilter.retarget import positions_from_rotations, retargeting
+from kinefilter.retarget import retargeting
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig

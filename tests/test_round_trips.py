@@ -20,6 +20,7 @@ from kinefilter.characters import (
     Body,
     Clip,
     InputError,
+    positions_from_rotations,
     random_body,
     standard_body,
 )
@@ -36,7 +37,6 @@ from kinefilter.pipeline.formats.euler import continuous_euler, wxyz_from_euler
 from kinefilter.pipeline.formats.export import RotationOrder
 from kinefilter.pipeline.formats.resample import in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of
-from kinefilter.retarget import positions_from_rotations
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]

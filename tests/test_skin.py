@@ -13,13 +13,13 @@ from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
     Body,
+    positions_from_rotations,
     random_body,
     standard_body,
 )
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
 from kinefilter.characters.skin import INFLUENCES, Skin, skin_of
 from kinefilter.characters.surface import quads_of
-from kinefilter.retarget import positions_from_rotations
 
 Array = NDArray[np.float64]
 DENSITY = 1050.0  # kg/m^3

@@ -21,10 +21,12 @@ from kinefilter.characters import (
 from .files import atomic_path
 from .npz import read_arrays
 
-_ARRAYS = tuple(
-    field.name
-    for field in fields(Clip)
-    if field.name not in ("skeleton", "body", "source", "props", "tilt", "floor")
+_NO_ARRAYS = ("root", "rotations", "body", "source", "props", "tilt", "floor")
+_ARRAYS = (
+    "time",
+    "positions",
+    "rotations",
+    *(f.name for f in fields(Clip) if f.name not in ("time", *_NO_ARRAYS)),
 )
 _FRAME = ("tilt", "floor")  # archives of older versions lack them
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
@@ -90,9 +92,11 @@ def _clip(archive: dict[str, Any]) -> Clip:
     if arrays["time"].dtype.kind != "f":
         raise InputError("time holds no numbers; write the clip again")
     numbers = {name: measures[name].item() for name in ("height", "mass")}
+    if arrays["positions"].shape != (len(arrays["time"]), len(skeleton), 3):
+        raise InputError("positions have another shape than the joints")
     return Clip(
         **arrays,
-        skeleton=skeleton,
+        root=arrays.pop("positions")[:, skeleton.root],
         body=Body(skeleton=skeleton, **(measures | numbers)),
         source=str(archive["source"]),
         props=tuple(_props(archive)),

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, Prop, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import between, multiply, slerp
-from kinefilter.retarget import positions_from_rotations
 
 _CHUNK = 4096  # frames at a time, to bound the memory
 _END = 1e-6  # of a frame: the last one is not lost to rounding
@@ -40,13 +39,12 @@ def resampled(clip: Clip, fps: float) -> Clip:
         known[after],
         np.clip((time - stamps[before]) / step, 0.0, 1.0),
     )
-    rotations, positions = between_frames.posed(clip)
     line, nearest = between_frames.line, between_frames.nearest
     return replace(
         clip,
         time=time,
-        positions=positions,
-        rotations=rotations,
+        root=line(clip.root),
+        rotations=between_frames.turned(clip.rotations),
         state=clip.state[nearest],
         reliability=line(clip.reliability),
         deciding_term=clip.deciding_term[nearest],
@@ -84,19 +82,13 @@ class _Between:
             rotations[self.before[frames]], rotations[self.after[frames]], share
         )
 
-    def posed(self, clip: Clip) -> tuple[Array, Array]:
-        """Return rotations (T, J, 4) and positions (T, J, 3) of the new frames."""
-        joints = len(clip.skeleton)
-        rotations = np.empty((len(self.share), joints, 4))
-        positions = np.empty((len(self.share), joints, 3))
-        roots = self.line(clip.positions[:, clip.skeleton.root])
-        for start in range(0, len(roots), _CHUNK):
+    def turned(self, rotations: Array) -> Array:
+        """Return rotations (T, J, 4) of the new frames."""
+        found = np.empty((len(self.share), *rotations.shape[1:]))
+        for start in range(0, len(found), _CHUNK):
             some = slice(start, start + _CHUNK)
-            rotations[some] = self.arc(clip.rotations, some)
-            positions[some] = positions_from_rotations(
-                rotations[some], roots[some], clip.body
-            )
-        return rotations, positions
+            found[some] = self.arc(rotations, some)
+        return found
 
     def prop(self, prop: Prop) -> Prop:
         if not prop.moves:

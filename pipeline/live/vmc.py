@@ -13,7 +13,7 @@ from itertools import chain
 
 import numpy as np
 
-from kinefilter.characters import Body, Clip, State
+from kinefilter.characters import Body, Motion
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate, slerp
 from kinefilter.pipeline.avatar import Pose
@@ -125,22 +125,8 @@ def absence() -> bytes:
     return message("/VMC/Ext/OK", 0)
 
 
-def _at_rest(body: Body) -> Clip:
-    """Return the body in T-pose as a clip of one frame."""
-    shape = (1, len(body.skeleton))
-    none = np.zeros(shape, dtype=np.uint8)
-    return Clip(
-        time=np.zeros(1),
-        positions=body.rest_positions[None],
-        rotations=np.broadcast_to(IDENTITY, (*shape, 4)).copy(),
-        skeleton=body.skeleton,
-        body=body,
-        state=np.full(shape, State.TRACKED, dtype=np.uint8),
-        reliability=np.ones(shape),
-        deciding_term=none,
-        origin=none,
-        moved_by_correction=np.zeros(shape),
-        moved_by_physics=np.zeros(shape),
-        contacts=np.ones((1, 4), dtype=np.bool_),
-        external_force=np.zeros(1),
-    )
+def _at_rest(body: Body) -> Motion:
+    """Return the body in T-pose as a motion of one frame."""
+    turns = np.tile(IDENTITY, (1, len(body.skeleton), 1))
+    root = body.rest_positions[None, body.skeleton.root]
+    return Motion(time=np.zeros(1), body=body, root=root, rotations=turns)

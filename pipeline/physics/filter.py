@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters import positions_from_rotations
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import continuous
-from kinefilter.retarget.kinematics import positions_from_rotations
 
 from .pulled_character import PulledCharacter
 from .things import Things

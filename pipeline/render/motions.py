@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinefilter.characters import CONTACTS, Clip, InputError, Origin, Take
+from kinefilter.characters import (
+    Clip,
+    InputError,
+    Take,
+)
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.formats.files import check_file
 from kinefilter.pipeline.formats.resample import resampled
@@ -16,7 +18,6 @@ from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.retarget import (
     hang_missing,
     measured_body,
-    positions_from_rotations,
     rotations_from_positions,
 )
 
@@ -70,17 +71,7 @@ def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
             + (f" to {look.to:g} s" if look.to is not None else "")
             + f"; it lasts {since[-1]:.2f} s"
         )
-    return _some(even, chosen[:: look.every]), rate / look.every
-
-
-def _some(clip: Clip, frames: NDArray[np.intp]) -> Clip:
-    whole = {"skeleton", "body", "source", "props", "tilt", "floor"}
-    arrays = {
-        field.name: getattr(clip, field.name)[frames]
-        for field in fields(clip)
-        if field.name not in whole
-    }
-    return replace(clip, **arrays, props=tuple(p.at(frames) for p in clip.props))
+    return even.at(chosen[:: look.every]), rate / look.every
 
 
 def _posed(take: Take) -> Clip:
@@ -103,19 +94,7 @@ def _posed(take: Take) -> Clip:
     )
     rotations = rotations_from_positions(hang_missing(take.positions, body), body)
     root = take.positions[:, skeleton.root]
-    return Clip(
-        time=take.time,
-        positions=positions_from_rotations(rotations, root, body),
-        rotations=rotations,
-        skeleton=skeleton,
-        body=body,
-        state=take.state,
-        reliability=np.ones(shape),
-        deciding_term=np.zeros(shape, dtype=np.uint8),
-        origin=np.full(shape, Origin.MEASURED, dtype=np.uint8),
-        moved_by_correction=np.full(shape, np.nan),
-        moved_by_physics=np.full(shape, np.nan),
-        contacts=np.zeros((shape[0], len(CONTACTS)), dtype=np.bool_),
-        external_force=np.full(shape[0], np.nan),
-        source=take.source,
+    motion = Motion(
+        time=take.time, body=body, root=root, rotations=rotations, source=take.source
     )
+    return Clip.of(motion, state=take.state, reliability=np.ones(shape))

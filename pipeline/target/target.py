@@ -13,14 +13,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body
+from kinefilter.characters import Body, positions_from_rotations
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.pipeline.correct.take import CorrectedTake
 from kinefilter.retarget import (
     BoneLengths,
     Hands,
-    positions_from_rotations,
     rotations_from_positions,
 )
 

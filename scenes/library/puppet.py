@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from kinefilter.characters import STANDARD_HEIGHT, Body
+from kinefilter.characters import STANDARD_HEIGHT, Body, positions_from_rotations
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import (
     about_x,
@@ -30,7 +30,6 @@ from kinefilter.characters.rotations import (
     rotate,
     wxyz_from_matrix,
 )
-from kinefilter.retarget.kinematics import positions_from_rotations
 
 from .poses import Pose
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body
-from kinefilter.characters.rotations import rotate
+from .anthropometry import Body
+from .rotations import rotate
 
 
 def positions_from_rotations(
