@@ -272,7 +272,7 @@ class Clip(Motion):
         """
         shape = motion.rotations.shape[:2]
         unknown = np.full(shape, np.nan)
-        fields: dict[str, Any] = {
+        unknowns: dict[str, Any] = {
             "state": np.full(shape, State.TRACKED, dtype=np.uint8),
             "reliability": unknown,
             "deciding_term": np.zeros(shape, dtype=np.uint8),
@@ -283,7 +283,7 @@ class Clip(Motion):
             "external_force": np.full(shape[0], np.nan),
         }
         moves = {name: getattr(motion, name) for name in _MOTION}
-        return cls(**moves, **fields | known)
+        return cls(**moves | unknowns | known)
 
 
 _MOTION = tuple(field.name for field in fields(Motion))

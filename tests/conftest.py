@@ -26,7 +26,6 @@ from kinefilter.characters import (
     ShapeKind,
     Skeleton,
     Term,
-    positions_from_rotations,
     standard_body,
 )
 
@@ -128,9 +127,8 @@ def make_clip() -> MakeClip:
         moved[0, 0] = np.nan
         return Clip(
             time=time,
-            positions=positions_from_rotations(rotations, root, body),
+            root=root,
             rotations=rotations,
-            skeleton=skeleton,
             body=body,
             state=rng.integers(1, 3, shape).astype(np.uint8),
             reliability=rng.random(shape),

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from kinefilter.characters import (
     KINECT_V2,
     Clip,
-    Origin,
+    Motion,
     Skeleton,
-    State,
     random_body,
 )
 from kinefilter.scenes.library import perform
@@ -36,22 +35,16 @@ def performed(name: str, *, seed: int = 3, skeleton: Skeleton = KINECT_V2) -> Cl
     path, rest = motion.positions[:, parts], body.rest_positions[parts, 1]
     step = np.linalg.norm(np.diff(path, axis=0), axis=-1)
     low = path[..., 1] < rest + 0.01
-    return Clip(
-        time=motion.time,
-        positions=motion.positions,
-        rotations=motion.rotations,
-        skeleton=skeleton,
-        body=body,
-        state=np.full(shape, State.TRACKED, dtype=np.uint8),
-        reliability=np.ones(shape),
-        deciding_term=np.zeros(shape, dtype=np.uint8),
-        origin=np.full(shape, Origin.MEASURED, dtype=np.uint8),
-        moved_by_correction=np.zeros(shape),
-        moved_by_physics=np.zeros(shape),
-        contacts=low & (np.concatenate([step[:1], step]) < _STILL),
-        external_force=np.full(len(motion), np.nan),
-        source=name,
-    )
+    known = {
+        "reliability": np.ones(shape),
+        "moved_by_correction": np.zeros(shape),
+        "moved_by_physics": np.zeros(shape),
+        "contacts": low & (np.concatenate([step[:1], step]) < _STILL),
+        "source": name,
+    }
+    root = motion.positions[:, skeleton.root]
+    posed = Motion(time=motion.time, body=body, root=root, rotations=motion.rotations)
+    return Clip.of(posed, **known)
 
 
 def bent_to(limb: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -232,8 +233,7 @@ def test_where_nothing_was_simulated_usd_says_no_force(
 ) -> None:
     clip = make_clip(4)
     force = np.array([0.1, np.nan, np.nan, 0.4])
-    parts = {name: getattr(clip, name) for name in clip.__dataclass_fields__}
-    write_clip(Clip(**{**parts, "external_force": force}), tmp_path / "clip.usda")
+    write_clip(replace(clip, external_force=force), tmp_path / "clip.usda")
     stage = Usd.Stage.Open(str(tmp_path / "clip.usda"))
     samples = (
         stage.GetDefaultPrim().GetAttribute("kinefilter:externalForce").GetTimeSamples()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -43,13 +42,7 @@ every_rig = pytest.mark.parametrize("name", RIGS)
 def clip() -> Clip:
     """Return a short walk."""
     walk = performed("walk")
-    return replace(walk, **first_frames(walk, 50))
-
-
-def first_frames(clip: Clip, count: int) -> dict[str, Any]:
-    """Return the arrays of a clip's first frames."""
-    arrays = {k: v for k, v in vars(clip).items() if isinstance(v, np.ndarray)}
-    return {name: values[:count] for name, values in arrays.items()}
+    return walk.at(slice(50))
 
 
 def in_usd(names: tuple[str, ...]) -> list[str]:
@@ -299,7 +292,7 @@ def files(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> dict[str, byt
     folder = tmp_path_factory.mktemp("good")
     rig = built_rig(load_rig_map("mixamo"), clip.body)
     write_target(rig, folder / "rest.usda", up="Y", meters=1.0)
-    write_clip(replace(clip, **first_frames(clip, 2)), folder / "rest.bvh", MIXAMO)
+    write_clip(clip.at(slice(2)), folder / "rest.bvh", MIXAMO)
     source = Path(rig_map_module.__file__).with_name("rigs") / "mixamo.toml"
     return {
         ".toml": source.read_bytes(),
@@ -332,7 +325,7 @@ def test_a_damaged_map_or_target_is_followed_or_refused(
         rig = target_rig(name, target, clip.body)
     except InputError:
         return
-    motion = retarget(replace(clip, **first_frames(clip, 3)), rig)
+    motion = retarget(clip.at(slice(3)), rig)
     assert np.isfinite(motion.positions).all()
     assert np.isfinite(motion.rotations).all()
 

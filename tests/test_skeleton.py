@@ -188,8 +188,10 @@ def clip_fields(frames: int = 4, skeleton: Skeleton = KINECT_V1) -> dict[str, An
         "moved_by_physics",
     )
     shape = (frames, len(skeleton))
+    take = take_fields(frames, skeleton)
     return {
-        **take_fields(frames, skeleton),
+        **{name: take[name] for name in ("time", "state", "source")},
+        "root": np.full((frames, 3), 0.5),
         "rotations": np.tile([1.0, 0.0, 0.0, 0.0], (*shape, 1)),
         "body": standard_body(skeleton),
         **{name: np.zeros(shape) for name in per_joint},
@@ -248,7 +250,7 @@ def test_a_take_of_the_wrong_shape_is_refused(skeleton: Skeleton, name: str) -> 
 @pytest.mark.parametrize(
     "name",
     [
-        "positions",
+        "root",
         "rotations",
         "state",
         "reliability",

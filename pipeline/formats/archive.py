@@ -92,11 +92,12 @@ def _clip(archive: dict[str, Any]) -> Clip:
     if arrays["time"].dtype.kind != "f":
         raise InputError("time holds no numbers; write the clip again")
     numbers = {name: measures[name].item() for name in ("height", "mass")}
-    if arrays["positions"].shape != (len(arrays["time"]), len(skeleton), 3):
-        raise InputError("positions have another shape than the joints")
+    positions = arrays.pop("positions")
+    if positions.shape != (len(arrays["time"]), len(skeleton), 3):
+        raise InputError(f"positions have shape {positions.shape}; write it again")
     return Clip(
         **arrays,
-        root=arrays.pop("positions")[:, skeleton.root],
+        root=positions[:, skeleton.root],
         body=Body(skeleton=skeleton, **(measures | numbers)),
         source=str(archive["source"]),
         props=tuple(_props(archive)),

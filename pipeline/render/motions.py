@@ -9,6 +9,7 @@ import numpy as np
 from kinefilter.characters import (
     Clip,
     InputError,
+    Motion,
     Take,
 )
 from kinefilter.pipeline.formats import read_clip, read_take
