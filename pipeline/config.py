@@ -9,24 +9,7 @@ from typing import Literal
 
 from kinefilter.characters import InputError
 
-LearnedMethod = Literal[
-    "best", "local-gp", "clustered-gp", "full-gp", "exemplar", "joint-offsets"
-]
-"""Correction methods that learn from pairs of Kinect and mocap."""
-
-Method = Literal[
-    "local-pca",
-    LearnedMethod,
-    "none",
-    "butterworth",
-    "savgol",
-    "one-euro",
-    "kalman",
-    "low-rank",
-    "nearest",
-    "no-reliability",
-]
-"""Correction methods by name (see ``correct/methods.py``)."""
+from .methods import MethodName, ScorerName
 
 TakeFormat = Literal[
     "kinefilter",
@@ -45,14 +28,14 @@ TakeFormat = Literal[
 class CleanConfig:
     """How a take is cleaned."""
 
-    method: Method | None = None
+    method: MethodName | None = None
     """How joints are corrected; default: by the model where one is given, otherwise
     by the offsets of the sensor's joints, then local-pca. none fills gaps only."""
     model: Path | None = None
     """Model (.npz) of 'kinefilter train'; with --method local-pca, that follows it."""
     adapt: bool = False
     """Let a model of local-gp learn on from the take, where it is sure."""
-    scoring: Literal["shum", "chiang", "noise", "learned"] = "shum"
+    scoring: ScorerName = "shum"
     """How reliability is scored: after Shum 2013, after Chiang 2017, by noise and
     segment lengths, or as learned on simulated people. learned doubts also what is
     always misplaced: it tells best where a take is wrong, but corrects worse."""
@@ -60,8 +43,8 @@ class CleanConfig:
     """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
     database: Path | None = None
     """Motion database (.npz) of 'kinefilter database build'; default: the built-in, of
-    scripted motions, built the first time in some twenty seconds and then kept. One of
-    recorded mocap also takes back what no posture does."""
+    scripted motions, that ships with kinefilter. With one of recorded mocap, what no
+    natural posture does is taken back as well."""
     cutoff: float = 6.0
     """Frequency [Hz] over which movement is smoothed away, without lag; 0: nothing,
     otherwise 0.5 or more."""

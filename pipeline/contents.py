@@ -32,7 +32,7 @@ from .formats.mocap_files import RIGS, read_mocap
 from .formats.npz import array_names
 from .formats.usd_contents import usd_contents
 from .models import load_model
-from .training import read_pairs
+from .pairs import read_pairs
 
 _GAP = 1.5
 """Time steps longer than this many usual ones hold frames that never arrived."""

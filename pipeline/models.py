@@ -11,9 +11,9 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, skeleton_named
 
 from .correct import LearnedCorrector
-from .correct.methods import LEARNED
 from .formats import atomic_path
 from .formats.npz import read_arrays
+from .methods import LEARNED
 
 _VERSION = 1
 
@@ -77,7 +77,7 @@ def load_model(path: Path) -> Model:
         if key.startswith("fitted_")
     }
     try:
-        corrector = LEARNED[method].from_arrays(skeleton, fitted)
+        corrector = LEARNED[method].load().from_arrays(skeleton, fitted)
     except KeyError as error:
         raise InputError(
             f"{path}: a damaged model: no array {error}; train again"

@@ -11,8 +11,8 @@ from rich.table import Table
 
 from kinefilter.characters import Origin, Term
 
+from .cleaner import CleanResult
 from .failures import Failure
-from .run import CleanResult
 
 _ROWS = (
     ("bone-length variation", "bone_length_cv", "{:.2g}"),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from batch_takes import short_take
 
-from kinefilter.pipeline import CleanConfig
+from kinefilter import CleanConfig
 from kinefilter.pipeline.batch import Outcome, clean_files
 from kinefilter.pipeline.batch.row import Row, row_from_json
 from kinefilter.pipeline.formats import write_take_csv

@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from kinefilter import read_take
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -35,7 +36,6 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import matrix_from_wxyz
-from kinefilter.pipeline import read_take
 from kinefilter.scenes.library import MOTIONS, perform
 from kinefilter.scenes.sensor import Sensor, in_world_frame, observe
 from kinefilter.scenes.sensor.visibility import look

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from kinefilter import Avatar
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline import Avatar
 from kinefilter.scenes.library import perform_medley
 
 Array = NDArray[np.float64]

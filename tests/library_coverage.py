@@ -33,8 +33,9 @@ from kinefilter.pipeline.database.build import (
 from kinefilter.pipeline.database.posture_database import FILTERED_POSTURES
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap_files import read_mocap
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import measure_reference
-from kinefilter.pipeline.training import PairedTake, read_pairs, training_set
+from kinefilter.pipeline.training import training_set
 from kinefilter.retarget import Standardizer, measured_body
 
 Array = NDArray[np.float64]

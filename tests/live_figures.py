@@ -33,8 +33,8 @@ from hostile_messages import hostile_messages
 from rich.console import Console
 from websockets.asyncio.client import connect
 
+from kinefilter import read_take
 from kinefilter.characters import Take
-from kinefilter.pipeline import read_take
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live import Frame, format_frame
 from kinefilter.pipeline.live.playback import frames_of

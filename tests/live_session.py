@@ -11,7 +11,7 @@ from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 
-from kinefilter.pipeline import read_take
+from kinefilter import read_take
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live import (
     Frame,

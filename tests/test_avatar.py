@@ -10,6 +10,7 @@ import pytest
 from known_motions import standing
 from numpy.typing import NDArray
 
+from kinefilter import Avatar, Pose
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -17,7 +18,6 @@ from kinefilter.characters import (
     Tracking,
     standard_body,
 )
-from kinefilter.pipeline import Avatar, Pose
 from kinefilter.pipeline.cli import main
 from kinefilter.scenes.library import perform
 

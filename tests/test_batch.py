@@ -12,18 +12,18 @@ from batch_folders import QUICK, clean_folder, rows_of, table_of
 from batch_takes import Here, short_take
 from published_layouts import ntu_text
 
+from kinefilter import CleanConfig, clean, read_take, write_clip
 from kinefilter.characters import InputError
-from kinefilter.pipeline import CleanConfig, clean, read_take, write_clip
 from kinefilter.pipeline.batch import Outcome, as_tables, clean_files, run
 from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.plan import Job, plan_jobs
 from kinefilter.pipeline.batch.row import Row
 from kinefilter.pipeline.batch.sources import find_sources
 from kinefilter.pipeline.batch.task import clean_file
+from kinefilter.pipeline.cleaner import make_corrector
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
 from kinefilter.pipeline.lab.simulate import simulate
-from kinefilter.pipeline.run import make_corrector
 from kinefilter.pipeline.settings import Settings
 
 FLAGS = ["--method", "none", "--no-physics"]

@@ -25,7 +25,7 @@ from batch_faults import (
 from batch_takes import short_take
 from dying import clean_or_die
 
-from kinefilter.pipeline import CleanConfig
+from kinefilter import CleanConfig
 from kinefilter.pipeline.batch import clean_files, crew
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.settings import Settings

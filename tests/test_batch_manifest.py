@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from batch_folders import clean_folder, rows_of, table_of
 
+from kinefilter import CleanConfig
 from kinefilter.characters import InputError
-from kinefilter.pipeline import CleanConfig
 from kinefilter.pipeline.batch import manifest
 from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.manifest import open_manifest, write_csv

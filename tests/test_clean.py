@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from real_data import PAIRS, TAKES, paired, recorded
 from skeletons import every_skeleton
 
+from kinefilter import CleanConfig, CleanResult, clean, read_take
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -23,7 +24,6 @@ from kinefilter.characters import (
     positions_from_rotations,
     standard_body,
 )
-from kinefilter.pipeline import CleanConfig, CleanResult, clean, read_take
 from kinefilter.pipeline.config import Method
 from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.formats import read_bvh, read_usd_positions, write_clip

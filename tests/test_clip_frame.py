@@ -10,6 +10,7 @@ import pytest
 from conftest import MakeClip
 from numpy.typing import NDArray
 
+from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import (
     KINECT_V1,
     InputError,
@@ -17,7 +18,7 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.pipeline import CleanConfig, clean, read_take
+from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.clip_frame import in_clip_frame, same_stamps
 from kinefilter.pipeline.failures import unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
@@ -25,7 +26,6 @@ from kinefilter.pipeline.formats.resample import resampled
 from kinefilter.pipeline.render.raw_take import raw_positions
 from kinefilter.pipeline.report import compare
 from kinefilter.pipeline.report.table import METRICS
-from kinefilter.pipeline.run import CleanResult
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

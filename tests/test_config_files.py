@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from batch_takes import Here, short_take
 
+from kinefilter import CleanConfig, Export
 from kinefilter.characters import InputError
-from kinefilter.pipeline import CleanConfig, Export
 from kinefilter.pipeline.batch import run
 from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.plan import Job, plan_jobs

@@ -16,6 +16,7 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate
+from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.target import contacts
 from kinefilter.pipeline.target.contacts import (
     SIDES,
@@ -23,7 +24,6 @@ from kinefilter.pipeline.target.contacts import (
     feet_of,
     find_stance,
 )
-from kinefilter.pipeline.training import read_pairs
 from kinefilter.retarget.runs import runs
 from kinefilter.scenes.library import perform
 

@@ -11,8 +11,8 @@ from real_data import PAIRS, TAKES, paired, recorded
 from scipy.ndimage import minimum_filter1d
 from skeletons import every_skeleton
 
+from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take, Term, random_body
-from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.pipeline.failures import (
     Failure,
     FailureKind,
@@ -21,9 +21,9 @@ from kinefilter.pipeline.failures import (
     unmirrored,
 )
 from kinefilter.pipeline.failures.trunk import trunk_axes
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import Reliability
 from kinefilter.pipeline.summary import as_json
-from kinefilter.pipeline.training import PairedTake, read_pairs
 from kinefilter.scenes.library import MOTIONS, perform
 
 Array = NDArray[np.float64]

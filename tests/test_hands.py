@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
+from kinefilter import clean
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate
-from kinefilter.pipeline import clean
 from kinefilter.retarget import Hands
 from kinefilter.scenes.sensor import sample_take
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.retarget import BoneLengths, rotations_from_positions

@@ -49,7 +49,7 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.mocap import kinect_motion
 from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap
 from kinefilter.pipeline.models import Model, load_model, save_model
-from kinefilter.pipeline.training import read_pairs
+from kinefilter.pipeline.pairs import read_pairs
 
 MakeClip = Callable[..., Clip]
 Reader = Callable[[Path], object]

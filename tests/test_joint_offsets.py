@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
+from kinefilter import CleanConfig, clean
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -23,11 +24,11 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, rotate
-from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.config import Method
 from kinefilter.pipeline.correct import Correction, Hold, Observation, joint_offsets
 from kinefilter.pipeline.correct.in_turn import InTurn
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.correct.take import CorrectedTake
 from kinefilter.pipeline.database import builtin_database
@@ -37,7 +38,7 @@ from kinefilter.pipeline.lab.evaluate import evaluate, observed
 from kinefilter.pipeline.lab.simulate import simulate, simulated_pairs
 from kinefilter.pipeline.models import load_model
 from kinefilter.pipeline.target.person import corrected_body
-from kinefilter.pipeline.training import TrainingSet, training_set
+from kinefilter.pipeline.training import training_set
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -10,15 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinefilter import spool, training
 from kinefilter.characters import KINECT_V1, InputError
-from kinefilter.pipeline import spool, training
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.lessons import Lessons
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.spool import Spool
-from kinefilter.pipeline.training import PairedTake, TrainingSet, training_set
+from kinefilter.pipeline.training import training_set
 
 
 @pytest.fixture(scope="module")

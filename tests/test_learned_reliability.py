@@ -14,6 +14,7 @@ from real_data import PAIRS, paired
 from scored_takes import average
 from sklearn.metrics import roc_auc_score
 
+from kinefilter import CleanConfig, clean
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -26,14 +27,13 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, rotate
-from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.lab.evaluate import reliability_auc
 from kinefilter.pipeline.lab.scorers.doubt import DoubtWeights
 from kinefilter.pipeline.lab.scorers.learned import TERMS, LearnedReliabilityScorer
 from kinefilter.pipeline.lab.scorers.lessons import learned_weights, untaught
 from kinefilter.pipeline.lab.simulate import furnished_pairs, simulate
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import measure_reference
-from kinefilter.pipeline.training import PairedTake, read_pairs
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import sample_take
 

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from real_data import PAIRS, paired
 
+from kinefilter import CleanConfig, PostureDatabase, clean
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -19,7 +20,6 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.pipeline import CleanConfig, PostureDatabase, clean
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.local_gp import LocalGP
@@ -28,7 +28,8 @@ from kinefilter.pipeline.correct.personal_gp import PersonalGP
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.models import Model, load_model, save_model
-from kinefilter.pipeline.training import PairedTake, read_pairs, training_set
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.training import training_set
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

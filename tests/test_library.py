@@ -13,6 +13,7 @@ from skeletons import every_skeleton
 from text_files import write_text
 from threadpoolctl import threadpool_limits
 
+from kinefilter import PostureDatabase
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -23,7 +24,6 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import inverse, rotate
-from kinefilter.pipeline import PostureDatabase
 from kinefilter.pipeline.database.build import database_from_mocap
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.lab.scripted_database import (

@@ -20,7 +20,7 @@ import pytest
 import tyro
 from live_session import PATIENCE, SAMPLE, Sender, sample_frame
 
-from kinefilter.pipeline import read_take
+from kinefilter import read_take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import Live, Replay
 from kinefilter.pipeline.commands.live_status import status, summary

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from live_session import SAMPLE, sample_frame
 
+from kinefilter import read_take
 from kinefilter.characters import KINECT_V1, InputError
-from kinefilter.pipeline import read_take
 from kinefilter.pipeline.live import recorder as recording
 from kinefilter.pipeline.live.crowd import Crowd
 from kinefilter.pipeline.live.person import Person, Stature

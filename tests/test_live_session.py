@@ -25,8 +25,8 @@ from live_session import (
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
+from kinefilter import Avatar, read_take
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline import Avatar, read_take
 from kinefilter.pipeline.live import broadcast as broadcasting
 from kinefilter.pipeline.live import (
     format_frame,

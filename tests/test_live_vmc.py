@@ -27,8 +27,8 @@ from pythonosc.osc_bundle import OscBundle
 from pythonosc.osc_server import AsyncIOOSCUDPServer
 from scipy.spatial.transform import Rotation
 
+from kinefilter import Avatar, Pose
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline import Avatar, Pose
 from kinefilter.pipeline.live.packets import LARGEST_BUNDLE
 from kinefilter.pipeline.live.vmc import VmcFigure
 from kinefilter.retarget.rest_difference import turned

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from real_data import PAIRS, paired
 from skeletons import every_skeleton
 
+from kinefilter import PostureDatabase
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
-from kinefilter.pipeline import PostureDatabase
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.natural_spaces import NaturalSpaces
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.lab.scripted_database import scripted_database
-from kinefilter.pipeline.training import read_pairs
+from kinefilter.pipeline.pairs import read_pairs
 
 Array = NDArray[np.float64]
 

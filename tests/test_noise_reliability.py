@@ -13,6 +13,7 @@ from real_data import PAIRS, TAKES, paired, recorded
 from scored_takes import average, blind, still_take
 from skeletons import every_skeleton
 
+from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import (
     KINECT_V1,
     Skeleton,
@@ -22,20 +23,19 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, rotate
-from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.scorers.noise import (
     DOUBTFUL_ERROR,
     ERROR_PER_NOISE,
     NoiseReliabilityScorer,
 )
+from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.reliability import (
     Reference,
     Reliability,
     ReliabilityScorer,
     measure_reference,
 )
-from kinefilter.pipeline.training import read_pairs
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import sample_take
 

@@ -27,11 +27,11 @@ from real_data import paired
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.full_gp import FullGP
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
 from kinefilter.pipeline.lab.methods.exemplar import Exemplar
-from kinefilter.pipeline.training import TrainingSet
 
 METHODS: dict[str, Callable[[], Method]] = {
     "local": local_gp,

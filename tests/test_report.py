@@ -16,6 +16,7 @@ import pytest
 from conftest import MakeClip
 from numpy.typing import NDArray
 
+from kinefilter import clean
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -24,7 +25,6 @@ from kinefilter.characters import (
     Skeleton,
     Take,
 )
-from kinefilter.pipeline import clean
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
 from kinefilter.pipeline.lab.bench import sample_path

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from rig_motions import ARM, LEG, SIDES, bent_to, performed
 
+from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import (
     CONTACTS,
     KINECT_V1,
@@ -20,7 +21,6 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, multiply, rotate, rotation_vector
-from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.retarget import retargeting
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinefilter import read_take
 from kinefilter.characters import InputError
-from kinefilter.pipeline import read_take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab.simulate import simulate
-from kinefilter.pipeline.training import read_pairs
+from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.scenes import SCENES
 
 

@@ -11,6 +11,7 @@ from known_motions import noisy
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
+from kinefilter import CleanConfig, CleanResult, clean
 from kinefilter.characters import (
     CONTACTS,
     KINECT_V1,
@@ -18,7 +19,6 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.pipeline import CleanConfig, CleanResult, clean
 from kinefilter.pipeline.correct import CorrectedTake
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
 from kinefilter.pipeline.target.contacts import (

@@ -14,8 +14,8 @@ from conftest import MakeClip
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
-from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import read_contacts, write_contacts
 from kinefilter.pipeline.lab.bench import sample_path

@@ -17,8 +17,8 @@ from viewing import ended, viewing
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import InputError
-from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import write_contacts

@@ -17,7 +17,7 @@ import viser
 from browser import Browser
 from numpy.typing import NDArray
 
-from kinefilter.pipeline import CleanConfig, clean, read_take
+from kinefilter import CleanConfig, clean, read_take
 from kinefilter.pipeline.formats.contacts import read_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.progress import Progress

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.run import CleanResult
+from kinefilter.pipeline.cleaner import CleanResult
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,12 @@ from functools import lru_cache
 from pathlib import PurePosixPath
 from time import perf_counter
 
-from kinefilter.characters import InputError, skeleton_named
+from kinefilter.characters import InputError
+from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.correct import Corrector, WholeTakeCorrector
 from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.takes import read_recording
-from kinefilter.pipeline.run import clean, make_corrector
 from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
@@ -109,8 +108,8 @@ def _cleaned(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], str]:
 def _cleaned_body(recording: Recording, body: int, name: str, job: Job) -> ClipRow:
     """Clean one person, write the clip, and return its figures."""
     take, settings = recording.take(body), job.settings
-    corrector = _corrector(take.skeleton.name, settings.config, job.fingerprint)
-    result = clean(take, settings.config, corrector=corrector, progress=_watched)
+    cleaner = _cleaner(settings.config, job.fingerprint)
+    result = cleaner.clean(take, progress=_watched)
     with job.store.writing(name) as path:
         write_clip(result.clip, path, settings.export)
         sha256 = hash_of(path)
@@ -121,12 +120,10 @@ def _cleaned_body(recording: Recording, body: int, name: str, job: Job) -> ClipR
 
 
 @lru_cache(maxsize=_KEPT)
-def _corrector(
-    skeleton: str, config: CleanConfig, fingerprint: str
-) -> Corrector | WholeTakeCorrector:
-    """Return a correction method; the fingerprint tells changed files apart."""
+def _cleaner(config: CleanConfig, fingerprint: str) -> Cleaner:
+    """Return a cleaner; the fingerprint tells changed files apart."""
     del fingerprint
-    return make_corrector(skeleton_named(skeleton), config)
+    return Cleaner(config)
 
 
 @lru_cache(maxsize=_KEPT)

@@ -17,8 +17,8 @@ from .terminal import err, keep, out, progress_bars, write_json
 
 if TYPE_CHECKING:
     from kinefilter.characters import Take
+    from kinefilter.pipeline.cleaner import CleanResult
     from kinefilter.pipeline.formats import Recording
-    from kinefilter.pipeline.run import CleanResult
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Clean:
 
     def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
         """Return what became of each person asked for, by their number."""
-        from kinefilter.pipeline.run import clean
+        from kinefilter.pipeline.cleaner import clean
 
         numbers = recording.numbers(self.body)
         if self.config.contacts is not None and len(numbers) > 1:

@@ -15,7 +15,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.progress import Progress, over
 
 if TYPE_CHECKING:
-    from kinefilter.pipeline.training import PairedTake
+    from kinefilter.pipeline.pairs import PairedTake
 
 # Names of files are printed as they are, whatever brackets and colons they hold.
 out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
@@ -50,7 +50,7 @@ def progress_bars() -> Iterator[Progress]:
 
 def clips_of(files: Sequence[Path], progress: Progress) -> Iterator[PairedTake]:
     """Yield the clips of pairs files, a file at a time in memory."""
-    from kinefilter.pipeline.training import read_pairs
+    from kinefilter.pipeline.pairs import read_pairs
 
     for file in over(files, "read", progress):
         yield from read_pairs(file)

@@ -1,26 +1,15 @@
-"""Correction methods, one a file, behind one interface."""
+"""Correction methods, one a file; ``pipeline.methods`` has them by name."""
 
 from .hold import Hold
-from .interface import (
-    Correction,
-    Corrector,
-    LearnedCorrector,
-    Observation,
-    ObservedTake,
-    WholeTakeCorrector,
-)
+from .interface import Correction, Corrector, InTurn, LearnedCorrector, Observation
 from .local_pca import LocalPCA
-from .take import CorrectedTake, correct_take
 
 __all__ = [
-    "CorrectedTake",
     "Correction",
     "Corrector",
     "Hold",
+    "InTurn",
     "LearnedCorrector",
     "LocalPCA",
     "Observation",
-    "ObservedTake",
-    "WholeTakeCorrector",
-    "correct_take",
 ]

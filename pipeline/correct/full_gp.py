@@ -16,12 +16,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import TrainingSet
 
 from .gaussian_process import Kernel, fit_kernel
 from .hold import Hold
-from .interface import Correction, Observation
+from .interface import Correction, LearnedCorrector, Observation
 from .lessons import Lessons, add_offsets
 
 _FOR_KERNEL = 400  # samples the hyper-parameters are learned from
@@ -121,7 +121,7 @@ class JointKernels:
         return Kernel(np.array([theta0]), np.ones((1, 1)), float(theta1), float(noise))
 
 
-class FullGP:
+class FullGP(LearnedCorrector):
     """Adds to each joint the offset that one Gaussian process over all samples tells.
 
     The variance is an upper bound, from the ten most similar samples: the exact one

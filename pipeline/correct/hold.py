@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 
 from .blend import Blend
-from .interface import Correction, Observation
+from .interface import Correction, Corrector, Observation, measured_only
 
 
-class Hold:
+class Hold(Corrector):
     """Passes measurements through and hangs missing joints on their last bones."""
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -37,6 +40,16 @@ class Hold:
             filled[k] = self._blend(last, positions[k], np.where(missing[k], 0.0, 1.0))
         self._last = filled[-1]
         return filled
+
+    def whole(
+        self,
+        take: Observation,
+        frames: Iterable[int] | None = None,  # noqa: ARG002 - at once
+    ) -> Correction:
+        """Fill a whole take."""
+        self.start()
+        found = measured_only(take.positions)
+        return replace(found, positions=self.fill(take.positions))
 
     def step(self, observation: Observation) -> Correction:
         """Fill the next frame."""

@@ -10,6 +10,7 @@ holds for real ones.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, Self
 
 import numpy as np
@@ -18,11 +19,11 @@ from numpy.typing import NDArray
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import cross
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import TrainingSet
 
 from .hold import Hold
-from .interface import Correction, Observation
+from .interface import Correction, LearnedCorrector, Observation
 from .lessons import Lessons, add_offsets
 
 _CHUNK = 4096  # frames at a time: their vectors are many times the positions
@@ -32,7 +33,7 @@ real person in three moved less truly than as measured, at twice it a sixth of w
 gained was lost (the people that the virtual Kinect is calibrated to)."""
 
 
-class JointOffsets:
+class JointOffsets(LearnedCorrector):
     """Adds to each joint the offset to mocap that is constant in the body.
 
     Args:
@@ -82,32 +83,29 @@ class JointOffsets:
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
         missing = np.isnan(observation.positions[:, 0])
-        posture = self._hold.step(observation).positions
-        return add_offsets(
-            self.skeleton,
-            posture,
-            self.joints_,
-            self.offsets(posture),
-            missing,
-            float("nan"),
-        )
+        return self._moved(self._hold.step(observation).positions, missing)
 
-    def move(self, positions: Array) -> Array:
-        """Return the measured joints of a whole take, moved as ``step`` moves them.
-
-        Args:
-            positions: Joint positions [m], NaN where missing, shape (T, J, 3).
-
-        Returns:
-            Joint positions [m], NaN where missing, shape (T, J, 3).
-        """
+    def whole(
+        self,
+        take: Observation,
+        frames: Iterable[int] | None = None,  # noqa: ARG002 - at once
+    ) -> Correction:
+        """Correct a whole take."""
         self.start()
-        moved = positions.copy()
+        positions = np.empty_like(take.positions)
+        trust = np.empty(take.positions.shape[:2])
         for first in range(0, len(positions), _CHUNK):
             some = slice(first, first + _CHUNK)
-            offsets = self.offsets(self._hold.fill(positions[some]))
-            moved[some, self.joints_] += offsets
-        return moved
+            posture = self._hold.fill(take.positions[some])
+            found = self._moved(posture, np.isnan(take.positions[some, :, 0]))
+            positions[some], trust[some] = found.positions, found.trust
+        return Correction(positions, None, trust, np.full(len(positions), np.nan))
+
+    def _moved(self, posture: Array, missing: NDArray[np.bool_]) -> Correction:
+        offsets = self.offsets(posture)
+        return add_offsets(
+            self.skeleton, posture, self.joints_, offsets, missing, float("nan")
+        )
 
     def offsets(self, postures: Array) -> Array:
         """Return the learned joints' offsets in postures [m], shape (..., M, 3)."""

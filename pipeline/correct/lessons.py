@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.training import TrainingSet
+from kinefilter.pipeline.correct.interface import TrainingSet
 
 from .hold import Hold
 from .interface import CORRECTED_TRUST, Correction, Observation
@@ -121,22 +121,24 @@ def add_offsets(
     missing: NDArray[np.bool_],
     coverage: float,
 ) -> Correction:
-    """Return a posture moved by offsets; missing joints go along with their parents.
+    """Return postures moved by offsets; missing joints go along with their parents.
 
     Args:
         skeleton: The joints.
-        posture: Joint positions [m], filled where missing, shape (J, 3).
+        posture: Joint positions [m], filled where missing, shape (..., J, 3).
         learned: The joints that have offsets, shape (M,).
-        offsets: Shape (M, 3) [m].
-        missing: Nothing was measured, shape (J,).
+        offsets: Shape (..., M, 3) [m].
+        missing: Nothing was measured, shape (..., J).
         coverage: How well the method knows the posture, in [0, 1].
     """
     corrected = posture.copy()
-    corrected[learned] += np.where(missing[learned, None], 0.0, offsets)
+    known = ~missing[..., learned, None]
+    corrected[..., learned, :] += np.where(known, offsets, 0.0)
     for j in skeleton.order[1:] if missing.any() else ():
-        if missing[j]:
-            parent = skeleton.parents[j]
-            corrected[j] = corrected[parent] + posture[j] - posture[parent]
+        parent = skeleton.parents[j]
+        hung = corrected[..., parent, :] + posture[..., j, :] - posture[..., parent, :]
+        lost = missing[..., j, None]
+        corrected[..., j, :] = np.where(lost, hung, corrected[..., j, :])
     return Correction(
         corrected, None, np.where(missing, 0.0, CORRECTED_TRUST), coverage
     )

@@ -17,13 +17,13 @@ from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import TrainingSet
 
 from .full_gp import JointFeatures, JointKernels
 from .gaussian_process import informative_samples
 from .hold import Hold
-from .interface import Correction, Observation
+from .interface import Correction, LearnedCorrector, Observation
 from .lessons import Lessons, add_offsets
 from .local_models import LinearTrend, LocalModels
 
@@ -66,7 +66,7 @@ def least_energy(
     return np.asarray(pull / np.maximum(total, 1e-12))
 
 
-class LocalGP:
+class LocalGP(LearnedCorrector):
     """Adds to each joint the offset of least energy, around local predictions.
 
     Args:

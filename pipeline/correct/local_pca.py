@@ -13,7 +13,7 @@ from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
 
 from .blend import Blend, measurement_trust
-from .interface import CORRECTED_TRUST, Correction, Observation
+from .interface import CORRECTED_TRUST, Correction, Corrector, Observation
 from .natural_spaces import NaturalSpaces
 from .posture_space import EnergyWeights, PostureEnergy, PostureSpace
 from .search import solve, stochastic_search
@@ -31,7 +31,7 @@ _AS_MEASURED = 0.001  # m: what a joint may be moved and still count as measured
 _COVERAGE_MEMORY = 0.8  # share of the last frame's coverage: no switching in a frame
 
 
-class LocalPCA:
+class LocalPCA(Corrector):
     """Finds the natural posture that fits the reliable joints, and follows it.
 
     Reliable joints stay where they are, but for what a database of recorded postures

@@ -17,12 +17,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.reliability.shum import segment_lengths
-from kinefilter.pipeline.training import TrainingSet
 
 from .hold import Hold
-from .interface import CORRECTED_TRUST, Correction, Observation
+from .interface import CORRECTED_TRUST, Correction, LearnedCorrector, Observation
 
 # Chosen by leaving one of six people out; each of them may be halved or doubled at a
 # loss of a twentieth of what is gained.
@@ -33,7 +33,7 @@ _LOOKING_BACK = 8  # frames, of the movement feature
 _MOVEMENT_WEIGHT, _LENGTH_WEIGHT = 0.5, 2.0
 
 
-class PersonalGP:
+class PersonalGP(LearnedCorrector):
     """Adds to each joint the offset to mocap that its posture and person tell.
 
     Args:

@@ -20,6 +20,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
 from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap, sorted_mocap
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability.shum import (
     column_medians,
@@ -27,7 +28,6 @@ from kinefilter.pipeline.reliability.shum import (
     segment_lengths,
 )
 from kinefilter.pipeline.spool import Spool
-from kinefilter.pipeline.training import PairedTake
 from kinefilter.retarget.body_size import Standardizer, measured_body
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions

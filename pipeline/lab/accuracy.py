@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from typing import Any
+
 import numpy as np
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.metrics import jitter
+from kinefilter.pipeline.pairs import PairedTake
 
 LIMBS = tuple(
     part + side
@@ -76,3 +81,84 @@ class Accuracy:
             norm = np.maximum(np.linalg.norm(bone, axis=1, keepdims=True), 1e-9)
             standard[:, j] = standard[:, parent] + bone / norm * length
         return standard
+
+
+@dataclass(eq=False)
+class _Person:
+    """What a method did on the clips of one person."""
+
+    distances: list[Array] = field(default_factory=list)
+    standardized: list[Array] = field(default_factory=list)
+    varying: list[Array] = field(default_factory=list)
+    jitters: list[float] = field(default_factory=list)
+
+    def figures(self) -> dict[str, float]:
+        """Return means over frames and joints [cm], and the jitter [m/s^3]."""
+        distances = np.concatenate(self.distances)
+        return {
+            "E": float(np.nanmean(distances) * 100),
+            "E_std": float(np.nanmean(np.concatenate(self.standardized)) * 100),
+            "E_var": float(np.nanmean(np.concatenate(self.varying)) * 100),
+            "p95": float(np.nanpercentile(distances, 95) * 100),
+            "jitter": float(np.nanmean(self.jitters)),
+        }
+
+    def per_joint(self) -> Array:
+        """Return each limb joint's mean distance [cm], NaN where unknown, (12,)."""
+        distances = np.concatenate(self.distances)
+        counts = (~np.isnan(distances)).sum(axis=0)
+        sums = np.nansum(distances, axis=0)
+        mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+        return np.asarray(mean * 100)
+
+
+class Tally:
+    """Gathers what a method did.
+
+    Args:
+        accuracy: How far a motion is from the truth.
+    """
+
+    def __init__(self, accuracy: Accuracy) -> None:
+        self._accuracy = accuracy
+        self._people: dict[str, _Person] = {}
+        self._seconds, self._frames = 0.0, 0
+
+    def add(self, pair: PairedTake, positions: Array, seconds: float) -> None:
+        """Add a clip.
+
+        Args:
+            pair: The clip and its truth.
+            positions: What the method made of it [m], shape (T, J, 3).
+            seconds: What that took.
+        """
+        person = self._people.setdefault(pair.subject, _Person())
+        accuracy, truth = self._accuracy, pair.truth
+        person.distances.append(accuracy.distances(positions, truth))
+        person.standardized.append(accuracy.standardized(positions, truth))
+        person.varying.append(accuracy.varying(positions, truth))
+        person.jitters.append(jitter(pair.take.time, positions[:, accuracy.limbs]))
+        self._seconds += seconds
+        self._frames += len(positions)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures: means over frames and joints, then over people."""
+        each = {name: person.figures() for name, person in self._people.items()}
+        mean = {
+            key: float(np.mean([figures[key] for figures in each.values()]))
+            for key in ("E", "E_std", "E_var", "p95", "jitter")
+        }
+        joints = np.array([person.per_joint() for person in self._people.values()])
+        known = ~np.isnan(joints)
+        means = np.nansum(joints, axis=0) / np.maximum(known.sum(axis=0), 1)
+        return {
+            **mean,
+            "ms_per_frame": self._seconds / self._frames * 1e3,
+            "joints": {
+                name: float(value) if seen else None
+                for name, value, seen in zip(
+                    LIMBS, means, known.any(axis=0), strict=True
+                )
+            },
+            "people": each,
+        }

@@ -13,25 +13,52 @@ from rich.table import Table
 
 from kinefilter.characters import Body, Take
 from kinefilter.pipeline.avatar import Avatar
-from kinefilter.pipeline.correct import Corrector, LocalPCA, Observation
+from kinefilter.pipeline.cleaner import Cleaner, clean
+from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.posture_space import PostureSpace
 from kinefilter.pipeline.correct.search import solve, stochastic_search
 from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.default import default_corrector
+from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter, substeps_in
-from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
-from kinefilter.pipeline.run import clean
-from kinefilter.pipeline.target.floor import floor_height, put_on_floor
+from kinefilter.pipeline.progress import Progress
+from kinefilter.pipeline.reliability import measure_body
+from kinefilter.pipeline.stages import Physics, Stage
 from kinefilter.pipeline.workers import cores, workers
-from kinefilter.retarget.body_size import Standardizer, measured_body
-from kinefilter.retarget.bone_lengths import BoneLengths
-from kinefilter.retarget.orientation import rotations_from_positions
 
-_STAGES = ("reliability", "correct", "orientation", "physics")
 _TAKES_PER_CORE = 6  # that are cleaned side by side
 _WARM_UP = 10  # frames that are run and not counted
 _BARE_EVERY = 10  # frames: often enough to compare, and the others stay undisturbed
+
+
+class Timed(Stage):
+    """Does what another stage does, and times it.
+
+    Args:
+        stage: The other stage.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        self.name = stage.name
+        self.seconds: list[float] = []
+        """How long each frame, or each take, took [s]."""
+
+    def start(self, body: Body) -> None:
+        """Forget all frames."""
+        self.stage.start(body)
+
+    def step(self, draft: Draft) -> None:
+        """Do and time the next frame."""
+        begun = perf_counter()
+        self.stage.step(draft)
+        self.seconds.append(perf_counter() - begun)
+
+    def whole(self, draft: Draft, progress: Progress) -> None:
+        """Do and time a whole take."""
+        begun = perf_counter()
+        self.stage.whole(draft, progress)
+        self.seconds.append(perf_counter() - begun)
 
 
 def sample_path() -> Path:
@@ -48,10 +75,9 @@ def bench(path: Path | None = None) -> dict[str, Any]:
         path: Take to time on; by default the sample that comes with kinefilter.
     """
     take = read_take(path or sample_path())
-    database = builtin_database(take.skeleton)
     return {
-        **_time_stages(take, default_corrector(database)),
-        "search": _compare_searches(take, LocalPCA(database)),
+        **_time_stages(take),
+        "search": _compare_searches(take, LocalPCA(builtin_database(take.skeleton))),
         "offline": _time_offline(take),
     }
 
@@ -70,18 +96,14 @@ def _time_offline(take: Take) -> dict[str, float]:
 
 def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
     """Return how the solver and the paper's sampling do in the same posture spaces."""
-    reference = measure_reference(take)
-    body = measured_body(take.skeleton, reference.lengths, reference.directions)
-    scorer = ReliabilityScorer(take.skeleton, reference)
-    standardizer, energy = Standardizer(body), corrector.energy
+    cleaner, energy = Cleaner().until("standardize"), corrector.energy
+    cleaner.start(measure_body(take))
     generator = np.random.default_rng(0)
     times, energies = [], []
     for k in range(len(take)):
-        rate, _, geometry = scorer.step(
-            take.positions[k], take.state[k], float(take.time[k])
-        )
-        standard, _ = standardizer.step(take.positions[k], rate)
-        corrector.step(Observation(standard, rate, geometry))
+        frame = cleaner.step(take.positions[k], float(take.time[k]), take.state[k])
+        seen = Observation(frame.standard, frame.reliability, frame.geometry)
+        corrector.step(seen)
         space = PostureSpace(energy.neighbors, corrector.dimensions)
         start = space.project(energy.neighbors[0])
         marks = [perf_counter()]
@@ -101,53 +123,26 @@ def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
     }
 
 
-def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
-    reference = measure_reference(take)
-    body = measured_body(take.skeleton, reference.lengths, reference.directions)
-    scorer = ReliabilityScorer(take.skeleton, reference)
-    standardizer, lengths = Standardizer(body), BoneLengths(body)
-    character = PulledCharacter(body)
-    present = (~np.isnan(take.positions[..., 0])).astype(float)
-    stands = np.zeros((len(take), 2), dtype=np.bool_)
-    floor = np.array([0.0, floor_height(take.positions, present, stands, body), 0.0])
-    times, bare = np.zeros((len(take), len(_STAGES))), list[float]()
-    spare = mujoco.MjData(character.model)
-    corrector.start()
+def _time_stages(take: Take) -> dict[str, Any]:
+    cleaner, body = Cleaner(), measure_body(take)
+    timed = [Timed(stage) for stage in cleaner.stages]
+    cleaner = cleaner.replaced(*timed)
+    cleaner.start(body)
+    (physics,) = (t.stage for t in timed if isinstance(t.stage, Physics))
+    spare, bare = mujoco.MjData(physics.character.model), list[float]()
     for k in range(len(take)):
-        marks = [perf_counter()]
-        rate, _, geometry = scorer.step(
-            take.positions[k], take.state[k], float(take.time[k])
-        )
-        marks.append(perf_counter())
-        standard, view = standardizer.step(take.positions[k], rate)
-        found = corrector.step(Observation(standard, rate, geometry))
-        target = standardizer.undo(found.positions, view)
-        marks.append(perf_counter())
-        target = put_on_floor(
-            lengths.project((target - floor)[None], found.trust[None]), body
-        )[0]
-        prior = found.rotations
-        if prior is not None:
-            prior = view.restore_rotations(prior)
-        rotations = rotations_from_positions(target, body, prior)
-        marks.append(perf_counter())
-        if k == 0:
-            character.start(target, rotations)
-        else:
-            step = max(float(take.time[k] - take.time[k - 1]), 1e-3)
-            character.step(target, rotations, step)
-        marks.append(perf_counter())
-        times[k] = np.diff(marks)
+        cleaner.step(take.positions[k], float(take.time[k]), take.state[k])
         if k % _BARE_EVERY == 0:
             # Among the stages: a machine may be slower a second later.
-            bare.append(_bare_physics(character, spare, 1.0 / take.fps))
+            bare.append(_bare_physics(physics.character, spare, 1.0 / take.fps))
     # The median: a machine that does other things too makes single frames late.
-    stages = np.median(times[_WARM_UP:], axis=0) * 1e3
+    times = np.array([stage.seconds[_WARM_UP:] for stage in timed]) * 1e3
+    medians = np.median(times, axis=1).tolist()
     return {
         "frames": len(take),
         "ms_per_frame": {
-            **dict(zip(_STAGES, stages.tolist(), strict=True)),
-            "total": float(np.median(times[_WARM_UP:].sum(axis=1)) * 1e3),
+            **{stage.name: ms for stage, ms in zip(timed, medians, strict=True)},
+            "total": float(np.median(times.sum(axis=0))),
         },
         "avatar_ms_per_frame": _time_avatar(take, body),
         "mj_step_ms_per_frame": float(np.median(bare) * 1e3),
@@ -155,10 +150,7 @@ def _time_stages(take: Take, corrector: Corrector) -> dict[str, Any]:
 
 
 def _time_avatar(take: Take, body: Body) -> float:
-    """Return how long a frame of the live character takes [ms].
-
-    Smoothing and feet, which the stages by themselves leave out, are in it.
-    """
+    """Return how long a frame of the live character takes [ms], checks included."""
     avatar, times = Avatar(body), []
     for seconds, joints, state in zip(
         take.time, take.positions, take.state, strict=True

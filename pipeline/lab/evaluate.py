@@ -4,38 +4,31 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from time import perf_counter
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.table import Column, Table
 
-from kinefilter.characters import InputError
+from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.correct import Corrector, WholeTakeCorrector, correct_take
+from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.correct.local_gp import LocalGP
-from kinefilter.pipeline.correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.database.build import database_from_pairs
-from kinefilter.pipeline.default import default_corrector
-from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.methods import METHODS, SCORERS, make_scorer
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
-from kinefilter.pipeline.reliability.scorers import SCORERS
-from kinefilter.pipeline.standard import StandardTake, standardize_take
-from kinefilter.pipeline.target import make_target
-from kinefilter.pipeline.target.person import corrected_body
-from kinefilter.pipeline.training import PairedTake, training_set
-from kinefilter.retarget import measured_body
+from kinefilter.pipeline.reliability import measure_reference
+from kinefilter.pipeline.stages import Correct
+from kinefilter.pipeline.target.floor import leveled
+from kinefilter.pipeline.training import training_set
 
-from .accuracy import Accuracy
-from .tally import Tally
-
-METHODS = (*FILTERS, *FROM_DATABASE, "default", *LEARNED)
-"""Every method that can be evaluated; ``default`` is what ``clean`` does by itself."""
+from .accuracy import Accuracy, Tally
+from .bench import Timed
 
 _LIU_TERMS = {
     "local-gp S": {"temporal": 0.0, "reliability": 0.0},
@@ -60,21 +53,24 @@ def evaluate(
     methods: Sequence[str],
     *,
     protocol: Literal["people", "repetitions"] = "people",
-    physics: bool = False,
+    physics: bool = True,
     ablation: bool = False,
     database: PostureDatabase | Literal["mocap"] | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Return the accuracy of methods, in cm, and their speed.
 
+    Each method takes the place of the correction stage; what is measured is the clip
+    that ``clean`` then makes. ``none`` is the clip without any correction.
+
     Args:
         train: Clips to learn from.
         test: Clips to test on; none: one person of ``train`` after the other.
-        methods: Names out of METHODS.
+        methods: Names out of ``METHODS``.
         protocol: ``people`` tests on people that were not learned from;
             ``repetitions`` learns from the repetitions e01 to e07 of all the clips
             given and tests on the others.
-        physics: Send what the methods give through the character too.
+        physics: Pull the simulated character through the motions, as ``clean`` does.
         ablation: Measure also what a part of a method is worth: ``local-gp`` without
             terms of its energy (Liu 2016, Table 5), and ``local-pca`` as Shum's
             methods A and B, ``nearest`` and ``no-reliability``.
@@ -91,21 +87,20 @@ def evaluate(
     if ablation and "local-pca" in methods:
         methods = [*methods, *(m for m in _WITHOUT_PARTS if m not in methods)]
     folds = list(_folds(train, test, protocol))
-    skeleton = folds[0].test[0].take.skeleton
-    postures = database
-    if postures is None:
-        postures = builtin_database(skeleton)
-    accuracy = Accuracy(skeleton)
-    tallies: dict[str, Tally] = {}
+    accuracy = Accuracy(folds[0].test[0].take.skeleton)
+    config = CleanConfig(physics=physics)
+    tallies: dict[str, Tally] = {"raw": Tally(accuracy)}
     for fold in folds:
-        correctors = _correctors(fold, methods, postures, progress)
+        correctors = _correctors(fold, methods, database, progress)
         if ablation and isinstance(whole := correctors.get("local-gp"), LocalGP):
             for name, terms in _LIU_TERMS.items():
                 correctors[name] = whole.with_terms(**terms)
-        for name in ("raw", *correctors):
-            tallies.setdefault(name, Tally(accuracy))
         for k in progress("test", len(fold.test)):
-            _test(fold.test[k], correctors, tallies, physics)
+            pair = fold.test[k]
+            tallies["raw"].add(pair, pair.take.positions, 0.0)
+            for name, corrector in correctors.items():
+                tally = tallies.setdefault(name, Tally(accuracy))
+                _test(pair, corrector, tally, config)
     tested = [pair for fold in folds for pair in fold.test]
     return {
         "protocol": protocol,
@@ -116,31 +111,51 @@ def evaluate(
     }
 
 
+def _test(
+    pair: PairedTake, corrector: Corrector, tally: Tally, config: CleanConfig
+) -> None:
+    """Clean a take by a method and tally the clip beside the truth."""
+    correct = Timed(Correct(config, corrector))
+    clip = Cleaner(config).replaced(correct).clean(pair.take).clip
+    # A clip is level; the truth is in the sensor's frame.
+    truth = replace(pair, truth=leveled(pair.truth, clip.tilt))
+    tally.add(truth, clip.positions, sum(correct.seconds))
+
+
 def _correctors(
     fold: _Fold,
     methods: Sequence[str],
-    database: PostureDatabase | Literal["mocap"],
+    database: PostureDatabase | Literal["mocap"] | None,
     progress: Progress,
-) -> dict[str, Corrector | WholeTakeCorrector]:
+) -> dict[str, Corrector]:
     """Return the methods, taught by the fold where they learn."""
     skeleton = fold.test[0].take.skeleton
-    correctors: dict[str, Corrector | WholeTakeCorrector] = {}
+    correctors: dict[str, Corrector] = {}
     lessons = None
     for name in methods:
-        if name in FILTERS:
-            correctors[name] = FILTERS[name](skeleton)
-        elif name in FROM_DATABASE or name == "default":
-            if isinstance(database, str):
-                database = database_from_pairs(
-                    over(fold.train, "mocap", progress), skeleton
-                )
-            make = FROM_DATABASE.get(name, default_corrector)
-            correctors[name] = make(database)
+        method = METHODS[name]
+        if method.made_of == "skeleton":
+            correctors[name] = method.load()(skeleton)
+        elif method.made_of == "database":
+            database = _postures(fold, skeleton, database, progress)
+            correctors[name] = method.load()(database)
         else:
             lessons = lessons or training_set(over(fold.train, "standardize", progress))
-            learner = LEARNED[name](skeleton)
-            correctors[name] = learner.fit(lessons, progress=progress)
+            correctors[name] = method.load()(skeleton).fit(lessons, progress=progress)
     return correctors
+
+
+def _postures(
+    fold: _Fold,
+    skeleton: Skeleton,
+    database: PostureDatabase | Literal["mocap"] | None,
+    progress: Progress,
+) -> PostureDatabase:
+    if database is None:
+        return builtin_database(skeleton)
+    if isinstance(database, str):
+        return database_from_pairs(over(fold.train, "mocap", progress), skeleton)
+    return database
 
 
 def _folds(
@@ -183,45 +198,6 @@ def _repetition(pair: PairedTake) -> int:
     return int(found.group(1))
 
 
-def _test(
-    pair: PairedTake,
-    correctors: dict[str, Corrector | WholeTakeCorrector],
-    tallies: dict[str, Tally],
-    physics: bool,
-) -> None:
-    take = pair.take
-    standard = observed(pair)
-    tallies["raw"].add(pair, take.positions, 0.0)
-    for name, corrector in correctors.items():
-        start = perf_counter()
-        corrected = correct_take(standard, corrector, range(len(take)))
-        seconds = perf_counter() - start
-        positions = corrected.positions
-        if physics:
-            body = corrected_body(take, corrected)
-            # The truth is in the sensor's frame, whatever that is.
-            target = make_target(
-                take.time, corrected, body, cutoff=CleanConfig.cutoff, tilt=0.0
-            )
-            positions = (
-                PhysicsFilter(body)
-                .run(
-                    take.time, target.positions, target.rotations, stands=target.stands
-                )
-                .positions
-            )
-        tallies[name].add(pair, positions, seconds)
-
-
-def observed(pair: PairedTake) -> StandardTake:
-    """Return a take as the methods see it: scored, on the standard body."""
-    take = pair.take
-    reference = measure_reference(take)
-    body = measured_body(take.skeleton, reference.lengths, reference.directions)
-    reliability = ReliabilityScorer(take.skeleton, reference).score(take)
-    return standardize_take(take, body, reliability)
-
-
 def reliability_auc(
     pairs: Sequence[PairedTake],
 ) -> dict[str, dict[str, float | None]]:
@@ -246,8 +222,9 @@ def reliability_auc(
         varying = accuracy.varying(positions, truth).ravel()
         far["varying_over_7_cm"].append(varying[seen] > 0.07)
         reference = measure_reference(pair.take)
-        for name, scorer in SCORERS.items():
-            rate = scorer(pair.take.skeleton, reference).score(pair.take).rate
+        for name in SCORERS:
+            scorer = make_scorer(name, pair.take.skeleton, reference)
+            rate = scorer.score(pair.take).rate
             doubt[name].append(1.0 - rate[:, accuracy.limbs].ravel()[seen])
     areas: dict[str, dict[str, float | None]] = {}
     for name, scores in doubt.items():

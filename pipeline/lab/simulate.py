@@ -9,8 +9,8 @@ import numpy as np
 
 from kinefilter.characters import SKELETONS, InputError, State, Take, random_body
 from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import PairedTake
 from kinefilter.scenes import load_scene
 from kinefilter.scenes.library import MOTIONS, perform, prop_poses
 from kinefilter.scenes.sensor import SENSORS, in_sensor_frame, observe

@@ -1,15 +1,22 @@
-"""How far each joint of each frame can be trusted, one way a file.
+"""How far each joint of each frame can be trusted, and what the person measures.
 
-``shum`` is the default, and what ``chiang``, ``noise`` and ``learned`` are put in place
-of by name (``scorers``). The last is a logistic regression (``doubt``) that simulated
-people taught (``lessons``).
+``shum`` has the default scorer; others stand in ``pipeline.methods``.
 """
 
-from .shum import Reference, Reliability, ReliabilityScorer, measure_reference
+from .shum import (
+    Reference,
+    Reliability,
+    ReliabilityScorer,
+    measure_body,
+    measure_reference,
+    rest_reference,
+)
 
 __all__ = [
     "Reference",
     "Reliability",
     "ReliabilityScorer",
+    "measure_body",
     "measure_reference",
+    "rest_reference",
 ]

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Skeleton, State, Take
+from kinefilter.characters import Body, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
+from kinefilter.retarget import measured_body
 
 SMALLEST_DISPLACEMENT = 0.03
 """d_min [m]: a joint that moved less has not turned (eq. 3)."""
@@ -83,6 +84,43 @@ def measure_reference(take: Take) -> Reference:
     # Joints that always coincide measure nothing.
     best = np.where(best > 1e-3, best, np.nan)
     return Reference(best, _trunk_directions(take), found)
+
+
+def rest_reference(body: Body) -> Reference:
+    """Return the segment lengths of a body that is known already."""
+    joints = (2, len(body.skeleton))
+    still = np.broadcast_to(body.rest_positions, (*joints, 3)).copy()
+    state = np.full(joints, State.TRACKED, dtype=np.uint8)
+    return measure_reference(Take(np.array([0.0, 1.0]), still, state, body.skeleton))
+
+
+def measure_body(
+    take: Take,
+    reference: Reference | None = None,
+    *,
+    height: float | None = None,
+    mass: float | None = None,
+) -> Body:
+    """Return the body of the person in a take.
+
+    Args:
+        take: The recording.
+        reference: The person's segment lengths; by default measured on the take.
+        height: Stature [m]; by default from the lengths.
+        mass: Body mass [kg]; by default from the stature.
+
+    Raises:
+        InputError: Height or mass is not a human's.
+    """
+    measured = reference or measure_reference(take)
+    return measured_body(
+        take.skeleton,
+        measured.lengths,
+        measured.directions,
+        height=height,
+        mass=mass,
+        source=take.source,
+    )
 
 
 def _trunk_directions(take: Take) -> Array:

@@ -52,7 +52,7 @@ def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> 
     Raises:
         InputError: As ``clean``.
     """
-    from kinefilter.pipeline.run import clean
+    from kinefilter.pipeline.cleaner import clean
     from kinefilter.pipeline.target.floor import to_world
 
     result = clean(take, config, progress=progress)

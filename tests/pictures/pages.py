@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from browser import Browser
 
+from kinefilter import CleanConfig, read_take
 from kinefilter.characters import Clip, Take
-from kinefilter.pipeline import CleanConfig, read_take
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.report import compare, read_limits, write_report
 from kinefilter.pipeline.view import cleaned, opened_viewer

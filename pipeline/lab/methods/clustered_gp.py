@@ -21,11 +21,12 @@ from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.correct.interface import (
     CORRECTED_TRUST,
     Correction,
+    LearnedCorrector,
     Observation,
+    TrainingSet,
 )
 from kinefilter.pipeline.correct.lessons import Lessons
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import TrainingSet
 
 _POOL = 25  # frames drawn for each centroid
 _FOR_KERNEL = 400  # centroids the hyper-parameters are learned from
@@ -74,7 +75,7 @@ class BoneWalk:
         return self.lay(self.measure(postures)[0], self.lengths)
 
 
-class ClusteredGP:
+class ClusteredGP(LearnedCorrector):
     """Moves joints to where a process over the whole standardized posture has them.
 
     The process is on the difference of mocap and Kinect: the prior is the measurement,

@@ -15,15 +15,19 @@ from sklearn.neighbors import NearestNeighbors
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct.hold import Hold
-from kinefilter.pipeline.correct.interface import Correction, Observation
+from kinefilter.pipeline.correct.interface import (
+    Correction,
+    LearnedCorrector,
+    Observation,
+    TrainingSet,
+)
 from kinefilter.pipeline.correct.lessons import Lessons, add_offsets
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import TrainingSet
 
 _NO_OFFSET = 0.05  # weight of no offset at all, against 1 for the same posture again
 
 
-class Exemplar:
+class Exemplar(LearnedCorrector):
     """Adds the average offset of the nearest postures, near ones weighing more.
 
     Args:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct.hold import Hold
-from kinefilter.pipeline.correct.interface import Correction, Observation
+from kinefilter.pipeline.correct.interface import Correction, Corrector, Observation
 from kinefilter.retarget import BoneLengths
 
 SENSOR_NOISE, LOST_NOISE = 0.01, 0.3
@@ -107,7 +107,7 @@ class ConstantVelocity:
         self.velocity = self.velocity + follow * moved
 
 
-class ConstantLengthKalman:
+class ConstantLengthKalman(Corrector):
     """Tracks every joint, and keeps the bones at the standard body's lengths.
 
     The posture of constant lengths is the nearest by the filters' variances. A missing

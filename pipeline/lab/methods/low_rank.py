@@ -7,13 +7,20 @@ lengths are not kept.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct.filters import bridge_gaps
-from kinefilter.pipeline.correct.interface import ObservedTake
+from kinefilter.pipeline.correct.interface import (
+    Correction,
+    Corrector,
+    Observation,
+    measured_only,
+)
+from kinefilter.pipeline.lab.methods.filters import bridge_gaps
 
 _FIRST_STIFFNESS = 1.25  # mu times the largest singular value, as in Lin et al. 2010
 _GROWTH = 1.05  # rho; the common 1.5 stops short of the minimum
@@ -83,7 +90,7 @@ def decompose(matrix: Array, penalty: Array) -> Decomposition:
     return Decomposition(clean, error, dual, _MOST_ITERATIONS, False)
 
 
-class LowRank:
+class LowRank(Corrector):
     """Takes the sparse errors out of a take.
 
     A gap has errors for free, so the joints that were seen decide what is in it; a
@@ -102,11 +109,23 @@ class LowRank:
     iterations_: int
     converged_: bool
 
-    def __init__(self, sparsity: float = 2.0) -> None:
+    def __init__(
+        self,
+        skeleton: Skeleton | None = None,  # noqa: ARG002 - any will do
+        *,
+        sparsity: float = 2.0,
+    ) -> None:
         self.sparsity = sparsity
 
-    def correct(self, take: ObservedTake) -> Array:
-        """Return recovered positions [m], NaN for joints never seen, (T, J, 3)."""
+    def whole(
+        self,
+        take: Observation,
+        frames: Iterable[int] | None = None,  # noqa: ARG002 - at once
+    ) -> Correction:
+        """Recover a whole take; joints that were never seen stay NaN."""
+        return measured_only(self._recovered(take))
+
+    def _recovered(self, take: Observation) -> Array:
         seen = ~np.isnan(take.positions[..., 0])
         joints = np.flatnonzero(seen.any(axis=0))
         rows = bridge_gaps(take.time, take.positions)[:, joints].transpose(0, 2, 1)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinefilter.pipeline.correct.interface import Correction, Observation
+from kinefilter.pipeline.correct.interface import Correction, Corrector, Observation
 from kinefilter.pipeline.correct.local_pca import LocalPCA
 from kinefilter.pipeline.database import PostureDatabase
 
 
-class Nearest:
+class Nearest(Corrector):
     """Method A (Shum & Ho 2012): the database posture most like what was tracked.
 
     Args:

@@ -8,9 +8,9 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.reliability.shum import measure_reference
-from kinefilter.pipeline.training import PairedTake
 
 from .doubt import DoubtWeights, kind_of
 from .learned import TERMS, LearnedReliabilityScorer

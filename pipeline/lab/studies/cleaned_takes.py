@@ -9,10 +9,10 @@ import numpy as np
 
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import CleanResult, clean
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.run import CleanResult, clean
 from kinefilter.scenes.library import MOTIONS
 
 from .recordings import recorded_takes

@@ -12,8 +12,8 @@ from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.failures import FailureKind, find_failures
 from kinefilter.pipeline.formats import read_take
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.training import PairedTake
 
 from .recordings import people, person, recorded_takes
 from .study import Cell, Panel, Series, Study

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinefilter.pipeline.correct import LearnedCorrector, correct_take
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import observed
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over
 from kinefilter.pipeline.standard import StandardTake
-from kinefilter.pipeline.training import PairedTake, TrainingSet, training_set
+from kinefilter.pipeline.training import training_set
 
 from .takes import people_of, performed_by
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import TrainingSet
 
 from .learned import GROUPS, School
 from .study import Cell, Panel, Series, Study

@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import clean
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.lab.accuracy import Accuracy
-from kinefilter.pipeline.lab.tally import Tally
+from kinefilter.pipeline.lab.accuracy import Accuracy, Tally
 from kinefilter.pipeline.metrics import jitter
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.run import clean
-from kinefilter.pipeline.training import PairedTake
 
 from .recordings import people, person
 from .study import Cell, Panel, Series, Study

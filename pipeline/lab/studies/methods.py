@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinefilter.pipeline.lab.evaluate import evaluate
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import PairedTake
 from kinefilter.pipeline.workers import workers
 
 from .recordings import people, person

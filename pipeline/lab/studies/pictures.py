@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.cleaner import clean
 from kinefilter.pipeline.formats import read_take, write_clip
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.run import clean
 
 _SIZE, _RATE = "480x270", 10.0  # a moving picture that loads quickly
 _LONGEST = 600.0  # s that a script may take, ten times what it needs. A guess.

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import PairedTake, read_pairs
 
 from .takes import people_of
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinefilter.pipeline.lab.evaluate import reliability_auc
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability.scorers import SCORERS
-from kinefilter.pipeline.training import PairedTake
 
 from .recordings import people, person
 from .study import Cell, Panel, Series, Study

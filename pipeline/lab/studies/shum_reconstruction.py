@@ -6,12 +6,12 @@ import numpy as np
 
 from kinefilter.characters import KINECT_V1, Take, random_body
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import clean
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.database import builtin_database
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.run import clean
-from kinefilter.pipeline.training import PairedTake
 from kinefilter.retarget import HeadingFrame, Standardizer
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.scenes.library import perform

@@ -12,8 +12,8 @@ from functools import lru_cache
 from typing import Literal, NamedTuple
 
 from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import PairedTake
 
 Kind = Literal["a", "b", "c"]
 """Classes of movement (Shum 2013, Table IV)."""

@@ -1,0 +1,78 @@
+"""kinefilter turns noisy Kinect skeleton takes into clips that animators ship.
+
+What most people need is here; nothing heavy is loaded before it is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from kinefilter.characters import Clip, InputError, Motion, Take
+    from kinefilter.pipeline.avatar import Avatar, Pose
+    from kinefilter.pipeline.cleaner import Cleaner, CleanResult, clean
+    from kinefilter.pipeline.config import CleanConfig
+    from kinefilter.pipeline.database import PostureDatabase
+    from kinefilter.pipeline.formats import (
+        Export,
+        read_clip,
+        read_take,
+        read_takes,
+        write_clip,
+    )
+    from kinefilter.pipeline.lab.evaluate import evaluate
+
+_PLACES = {
+    "characters": ("Clip", "InputError", "Motion", "Take"),
+    "pipeline.avatar": ("Avatar", "Pose"),
+    "pipeline.cleaner": ("CleanResult", "Cleaner", "clean"),
+    "pipeline.config": ("CleanConfig",),
+    "pipeline.database": ("PostureDatabase",),
+    "pipeline.formats": (
+        "Export",
+        "read_clip",
+        "read_take",
+        "read_takes",
+        "write_clip",
+    ),
+    "pipeline.lab.evaluate": ("evaluate",),
+}
+_MODULES = {name: module for module, names in _PLACES.items() for name in names}
+
+__all__ = [
+    "Avatar",
+    "CleanConfig",
+    "CleanResult",
+    "Cleaner",
+    "Clip",
+    "Export",
+    "InputError",
+    "Motion",
+    "Pose",
+    "PostureDatabase",
+    "Take",
+    "__version__",
+    "clean",
+    "evaluate",
+    "read_clip",
+    "read_take",
+    "read_takes",
+    "write_clip",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what a name stands for."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("kinefilter")
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"kinefilter.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """Return the names that are here."""
+    return __all__

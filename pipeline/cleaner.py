@@ -1,0 +1,288 @@
+"""The cleaner: the stages that a take or a frame passes, in their order.
+
+Nothing else knows the order: ``clean`` runs the list over a take, ``Avatar`` and
+``live`` step it frame by frame, ``bench`` times its entries, and ``evaluate`` swaps one
+entry and measures what comes out at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body, Clip, InputError, Take, Tracking
+from kinefilter.characters.arrays import Array
+
+from .config import CleanConfig
+from .correct import Corrector
+from .draft import Draft
+from .failures import Failure
+from .metrics import Quality, distances, measure
+from .physics import PhysicsTrace
+from .progress import Progress, silent
+from .stages import (
+    Bones,
+    Correct,
+    Failures,
+    Feet,
+    Floor,
+    Level,
+    MeasureBody,
+    MeasureCorrectedBody,
+    Orient,
+    Physics,
+    Score,
+    Smooth,
+    Stage,
+    Standardize,
+)
+from .target.floor import to_world
+
+_LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which to move
+
+
+@dataclass(frozen=True, eq=False)
+class CleanResult:
+    """A cleaned clip and what happened on the way."""
+
+    clip: Clip
+    """The motion."""
+    target: Array
+    """Joint positions [m] before physics, the clip's frame, shape (T, J, 3)."""
+    stages: dict[str, Quality]
+    """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``; raw is
+    the take as it was recorded, also where sides were put back."""
+    coverage: Array
+    """How well the database knows the posture of each frame, in [0, 1], shape (T,);
+    NaN where the method has none."""
+    trace: PhysicsTrace | None
+    """What the simulation did, per distinct time stamp; None without physics."""
+    failures: tuple[Failure, ...]
+    """Where the tracker failed grossly, frames counted by distinct time stamp."""
+    notes: tuple[str, ...]
+    """What the user should know about this take."""
+
+    @property
+    def share_outside(self) -> float:
+        """Share of the frames whose posture the method does not know, or NaN."""
+        outside = np.where(np.isnan(self.coverage), np.nan, self.coverage < 0.5)
+        return float(np.mean(outside))
+
+
+class Cleaner:
+    """Cleans takes whole, or a live stream frame by frame, by one list of stages.
+
+    Args:
+        config: What to do; by default joint offsets, local PCA, then physics.
+        tracking: How hard the simulated character is pulled.
+        corrector: What corrects, in place of the config's method.
+    """
+
+    def __init__(
+        self,
+        config: CleanConfig | None = None,
+        *,
+        tracking: Tracking | None = None,
+        corrector: Corrector | None = None,
+    ) -> None:
+        config = config or CleanConfig()
+        self.stages: tuple[Stage, ...] = (
+            Failures(),  # gross failures: sides put back, impossible limbs distrusted
+            MeasureBody(config),  # how long the person's segments are
+            Score(config),  # reliability of every joint
+            Standardize(),  # to the standard body, root at the origin, facing +z
+            Correct(config, corrector),  # unreliable joints, by offsets and local PCA
+            MeasureCorrectedBody(config),  # segments again, as corrected
+            Level(config),  # standing feet, and from them the sensor's tilt
+            Smooth(config),  # the slower a joint, the more
+            Floor(config),  # at y = 0, under the standing feet
+            Feet(config),  # stay where they stand, are lifted where they step
+            Bones(),  # joints back on the person's own segments
+            Orient(),  # a rotation for every segment
+            Physics(config, tracking),  # a simulated character pulled through it all
+        )
+        if not config.physics:
+            self.stages = self.stages[:-1]
+        self._time: float | None = None
+
+    def replaced(self, *stages: Stage) -> Cleaner:
+        """Return a cleaner with other stages in the place of those of their names.
+
+        Raises:
+            InputError: There is no stage of that name.
+        """
+        known = [stage.name for stage in self.stages]
+        others = {stage.name: stage for stage in stages}
+        if unknown := others.keys() - set(known):
+            raise InputError(
+                f"no stage {unknown.pop()!r} to replace; there are {', '.join(known)}"
+            )
+        return self._with([others.get(s.name, s) for s in self.stages])
+
+    def without(self, *names: str) -> Cleaner:
+        """Return a cleaner that leaves some stages out."""
+        return self._with([s for s in self.stages if s.name not in names])
+
+    def until(self, name: str) -> Cleaner:
+        """Return a cleaner that ends with a stage."""
+        names = [stage.name for stage in self.stages]
+        return self._with(self.stages[: names.index(name) + 1])
+
+    def _with(self, stages: Sequence[Stage]) -> Cleaner:
+        other = Cleaner.__new__(Cleaner)
+        other.stages, other._time = tuple(stages), None
+        return other
+
+    def start(self, body: Body) -> None:
+        """Forget all frames: those of a body come next, one by one."""
+        self._body, self._time = body, None
+        for stage in self.stages:
+            stage.start(body)
+
+    def step(self, positions: Array, time: float, state: NDArray[np.uint8]) -> Draft:
+        """Pass the next frame through the stages, without looking ahead.
+
+        Args:
+            positions: Joint positions [m], sensor frame with y up, NaN where missing,
+                shape (J, 3).
+            time: Time stamp [s], later than the last.
+            state: Tracking states (State), shape (J,).
+
+        Returns:
+            What the stages found; ``positions`` and ``rotations`` are the character's.
+        """
+        draft = Draft(self._body.skeleton, time, positions, state)
+        draft.body = self._body
+        if self._time is not None:
+            draft.elapsed = min(time - self._time, _LONGEST_STEP)
+        self._time = time
+        for stage in self.stages:
+            stage.step(draft)
+        return draft
+
+    def whole(self, take: Take, progress: Progress = silent) -> Draft:
+        """Pass a take through the stages.
+
+        Args:
+            take: The recording, with strictly increasing time stamps.
+            progress: Wraps the frame loops, for a progress bar.
+
+        Returns:
+            What the stages found.
+        """
+        draft = Draft.of(take)
+        for stage in self.stages:
+            stage.whole(draft, progress)
+        return draft
+
+    def clean(self, take: Take, *, progress: Progress = silent) -> CleanResult:
+        """Clean a take.
+
+        Args:
+            take: The recording.
+            progress: Wraps the frame loops, for a progress bar.
+
+        Raises:
+            InputError: The take holds nothing to clean, or the database does not fit.
+        """
+        _check(take)
+        distinct = np.concatenate([[True], np.diff(take.time) > 0])
+        # Which distinct frame each of the take's shows; a slice copies nothing.
+        frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
+        recorded = take if distinct.all() else _select(take, distinct)
+        draft = self.whole(recorded, progress)
+        mended = to_world(draft.measured, draft.tilt, draft.floor)
+        moved_by_correction = distances(draft.posed, mended)
+        del mended
+        raw = to_world(recorded.positions, draft.tilt, draft.floor)
+        motions = {"raw": raw, "corrected": draft.posed}
+        force = np.full(len(recorded), np.nan)
+        after = draft.posed
+        if draft.trace is not None:
+            motions["physics"] = after = draft.positions
+            force = draft.trace.external_force
+        stages = {
+            name: measure(draft.time, positions, raw, draft.body, draft.stands)
+            for name, positions in motions.items()
+        }
+        clip = Clip(
+            time=take.time,
+            root=after[frames, take.skeleton.root],
+            rotations=draft.rotations[frames],
+            body=draft.body,
+            state=take.state,
+            reliability=draft.reliability[frames],
+            deciding_term=draft.deciding_term[frames],
+            origin=draft.origin[frames],
+            moved_by_correction=moved_by_correction[frames],
+            moved_by_physics=distances(after, draft.posed)[frames],
+            contacts=draft.contacts[frames],
+            external_force=force[frames],
+            props=tuple(prop.at(frames) for prop in draft.props),
+            source=take.source,
+            tilt=draft.tilt,
+            floor=draft.floor,
+        )
+        return CleanResult(
+            clip,
+            draft.posed[frames],
+            stages,
+            draft.coverage[frames],
+            draft.trace,
+            draft.failures,
+            tuple(_notes(draft)),
+        )
+
+
+def clean(
+    take: Take, config: CleanConfig | None = None, *, progress: Progress = silent
+) -> CleanResult:
+    """Clean a take; a ``Cleaner`` does many and makes its methods once.
+
+    Args:
+        take: The recording.
+        config: What to do; by default joint offsets, local PCA, then physics.
+        progress: Wraps the frame loops, for a progress bar.
+
+    Raises:
+        InputError: The take holds nothing to clean, or the database does not fit it.
+    """
+    return Cleaner(config).clean(take, progress=progress)
+
+
+def _notes(draft: Draft) -> Iterable[str]:
+    """Yield what the user should know about how a take was cleaned."""
+    if not draft.reference.from_reference_posture:
+        yield (
+            "no T-pose or standing frames with every joint tracked: segment lengths "
+            "are medians over the take"
+        )
+    if draft.tilt != 0.0:
+        yield f"the sensor was tilted by {np.degrees(draft.tilt):+.1f} degrees"
+    if draft.trace is not None and draft.trace.reset.any():
+        yield f"physics: {draft.trace.status}"
+
+
+def _check(take: Take) -> None:
+    if np.isnan(take.positions[..., 0]).all():
+        raise InputError(
+            f"{take.source}: every joint is missing in every frame; nothing to clean"
+        )
+    if take.time[-1] <= take.time[0]:
+        raise InputError(
+            f"{take.source}: the take has one distinct time stamp; "
+            "a motion needs two frames or more"
+        )
+
+
+def _select(take: Take, kept: NDArray[np.bool_]) -> Take:
+    return Take(
+        take.time[kept],
+        take.positions[kept],
+        take.state[kept],
+        take.skeleton,
+        take.source,
+    )

@@ -1,0 +1,108 @@
+"""What the stages have found out about a take, or about one frame, so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body, Prop, Skeleton, Take
+from kinefilter.characters.arrays import Array
+from kinefilter.retarget import HeadingFrame
+
+from .failures import Failure
+from .physics import PhysicsTrace
+from .reliability import Reference
+
+
+@dataclass(eq=False)
+class Draft:
+    """A take on its way to a clip, or one frame on its way to a pose.
+
+    The arrays of a take have a leading axis T, those of a frame do not. Each stage
+    reads what the stages before it found and adds its own; until then fields are unset.
+    """
+
+    skeleton: Skeleton
+    """The joints, in the order of the arrays."""
+    time: Any
+    """Time stamps [s], strictly increasing, shape (T,); of a frame a number."""
+    measured: Array
+    """Joint positions [m], sensor frame with y up, NaN where missing, shape (J, 3);
+    where the tracker exchanged left and right, as the failures stage put them back."""
+    state: NDArray[np.uint8]
+    """Tracking states (State), shape (J,), exchanged as the positions are."""
+    source: str = "take"
+    """Where the take came from, for messages."""
+    elapsed: float = 1.0 / 30.0
+    """Time since the last frame [s]; frames only."""
+
+    failures: tuple[Failure, ...] = ()
+    """Where the tracker failed grossly."""
+    reference: Reference = field(init=False)
+    """The person's segment lengths as they were measured."""
+    body: Body = field(init=False)
+    """The person."""
+    reliability: Array = field(init=False)
+    """Reliability of each joint in [0, 1], shape (J,)."""
+    geometry: Array = field(init=False)
+    """Reliability without the tracking state, shape (J,)."""
+    deciding_term: NDArray[np.uint8] = field(init=False)
+    """The reliability term that decided (Term), shape (J,)."""
+    standard: Array = field(init=False)
+    """Joint positions [m] on the standard body, root at the origin, facing +z, NaN
+    where missing, shape (J, 3)."""
+    heading: HeadingFrame = field(init=False)
+    """Where the standard posture's root is and which way it faces."""
+    positions: Array = field(init=False)
+    """Joint positions [m] as the last stage left them, shape (J, 3): corrected, in the
+    sensor's frame; from the floor stage on in the world frame with the floor at 0; in
+    the end those of the simulated character."""
+    confidence: Array = field(init=False)
+    """Share of the measurement in each joint, 0 where invented, shape (J,)."""
+    coverage: Any = field(init=False)
+    """How well the method knows the posture, in [0, 1] or NaN, shape ()."""
+    origin: NDArray[np.uint8] = field(init=False)
+    """Where each joint came from (Origin), shape (J,)."""
+    twist: NDArray[Any] | None = None
+    """World segment rotations of similar postures, wxyz, shape (J, 4), to take the
+    twist from; None where the method knows none."""
+    stands: NDArray[np.bool_] = field(init=False)
+    """Whether each foot (left, right) stands, shape (2,)."""
+    contacts: NDArray[np.bool_] = field(init=False)
+    """Which parts of the feet stand (CONTACTS), shape (4,); takes only."""
+    tilt: float = 0.0
+    """Angle [rad] about x by which the sensor's frame was leveled."""
+    floor: float = 0.0
+    """Height of the floor in the leveled sensor's frame [m]."""
+    bone_weights: Array = field(init=False)
+    """How firmly each joint stays where it is when bone lengths are restored, (J,)."""
+    rotations: Array = field(init=False)
+    """World segment rotations, wxyz, shape (J, 4)."""
+    posed: Array = field(init=False)
+    """Joint positions [m] of the body before physics, shape (J, 3); takes only."""
+    external_force: Any = float("nan")
+    """Force on the body that no muscle and no floor gives [body weights], shape ()."""
+    reset: bool = False
+    """The simulation diverged and was put back onto its target; frames only."""
+    trace: PhysicsTrace | None = None
+    """What the simulation did; takes only."""
+    props: tuple[Prop, ...] = ()
+    """What was around the character in the simulation; takes only."""
+
+    @classmethod
+    def of(cls, take: Take) -> Draft:
+        """Return the draft of a take about which nothing was found out yet."""
+        return cls(take.skeleton, take.time, take.positions, take.state, take.source)
+
+    @property
+    def missing(self) -> NDArray[np.bool_]:
+        """Whether a joint was not measured, shape (J,)."""
+        return np.asarray(np.isnan(self.measured[..., 0]))
+
+    def take(self, positions: Array | None = None) -> Take:
+        """Return the draft's take, or one with other positions [m], (T, J, 3)."""
+        positions = self.measured if positions is None else positions
+        return Take(self.time, positions, self.state, self.skeleton, self.source)
