@@ -75,20 +75,23 @@ class Stage(ABC):
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Do a whole take: by default ``start`` and a ``step`` for each frame."""
         self.start(draft.body)
-        for k in progress(self.name, len(draft.time)):
+        count, found = len(draft.time), dict[str, list[Any]]()
+        arrays = {
+            name: value
+            for name, value in vars(draft).items()
+            if isinstance(value, np.ndarray) and len(value) == count
+        }
+        for k in progress(self.name, count):
             frame = Draft(
                 draft.skeleton, draft.time[k], draft.measured[k], draft.state[k]
             )
-            for name, value in vars(draft).items():
-                if isinstance(value, np.ndarray) and len(value) == len(draft.time):
-                    setattr(frame, name, value[k])
+            for name, array in arrays.items():
+                setattr(frame, name, array[k])
             self.step(frame)
             for name in self.adds:
-                value = np.asarray(getattr(frame, name))
-                if k == 0:
-                    room = np.empty((len(draft.time), *value.shape), value.dtype)
-                    setattr(draft, name, room)
-                getattr(draft, name)[k] = value
+                found.setdefault(name, []).append(getattr(frame, name))
+        for name, values in found.items():
+            setattr(draft, name, np.array(values))
 
 
 class Failures(Stage):
@@ -492,10 +495,13 @@ class Physics(Stage):
 
     def __init__(self, config: CleanConfig, tracking: Tracking | None = None) -> None:
         self._scene, self._tracking = config.scene, tracking
+        self._body: Body | None = None
 
     def start(self, body: Body) -> None:
         """Forget all frames; in a scene, the next one says where the person begins."""
-        self.character = PulledCharacter(body, self._tracking, scene=self._scene)
+        if self._body is not body:
+            self._body = body
+            self.character = PulledCharacter(body, self._tracking, scene=self._scene)
         self._place: HeadingFrame | None = None
 
     def step(self, draft: Draft) -> None:

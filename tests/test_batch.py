@@ -12,7 +12,7 @@ from batch_folders import QUICK, clean_folder, rows_of, table_of
 from batch_takes import Here, short_take
 from published_layouts import ntu_text
 
-from kinefilter import CleanConfig, clean, read_take, write_clip
+from kinefilter import CleanConfig, Cleaner, clean, read_take, write_clip
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch import Outcome, as_tables, clean_files, run
 from kinefilter.pipeline.batch.local import LocalStore
@@ -20,7 +20,6 @@ from kinefilter.pipeline.batch.plan import Job, plan_jobs
 from kinefilter.pipeline.batch.row import Row
 from kinefilter.pipeline.batch.sources import find_sources
 from kinefilter.pipeline.batch.task import clean_file
-from kinefilter.pipeline.cleaner import make_corrector
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
 from kinefilter.pipeline.lab.simulate import simulate
@@ -74,9 +73,9 @@ def test_a_clip_of_a_batch_is_that_of_clean(takes: Path, tmp_path: Path) -> None
 def test_a_method_forgets_the_take_before(config: CleanConfig) -> None:
     config = replace(config, physics=False)
     one, other = short_take(30), short_take(30, start=150, seed=1)
-    method = make_corrector(one.skeleton, config)
-    clean(one, config, corrector=method)
-    again = clean(other, config, corrector=method).clip.positions
+    cleaner = Cleaner(config)
+    cleaner.clean(one)
+    again = cleaner.clean(other).clip.positions
     np.testing.assert_array_equal(again, clean(other, config).clip.positions)
 
 

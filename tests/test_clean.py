@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from real_data import PAIRS, TAKES, paired, recorded
 from skeletons import every_skeleton
 
-from kinefilter import CleanConfig, CleanResult, clean, read_take
+from kinefilter import CleanConfig, Cleaner, CleanResult, clean, read_take
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -24,7 +24,6 @@ from kinefilter.characters import (
     positions_from_rotations,
     standard_body,
 )
-from kinefilter.pipeline.config import Method
 from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.formats import read_bvh, read_usd_positions, write_clip
 from kinefilter.pipeline.lab.simulate import simulate, truth_of
@@ -119,7 +118,7 @@ def test_the_sampling_is_not_the_solver_and_depends_on_its_seed() -> None:
 @pytest.mark.parametrize(
     "method", ["butterworth", "savgol", "one-euro", "kalman", "low-rank", "nearest"]
 )
-def test_every_baseline_cleans_the_sample(method: Method) -> None:
+def test_every_baseline_cleans_the_sample(method: str) -> None:
     config = CleanConfig(method=method, scoring="chiang")
     result = clean(sample_take(), config)
     assert np.isfinite(result.clip.positions).all()
@@ -245,7 +244,7 @@ def test_stature_is_found_from_the_take() -> None:
 
 def test_stature_is_found_from_what_a_kinect_sees() -> None:
     """On average: every tracker has its own idea of every person."""
-    away: dict[Method | None, list[float]] = {None: [], "local-pca": []}
+    away: dict[str | None, list[float]] = {None: [], "local-pca": []}
     for seed in range(1400, 1406):
         pair = simulate("basic", "cross_arms", seed=seed)
         plain = CleanConfig(method="none", physics=False)
@@ -260,7 +259,7 @@ def test_a_take_in_centimeters_is_refused_by_its_name() -> None:
     take = _perfect("stand_idle")
     wrong = replace(take, positions=100.0 * take.positions, source="in_cm.csv")
     with pytest.raises(InputError, match=r"^in_cm\.csv: .*in meters\?"):
-        clean(wrong, corrector=Hold(KINECT_V1))
+        Cleaner(corrector=Hold(KINECT_V1)).clean(wrong)
 
 
 def test_a_take_of_nothing_is_refused() -> None:
@@ -326,7 +325,7 @@ def test_correction_does_no_harm_to_real_people(person: str) -> None:
                 continue
             take = Take(np.arange(len(kinect)) / 30.0, kinect, state, KINECT_V1)
             errors["raw"].append(varying(kinect, mocap))
-            methods: tuple[Method, ...] = ("none", "local-pca")
+            methods: tuple[str, ...] = ("none", "local-pca")
             for method in methods:
                 clip = clean(take, CleanConfig(method=method)).clip
                 errors[method].append(varying(clip.positions, mocap))

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from text_files import write_text
 
-from kinefilter import formats
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -31,6 +30,7 @@ from kinefilter.characters import (
     Shape,
     State,
 )
+from kinefilter.pipeline import formats
 from kinefilter.pipeline.formats import (
     atomic_path,
     check_writable,

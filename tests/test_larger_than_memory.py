@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinefilter import spool, training
 from kinefilter.characters import KINECT_V1, InputError
+from kinefilter.pipeline import spool, training
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.lessons import Lessons

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import get_args
+from typing import get_args, get_type_hints
 
 from kinefilter.pipeline.commands import Reproduce
-from kinefilter.pipeline.config import LearnedMethod, Method
-from kinefilter.pipeline.correct.methods import FILTERS, FROM_DATABASE, LEARNED
+from kinefilter.pipeline.commands.train import Train
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.studies import STUDIES
+from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS
 
 ROOT = Path(__file__).parents[1]
 
 
 def test_every_method_can_be_chosen() -> None:
-    assert set(get_args(Method)) == {*FILTERS, *FROM_DATABASE, *LEARNED}
-    assert set(get_args(LearnedMethod)) == set(LEARNED)
+    chosen = get_type_hints(CleanConfig)
+    assert {*METHODS} == {*get_args(get_args(chosen["method"])[0])}
+    assert {*SCORERS} == {*get_args(chosen["scoring"])}
+    assert {*LEARNED} == {*get_args(get_type_hints(Train)["method"])}
+
+
+def test_every_method_is_where_the_table_says() -> None:
+    for name, method in METHODS.items():
+        made = method.load()
+        assert callable(made), name
+        assert method.options == () or set(method.options) <= set(CleanConfig.__dict__)
 
 
 def test_every_study_is_in_the_help() -> None:

@@ -9,7 +9,6 @@ import pytest
 from known_motions import BODY, stamps, standing
 from skeletons import every_skeleton
 
-from kinefilter import metrics
 from kinefilter.characters import (
     KINECT_V1,
     Skeleton,
@@ -17,6 +16,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import normalize
+from kinefilter.pipeline import metrics
 from kinefilter.pipeline.metrics import (
     amplitude,
     bone_length_cv,

@@ -1,0 +1,206 @@
+"""One list of stages: whole, frame by frame, swapped, and behind one door."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from real_data import PAIRS, paired
+from skeletons import every_skeleton
+
+import kinefilter
+from kinefilter import Avatar, CleanConfig, Cleaner, InputError, clean
+from kinefilter.characters import KINECT_V1, Skeleton, Take, standard_body
+from kinefilter.pipeline.correct import Correction, Corrector, Observation
+from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.lab.accuracy import Tally
+from kinefilter.pipeline.lab.evaluate import evaluate
+from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.methods import METHODS
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.reliability import measure_body
+from kinefilter.pipeline.stages import Correct, Stage
+from kinefilter.scenes.sensor import sample_take
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def take() -> Take:
+    return sample_take()
+
+
+def evaluated(
+    pair: PairedTake, monkeypatch: pytest.MonkeyPatch, **options: Any
+) -> Array:
+    """Return the positions that ``evaluate --methods default`` measures."""
+    found: list[Array] = []
+    add = Tally.add
+
+    def watched(self: Tally, pair: PairedTake, positions: Array, s: float) -> None:
+        found.append(positions)
+        add(self, pair, positions, s)
+
+    monkeypatch.setattr(Tally, "add", watched)
+    evaluate([], [pair], ["default"], **options)
+    _, positions = found  # raw, then default
+    return positions
+
+
+@paired
+def test_evaluate_measures_what_clean_gives_to_the_last_bit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pair = read_pairs(PAIRS / "s03.npz")[7]
+    expected = clean(pair.take).clip.positions
+    np.testing.assert_array_equal(evaluated(pair, monkeypatch), expected)
+
+
+def test_evaluate_without_physics_is_clean_without_physics(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pair = simulate("office", "office", seed=5)
+    plain = clean(pair.take, CleanConfig(physics=False)).clip.positions
+    found = evaluated(pair, monkeypatch, physics=False)
+    np.testing.assert_array_equal(found, plain)
+
+
+def test_an_avatar_steps_the_same_list(take: Take) -> None:
+    body = measure_body(take)
+    avatar, cleaner = Avatar(body), Cleaner()
+    cleaner.start(body)
+    for k in range(90):
+        frame = take.positions[k], float(take.time[k]), take.state[k]
+        pose, draft = avatar.step(*frame), cleaner.step(*frame)
+        np.testing.assert_array_equal(pose.positions, draft.positions)
+        np.testing.assert_array_equal(pose.rotations, draft.rotations)
+        np.testing.assert_array_equal(pose.stands, draft.stands)
+
+
+@every_skeleton
+def test_scores_and_corrections_of_takes_are_those_of_their_frames(
+    skeleton: Skeleton,
+) -> None:
+    """What does not look ahead is the same, frame by frame or at once."""
+    take = simulate("basic", "punch", skeleton=skeleton.name, seed=3).take
+    cleaner = Cleaner().without("failures").until("correct")
+    whole = cleaner.whole(take)
+    for stage in cleaner.stages:
+        stage.start(whole.body)
+        for k in range(len(take) if stage.name != "measure" else 0):
+            frame = Draft(
+                skeleton, float(take.time[k]), take.positions[k], take.state[k]
+            )
+            for name in ("reliability", "geometry"):
+                setattr(frame, name, getattr(whole, name)[k])
+            if stage.name == "correct":
+                before = Cleaner().without("failures").until("standardize").whole(take)
+                frame.standard, frame.heading = before.standard[k], before.heading.at(k)
+            stage.step(frame)
+            if stage.name == "correct":
+                np.testing.assert_allclose(
+                    frame.positions, whole.positions[k], atol=1e-9
+                )
+                np.testing.assert_array_equal(frame.confidence, whole.confidence[k])
+
+
+class Raised(Stage):
+    """Lifts every joint, by a little more in each frame."""
+
+    name = "raised"
+    adds = ("measured",)
+
+    def start(self, body: object) -> None:  # noqa: ARG002 - any body
+        self._height = 0.0
+
+    def step(self, draft: Draft) -> None:
+        self._height += 0.01
+        draft.measured = draft.measured + np.array([0.0, self._height, 0.0])
+
+
+def test_a_stage_that_knows_frames_alone_does_takes_too(take: Take) -> None:
+    draft = Draft.of(take)
+    draft.body = standard_body(KINECT_V1)
+    stage = Raised()
+    stage.whole(draft, lambda _, count: range(count))
+    lift = (np.arange(len(take)) + 1) * 0.01
+    expected = take.positions + lift[:, None, None] * [0.0, 1.0, 0.0]
+    np.testing.assert_allclose(draft.measured, expected)
+
+
+class Still(Corrector):
+    """Answers every frame with the rest posture."""
+
+    def __init__(self) -> None:
+        rest = standard_body(KINECT_V1).rest_positions
+        self._rest = rest - rest[KINECT_V1.root]
+
+    def step(self, observation: Observation) -> Correction:
+        nothing = np.zeros(len(observation.positions))
+        return Correction(self._rest, None, nothing, 1.0)
+
+
+def test_another_correction_takes_the_place_of_the_named_one(take: Take) -> None:
+    config = CleanConfig(physics=False)
+    swapped = Cleaner(config).replaced(Correct(config, Still())).clean(take)
+    given = Cleaner(config, corrector=Still()).clean(take)
+    np.testing.assert_array_equal(swapped.clip.positions, given.clip.positions)
+    elbow = swapped.clip.positions[:, KINECT_V1.index("ElbowRight"), 1]
+    shoulder = swapped.clip.positions[:, KINECT_V1.index("ShoulderRight"), 1]
+    assert np.abs(elbow - shoulder).max() < 0.05  # a T-pose throughout
+    with pytest.raises(InputError, match=r"no stage 'raised' to replace; .*physics"):
+        Cleaner().replaced(Raised())
+
+
+def test_without_physics_the_last_stage_is_left_out() -> None:
+    names = [stage.name for stage in Cleaner().stages]
+    assert len(set(names)) == len(names)
+    shorter = [stage.name for stage in Cleaner(CleanConfig(physics=False)).stages]
+    assert [*shorter, "physics"] == names
+    assert [stage.name for stage in Cleaner().without("physics").stages] == shorter
+
+
+def test_what_has_to_see_the_whole_take_is_refused_live() -> None:
+    method = METHODS["butterworth"].load()(KINECT_V1)
+    avatar = Avatar(standard_body(KINECT_V1), corrector=method)
+    with pytest.raises(InputError, match="whole take"):
+        avatar.step(standard_body(KINECT_V1).rest_positions, 0.0)
+
+
+# The door
+
+
+def test_every_name_that_kinefilter_gives_is_there() -> None:
+    assert sorted(kinefilter.__all__) == sorted(dir(kinefilter))
+    for name in kinefilter.__all__:
+        assert getattr(kinefilter, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'cleaned'"):
+        _ = kinefilter.cleaned
+
+
+def modules_after(code: str) -> set[str]:
+    """Return the modules that a new interpreter has loaded after some code."""
+    code += "\nimport sys; print(*sys.modules, sep='\\n')"
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(result.stdout.split())
+
+
+def test_importing_kinefilter_loads_nothing_heavy() -> None:
+    loaded = modules_after("import kinefilter; kinefilter.__version__")
+    assert not loaded & {"mujoco", "pxr", "sklearn", "scipy", "numpy", "plotly"}
+
+
+def test_cleaning_with_defaults_needs_no_lab() -> None:
+    path = Path(__file__).parents[1] / "scenes" / "takes" / "wave_punch_bend.csv"
+    loaded = modules_after(
+        f"import kinefilter; kinefilter.clean(kinefilter.read_take({str(path)!r}))"
+    )
+    lab = ("kinefilter.pipeline.lab", "kinefilter.scenes.library")
+    lab += ("kinefilter.scenes.sensor",)
+    assert [name for name in loaded if name.startswith(lab)] == []
