@@ -15,12 +15,13 @@ from .terminal import clips_of, keep, out, progress_bars, write_json
 class Evaluate:
     """Measure correction methods against marker mocap.
 
-    E: distance of limb joints to the mocap, relative to the middle of the hips; E_std:
-    both sides at standard bone lengths first; E_var: without each joint's constant
-    offset over a clip, what one sees as wrong motion. Means over frames and joints,
-    then over people, in cm, and against raw.
+    Each method corrects in the place of clean's own, and the clip that comes out is
+    compared with the mocap: E, the distance of limb joints relative to the middle of
+    the hips; E_std, the same with both sides at standard bone lengths; E_var, the same
+    without each joint's constant offset over a clip, which is what one sees as wrong
+    motion. Means over frames and joints, then over people, in cm, and against raw.
 
-    default is local-pca after the embedded offsets, as clean does it. best is a
+    default is exactly what clean does, none is clean without any correction. best is a
     Gaussian process over posture, movement and segment lengths, with a part shared by
     all people and a part for people of like proportions.
     """
@@ -30,14 +31,14 @@ class Evaluate:
     test: tuple[Path, ...] = ()
     """Pairs files to test on; default: one person of --train after the other."""
     methods: str = (
-        "butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,"
+        "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,"
         "exemplar,full-gp,local-gp,clustered-gp,best"
     )
     """Methods, comma-separated."""
     protocol: Literal["people", "repetitions"] = "people"
     """Test on people, or on repetitions of known people, that were not learned from."""
-    physics: bool = False
-    """Send what the methods give through the simulated character too."""
+    physics: bool = True
+    """Pull the simulated character through what the methods give, as clean does."""
     ablation: bool = False
     """Also measure methods without a part of them: local-gp without terms of its
     energy (Liu 2016, Table 5), Shum's methods A and B beside local-pca."""

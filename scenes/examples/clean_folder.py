@@ -1,0 +1,35 @@
+"""Clean every take in a folder and write a USD clip of each.
+
+    python clean_folder.py TAKES CLIPS
+
+``kinefilter batch TAKES -o CLIPS`` does the same on all cores and keeps a manifest.
+"""
+
+import sys
+from pathlib import Path
+
+import kinefilter
+
+
+def main(takes: Path, clips: Path) -> None:
+    """Clean the CSV takes in a folder.
+
+    Args:
+        takes: Folder of takes.
+        clips: Folder for the clips; made if it is not there.
+    """
+    clips.mkdir(parents=True, exist_ok=True)
+    cleaner = kinefilter.Cleaner()  # loads its database once for all takes
+    for path in sorted(takes.glob("*.csv")):
+        try:
+            result = cleaner.clean(kinefilter.read_take(path))
+        except kinefilter.InputError as error:
+            print(error)
+            continue
+        kinefilter.write_clip(result.clip, clips / f"{path.stem}.usdc")
+        before, after = result.stages["raw"], result.stages["physics"]
+        print(f"{path.name}: jitter {before.jitter:.0f} to {after.jitter:.0f} m/s^3")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,29 @@
+"""Compare two correction methods on pairs of Kinect and mocap.
+
+    python compare_methods.py PAIRS [METHOD METHOD]
+
+``kinefilter simulate box --motion lift_box --pairs pairs.npz -o take.csv`` makes pairs
+of a simulated person.
+"""
+
+import sys
+from pathlib import Path
+
+import kinefilter
+from kinefilter.pipeline.pairs import read_pairs
+
+
+def main(path: Path, *methods: str) -> None:
+    """Print how far the clips of each method are from the mocap.
+
+    Args:
+        path: Pairs file.
+        methods: Names of correction methods.
+    """
+    figures = kinefilter.evaluate([], read_pairs(path), methods or ("none", "default"))
+    for name, row in figures["methods"].items():
+        print(f"{name}: E {row['E']:.2f} cm, E_var {row['E_var']:.2f} cm")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *sys.argv[2:])

@@ -1,0 +1,55 @@
+"""Correct by a method of one's own, written in one file.
+
+    python own_corrector.py TAKE CLIP
+
+To give the method a name on the command line, put its class into ``pipeline/correct``
+and add one line to ``METHODS`` in ``pipeline/methods.py``.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import kinefilter
+from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
+
+
+class Mirror(Corrector):
+    """Puts an unreliable joint where its partner on the other side is, mirrored.
+
+    Args:
+        skeleton: The joints.
+    """
+
+    def __init__(self, skeleton):
+        self._hold, self._partner = Hold(skeleton), skeleton.mirror
+
+    def start(self):
+        """Forget all frames."""
+        self._hold.start()
+
+    def step(self, observation: Observation) -> Correction:
+        """Correct the next frame: the root is at the origin and faces +z."""
+        filled = self._hold.step(observation)
+        mirrored = filled.positions[self._partner] * [-1.0, 1.0, 1.0]
+        share = (observation.rate * filled.trust)[:, None]
+        positions = share * filled.positions + (1.0 - share) * mirrored
+        return Correction(positions, None, share[:, 0], np.nan)
+
+
+def main(path: Path, clip: Path) -> None:
+    """Clean a take by the method above.
+
+    Args:
+        path: The take.
+        clip: The clip to write.
+    """
+    take = kinefilter.read_take(path)
+    cleaner = kinefilter.Cleaner(corrector=Mirror(take.skeleton))
+    kinefilter.write_clip(cleaner.clean(take).clip, clip)
+    print(f"wrote {clip}")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
