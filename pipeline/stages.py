@@ -34,9 +34,9 @@ from .config import CleanConfig
 from .correct import Corrector, Hold, Observation
 from .correct.one_euro import OneEuro
 from .draft import Draft
+from .factory import make_corrector, make_scorer
 from .failures import distrust, find_failures, unmirrored
 from .formats.contacts import read_contacts
-from .methods import make_corrector, make_scorer
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress

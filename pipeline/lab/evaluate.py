@@ -19,7 +19,8 @@ from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.database.build import database_from_pairs
-from kinefilter.pipeline.methods import METHODS, SCORERS, make_scorer
+from kinefilter.pipeline.factory import make_scorer
+from kinefilter.pipeline.methods import METHODS, SCORERS
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import measure_reference

@@ -1,0 +1,110 @@
+"""Correction methods and reliability scorers, made as a config asks for them."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Any
+
+from kinefilter.characters import InputError, Skeleton
+
+from .config import CleanConfig
+from .correct import Corrector, InTurn, LocalPCA
+from .database import PostureDatabase, builtin_database
+from .methods import METHODS, SCORERS, load
+from .models import Model, load_model
+from .reliability import Reference, ReliabilityScorer
+
+_MODEL_RATE = 0.5
+"""Least reliability of what a model made of a measured joint: it then counts a fifth.
+In simulated takes 0.5 to 0.75 do about as well."""
+
+
+def make_scorer(
+    name: str, skeleton: Skeleton, reference: Reference
+) -> ReliabilityScorer:
+    """Return a reliability scorer by its name, for one person's segment lengths."""
+    scorer: ReliabilityScorer = load(SCORERS[name])(skeleton, reference)
+    return scorer
+
+
+def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
+    """Return the correction method that a config names, for a skeleton.
+
+    Raises:
+        InputError: The database or model is of another skeleton, or missing.
+    """
+    if config.model is not None:
+        return _from_model(skeleton, config, load_model(config.model))
+    if config.adapt:
+        raise InputError("--adapt needs --model with a model of method local-gp")
+    name = config.method or "default"
+    method = METHODS[name]
+    if method.made_of == "pairs":
+        raise InputError(
+            f"--method {name} learns: give --model with a file of 'kinefilter train'"
+        )
+    of = skeleton if method.made_of == "skeleton" else _database(skeleton, config)
+    options = {option: getattr(config, option) for option in method.options}
+    made: Corrector = method.load()(of, **options)
+    return made
+
+
+def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
+    """Return the shipped joint offsets, then local PCA.
+
+    The shipped model knows constant offsets alone. Whole postures can be learned from
+    simulated people too (``kinefilter train --simulated``); no study shows that
+    recorded people gain from it, so it is not the default.
+
+    Args:
+        database: Natural postures.
+        options: Of local PCA.
+    """
+    from .correct import InTurn
+
+    folder = resources.files("kinefilter.pipeline").joinpath("embedded")
+    with resources.as_file(folder / f"{database.skeleton.name}.npz") as path:
+        offsets = load_model(path).corrector
+    return InTurn(offsets, LocalPCA(database, **options))
+
+
+def _database(skeleton: Skeleton, config: CleanConfig) -> PostureDatabase:
+    if config.database is None:
+        return builtin_database(skeleton)
+    database = PostureDatabase.load(config.database)
+    if database.skeleton.name != skeleton.name:
+        raise InputError(
+            f"{config.database}: a database of {database.skeleton.name} postures, but "
+            f"the take is {skeleton.name}; build one with 'kinefilter database build "
+            f"--skeleton {skeleton.name}'"
+        )
+    return database
+
+
+def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector:
+    if model.skeleton.name != skeleton.name:
+        raise InputError(
+            f"{config.model}: a model for {model.skeleton.name}, but the take is "
+            f"{skeleton.name}; train one on pairs of that skeleton"
+        )
+    if config.method not in (None, model.method, "local-pca"):
+        raise InputError(
+            f"{config.model}: a model of method {model.method}, but --method says "
+            f"{config.method}; leave one of the two out, or let --method local-pca "
+            "follow the model"
+        )
+    corrector: Any = model.corrector
+    if config.adapt:
+        if "adapt" not in METHODS[model.method].options:
+            raise InputError(
+                f"{config.model}: a model of method {model.method} cannot --adapt; "
+                "train one of method local-gp"
+            )
+        corrector.adapt = True
+    if config.method != "local-pca":
+        learned: Corrector = corrector
+        return learned
+    database, pca = _database(skeleton, config), METHODS["local-pca"]
+    options = {option: getattr(config, option) for option in pca.options}
+    follower = pca.load()(database, **options)
+    return InTurn(corrector, follower, least_rate=_MODEL_RATE)
