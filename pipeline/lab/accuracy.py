@@ -141,6 +141,15 @@ class Tally:
         self._seconds += seconds
         self._frames += len(positions)
 
+    def extend(self, other: Tally) -> None:
+        """Add the clips of another tally."""
+        for name, person in other._people.items():
+            mine = self._people.setdefault(name, _Person())
+            for field_name, values in vars(person).items():
+                getattr(mine, field_name).extend(values)
+        self._seconds += other._seconds
+        self._frames += other._frames
+
     def summary(self) -> dict[str, Any]:
         """Return the figures: means over frames and joints, then over people."""
         each = {name: person.figures() for name, person in self._people.items()}

@@ -27,6 +27,7 @@ from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.training import training_set
+from kinefilter.pipeline.workers import workers
 
 from .accuracy import Accuracy, Tally
 from .bench import Timed
@@ -37,6 +38,7 @@ _LIU_TERMS = {
     "local-gp S+R": {"temporal": 0.0},
 }
 _WITHOUT_PARTS = ("nearest", "no-reliability")
+_WORTH_PROCESSES = 100  # clips to clean, for which processes are started
 _LEARNED_REPETITIONS = 7  # e01 to e07 teach, e08 to e10 test
 
 
@@ -96,12 +98,10 @@ def evaluate(
         if ablation and isinstance(whole := correctors.get("local-gp"), LocalGP):
             for name, terms in _LIU_TERMS.items():
                 correctors[name] = whole.with_terms(**terms)
-        for k in progress("test", len(fold.test)):
-            pair = fold.test[k]
+        for pair in fold.test:
             tallies["raw"].add(pair, pair.take.positions, 0.0)
-            for name, corrector in correctors.items():
-                tally = tallies.setdefault(name, Tally(accuracy))
-                _test(pair, corrector, tally, config)
+        for name, found in _tested(fold.test, correctors, config, progress).items():
+            tallies.setdefault(name, Tally(accuracy)).extend(found)
     tested = [pair for fold in folds for pair in fold.test]
     return {
         "protocol": protocol,
@@ -112,15 +112,40 @@ def evaluate(
     }
 
 
+def _tested(
+    pairs: Sequence[PairedTake],
+    correctors: dict[str, Corrector],
+    config: CleanConfig,
+    progress: Progress,
+) -> dict[str, Tally]:
+    """Return what each method does on clips; many clips go to all cores."""
+    if len(pairs) * len(correctors) < _WORTH_PROCESSES:
+        return {
+            name: _test(pairs, corrector, config, progress)
+            for name, corrector in correctors.items()
+        }
+    with workers() as pool:
+        jobs = [pool.submit(_test, pairs, c, config) for c in correctors.values()]
+        done = list(zip(correctors, jobs, strict=True))
+        return {name: result.result() for name, result in over(done, "test", progress)}
+
+
 def _test(
-    pair: PairedTake, corrector: Corrector, tally: Tally, config: CleanConfig
-) -> None:
-    """Clean a take by a method and tally the clip beside the truth."""
+    pairs: Sequence[PairedTake],
+    corrector: Corrector,
+    config: CleanConfig,
+    progress: Progress = silent,
+) -> Tally:
+    """Clean takes by a method and tally the clips beside the truth."""
+    tally = Tally(Accuracy(pairs[0].take.skeleton))
     correct = Timed(Correct(config, corrector))
-    clip = Cleaner(config).replaced(correct).clean(pair.take).clip
-    # A clip is level; the truth is in the sensor's frame.
-    truth = replace(pair, truth=leveled(pair.truth, clip.tilt))
-    tally.add(truth, clip.positions, sum(correct.seconds))
+    cleaner = Cleaner(config).replaced(correct)
+    for pair in over(pairs, "test", progress):
+        clip = cleaner.clean(pair.take).clip
+        # A clip is level; the truth is in the sensor's frame.
+        truth = replace(pair, truth=leveled(pair.truth, clip.tilt))
+        tally.add(truth, clip.positions, correct.seconds[-1])
+    return tally
 
 
 def _correctors(
