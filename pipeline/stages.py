@@ -362,12 +362,19 @@ class Floor(Stage):
 
 
 class Feet(Stage):
-    """Keeps standing feet where they stand, and lifts them where they step."""
+    """Keeps standing feet where they stand, and lifts them where they step.
+
+    Args:
+        config: Says when feet stand, or names a file that does.
+        contacts: When they do instead (CONTACTS), shape (T, 4).
+    """
 
     name = "feet"
 
-    def __init__(self, config: CleanConfig) -> None:
-        self._feet, self._file = config.feet, config.contacts
+    def __init__(
+        self, config: CleanConfig, contacts: NDArray[np.bool_] | None = None
+    ) -> None:
+        self._feet, self._file, self._given = config.feet, config.contacts, contacts
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
@@ -403,8 +410,10 @@ class Feet(Stage):
         stands, heels = draft.stands, None
         if self._feet != "auto":
             stands = np.full_like(stands, self._feet == "always")
+        contacts = self._given
         if self._file is not None:
             contacts = read_contacts(self._file, draft.time)
+        if contacts is not None:
             stands, heels = feet_of(contacts), contacts[:, ::2]
         draft.positions, heels = plant_feet(
             draft.time, draft.positions, draft.confidence, stands, draft.body, heels

@@ -8,17 +8,13 @@ from known_motions import stamps
 from numpy.typing import NDArray
 from scipy.signal import butter, filtfilt
 
-from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline.correct.filters import (
+from kinefilter.characters import KINECT_V1, InputError, standard_body
+from kinefilter.pipeline.correct import Corrector, Observation
+from kinefilter.pipeline.correct.one_euro import OneEuro
+from kinefilter.pipeline.lab.methods.filters import (
     Butterworth,
-    OneEuro,
     SavitzkyGolay,
     bridge_gaps,
-)
-from kinefilter.pipeline.correct.interface import (
-    Observation,
-    ObservedTake,
-    WholeTakeCorrector,
 )
 
 Array = NDArray[np.float64]
@@ -32,9 +28,16 @@ whole_take = pytest.mark.parametrize(
 )
 
 
-def take_of(positions: Array, time: Array | None = None) -> ObservedTake:
+def take_of(positions: Array, time: Array | None = None) -> Observation:
     time = stamps(len(positions)) if time is None else time
-    return ObservedTake(time, positions, np.ones(positions.shape[:2]))
+    ones = np.ones(positions.shape[:2])
+    return Observation(positions, ones, ones, time)
+
+
+def filtered(
+    corrector: Corrector, positions: Array, time: Array | None = None
+) -> Array:
+    return corrector.whole(take_of(positions, time)).positions
 
 
 def single(values: Array) -> Array:
@@ -44,18 +47,6 @@ def single(values: Array) -> Array:
 
 def noise(count: int, joints: int = 2, seed: int = 0) -> Array:
     return np.random.default_rng(seed).normal(size=(count, joints, 3))
-
-
-def run(corrector: OneEuro, positions: Array, time: Array | None = None) -> Array:
-    time = stamps(len(positions)) if time is None else time
-    ones = np.ones(positions.shape[1])
-    corrector.start()
-    return np.array(
-        [
-            corrector.step(Observation(p, ones, ones, float(t))).positions
-            for p, t in zip(positions, time, strict=True)
-        ]
-    )
 
 
 def walking(path: Array) -> Array:
@@ -91,16 +82,17 @@ def test_ends_stay_where_a_joint_was_seen_and_unseen_joints_stay_open() -> None:
 
 
 @whole_take
-def test_they_see_whole_takes(corrector: WholeTakeCorrector) -> None:
-    assert isinstance(corrector, WholeTakeCorrector)
+def test_they_see_whole_takes_only(corrector: Corrector) -> None:
+    with pytest.raises(InputError, match="cannot correct it frame by frame"):
+        corrector.step(take_of(noise(5)).frame(0))
 
 
 @whole_take
 def test_time_reversal_commutes_so_that_there_is_no_lag(
-    corrector: WholeTakeCorrector,
+    corrector: Corrector,
 ) -> None:
-    forward = corrector.correct(take_of(noise(80)))
-    backward = corrector.correct(take_of(noise(80)[::-1]))
+    forward = filtered(corrector, noise(80))
+    backward = filtered(corrector, noise(80)[::-1])
     # The recursive filter's start and end differ a little.
     middle = slice(25, 55)
     np.testing.assert_allclose(backward[::-1][middle], forward[middle], atol=1e-4)
@@ -108,37 +100,37 @@ def test_time_reversal_commutes_so_that_there_is_no_lag(
 
 @whole_take
 def test_joints_never_seen_stay_open_and_gaps_do_not(
-    corrector: WholeTakeCorrector,
+    corrector: Corrector,
 ) -> None:
     positions = noise(50, 3)
     positions[:, 1], positions[10:20, 2] = np.nan, np.nan
-    result = corrector.correct(take_of(positions))
+    result = filtered(corrector, positions)
     assert np.isnan(result[:, 1]).all()
     assert np.isfinite(result[:, [0, 2]]).all()
-    alone = corrector.correct(take_of(positions[:, :1]))
+    alone = filtered(corrector, positions[:, :1])
     np.testing.assert_allclose(result[:, :1], alone, atol=1e-12)
     nothing = np.full((50, 2, 3), np.nan)
-    assert np.isnan(corrector.correct(take_of(nothing))).all()
+    assert np.isnan(filtered(corrector, nothing)).all()
 
 
 @whole_take
 @pytest.mark.parametrize("count", [1, 2, 8])
 def test_takes_shorter_than_the_filter_pass_through_as_copies(
-    corrector: WholeTakeCorrector, count: int
+    corrector: Corrector, count: int
 ) -> None:
     positions = noise(count)
-    result = corrector.correct(take_of(positions))
+    result = filtered(corrector, positions)
     np.testing.assert_array_equal(result, positions)
     assert not np.shares_memory(result, positions)
 
 
 @whole_take
 def test_noise_is_lowered_and_the_take_is_not_modified(
-    corrector: WholeTakeCorrector,
+    corrector: Corrector,
 ) -> None:
     positions = noise(300)
     before = positions.copy()
-    result = corrector.correct(take_of(positions))
+    result = filtered(corrector, positions)
     np.testing.assert_array_equal(positions, before)
     assert result.std() < 0.75 * positions.std()
 
@@ -152,7 +144,7 @@ def test_half_of_the_amplitude_is_left_at_the_cutoff_in_phase(
     cutoff: float, order: int
 ) -> None:
     wave = np.sin(2.0 * np.pi * cutoff * stamps(600) + 0.3)
-    result = Butterworth(cutoff, order).correct(take_of(single(wave)))
+    result = filtered(Butterworth(cutoff=cutoff, order=order), single(wave))
     middle = slice(200, 400)
     np.testing.assert_allclose(result[middle, 0, 0], 0.5 * wave[middle], atol=1e-6)
 
@@ -161,23 +153,23 @@ def test_butterworth_is_the_transfer_function_run_both_ways() -> None:
     values = noise(120)
     coefficients = butter(2, 6.0, fs=FPS)
     expected = filtfilt(*coefficients, values, axis=0)
-    result = Butterworth(6.0, 2).correct(take_of(values))
+    result = filtered(Butterworth(cutoff=6.0, order=2), values)
     np.testing.assert_allclose(result, expected, atol=1e-9)
 
 
 def test_the_frame_rate_is_the_median_of_the_stamps() -> None:
     values, time = noise(120), stamps(120)
     time[60:] += 5.0
-    paused = Butterworth().correct(take_of(values, time))
-    np.testing.assert_allclose(paused, Butterworth().correct(take_of(values)))
-    slower = Butterworth(3.0).correct(take_of(values, 2.0 * stamps(120)))
-    np.testing.assert_allclose(slower, Butterworth(6.0).correct(take_of(values)))
+    paused = filtered(Butterworth(), values, time)
+    np.testing.assert_allclose(paused, filtered(Butterworth(), values))
+    slower = filtered(Butterworth(cutoff=3.0), values, 2.0 * stamps(120))
+    np.testing.assert_allclose(slower, filtered(Butterworth(cutoff=6.0), values))
 
 
 @pytest.mark.parametrize("cutoff", [15.1, 40.0])
 def test_a_cutoff_that_the_rate_cannot_hold_changes_nothing(cutoff: float) -> None:
     values = noise(50)
-    result = Butterworth(cutoff).correct(take_of(values))
+    result = filtered(Butterworth(cutoff=cutoff), values)
     np.testing.assert_array_equal(result, values)
 
 
@@ -187,10 +179,10 @@ def test_a_cutoff_that_the_rate_cannot_hold_changes_nothing(cutoff: float) -> No
 def test_cubic_motion_passes_unchanged_and_quartic_does_not() -> None:
     time = stamps(60) - 1.0
     cubic = single(1.0 + 2.0 * time - 3.0 * time**2 + 4.0 * time**3)
-    filtered = SavitzkyGolay().correct(take_of(cubic))
-    np.testing.assert_allclose(filtered, cubic, atol=1e-10)
+    result = filtered(SavitzkyGolay(), cubic)
+    np.testing.assert_allclose(result, cubic, atol=1e-10)
     quartic = single(100.0 * time**4)
-    changed = SavitzkyGolay().correct(take_of(quartic))
+    changed = filtered(SavitzkyGolay(), quartic)
     assert np.abs(changed - quartic).max() > 1e-4
 
 
@@ -198,15 +190,15 @@ def test_cubic_motion_passes_unchanged_and_quartic_does_not() -> None:
 def test_the_window_reaches_over_its_seconds(fps: float, reach: int) -> None:
     impulse = np.zeros(101)
     impulse[50] = 1.0
-    take = take_of(single(impulse), np.arange(101) / fps)
-    touched = np.flatnonzero(np.abs(SavitzkyGolay().correct(take)[:, 0, 0]) > 1e-12)
+    result = filtered(SavitzkyGolay(), single(impulse), np.arange(101) / fps)
+    touched = np.flatnonzero(np.abs(result[:, 0, 0]) > 1e-12)
     assert touched.min() == 50 - reach
     assert touched.max() == 50 + reach
 
 
 def test_a_rate_at_which_a_cubic_fits_every_frame_changes_nothing() -> None:
     values = noise(50)
-    result = SavitzkyGolay().correct(take_of(values, np.arange(50) / 10.0))
+    result = filtered(SavitzkyGolay(), values, np.arange(50) / 10.0)
     np.testing.assert_array_equal(result, values)
 
 
@@ -246,14 +238,14 @@ def test_one_euro_is_the_scalar_algorithm_from_any_first_stamp(
     path = np.zeros((100, 3))
     path[:, 1] = values
     corrector = OneEuro(KINECT_V1, min_cutoff=1.5, beta=beta, derivative_cutoff=0.8)
-    result = run(corrector, walking(path), time)[:, HAND, 1] - REST[HAND, 1]
+    result = filtered(corrector, walking(path), time)[:, HAND, 1] - REST[HAND, 1]
     expected = scalar_one_euro(time, values, 1.5, beta, 0.8)
     np.testing.assert_allclose(result, expected, atol=1e-12)
 
 
 def test_a_person_at_rest_passes_unchanged() -> None:
     positions = np.tile(REST, (30, 1, 1))
-    np.testing.assert_array_equal(run(OneEuro(KINECT_V1), positions), positions)
+    np.testing.assert_array_equal(filtered(OneEuro(KINECT_V1), positions), positions)
 
 
 def test_the_fast_lag_less_than_without_beta_and_than_the_bound() -> None:
@@ -262,7 +254,7 @@ def test_the_fast_lag_less_than_without_beta_and_than_the_bound() -> None:
     truth = walking(path)
 
     def lag(beta: float) -> float:
-        result = run(OneEuro(KINECT_V1, beta=beta), truth)
+        result = filtered(OneEuro(KINECT_V1, beta=beta), truth)
         return float(np.linalg.norm(result[-1, HAND] - truth[-1, HAND]))
 
     # Exponential smoothing trails a steady motion by its time constant.
@@ -275,8 +267,8 @@ def test_the_fast_lag_less_than_without_beta_and_than_the_bound() -> None:
 def test_the_result_does_not_depend_on_the_axes() -> None:
     path = np.cumsum(0.05 * noise(60, 1)[:, 0], axis=0)
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-    straight = run(OneEuro(KINECT_V1), walking(path))[:, HAND] - REST[HAND]
-    turned = run(OneEuro(KINECT_V1), walking(path @ turn))[:, HAND] - REST[HAND]
+    straight = filtered(OneEuro(KINECT_V1), walking(path))[:, HAND] - REST[HAND]
+    turned = filtered(OneEuro(KINECT_V1), walking(path @ turn))[:, HAND] - REST[HAND]
     np.testing.assert_allclose(turned, straight @ turn, atol=1e-12)
 
 
@@ -286,7 +278,7 @@ def test_a_missing_hand_stays_on_its_wrist_and_returns_without_a_jump() -> None:
     positions[:, [WRIST, HAND]] += path[:, None]
     positions[20:40, HAND] = np.nan
     corrector = OneEuro(KINECT_V1)
-    result = run(corrector, positions)
+    result = filtered(corrector, positions)
     bone = result[:, HAND] - result[:, WRIST]
     np.testing.assert_allclose(bone[19:40], np.tile(bone[19], (21, 1)), atol=5e-4)
     assert np.linalg.norm(np.diff(result[:, HAND], axis=0), axis=1).max() < 0.03
@@ -302,7 +294,7 @@ def test_what_was_never_seen_hangs_as_in_rest_and_begins_where_it_appears() -> N
     positions = np.tile(REST, (12, 1, 1))
     positions[:, HAND] += [0.2, 0.1, 0.0]
     positions[:6, HAND] = np.nan
-    result = run(OneEuro(KINECT_V1), positions)
+    result = filtered(OneEuro(KINECT_V1), positions)
     np.testing.assert_allclose(result[:6, HAND], np.tile(REST[HAND], (6, 1)), atol=1e-9)
     np.testing.assert_array_equal(result[6:, HAND], positions[6:, HAND])
 
@@ -310,12 +302,12 @@ def test_what_was_never_seen_hangs_as_in_rest_and_begins_where_it_appears() -> N
 def test_start_forgets_all_frames() -> None:
     corrector, positions = OneEuro(KINECT_V1), REST + 0.05 * noise(30, JOINTS)
     positions[:5, HAND] = np.nan
-    first = run(corrector, positions)
-    np.testing.assert_array_equal(run(corrector, positions), first)
+    first = filtered(corrector, positions)
+    np.testing.assert_array_equal(filtered(corrector, positions), first)
 
 
 def test_a_repeated_stamp_divides_nothing_by_zero() -> None:
     positions = REST + 0.05 * noise(10, JOINTS)
     with np.errstate(all="raise"):
-        result = run(OneEuro(KINECT_V1), positions, np.zeros(10))
+        result = filtered(OneEuro(KINECT_V1), positions, np.zeros(10))
     assert np.isfinite(result).all()

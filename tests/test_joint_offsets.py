@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -20,25 +19,29 @@ from kinefilter.characters import (
     SKELETONS,
     Skeleton,
     State,
-    Take,
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.config import Method
-from kinefilter.pipeline.correct import Correction, Hold, Observation, joint_offsets
-from kinefilter.pipeline.correct.in_turn import InTurn
+from kinefilter.pipeline.correct import (
+    Correction,
+    Hold,
+    InTurn,
+    Observation,
+    joint_offsets,
+)
 from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
-from kinefilter.pipeline.correct.take import CorrectedTake
 from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.default import default_corrector
+from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.lab.accuracy import Accuracy
-from kinefilter.pipeline.lab.evaluate import evaluate, observed
+from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.lab.simulate import simulate, simulated_pairs
+from kinefilter.pipeline.methods import default_corrector
 from kinefilter.pipeline.models import load_model
-from kinefilter.pipeline.target.person import corrected_body
-from kinefilter.pipeline.training import training_set
+from kinefilter.pipeline.progress import silent
+from kinefilter.pipeline.stages import MeasureCorrectedBody
+from kinefilter.pipeline.training import observed, training_set
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -141,7 +144,7 @@ def test_what_was_not_measured_stays_open_to_the_next_method() -> None:
     posture = _postures(KINECT_V1)[0].copy()
     posture[KINECT_V1.index("HandLeft")] = np.nan
     watch = Watch(KINECT_V1)
-    InTurn([_shipped(KINECT_V1), watch]).step(_seen(posture))
+    InTurn(_shipped(KINECT_V1), watch).step(_seen(posture))
     np.testing.assert_array_equal(np.isnan(watch.saw), np.isnan(posture))
     assert np.nanmax(np.abs(watch.saw - posture)) > 0.01
 
@@ -155,15 +158,19 @@ def test_a_whole_take_is_moved_as_its_frames_are(
     postures[5:20, KINECT_V2.index("ElbowLeft")] = np.nan
     postures[13:15] = np.nan
     corrector = _shipped(KINECT_V2)
-    stepped = np.array([corrector.step(_seen(frame)).positions for frame in postures])
-    stepped[np.isnan(postures)] = np.nan
-    np.testing.assert_allclose(corrector.move(postures), stepped, atol=1e-12)
+    ones = np.ones(postures.shape[:2])
+    whole = corrector.whole(Observation(postures, ones, ones, np.arange(40) / 30.0))
+    corrector.start()
+    for k, frame in enumerate(postures):
+        stepped = corrector.step(_seen(frame))
+        np.testing.assert_allclose(whole.positions[k], stepped.positions, atol=1e-12)
+        np.testing.assert_array_equal(whole.trust[k], stepped.trust)
 
 
 def test_the_default_forgets_when_it_starts_again() -> None:
     corrector = default_corrector(builtin_database(KINECT_V1))
     pair = simulate("basic", "punch", sensor="v1", seed=1300)
-    frames = observed(pair).positions[:20]
+    frames = observed(pair).standard[:20]
     runs = []
     for _ in range(2):
         corrector.start()
@@ -176,7 +183,7 @@ def test_bones_are_measured_again_after_correction() -> None:
     body = standard_body(KINECT_V1)
     act = perform("raise_arms", body, seed=1)
     state = np.full(act.positions.shape[:2], State.TRACKED, dtype=np.uint8)
-    take = Take(act.time, act.positions, state, KINECT_V1)
+    draft = Draft(KINECT_V1, act.time, act.positions, state)
     moved = act.positions.copy()
     shins = []
     for side in ("Left", "Right"):
@@ -187,12 +194,14 @@ def test_bones_are_measured_again_after_correction() -> None:
         moved[:, ankle] += step
         moved[:, foot] += step
         shins.append(ankle)
-    trust = np.ones(state.shape)
-    corrected = CorrectedTake(moved, None, trust, np.ones(len(take)))
-    found = corrected_body(take, corrected)
-    np.testing.assert_allclose(found.lengths[shins], 1.1 * body.lengths[shins])
-    same = corrected_body(take, replace(corrected, positions=act.positions))
-    np.testing.assert_allclose(same.lengths, body.lengths, rtol=1e-6)
+    measure = MeasureCorrectedBody(CleanConfig())
+    draft.positions = moved
+    measure.whole(draft, silent)
+    lengths = draft.body.lengths
+    np.testing.assert_allclose(lengths[shins], 1.1 * body.lengths[shins])
+    draft.positions = act.positions
+    measure.whole(draft, silent)
+    np.testing.assert_allclose(draft.body.lengths, body.lengths, rtol=1e-6)
 
 
 @pytest.mark.parametrize("more", [[], ["pairs.npz", "--simulated", "kinect_v1"]])
@@ -226,7 +235,7 @@ def test_what_a_model_made_of_a_guess_counts_for_something() -> None:
     rate = np.ones(len(posture))
     rate[[hand, wrist]] = 0.0
     watch = Watch(KINECT_V1)
-    methods = InTurn([_shipped(KINECT_V1), watch], least_rate=0.65)
+    methods = InTurn(_shipped(KINECT_V1), watch, least_rate=0.65)
     methods.step(Observation(posture, rate, rate))
     expected = np.where(np.arange(len(rate)) == wrist, 0.65, rate)
     np.testing.assert_array_equal(watch.saw.rate, expected)
@@ -238,7 +247,7 @@ def test_local_pca_follows_a_model_where_it_is_asked_to() -> None:
     folder = resources.files("kinefilter.pipeline") / "embedded"
     pair = simulate("office", "office", sensor="v1", seed=1301)
     accuracy, error = Accuracy(KINECT_V1), {}
-    methods: tuple[Method | None, ...] = (None, "local-pca")
+    methods: tuple[str | None, ...] = (None, "local-pca")
     with resources.as_file(folder / "kinect_v1.npz") as path:
         for method in methods:
             config = CleanConfig(model=path, method=method, physics=False)

@@ -23,10 +23,10 @@ from kinefilter.characters import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.local_gp import LocalGP
-from kinefilter.pipeline.correct.methods import LEARNED
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
+from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.models import Model, load_model, save_model
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.training import training_set
@@ -220,7 +220,7 @@ def test_every_learned_method_trains_saves_and_cleans(
     method: str, pairs: list[PairedTake], tmp_path: Path
 ) -> None:
     lessons = training_set(pairs)
-    learner = LEARNED[method](KINECT_V1).fit(lessons)
+    learner = LEARNED[method].load()(KINECT_V1).fit(lessons)
     path = tmp_path / "m.npz"
     save_model(Model(learner, method, KINECT_V1, lessons.source), path)
     take, truth = pairs[4].take, pairs[4].truth

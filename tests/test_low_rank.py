@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from kinefilter.pipeline.correct.interface import ObservedTake, WholeTakeCorrector
+from kinefilter.characters import InputError
+from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.lab.methods.low_rank import (
     Decomposition,
     LowRank,
@@ -38,9 +39,14 @@ def corrupted(truth: Array, share: float = 0.05, seed: int = 1) -> Array:
     return truth + np.where(wrong, errors, 0.0)
 
 
-def take_of(positions: Array) -> ObservedTake:
+def take_of(positions: Array) -> Observation:
     time = np.arange(len(positions)) / 30.0
-    return ObservedTake(time, positions, np.ones(positions.shape[:2]))
+    ones = np.ones(positions.shape[:2])
+    return Observation(positions, ones, ones, time)
+
+
+def recovered(corrector: LowRank, positions: Array) -> Array:
+    return corrector.whole(take_of(positions)).positions
 
 
 def matrix_of(positions: Array) -> Array:
@@ -118,8 +124,8 @@ def test_five_percent_of_corrupted_entries_are_recovered(
 ) -> None:
     truth = movement(frames, rank)
     seen = corrupted(truth)
-    corrector = LowRank(sparsity)
-    result = corrector.correct(take_of(seen))
+    corrector = LowRank(sparsity=sparsity)
+    result = recovered(corrector, seen)
     assert corrector.converged_
     assert error(seen, truth) > 0.025
     assert error(result, truth) < 0.02
@@ -129,7 +135,7 @@ def test_five_percent_of_corrupted_entries_are_recovered(
 @pytest.mark.parametrize("rank", [1, 3, 5])
 def test_clean_low_rank_movement_comes_back_unchanged(rank: int) -> None:
     truth = movement(300, rank, seed=3)
-    result = LowRank().correct(take_of(truth))
+    result = recovered(LowRank(), truth)
     np.testing.assert_allclose(result, truth, atol=1e-6)
 
 
@@ -138,7 +144,7 @@ def test_gaps_are_filled_from_the_joints_that_were_seen() -> None:
     seen = truth.copy()
     seen[50:80, 4], seen[:20, 7], seen[180:, 9] = np.nan, np.nan, np.nan
     gap = np.isnan(seen[..., 0])
-    result = LowRank().correct(take_of(seen))
+    result = recovered(LowRank(), seen)
     assert np.isfinite(result).all()
     filled = np.linalg.norm(result - truth, axis=2)
     assert filled[~gap].mean() < 0.005
@@ -163,21 +169,22 @@ def test_joints_never_seen_stay_open_and_do_not_matter() -> None:
     truth = movement(100, 3)
     seen = corrupted(truth)
     seen[:, [2, 5]] = np.nan
-    result = LowRank().correct(take_of(seen))
+    result = recovered(LowRank(), seen)
     assert np.isnan(result[:, [2, 5]]).all()
-    alone = LowRank().correct(take_of(np.delete(seen, [2, 5], axis=1)))
+    alone = recovered(LowRank(), np.delete(seen, [2, 5], axis=1))
     np.testing.assert_allclose(np.delete(result, [2, 5], axis=1), alone, atol=1e-12)
-    nothing = LowRank().correct(take_of(np.full((5, JOINTS, 3), np.nan)))
+    nothing = recovered(LowRank(), np.full((5, JOINTS, 3), np.nan))
     assert np.isnan(nothing).all()
 
 
 @pytest.mark.parametrize("frames", [1, 2, 30])
 def test_takes_of_any_length_and_of_zeros_are_finite(frames: int) -> None:
     corrector = LowRank()
-    assert isinstance(corrector, WholeTakeCorrector)
-    assert np.isfinite(corrector.correct(take_of(movement(frames, 2)))).all()
+    with pytest.raises(InputError, match="cannot correct it frame by frame"):
+        corrector.step(take_of(movement(frames, 2)).frame(0))
+    assert np.isfinite(recovered(corrector, movement(frames, 2))).all()
     zeros = np.zeros((frames, JOINTS, 3))
-    np.testing.assert_array_equal(corrector.correct(take_of(zeros)), zeros)
+    np.testing.assert_array_equal(recovered(corrector, zeros), zeros)
     assert corrector.converged_
     assert corrector.iterations_ == 0
 
@@ -185,15 +192,15 @@ def test_takes_of_any_length_and_of_zeros_are_finite(frames: int) -> None:
 def test_recovery_scales_with_the_take_and_leaves_it_alone() -> None:
     seen = corrupted(movement(100, 3))
     before = seen.copy()
-    result = LowRank().correct(take_of(seen))
+    result = recovered(LowRank(), seen)
     np.testing.assert_array_equal(seen, before)
-    doubled = LowRank().correct(take_of(2.0 * seen))
+    doubled = recovered(LowRank(), 2.0 * seen)
     np.testing.assert_allclose(doubled, 2.0 * result, atol=1e-9)
 
 
 def test_running_out_of_iterations_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kinefilter.pipeline.lab.methods.low_rank._MOST_ITERATIONS", 3)
-    corrector = LowRank(1.0)
-    corrector.correct(take_of(corrupted(movement(50, 3))))
+    corrector = LowRank(sparsity=1.0)
+    recovered(corrector, corrupted(movement(50, 3)))
     assert not corrector.converged_
     assert corrector.iterations_ == 3

@@ -156,9 +156,3 @@ def test_raw_beside_itself_keeps_all_and_empty_frames_do_not_count() -> None:
     figures = asdict(quality)
     assert np.isnan(figures.pop("flight_error"))  # no foot ever left the floor
     assert all(np.isfinite(value) for value in figures.values())
-
-
-def test_all_names_are_sorted_and_there() -> None:
-    assert sorted(metrics.__all__) == list(metrics.__all__)
-    for name in metrics.__all__:
-        assert hasattr(metrics, name)

@@ -15,19 +15,29 @@ from kinefilter import CleanConfig, CleanResult, clean
 from kinefilter.characters import (
     CONTACTS,
     KINECT_V1,
+    Body,
     State,
     Take,
     standard_body,
 )
-from kinefilter.pipeline.correct import CorrectedTake
+from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
+from kinefilter.pipeline.progress import silent
+from kinefilter.pipeline.stages import (
+    Bones,
+    Feet,
+    Floor,
+    Level,
+    Orient,
+    Smooth,
+    Stage,
+)
 from kinefilter.pipeline.target.contacts import (
     SIDES,
     ankles_and_toes,
     feet_of,
     find_stance,
 )
-from kinefilter.pipeline.target.target import Feet, Target, make_target
 from kinefilter.scenes.library import Performance, perform
 
 Array = NDArray[np.float64]
@@ -36,14 +46,30 @@ BODY = standard_body(KINECT_V1)
 ANKLES, TOES = ankles_and_toes(KINECT_V1)
 
 
-def corrected(positions: Array, trust: Array | None = None) -> CorrectedTake:
+def placed(
+    time: Array,
+    positions: Array,
+    body: Body = BODY,
+    confidence: Array | None = None,
+    contacts: NDArray[np.bool_] | None = None,
+    **options: Any,
+) -> Draft:
+    """Pass corrected positions through the stages from the floor to the rotations."""
     shape = positions.shape[:2]
-    trust = np.ones(shape) if trust is None else trust
-    return CorrectedTake(positions, None, trust, np.full(len(positions), np.nan))
+    state = np.full(shape, State.TRACKED, dtype=np.uint8)
+    draft = Draft(body.skeleton, time, positions, state)
+    draft.positions, draft.body = positions, body
+    draft.confidence = np.ones(shape) if confidence is None else confidence
+    config = CleanConfig(**options)
+    level, feet = Level(config), Feet(config, contacts)
+    stages: list[Stage] = [level, Smooth(config), Floor(config), feet]
+    for stage in [*stages, Bones(), Orient()]:
+        stage.whole(draft, silent)
+    return draft
 
 
-def target_of(act: Performance, **options: Any) -> Target:
-    return make_target(act.time, corrected(noisy(act)), BODY, cutoff=6.0, **options)
+def target_of(act: Performance, **options: Any) -> Draft:
+    return placed(act.time, noisy(act), **options)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +91,7 @@ def test_the_soles_of_standing_feet_hardly_move_once_bones_are_in_place(
 ) -> None:
     act = perform(motion, BODY, seed=1)
     target = target_of(act)
-    posed = target.posed(BODY)
+    posed = target.posed
     assert target.stands.any()
     for foot, toe in enumerate(TOES):
         stands = target.stands[1:, foot] & target.stands[:-1, foot]
@@ -91,7 +117,7 @@ def test_contacts_say_heel_and_toes_of_both_feet(kick: Performance) -> None:
 
 @pytest.mark.parametrize("feet", ["never", "always"])
 def test_feet_stand_never_or_always_where_they_are_told_to(
-    walk: Performance, feet: Feet
+    walk: Performance, feet: str
 ) -> None:
     target = target_of(walk, feet=feet)
     assert (target.stands == (feet == "always")).all()
@@ -102,7 +128,7 @@ def test_feet_stand_never_or_always_where_they_are_told_to(
 
 
 @pytest.mark.parametrize("feet", ["auto", "never", "always"])
-def test_given_contacts_have_the_last_word(kick: Performance, feet: Feet) -> None:
+def test_given_contacts_have_the_last_word(kick: Performance, feet: str) -> None:
     contacts = np.zeros((len(kick), 4), dtype=np.bool_)
     contacts[40:80, :2] = True
     contacts[60:, 2:] = True
@@ -142,8 +168,7 @@ def test_the_target_does_not_depend_on_how_high_the_sensor_is(
     kick: Performance, lift: float
 ) -> None:
     low = target_of(kick)
-    raised = corrected(noisy(kick) + np.array([0.0, lift, 0.0]))
-    high = make_target(kick.time, raised, BODY, cutoff=6.0)
+    high = placed(kick.time, noisy(kick) + np.array([0.0, lift, 0.0]))
     assert high.floor == pytest.approx(low.floor + lift, abs=1e-6)
     np.testing.assert_array_equal(high.contacts, low.contacts)
     np.testing.assert_allclose(high.positions, low.positions, atol=1e-4)
@@ -159,9 +184,7 @@ def test_a_floor_that_is_given_is_the_floor(kick: Performance) -> None:
 
 def test_who_hangs_in_the_air_over_a_given_floor_stays_there() -> None:
     path = np.tile(BODY.rest_positions, (60, 1, 1)) + np.array([0.0, 0.6, 0.0])
-    target = make_target(
-        np.arange(60) / 30.0, corrected(path), BODY, cutoff=6.0, feet="never", floor=0.0
-    )
+    target = placed(np.arange(60) / 30.0, path, feet="never", floor=0.0)
     np.testing.assert_allclose(target.positions, path, atol=1e-6)
 
 
@@ -170,9 +193,9 @@ def test_who_hangs_in_the_air_over_a_given_floor_stays_there() -> None:
 
 @pytest.mark.parametrize("feet", ["auto", "always", "never"])
 def test_bones_keep_their_length_and_nothing_is_under_the_floor(
-    walk: Performance, feet: Feet
+    walk: Performance, feet: str
 ) -> None:
-    posed = target_of(walk, feet=feet).posed(BODY)
+    posed = target_of(walk, feet=feet).posed
     assert bone_length_cv(posed, BODY) < 1e-9
     # Feet that are kept where the body is not can pull the toes down.
     least = -0.03 if feet == "always" else -0.005
@@ -182,18 +205,15 @@ def test_bones_keep_their_length_and_nothing_is_under_the_floor(
 def test_without_a_cutoff_a_perfect_take_without_feet_is_left_alone(
     walk: Performance,
 ) -> None:
-    take = corrected(walk.positions)
-    target = make_target(walk.time, take, BODY, cutoff=0.0, feet="never", floor=0.0)
-    np.testing.assert_allclose(target.posed(BODY), walk.positions, atol=2e-3)
+    target = placed(walk.time, walk.positions, cutoff=0.0, feet="never", floor=0.0)
+    np.testing.assert_allclose(target.posed, walk.positions, atol=2e-3)
 
 
 def test_arguments_are_not_modified(kick: Performance) -> None:
     positions, trust = noisy(kick), np.full(kick.positions.shape[:2], 0.9)
     contacts = np.ones((len(kick), 4), dtype=np.bool_)
     before = [np.copy(a) for a in (kick.time, positions, trust, contacts)]
-    make_target(
-        kick.time, corrected(positions, trust), BODY, cutoff=6.0, contacts=contacts
-    )
+    placed(kick.time, positions, confidence=trust, contacts=contacts)
     after = (kick.time, positions, trust, contacts)
     for array, copy in zip(after, before, strict=True):
         np.testing.assert_array_equal(array, copy)
@@ -285,5 +305,5 @@ def test_who_sits_keeps_the_feet_still() -> None:
 def test_both_skeletons_have_feet(skeleton: Any) -> None:
     body = standard_body(skeleton)
     act = perform("step_over", body, seed=0)
-    target = make_target(act.time, corrected(act.positions), body, cutoff=6.0)
+    target = placed(act.time, act.positions, body)
     assert 0.3 < target.stands.mean() < 1.0
