@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from kinefilter.characters import InputError
+
+from .formats.takes import FORMATS
 
 LearnedMethod = Literal[
     "best", "local-gp", "clustered-gp", "full-gp", "exemplar", "joint-offsets"
@@ -28,16 +30,10 @@ Method = Literal[
 ]
 """Correction methods by name (see ``correct/methods.py``)."""
 
-TakeFormat = Literal[
-    "kinefilter",
-    "kinect-v2",
-    "kinect-v1",
-    "msrc-12",
-    "msr-action3d",
-    "ntu",
-    "azure",
-    "bvh",
-]
+if TYPE_CHECKING:
+    TakeFormat = str
+else:
+    TakeFormat = Literal[tuple(FORMATS)]
 """Layouts of takes by name (see ``formats/takes.py``)."""
 
 

@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, InputError, State
 
-from .bodies import Sighting, takes_of
-from .recording import Recording, check_length
+from .files import read_limited
+from .recording import Recording, Sighting, check_length, check_order, takes_of
 
-LARGEST = 2**29
-"""Bytes of JSON at most: an hour without spaces, ten minutes of two people with."""
+_LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with
 
 JOINTS = (
     *("PELVIS", "SPINE_NAVEL", "SPINE_CHEST", "NECK"),
@@ -72,17 +71,14 @@ _TO_OURS = np.array([-1e-3, -1e-3, 1e-3])
 about z, after which a take faces the sensor as takes of Kinect v2 do."""
 
 
-def read_azure(text: str, source: str) -> Recording:
-    """Read the text of a JSON file of bodies.
-
-    Args:
-        text: The whole file.
-        source: The file, for messages.
+def read_azure(source: str) -> Recording:
+    """Read a JSON file of bodies.
 
     Raises:
         InputError: It is no such JSON, or a frame in it is malformed.
     """
     try:
+        text = read_limited(source, _LARGEST)
         root = json.loads(text, object_hook=_slim, parse_int=float)
     except json.JSONDecodeError as error:
         raise InputError(
@@ -108,7 +104,7 @@ def read_azure(text: str, source: str) -> Recording:
         stamps.append(reader.stamp(frame))
         sightings += reader.bodies(frame)
     time = (np.array(stamps) - stamps[0]) * 1e-6
-    _check_order(time, source)
+    check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp_usec'", "frames")
     return Recording(
         takes_of(time, sightings, KINECT_V2, source),
         "azure",
@@ -153,15 +149,6 @@ def _check_names(names: Any, source: str) -> None:
         )
 
 
-def _check_order(time: NDArray[np.float64], source: str) -> None:
-    backwards = np.flatnonzero(np.diff(time) < 0)
-    if len(backwards):
-        raise InputError(
-            f"{source}: frame {backwards[0] + 2}: 'timestamp_usec' goes backwards; "
-            "sort the frames by time or cut the take there"
-        )
-
-
 class _FrameReader:
     """Reads a frame and says what is wrong in it."""
 
@@ -169,14 +156,12 @@ class _FrameReader:
         self._index, self._source = index, source
 
     def stamp(self, frame: Any) -> float:
-        """Return the time stamp [us]."""
         stamp = frame.get("timestamp_usec") if isinstance(frame, dict) else None
         if not isinstance(stamp, float) or not abs(stamp) < 1e18:
             self._fail("has no 'timestamp_usec', expected a number")
         return stamp
 
     def bodies(self, frame: dict[str, Any]) -> list[Sighting]:
-        """Return the bodies in the frame."""
         bodies = frame.get("bodies")
         if not isinstance(bodies, list):
             self._fail("has no 'bodies', expected a list")

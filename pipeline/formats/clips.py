@@ -20,22 +20,20 @@ from kinefilter.retarget.body_size import measured_body
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
 from kinefilter.retarget.retargeting import retarget
 
-from .archive import read_npz, write_npz
-from .bvh import Bvh, meters_by_leg
-from .bvh_reader import read_bvh
+from .bvh import Bvh, meters_by_leg, read_bvh
 from .bvh_writer import write_bvh
-from .export import Export, with_y_up
+from .export import USD_SUFFIXES, Export, with_y_up
 from .files import check_file, check_folder
+from .npz import read_npz, write_npz
 from .resample import in_strict_t, resampled
 from .rig import RigMotion, motion_of, motion_of_rig, own_skeleton, retargeted_motion
-from .tables import write_take_csv
+from .sheets import write_take_csv
 from .takes import read_take
 from .targets import target_rig
 from .usd import write_usd
 from .usd_reader import read_usd_clip
 
-_USD = (".usda", ".usdc", ".usd", ".usdz")
-_EXTENSIONS = (*_USD, ".bvh", ".csv", ".npz")
+_EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
 
 
 def check_writable(path: str | os.PathLike[str], export: Export | None = None) -> None:
@@ -54,16 +52,14 @@ def check_writable(path: str | os.PathLike[str], export: Export | None = None) -
     check_folder(path)
     if export is not None:
         export.check(suffix.lower())
-        if export.character is not None:
-            _check_character(export.character)
+        character = export.character
+        if character is not None:
+            if character.suffix.lower() not in USD_SUFFIXES[:3]:
+                known = "expected .usda, .usdc or .usd"
+                raise InputError(f"--character {character}: {known}")
+            check_folder(character)
         if export.rig is not None:
             target_rig(export.rig, export.target, standard_body(KINECT_V2))
-
-
-def _check_character(path: Path) -> None:
-    if path.suffix.lower() not in (".usda", ".usdc", ".usd"):
-        raise InputError(f"--character {path}: expected .usda, .usdc or .usd")
-    check_folder(path)
 
 
 def write_clip(
@@ -93,14 +89,13 @@ def write_clip(
     if export.rest == "t":
         clip = in_strict_t(clip)
     suffix, path = Path(path).suffix.lower(), Path(path)
-    if suffix == ".bvh":
-        write_bvh(clip, _moved(clip, export), path, export)
-    elif suffix == ".csv":
+    if suffix == ".csv":
         write_take_csv(clip, path)
     elif suffix == ".npz":
         write_npz(clip, path)
     else:
-        write_usd(clip, _moved(clip, export), path, export)
+        write = write_bvh if suffix == ".bvh" else write_usd
+        write(clip, _moved(clip, export), path, export)
 
 
 def read_clip(path: str | os.PathLike[str]) -> Clip:
@@ -121,7 +116,7 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
     name = check_file(path).name.lower()
     if name.endswith(".npz"):
         return read_npz(path)
-    if name.endswith(_USD):
+    if name.endswith(USD_SUFFIXES):
         return read_usd_clip(path)
     name = name.removesuffix(".gz")
     if name.endswith(".bvh"):

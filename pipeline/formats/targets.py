@@ -5,6 +5,7 @@ pxr is imported where it is used: loading it takes longer than most commands run
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,11 @@ from kinefilter.characters.rotations import wxyz_from_matrix
 from kinefilter.retarget.rig_map import RigMap, load_rig_map
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
-from .bvh import meters_by_leg
-from .bvh_reader import read_bvh
-from .export import with_y_up
+from .bvh import meters_by_leg, read_bvh
+from .export import USD_SUFFIXES, with_y_up
 from .usd_reader import check_usd
 
 _MOST_JOINTS = 1000  # as in BVH
-_USD = (".usda", ".usdc", ".usd", ".usdz")
 
 
 def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
@@ -44,9 +43,9 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
     suffix = target.suffix.lower()
     if suffix == ".bvh":
         return matched_rig(rig_map, _bvh_rest(target, rig_map), body)
-    if suffix in _USD:
+    if suffix in USD_SUFFIXES:
         return matched_rig(rig_map, _usd_rest(target), body)
-    raise InputError(f"--target {target}: expected .bvh, {', '.join(_USD)}")
+    raise InputError(f"--target {target}: expected .bvh, {', '.join(USD_SUFFIXES)}")
 
 
 def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
@@ -55,9 +54,10 @@ def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
     places = bvh.rest_positions
     joints = bvh.joints
     index = {n: k for k, n in enumerate(joints)}
-    meters = _meters(places[joints], [bvh.names[n] for n in joints], rig_map)
+    names = tuple(bvh.names[n] for n in joints)
+    meters = _meters(places[joints], names, rig_map)
     return RestPose(
-        names=tuple(bvh.names[n] for n in joints),
+        names=names,
         parents=tuple(index.get(bvh.parents[n], -1) for n in joints),
         positions=meters * places[joints],
         lowest=meters * float(places[:, 1].min()),
@@ -65,7 +65,7 @@ def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
     )
 
 
-def _meters(places: Array, names: list[str], rig_map: RigMap) -> float:
+def _meters(places: Array, names: Sequence[str], rig_map: RigMap) -> float:
     """Return the unit [m] in which the legs are nearest to a person's."""
     plain = [rig_map.plain(name) for name in names]
     chain = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
@@ -77,30 +77,22 @@ def _meters(places: Array, names: list[str], rig_map: RigMap) -> float:
 
 def _usd_rest(path: Path) -> RestPose:
     """Return the rest pose of the first skeleton of a USD file, y up, in meters."""
-    from pxr import Tf
+    from pxr import Tf, Usd, UsdGeom, UsdSkel
 
-    check_usd(str(path))
+    source = str(path)
+    check_usd(source)
     try:
-        return _first_skeleton(path)
+        stage = Usd.Stage.Open(source)
+        for prim in stage.Traverse():
+            if prim.IsA(UsdSkel.Skeleton):
+                place = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform
+                world = np.array(place(Usd.TimeCode.EarliestTime()))
+                names, parents, matrices = _joints(UsdSkel.Skeleton(prim), source)
+                return _rest_pose(stage, names, parents, matrices @ world, source)
     except Tf.ErrorException:
         raise InputError(
             f"{path}: cannot be read as USD; expected a UsdSkel skeleton"
         ) from None
-
-
-def _first_skeleton(path: Path) -> RestPose:
-    from pxr import Usd, UsdGeom, UsdSkel
-
-    stage = Usd.Stage.Open(str(path))
-    for prim in stage.Traverse():
-        if prim.IsA(UsdSkel.Skeleton):
-            world = np.array(
-                UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(
-                    Usd.TimeCode.EarliestTime()
-                )
-            )
-            names, parents, matrices = _joints(UsdSkel.Skeleton(prim), str(path))
-            return _rest_pose(stage, names, parents, matrices @ world, str(path))
     raise InputError(f"{path}: has no skeleton; expected a UsdSkel skeleton")
 
 

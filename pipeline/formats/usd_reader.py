@@ -30,13 +30,12 @@ from kinefilter.characters import (
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize
 
-from .archive import props_from_arrays
 from .export import with_y_up
 from .files import check_file
 from .guarded import read_guarded
+from .npz import props_from_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
-from .usd_character import CHARACTER
-from .usd_props import LINEAR
+from .usd_character import CHARACTER, LINEAR
 
 _LARGEST = 2**31  # bytes
 _BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
@@ -286,7 +285,7 @@ def _samples(attribute: Any, codes: Sequence[float]) -> NDArray[Any]:
 def _provenance(
     character: Any, codes: Sequence[float], skeleton: Skeleton, path: str
 ) -> dict[str, NDArray[Any]]:
-    """Return what ``usd_provenance`` wrote, as far as it is there."""
+    """Return what ``usd`` wrote, as far as it is there."""
     tables = {
         "joints": list(skeleton.joints),
         "decidingTermNames": [term.name.lower() for term in Term],
@@ -319,7 +318,7 @@ def _provenance(
 def _props(
     stage: Any, codes: Sequence[float], axes: Callable[[Array], Array], meters: float
 ) -> dict[str, NDArray[Any]]:
-    """Return props as ``archive`` names their arrays."""
+    """Return props as ``npz`` names their arrays."""
     folder = stage.GetPrimAtPath(f"{CHARACTER}/Props")
     arrays: dict[str, NDArray[Any]] = {}
     for k, prim in enumerate(folder.GetChildren() if folder else ()):
