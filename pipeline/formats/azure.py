@@ -14,6 +14,7 @@ database, reliability, failures. Face and clavicles tell nothing more about the 
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
@@ -149,13 +150,13 @@ def _check_names(names: Any, source: str) -> None:
         )
 
 
+@dataclass(frozen=True)
 class _FrameReader:
-    """Reads a frame and says what is wrong in it."""
-
-    def __init__(self, index: int, source: str) -> None:
-        self._index, self._source = index, source
+    index: int
+    source: str
 
     def stamp(self, frame: Any) -> float:
+        """Return the time stamp [us]."""
         stamp = frame.get("timestamp_usec") if isinstance(frame, dict) else None
         if not isinstance(stamp, float) or not abs(stamp) < 1e18:
             self._fail("has no 'timestamp_usec', expected a number")
@@ -178,22 +179,20 @@ class _FrameReader:
                 f"{len(JOINTS)} times three finite numbers in millimeters"
             )
         levels = [item for key, item in body.items() if "confidence" in key]
-        state = self._states(levels[0]) if levels else np.full(len(JOINTS), 2)
+        # None, low (not observed), medium, high: both of the latter are tracked.
+        level = levels[0] if levels else np.full(len(JOINTS), 3)
+        if np.shape(level) != (len(JOINTS),) or not np.isin(level, range(4)).all():
+            self._fail(
+                f"has no {len(JOINTS)} confidence levels, expected 0 none, 1 low, "
+                "2 medium or 3 high for each joint"
+            )
+        state = np.minimum(np.asarray(level, dtype=np.intp), State.TRACKED)
         return Sighting(
-            self._index,
+            self.index,
             int(number),
             positions[_PAIRS].mean(axis=1) * _TO_OURS,
             state[_PAIRS].min(axis=1).astype(np.uint8),
         )
 
-    def _states(self, levels: Any) -> NDArray[np.intp]:
-        """Return the state for each level: none, low (not observed), medium, high."""
-        if np.shape(levels) != (len(JOINTS),) or not np.isin(levels, range(4)).all():
-            self._fail(
-                f"has no {len(JOINTS)} confidence levels, expected 0 none, 1 low, "
-                "2 medium or 3 high for each joint"
-            )
-        return np.minimum(np.asarray(levels, dtype=np.intp), State.TRACKED)
-
     def _fail(self, complaint: str) -> NoReturn:
-        raise InputError(f"{self._source}: frame {self._index + 1} {complaint}")
+        raise InputError(f"{self.source}: frame {self.index + 1} {complaint}")

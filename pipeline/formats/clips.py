@@ -113,12 +113,13 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
         InputError: The file is missing, of another kind or damaged, of somebody else's
             skeleton, or a raw take in which joints are missing.
     """
-    name = check_file(path).name.lower()
-    if name.endswith(".npz"):
-        return read_npz(path)
+    file = check_file(path)
+    name = file.name.lower().removesuffix(".gz")
     if name.endswith(USD_SUFFIXES):
         return read_usd_clip(path)
-    name = name.removesuffix(".gz")
+    with file.open("rb") as opened:
+        if name.endswith(".npz") or opened.read(2) == b"PK":
+            return read_npz(path)
     if name.endswith(".bvh"):
         return _of_own_bvh(read_bvh(path), os.fspath(path)) or _posed(read_take(path))
     if name.endswith(".csv"):

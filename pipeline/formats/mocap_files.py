@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State, Take
-from kinefilter.retarget.source_rig import matching_source_rig
+from kinefilter.retarget.rig_map import matching_source_rig
 
 from .acclaim import read_amc, read_asf
 from .bvh import read_bvh
