@@ -5,22 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from kinefilter.characters import InputError
 
+from .formats.takes import FORMATS
 from .methods import MethodName, ScorerName
 
-TakeFormat = Literal[
-    "kinefilter",
-    "kinect-v2",
-    "kinect-v1",
-    "msrc-12",
-    "msr-action3d",
-    "ntu",
-    "azure",
-    "bvh",
-]
+if TYPE_CHECKING:
+    TakeFormat = str
+else:
+    TakeFormat = Literal[tuple(FORMATS)]
 """Layouts of takes by name (see ``formats/takes.py``)."""
 
 

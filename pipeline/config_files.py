@@ -17,8 +17,7 @@ from kinefilter.characters import InputError
 
 from .config import CleanConfig
 from .formats.export import Export
-from .formats.files import read_limited
-from .formats.toml import LARGEST_TOML, parse_toml
+from .formats.files import LARGEST_TOML, parse_toml, read_limited
 from .settings import Settings, names_file
 
 FOLDER_FILE = "kinefilter.toml"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from rich.console import Group, RenderableType
+from rich.table import Table
 
 from kinefilter.characters import (
     CONTACTS,
@@ -17,33 +18,35 @@ from kinefilter.characters import (
     Clip,
     InputError,
     Origin,
-    Skeleton,
     State,
     Take,
 )
+from kinefilter.characters.arrays import Array
 
 from .database import PostureDatabase
 from .failures import find_failures
-from .formats import Recording, read_clip, read_recording
+from .formats import Recording, read_recording
 from .formats.contacts import claims_contacts, contact_table
 from .formats.files import check_file
 from .formats.mocap import Mocap, kinect_motion
 from .formats.mocap_files import RIGS, read_mocap
-from .formats.npz import array_names
-from .formats.usd_contents import usd_contents
+from .formats.npz import array_names, read_npz
+from .formats.usd_reader import usd_contents
 from .models import load_model
 from .pairs import read_pairs
 
 _GAP = 1.5
 """Time steps longer than this many usual ones hold frames that never arrived."""
+_ARM = ("Shoulder", "Elbow", "Wrist", "Hand", "HandTip", "Thumb")
+_LEG = ("Hip", "Knee", "Ankle", "Foot")
 _PARTS = {
-    "left arm": ("Shoulder", "Elbow", "Wrist", "Hand", "HandTip", "Thumb"),
-    "right arm": ("Shoulder", "Elbow", "Wrist", "Hand", "HandTip", "Thumb"),
-    "left leg": ("Hip", "Knee", "Ankle", "Foot"),
-    "right leg": ("Hip", "Knee", "Ankle", "Foot"),
+    f"{side.lower()} {limb}": tuple(joint + side for joint in joints)
+    for limb, joints in (("arm", _ARM), ("leg", _LEG))
+    for side in ("Left", "Right")
 }
 _USD = (b"#usda", b"PXR-USDC")
 _MOCAP = (".amc", ".c3d")
+_LISTED = 30  # names of joints on a terminal
 
 
 def contents_of(
@@ -63,35 +66,36 @@ def contents_of(
     Raises:
         InputError: The file is missing, malformed or of no known kind.
     """
-    file = check_file(path)
+    file, name = check_file(path), os.fspath(path)
     with file.open("rb") as opened:
         start = opened.read(8)
-    name = os.fspath(path)
-    if format is None and start.startswith(_USD):
-        return {"file": name, "kind": "clip", "format": "usd"} | usd_contents(name)
-    if format is None and start.startswith(b"PK"):
-        if file.suffix.lower() == ".usdz":
-            return {"file": name, "kind": "clip", "format": "usd"} | usd_contents(name)
-        return {"file": name} | _of_npz(name)
-    if format is None and file.name.lower().removesuffix(".gz").endswith(_MOCAP):
-        return {"file": name} | _of_mocap(read_mocap(file))
-    if format is None and claims_contacts(file):
-        return {"file": name} | _of_contacts(file)
-    return {"file": name} | _of_recording(read_recording(path, format=format))
+    packed = start.startswith(b"PK")
+    if format is not None:
+        contents = _of_recording(read_recording(path, format=format))
+    elif start.startswith(_USD) or (packed and file.suffix.lower() == ".usdz"):
+        contents = {"kind": "clip", "format": "usd"} | usd_contents(name)
+    elif packed:
+        contents = _of_npz(name)
+    elif file.name.lower().removesuffix(".gz").endswith(_MOCAP):
+        contents = _of_mocap(read_mocap(file))
+    elif claims_contacts(file):
+        contents = _of_contacts(file)
+    else:
+        contents = _of_recording(read_recording(path))
+    return {"file": name} | contents
 
 
 def _of_npz(name: str) -> dict[str, Any]:
     """Return what an npz holds: a clip, pairs, a model or a motion database."""
     arrays = array_names(name)
-    kinds: dict[str, Callable[[str], dict[str, Any]]] = {
-        "moved_by_physics": _of_clip,
-        "mocap": _of_pairs,
-        "trained_on": _of_model,
-        "labels": _of_database,
-    }
-    for array, describe in kinds.items():
+    for array, describe in (
+        ("moved_by_physics", _of_clip),
+        ("mocap", _of_pairs),
+        ("trained_on", _of_model),
+        ("labels", _of_database),
+    ):
         if array in arrays:
-            return describe(name)
+            return {"format": "npz"} | describe(name)
     raise InputError(
         f"{name}: an npz of {', '.join(sorted(arrays)[:5])[:100] or 'nothing'}, which "
         "is no clip, pairs file, model or motion database of kinefilter"
@@ -99,11 +103,10 @@ def _of_npz(name: str) -> dict[str, Any]:
 
 
 def _of_clip(name: str) -> dict[str, Any]:
-    clip = read_clip(name)
+    clip = read_npz(name)
     force = clip.external_force[np.isfinite(clip.external_force)]
     return {
         "kind": "clip",
-        "format": "npz",
         "unit": "m",
         "source": clip.source,
         "skeleton": clip.skeleton.name,
@@ -112,29 +115,25 @@ def _of_clip(name: str) -> dict[str, Any]:
         "height_m": clip.body.height,
         "mass_kg": clip.body.mass,
         "reliability": float(clip.reliability.mean()),
-        "origin": {
-            origin.name.lower(): float(np.mean(clip.origin == origin))
-            for origin in Origin
-        },
-        "standing": {
-            part: float(clip.contacts[:, k].mean()) for k, part in enumerate(CONTACTS)
-        },
+        "origin": {o.name.lower(): float(np.mean(clip.origin == o)) for o in Origin},
+        "standing": dict(
+            zip(CONTACTS, clip.contacts.mean(axis=0).tolist(), strict=True)
+        ),
         "external_force_body_weights": float(force.mean()) if len(force) else None,
-        "states": _states(clip, clip.skeleton),
+        "states": _states(clip),
     }
 
 
 def _of_contacts(path: Path) -> dict[str, Any]:
     time, contacts = contact_table(path)
+    shares = contacts.mean(axis=0).tolist()
     return {
         "kind": "contacts",
         "format": "csv",
         "rows": len(time),
         "start_s": float(time[0]),
         "seconds": float(time[-1] - time[0]),
-        "share_of_rows_on_the_floor": dict(
-            zip(CONTACTS, contacts.mean(axis=0).tolist(), strict=True)
-        ),
+        "share_of_rows_on_the_floor": dict(zip(CONTACTS, shares, strict=True)),
     }
 
 
@@ -142,7 +141,6 @@ def _of_pairs(name: str) -> dict[str, Any]:
     pairs = read_pairs(name)
     return {
         "kind": "pairs",
-        "format": "npz",
         "skeleton": pairs[0].take.skeleton.name if pairs else None,
         "clips": len(pairs),
         "frames": sum(len(pair.take) for pair in pairs),
@@ -151,12 +149,9 @@ def _of_pairs(name: str) -> dict[str, Any]:
 
 
 def _of_model(name: str) -> dict[str, Any]:
-    from pathlib import Path
-
     model = load_model(Path(name))
     return {
         "kind": "model",
-        "format": "npz",
         "skeleton": model.skeleton.name,
         "method": model.method,
         "learned_from": model.source,
@@ -164,12 +159,9 @@ def _of_model(name: str) -> dict[str, Any]:
 
 
 def _of_database(name: str) -> dict[str, Any]:
-    from pathlib import Path
-
     base = PostureDatabase.load(Path(name))
     return {
         "kind": "database",
-        "format": "npz",
         "skeleton": base.skeleton.name,
         "postures": len(base),
         "motions": len(set(base.labels.tolist())),
@@ -212,24 +204,17 @@ def contents_of_take(take: Take) -> dict[str, Any]:
     seen = (take.state > State.NOT_TRACKED).any(axis=1)
     absent = (take.state == State.NOT_TRACKED).all(axis=0)
     moving = np.concatenate([[True], np.diff(take.time) > 0])
-    distinct = replace(
-        take,
-        time=take.time[moving],
-        positions=take.positions[moving],
-        state=take.state[moving],
-    )
+    names = ("time", "positions", "state")
+    distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
     failures = find_failures(distinct) if len(distinct) > 1 else ()
+    never = np.flatnonzero(absent).tolist()
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
         **_timing(take.time),
         "frames_without_anyone": int(np.sum(~seen)),
-        "joints_never_seen": [
-            joint
-            for joint, gone in zip(take.skeleton.joints, absent, strict=True)
-            if gone
-        ],
-        "states": _states(take, take.skeleton),
+        "joints_never_seen": [take.skeleton.joints[j] for j in never],
+        "states": _states(take),
         "failures": [
             {
                 "kind": failure.kind.name.lower(),
@@ -242,7 +227,7 @@ def contents_of_take(take: Take) -> dict[str, Any]:
     }
 
 
-def _timing(time: NDArray[np.float64]) -> dict[str, Any]:
+def _timing(time: Array) -> dict[str, Any]:
     """Return frames, duration, rate, and what is wrong with the time stamps [s]."""
     steps = np.diff(time)
     forward = steps[steps > 0]
@@ -259,22 +244,78 @@ def _timing(time: NDArray[np.float64]) -> dict[str, Any]:
     }
 
 
-def _states(motion: Take | Clip, skeleton: Skeleton) -> dict[str, dict[str, float]]:
+def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
     """Return the share of every tracking state in each part of the body."""
-    limbs = {
-        part: [
-            skeleton.index(joint + side.capitalize())
-            for joint in joints
-            if joint + side.capitalize() in skeleton.joints
-        ]
-        for part, joints in _PARTS.items()
-        for side in [part.split()[0]]
-    }
-    rest = set(range(len(skeleton))).difference(*limbs.values())
+    parts: dict[str, list[int]] = {"trunk": [], **{part: [] for part in _PARTS}}
+    for j, joint in enumerate(motion.skeleton.joints):
+        limb = [p for p, names in _PARTS.items() if joint in names]
+        parts[limb[0] if limb else "trunk"].append(j)
     return {
         part: {
             state.name.lower(): float(np.mean(motion.state[:, joints] == state))
             for state in State
         }
-        for part, joints in {"trunk": sorted(rest), **limbs}.items()
+        for part, joints in parts.items()
     }
+
+
+# For a terminal
+
+
+def as_tables(contents: dict[str, Any]) -> RenderableType:
+    """Return the contents of a file (``contents_of``) as lines and tables."""
+    lines: list[RenderableType] = [
+        f"{contents['file']}: {contents['kind']}, {contents['format']}"
+    ]
+    told = {"file", "kind", "format", "bodies", "notes", "states"}
+    lines += _facts({k: v for k, v in contents.items() if k not in told})
+    if "states" in contents:
+        lines.append(_state_table(contents["states"]))
+    for body in contents.get("bodies", []):
+        most = ", seen in most frames" * (
+            body["most_seen"] and len(contents["bodies"]) > 1
+        )
+        lines.append(f"body {body['body']} of {len(contents['bodies'])}{most}")
+        told = {"body", "most_seen", "states", "failures"}
+        lines += _facts({k: v for k, v in body.items() if k not in told})
+        lines += [_state_table(body["states"]), *_failures(body["failures"])]
+    return Group(*lines, *contents.get("notes", []))
+
+
+def _facts(facts: dict[str, Any]) -> list[RenderableType]:
+    return [
+        f"  {key.replace('_', ' ')}: {_told(value)}" for key, value in facts.items()
+    ]
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_told(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        more = f", ... ({len(value)})" if len(value) > _LISTED else ""
+        return ", ".join(map(str, value[:_LISTED])) + more or "none"
+    return "unknown" if value is None else str(value)
+
+
+def _state_table(parts: dict[str, dict[str, float]]) -> Table:
+    states = next(iter(parts.values()))
+    table = Table(
+        "part",
+        *(state.replace("_", " ") for state in states),
+        title="tracking states",
+        title_justify="left",
+    )
+    for part, shares in parts.items():
+        table.add_row(part, *(f"{share:.0%}" for share in shares.values()))
+    return table
+
+
+def _failures(failures: list[dict[str, Any]]) -> list[str]:
+    """Return a line for each kind of failure of a part of the body."""
+    counts = Counter((f["part"], f["kind"].replace("_", " ")) for f in failures)
+    return [
+        f"  tracker failure: {part} {kind}, {count} time{'s' * (count > 1)}"
+        for (part, kind), count in counts.items()
+    ] or ["  no tracker failure found"]

@@ -24,7 +24,6 @@ from .rig_map import SIDES
 from .smooth_step import smooth_step
 from .stance import held, near_stance
 from .target_rig import TargetRig
-from .two_bone import bent_limb
 
 _Limb = tuple[str, str, str]
 
@@ -41,6 +40,7 @@ _SLACK = 0.0175
 share of the leg's length: 1.5 cm of a leg of 86 cm. A guess."""
 _TOE_NEAR = 0.05  # m over the floor: toes that are lower are level. A guess.
 _STEEP, _SLOPING = 0.3, 0.7  # cosines of the sole's slope: toes are level below it
+_SHORT = 1e-9  # m
 _UP, _LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
 
 
@@ -239,3 +239,33 @@ def _leveled(turns: Array, share: Array) -> Array:
     up = rotate(turns, _UP)
     level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
     return slerp(turns, level, share)
+
+
+def bent_limb(
+    start: Array, goal: Array, toward: Array, lengths: Array
+) -> tuple[Array, Array]:
+    """Return where middle and end of a limb of two bones are.
+
+    The law of cosines says how far along the line to the goal the middle is, and how
+    far aside. A goal out of reach is approached as far as the bones go.
+
+    Args:
+        start: Where the limb begins [m], shape (..., 3).
+        goal: Where it should end [m], shape (..., 3).
+        toward: Direction to which the middle bends, of any length but not along the
+            limb, shape (..., 3).
+        lengths: Lengths of the two bones [m], shape (2,).
+
+    Returns:
+        Middle and end [m], each of shape (..., 3).
+    """
+    first, second = lengths
+    line = goal - start
+    asked = np.linalg.norm(line, axis=-1, keepdims=True)
+    along = line / np.maximum(asked, _SHORT)
+    reach = np.clip(asked, max(abs(first - second), _SHORT), first + second)
+    share = (reach**2 + first**2 - second**2) / (2.0 * reach)
+    aside = np.sqrt(np.maximum(first**2 - share**2, 0.0))
+    across = toward - np.sum(toward * along, axis=-1, keepdims=True) * along
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), _SHORT)
+    return start + share * along + aside * across, start + reach * along

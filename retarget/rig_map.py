@@ -1,21 +1,22 @@
-"""Maps to other skeletons: which part of the body turns which of their bones.
+"""Maps between our joints and other skeletons, in TOML files.
 
-Each map is a TOML file in ``rigs``, or the user's. Those in ``source_rigs`` go the
-other way and stay apart: they say where a sensor's joints lie on a skeleton, which
-differs from sensor to sensor, and know neither parents nor a rest pose.
+Those in ``rigs``, or the user's, say which part of the body turns which bones of a
+skeleton. Those in ``source_rigs`` go the other way: they say where a Kinect's joints
+lie on a skeleton that motion comes on, and know neither parents nor a rest pose.
 """
 
 from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from kinefilter.characters import InputError
+from kinefilter.characters import InputError, Skeleton
 
 RIGS = tuple(
     sorted(path.stem for path in (Path(__file__).parent / "rigs").glob("*.toml"))
@@ -117,8 +118,12 @@ def load_rig_map(rig: str) -> RigMap:
 
 @cache
 def _embedded(rig: str) -> RigMap:
-    folder = resources.files("kinefilter.retarget").joinpath("rigs")
-    return _parsed(folder.joinpath(f"{rig}.toml").read_text(encoding="utf-8"), rig)
+    return _parsed(_embedded_text("rigs", rig), rig)
+
+
+def _embedded_text(folder: str, name: str) -> str:
+    file = resources.files("kinefilter.retarget").joinpath(folder, f"{name}.toml")
+    return file.read_text(encoding="utf-8")
 
 
 def _parsed(text: str, source: str) -> RigMap:
@@ -185,3 +190,72 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
             raise InputError(
                 f"{source}: {count} bones are turned_by {part!r}, expected one"
             )
+
+
+# Where motion comes from
+
+
+@dataclass(frozen=True)
+class SourceJoint:
+    """Where a Kinect joint lies on another skeleton."""
+
+    at: tuple[str, ...]
+    """At the mean of these joints."""
+    turned_by: str | None
+    """The joint that turns the segment which ends there; None: no one knows."""
+
+
+@dataclass(frozen=True)
+class SourceRig:
+    """A skeleton that motion comes on."""
+
+    name: str
+    """Name of its file in ``source_rigs``, or of the Kinect whose joints it has."""
+    joints: dict[str, SourceJoint]
+    """By the Kinect joint; those that it has not are left out."""
+
+    @property
+    def needed(self) -> set[str]:
+        """Names of the joints that must be there."""
+        names = {name for joint in self.joints.values() for name in joint.at}
+        return names | {j.turned_by for j in self.joints.values() if j.turned_by}
+
+
+@cache
+def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
+    """Return a rig for a Kinect's joints from its data file in ``source_rigs``."""
+    tables = tomllib.loads(_embedded_text("source_rigs", name))
+    rows = {**tables["limbs"], **tables[skeleton.name]}
+    joints = {
+        joint: SourceJoint(tuple(row["at"]), row.get("turned_by"))
+        for joint, row in rows.items()
+    }
+    return SourceRig(name, joints)
+
+
+@cache
+def _own(skeleton: Skeleton) -> SourceRig:
+    """Return the rig whose joints are the Kinect's own, fingers left out."""
+    fine = ("HandTip", "Thumb")
+    names = [joint for joint in skeleton.joints if not joint.startswith(fine)]
+    joints = {name: SourceJoint((name,), None) for name in names}
+    return SourceRig(skeleton.name, joints)
+
+
+def matching_source_rig(
+    names: Collection[str], skeleton: Skeleton, known: Sequence[str]
+) -> tuple[SourceRig, list[str]]:
+    """Return the rig that joints are of, and which of its joints are missing.
+
+    The first whose joints are all there; if there is none, the one that lacks the
+    smallest share of its own.
+
+    Args:
+        names: Names of the joints that there are.
+        skeleton: The Kinect's joints that are wanted.
+        known: Names of the data files to try, the most particular first.
+    """
+    rigs = [_own(skeleton), *(load_source_rig(name, skeleton) for name in known)]
+    lacks = [sorted(rig.needed - set(names)) for rig in rigs]
+    best = min(range(len(rigs)), key=lambda k: len(lacks[k]) / len(rigs[k].needed))
+    return rigs[best], lacks[best]

@@ -86,14 +86,13 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     """
     bones = [bone for bone in rig_map.bones if bone.offset is not None]
     names = tuple(bone.name for bone in bones)
-    parents = []
     for bone in bones:
         if bone.parent is not None and bone.parent not in names:
             raise InputError(
                 f"{rig_map.name}: bone {bone.parent!r} has no offset, but "
                 f"{bone.name!r} hangs on it; give it one"
             )
-        parents.append(-1 if bone.parent is None else names.index(bone.parent))
+    parents = [-1 if b.parent is None else names.index(b.parent) for b in bones]
     for part in PARTS:
         if part not in OPTIONAL and not any(b.part == part for b in bones):
             raise InputError(
@@ -102,8 +101,9 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
             )
     positions = np.zeros((len(bones), 3))
     for n, bone in enumerate(bones):
-        start = positions[parents[n]] if parents[n] >= 0 else np.zeros(3)
-        positions[n] = start + _offset(bone, bones[parents[n]], body)
+        positions[n] = _offset(bone, bones[parents[n]], body)
+        if parents[n] >= 0:
+            positions[n] += positions[parents[n]]
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
     rig = matched_rig(rig_map, rest, body)
     joints, height = _lowest(rig, body)
@@ -167,14 +167,10 @@ def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
 def _below(rest: RestPose, joint: int) -> list[int]:
     """Return a joint and all that hangs on it."""
     inside = [joint]
-    inside += [n for n in range(joint + 1, len(rest)) if _hangs(rest, n, joint)]
+    for n in range(joint + 1, len(rest)):
+        if rest.parents[n] in inside:
+            inside.append(n)
     return inside
-
-
-def _hangs(rest: RestPose, joint: int, above: int) -> bool:
-    while joint >= 0 and joint != above:
-        joint = rest.parents[joint]
-    return joint == above
 
 
 def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:

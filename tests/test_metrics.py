@@ -16,7 +16,6 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import normalize
-from kinefilter.pipeline import metrics
 from kinefilter.pipeline.metrics import (
     amplitude,
     bone_length_cv,

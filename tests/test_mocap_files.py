@@ -27,7 +27,7 @@ from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
 from kinefilter.pipeline.formats.c3d import read_c3d
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
 from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap
-from kinefilter.retarget.source_rig import load_source_rig, matching_source_rig
+from kinefilter.retarget.rig_map import load_source_rig, matching_source_rig
 
 Array = NDArray[np.float64]
 # ASF and AMC

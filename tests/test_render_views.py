@@ -199,9 +199,9 @@ def test_a_raw_take_is_no_clip(make_clip: MakeClip, tmp_path: Path) -> None:
         read_motion(tmp_path / "take.csv")
 
 
-def test_usd_is_refused_with_what_is_read(tmp_path: Path) -> None:
+def test_usd_without_a_clip_is_refused(tmp_path: Path) -> None:
     (tmp_path / "clip.usda").write_text("#usda 1.0")
-    with pytest.raises(InputError, match=r"render reads \.npz"):
+    with pytest.raises(InputError, match=r"clip\.usda: has no animated skeleton"):
         read_motion(tmp_path / "clip.usda")
 
 

@@ -33,7 +33,8 @@ from kinefilter.pipeline.formats import (
     read_usd_positions,
     write_clip,
 )
-from kinefilter.pipeline.formats.euler import continuous_euler, wxyz_from_euler
+from kinefilter.pipeline.formats.bvh import wxyz_from_euler
+from kinefilter.pipeline.formats.bvh_writer import continuous_euler
 from kinefilter.pipeline.formats.export import RotationOrder
 from kinefilter.pipeline.formats.resample import in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of

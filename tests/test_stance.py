@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from rig_motions import bent_to
 
+from kinefilter.retarget.retargeting import bent_limb
 from kinefilter.retarget.stance import held, near_stance
-from kinefilter.retarget.two_bone import bent_limb
 
 Array = NDArray[np.float64]
 

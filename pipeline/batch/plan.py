@@ -15,8 +15,7 @@ from kinefilter.pipeline.config_files import (
     parse_settings,
 )
 from kinefilter.pipeline.formats import check_writable
-from kinefilter.pipeline.formats.files import read_limited
-from kinefilter.pipeline.formats.toml import LARGEST_TOML
+from kinefilter.pipeline.formats.files import LARGEST_TOML, read_limited
 from kinefilter.pipeline.settings import Settings, fingerprint
 
 from .contacts import check_contacts

@@ -28,8 +28,7 @@ class Info:
         """Read and print."""
         import json
 
-        from kinefilter.pipeline.contents import contents_of
-        from kinefilter.pipeline.contents_table import as_tables
+        from kinefilter.pipeline.contents import as_tables, contents_of
 
         contents = contents_of(self.file, format=self.format)
         if self.json:

@@ -6,15 +6,13 @@ stamps, dropped frames and joints that are missing now and then, or always, are 
 Who is lost and back within 2 s and 0.5 m is the same person (``bodies``).
 """
 
-from .archive import read_clip
-from .bvh import Bvh
-from .bvh_reader import read_bvh
-from .clips import check_writable, write_clip
+from .bvh import Bvh, read_bvh
+from .clips import check_writable, read_clip, write_clip
 from .contacts import read_contacts, write_contacts
 from .export import Export
 from .files import atomic_path, check_folder
 from .recording import Recording
-from .tables import write_take_csv
+from .sheets import write_take_csv
 from .takes import read_recording, read_take, read_takes
 from .usd_reader import read_usd_positions
 

@@ -20,8 +20,7 @@ from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 
-from .bvh_reader import LARGEST_NUMBER, MOST_CELLS
-from .euler import wxyz_from_euler
+from .bvh import LARGEST_NUMBER, MOST_CELLS, wxyz_from_euler
 from .files import open_text
 from .mocap import Mocap
 
@@ -56,25 +55,33 @@ class Acclaim:
 
 
 def read_asf(path: str | os.PathLike[str]) -> Acclaim:
-    """Read an ASF file.
-
-    Raises:
-        InputError: The file is missing or malformed; the message names the line.
-    """
-    source = os.fspath(path)
-    reader = _AsfReader(source)
+    """Read an ASF file; raises InputError, which names the line, where it is wrong."""
+    reader = _AsfReader(os.fspath(path))
     with open_text(path) as lines:
-        for row, line in enumerate(lines, start=1):
-            words = line.split()
-            if words and not words[0].startswith("#"):
-                reader.take(row, words)
+        for row, words in _lines(lines, "#"):
+            reader.take(row, words)
     return reader.finished()
+
+
+def _lines(lines: Iterator[str], comments: str) -> Iterator[tuple[int, list[str]]]:
+    for row, line in enumerate(lines, start=1):
+        words = line.split()
+        if words and words[0][0] not in comments:
+            yield row, words
+
+
+def _numbers(words: list[str], count: int) -> list[float] | None:
+    """Return as many finite numbers, or None."""
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return None
+    fit = len(numbers) == count and (np.abs(numbers) < LARGEST_NUMBER).all()
+    return numbers if fit else None
 
 
 @dataclass
 class _AsfReader:
-    """The bones read so far."""
-
     source: str
     row: int = 0
     section: str = ""
@@ -83,61 +90,49 @@ class _AsfReader:
     bone: _Bone | None = None
 
     def take(self, row: int, words: list[str]) -> None:
-        """Take a line."""
         self.row = row
-        if words[0].startswith(":"):
-            self.section = words[0].lower()
-        elif self.section == ":units" and words[0] == "angle":
-            self.degrees = words[1:2] != ["rad"]
-        elif self.section == ":root":
-            self._root(words)
+        key, values = words[0], words[1:]
+        if key.startswith(":"):
+            self.section = key.lower()
+        elif self.section == ":units" and key == "angle":
+            self.degrees = values[:1] != ["rad"]
+        elif self.section == ":root" and key == "order":
+            self.bones[_ROOT].freedoms = self._freedoms(values)
+        elif self.section == ":root" and key == "orientation":
+            if any(self._numbers(values, 3)):
+                self._fail("turns the root, which is not supported; expected 0 0 0")
         elif self.section == ":bonedata":
-            self._bone_line(words)
-        elif self.section == ":hierarchy" and words[0] not in ("begin", "end"):
+            self._bone_line(key, values)
+        elif self.section == ":hierarchy" and key not in ("begin", "end"):
             self._children(words)
 
-    def _root(self, words: list[str]) -> None:
-        root = self.bones[_ROOT]
-        if words[0] == "order":
-            root.freedoms = self._freedoms(words[1:])
-        elif words[0] == "axis" and len(words) == 2:
-            pass  # the order of the orientation, which is zero in all files
-        elif words[0] == "orientation" and any(self._numbers(words[1:], 3)):
-            self._fail("turns the root, which is not supported; expected 0 0 0")
-
-    def _bone_line(self, words: list[str]) -> None:
-        if words[0] == "begin":
-            self.bone = _Bone()
-            return
-        if words[0] == "end":
-            self.bone = None
+    def _bone_line(self, key: str, values: list[str]) -> None:
+        if key in ("begin", "end"):
+            self.bone = _Bone() if key == "begin" else None
             return
         if self.bone is None:
-            self._fail(f"is {words[0][:40]!r}, expected begin")
-        if words[0] == "name":
-            name = " ".join(words[1:])
+            self._fail(f"is {key[:40]!r}, expected begin")
+        if key == "name":
+            name = " ".join(values)
             if name in self.bones or not name:
                 self._fail(f"names bone {name[:40]!r} again")
             if len(self.bones) > _MOST_BONES:
                 self._fail(f"is bone number {len(self.bones)}, more than any body has")
             self.bones[name] = self.bone
-        elif words[0] == "direction":
-            self.bone.direction = np.array(self._numbers(words[1:], 3))
-        elif words[0] == "length":
-            self.bone.length = self._numbers(words[1:], 1)[0]
-        elif words[0] == "axis":
-            self.bone.axis = self._axis(words[1:])
-        elif words[0] == "dof":
-            self.bone.freedoms = self._freedoms(words[1:])
-
-    def _axis(self, words: list[str]) -> Array:
-        order = words[3].upper() if len(words) == 4 else ""
-        if sorted(order) != ["X", "Y", "Z"]:
-            self._fail("has no axis, expected three numbers and an order such as XYZ")
-        angles = np.array(self._numbers(words[:3], 3))
-        if self.degrees:
-            angles = np.radians(angles)
-        return _turned(angles, order)
+        elif key == "direction":
+            self.bone.direction = np.array(self._numbers(values, 3))
+        elif key == "length":
+            self.bone.length = self._numbers(values, 1)[0]
+        elif key == "axis":
+            order = values[3].upper() if len(values) == 4 else ""
+            if sorted(order) != ["X", "Y", "Z"]:
+                self._fail("has no axis, expected three numbers and an order like XYZ")
+            angles = np.array(self._numbers(values[:3], 3))
+            self.bone.axis = _turned(
+                np.radians(angles) if self.degrees else angles, order
+            )
+        elif key == "dof":
+            self.bone.freedoms = self._freedoms(values)
 
     def _freedoms(self, words: list[str]) -> tuple[str, ...]:
         freedoms = tuple(word.lower() for word in words)
@@ -158,11 +153,8 @@ class _AsfReader:
             self.bones[child].parent = words[0]
 
     def _numbers(self, words: list[str], count: int) -> list[float]:
-        try:
-            numbers = [float(word) for word in words]
-        except ValueError:
-            numbers = []
-        if len(numbers) != count or not (np.abs(numbers) < LARGEST_NUMBER).all():
+        numbers = _numbers(words, count)
+        if numbers is None:
             self._fail(f"is {' '.join(words)[:40]!r}, expected {count} finite numbers")
         return numbers
 
@@ -175,9 +167,8 @@ class _AsfReader:
         ordered = [_ROOT]
         for parent in ordered:
             ordered += [n for n, bone in self.bones.items() if bone.parent == parent]
-        return Acclaim(
-            {name: self.bones[name] for name in ordered}, self.degrees, self.source
-        )
+        bones = {name: self.bones[name] for name in ordered}
+        return Acclaim(bones, self.degrees, self.source)
 
     def _fail(self, complaint: str) -> NoReturn:
         raise InputError(f"{self.source}: line {self.row} {complaint}")
@@ -238,42 +229,31 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
         )
     rows: dict[str, list[list[float]]] = {name: [] for name in moving}
     frames, most = 0, MOST_CELLS // len(skeleton.bones)
+
+    def end_frame(where: str) -> None:
+        for name, values in rows.items():
+            if len(values) != frames:
+                raise InputError(
+                    f"{source}: {where} ends frame {frames} without bone {name!r}; the "
+                    "file may be cut off"
+                )
+
     with open_text(source) as lines:
-        for row, words in _amc_lines(lines):
-            if len(words) == 1 and words[0].isdigit():
-                _check_frame(rows, frames, row, source)
-                frames += 1
-                if frames > most:
-                    raise InputError(
-                        f"{source}: line {row} is frame {frames}, more than any "
-                        "recording has; cut it into shorter files"
-                    )
+        for row, words in _lines(lines, "#:"):
+            if len(words) > 1 or not words[0].isdigit():
+                _take_values(rows, frames, moving, words, f"{source}: line {row}")
                 continue
-            _take_values(rows, frames, moving, words, f"{source}: line {row}")
-    _check_frame(rows, frames, None, source)
+            end_frame(f"line {row}")
+            frames += 1
+            if frames > most:
+                raise InputError(
+                    f"{source}: line {row} is frame {frames}, more than any recording "
+                    "has; cut it into shorter files"
+                )
+    end_frame("the file")
     if not frames:
         raise InputError(f"{source}: has no frames; expected an AMC file")
     return {name: np.array(values) for name, values in rows.items()}
-
-
-def _amc_lines(lines: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
-    for row, line in enumerate(lines, start=1):
-        words = line.split()
-        if words and words[0][0] not in "#:":
-            yield row, words
-
-
-def _check_frame(
-    rows: dict[str, list[list[float]]], frames: int, row: int | None, source: str
-) -> None:
-    """Raise InputError unless the frame that ends here has every bone."""
-    for name, values in rows.items():
-        if len(values) != frames:
-            where = "the file" if row is None else f"line {row}"
-            raise InputError(
-                f"{source}: {where} ends frame {frames} without bone {name!r}; the "
-                "file may be cut off"
-            )
 
 
 def _take_values(
@@ -289,11 +269,8 @@ def _take_values(
             f"{where} moves {name[:40]!r}, which the ASF does not; give the ASF file "
             "of the same subject"
         )
-    try:
-        values = [float(word) for word in words[1:]]
-    except ValueError:
-        values = []
-    if len(values) != moving[name] or not (np.abs(values) < LARGEST_NUMBER).all():
+    values = _numbers(words[1:], moving[name])
+    if values is None:
         raise InputError(
             f"{where} has no {moving[name]} finite numbers for bone {name!r}"
         )

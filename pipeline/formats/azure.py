@@ -14,6 +14,7 @@ database, reliability, failures. Face and clavicles tell nothing more about the 
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
@@ -21,11 +22,10 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, InputError, State
 
-from .bodies import Sighting, takes_of
-from .recording import Recording, check_length
+from .files import read_limited
+from .recording import Recording, Sighting, check_length, check_order, takes_of
 
-LARGEST = 2**29
-"""Bytes of JSON at most: an hour without spaces, ten minutes of two people with."""
+_LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with
 
 JOINTS = (
     *("PELVIS", "SPINE_NAVEL", "SPINE_CHEST", "NECK"),
@@ -72,17 +72,14 @@ _TO_OURS = np.array([-1e-3, -1e-3, 1e-3])
 about z, after which a take faces the sensor as takes of Kinect v2 do."""
 
 
-def read_azure(text: str, source: str) -> Recording:
-    """Read the text of a JSON file of bodies.
-
-    Args:
-        text: The whole file.
-        source: The file, for messages.
+def read_azure(source: str) -> Recording:
+    """Read a JSON file of bodies.
 
     Raises:
         InputError: It is no such JSON, or a frame in it is malformed.
     """
     try:
+        text = read_limited(source, _LARGEST)
         root = json.loads(text, object_hook=_slim, parse_int=float)
     except json.JSONDecodeError as error:
         raise InputError(
@@ -108,7 +105,7 @@ def read_azure(text: str, source: str) -> Recording:
         stamps.append(reader.stamp(frame))
         sightings += reader.bodies(frame)
     time = (np.array(stamps) - stamps[0]) * 1e-6
-    _check_order(time, source)
+    check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp_usec'", "frames")
     return Recording(
         takes_of(time, sightings, KINECT_V2, source),
         "azure",
@@ -153,20 +150,10 @@ def _check_names(names: Any, source: str) -> None:
         )
 
 
-def _check_order(time: NDArray[np.float64], source: str) -> None:
-    backwards = np.flatnonzero(np.diff(time) < 0)
-    if len(backwards):
-        raise InputError(
-            f"{source}: frame {backwards[0] + 2}: 'timestamp_usec' goes backwards; "
-            "sort the frames by time or cut the take there"
-        )
-
-
+@dataclass(frozen=True)
 class _FrameReader:
-    """Reads a frame and says what is wrong in it."""
-
-    def __init__(self, index: int, source: str) -> None:
-        self._index, self._source = index, source
+    index: int
+    source: str
 
     def stamp(self, frame: Any) -> float:
         """Return the time stamp [us]."""
@@ -176,7 +163,6 @@ class _FrameReader:
         return stamp
 
     def bodies(self, frame: dict[str, Any]) -> list[Sighting]:
-        """Return the bodies in the frame."""
         bodies = frame.get("bodies")
         if not isinstance(bodies, list):
             self._fail("has no 'bodies', expected a list")
@@ -193,22 +179,20 @@ class _FrameReader:
                 f"{len(JOINTS)} times three finite numbers in millimeters"
             )
         levels = [item for key, item in body.items() if "confidence" in key]
-        state = self._states(levels[0]) if levels else np.full(len(JOINTS), 2)
+        # None, low (not observed), medium, high: both of the latter are tracked.
+        level = levels[0] if levels else np.full(len(JOINTS), 3)
+        if np.shape(level) != (len(JOINTS),) or not np.isin(level, range(4)).all():
+            self._fail(
+                f"has no {len(JOINTS)} confidence levels, expected 0 none, 1 low, "
+                "2 medium or 3 high for each joint"
+            )
+        state = np.minimum(np.asarray(level, dtype=np.intp), State.TRACKED)
         return Sighting(
-            self._index,
+            self.index,
             int(number),
             positions[_PAIRS].mean(axis=1) * _TO_OURS,
             state[_PAIRS].min(axis=1).astype(np.uint8),
         )
 
-    def _states(self, levels: Any) -> NDArray[np.intp]:
-        """Return the state for each level: none, low (not observed), medium, high."""
-        if np.shape(levels) != (len(JOINTS),) or not np.isin(levels, range(4)).all():
-            self._fail(
-                f"has no {len(JOINTS)} confidence levels, expected 0 none, 1 low, "
-                "2 medium or 3 high for each joint"
-            )
-        return np.minimum(np.asarray(levels, dtype=np.intp), State.TRACKED)
-
     def _fail(self, complaint: str) -> NoReturn:
-        raise InputError(f"{self._source}: frame {self._index + 1} {complaint}")
+        raise InputError(f"{self.source}: frame {self.index + 1} {complaint}")

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip
+from kinefilter.characters.arrays import Array
 
-from .euler import continuous_euler
 from .export import Export
 from .files import atomic_path
 from .rig import Rig, RigMotion
 
+_LOCKED = 1e-7
+"""Cosine of the middle angle below which the outer two are one: sqrt(eps)."""
 _FRAMES_AT_ONCE = 1000  # about a megabyte of text
 _END_SHARE = 0.3  # an end site goes on by this share of its bone, enough to be seen
 
@@ -64,11 +66,12 @@ def _frame_time(clip: Clip) -> float:
     return duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
 
 
-def _motion(moved: RigMotion, rig: Rig, export: Export) -> NDArray[np.float64]:
+def _motion(moved: RigMotion, rig: Rig, export: Export) -> Array:
     """Return places and angles [deg] of each frame, shape (T, 3 + 3 N).
 
     A rig whose root stays has three more columns for the place of that.
     """
+    order = export.rotation_order.upper()
     moving = sorted({0, rig.mover})
     motion = np.empty((len(moved.path), 3 * (len(rig) + len(moving))))
     column = 0
@@ -78,20 +81,14 @@ def _motion(moved: RigMotion, rig: Rig, export: Export) -> NDArray[np.float64]:
             place = moved.path if n == rig.mover else rig.root
             motion[:, column : column + 3] = export.points(place)
             column += 3
-        motion[:, column : column + 3] = _angles(moved, rig, n, export)
+        local = export.axes(rig.local_rotation(moved.rotations, n))
+        motion[:, column : column + 3] = np.degrees(continuous_euler(local, order))
         column += 3
     return motion
 
 
-def _angles(
-    moved: RigMotion, rig: Rig, node: int, export: Export
-) -> NDArray[np.float64]:
-    local = export.axes(rig.local_rotation(moved.rotations, node))
-    return np.degrees(continuous_euler(local, export.rotation_order.upper()))
-
-
 def _hierarchy(
-    rig: Rig, offsets: NDArray[np.float64], order: list[str], node: int, depth: int
+    rig: Rig, offsets: Array, order: list[str], node: int, depth: int
 ) -> Iterator[str]:
     """Yield the lines of a node and all below it."""
     pad, inner = "\t" * depth, "\t" * (depth + 1)
@@ -112,6 +109,71 @@ def _hierarchy(
     yield f"{pad}}}"
 
 
-def _offset(vector: NDArray[np.float64]) -> str:
+def _offset(vector: Array) -> str:
     # Adding zero turns -0.0 into 0.0.
     return "OFFSET " + " ".join(f"{value + 0.0:.9f}" for value in vector)
+
+
+def continuous_euler(rotations: Array, axes: str) -> Array:
+    """Return angles about an axis, the turned second and the twice turned third.
+
+    Of the two triples that give the same rotation, and of all their full turns, each
+    frame gets the one nearest to the frame before.
+
+    Args:
+        rotations: Unit quaternions wxyz over time, shape (T, 4).
+        axes: The three axes in their order, such as ``ZYX``.
+
+    Returns:
+        Angles [rad], unbounded, shape (T, 3).
+    """
+    # The axes renamed to z, y, x: half of the orders are its mirror images, in which
+    # every turn goes the other way.
+    sign = 1.0 if axes in "ZYXZYX" else -1.0
+    x, y, z = (rotations[:, 1 + "XYZ".index(axis)] for axis in reversed(axes))
+    renamed = np.stack([rotations[:, 0], sign * x, sign * y, sign * z], axis=-1)
+    return sign * _continuous_zyx(renamed)
+
+
+def _continuous_zyx(rotations: Array) -> Array:
+    angles = _zyx(rotations)
+    other = np.stack(
+        [angles[:, 0] + np.pi, np.pi - angles[:, 1], angles[:, 2] + np.pi], axis=-1
+    )
+    # Crossing over costs the same whichever triple the frame before has, so the
+    # choice is the parity of the crossings up to now.
+    stay = _squared_turn(angles[1:] - angles[:-1])
+    cross = _squared_turn(other[1:] - angles[:-1])
+    crossed = np.concatenate([[False], np.cumsum(cross < stay) % 2 == 1])
+    chosen = np.where(crossed[:, None], other, angles)
+    return np.unwrap(chosen, axis=0)
+
+
+def _squared_turn(difference: Array) -> Array:
+    wrapped = (difference + np.pi) % (2.0 * np.pi) - np.pi
+    return np.asarray(np.sum(wrapped**2, axis=-1))
+
+
+def _zyx(rotations: Array) -> Array:
+    """Return the triple with the middle angle in [-pi/2, pi/2], shape (T, 3)."""
+    w, x, y, z = np.moveaxis(np.asarray(rotations, dtype=np.float64), -1, 0)
+    m00, m10 = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)
+    m01, m11 = 2.0 * (x * y - w * z), w * w - x * x + y * y - z * z
+    m20 = 2.0 * (x * z - w * y)
+    m21, m22 = 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
+    cosine = np.hypot(m00, m10)
+    locked = cosine < _LOCKED
+    turn_x = _held(np.arctan2(m21, m22), locked)
+    # With the middle angle a quarter turn, z and x turn about one line: x is held and
+    # z takes the rest. m01 and m11 are then -sin and cos of z minus or plus x.
+    sign = np.where(m20 < 0.0, 1.0, -1.0)
+    turn_z = np.where(
+        locked, np.arctan2(-m01, m11) + sign * turn_x, np.arctan2(m10, m00)
+    )
+    return np.stack([turn_z, np.arctan2(-m20, cosine), turn_x], axis=-1)
+
+
+def _held(values: Array, gaps: NDArray[np.bool_]) -> Array:
+    """Return values with those in gaps replaced by the last before, at first by 0."""
+    last = np.maximum.accumulate(np.where(gaps, -1, np.arange(len(values))))
+    return np.where(last < 0, 0.0, values[last])

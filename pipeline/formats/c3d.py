@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError
 from kinefilter.pipeline.extras import require
 
-from .bvh_reader import LARGEST_NUMBER, MOST_CELLS
+from .bvh import LARGEST_NUMBER, MOST_CELLS
 from .files import check_file
 from .guarded import read_guarded
 from .mocap import Mocap
 
 _BLOCK = 512  # bytes
-_MAGIC = 0x50  # second byte of every C3D file
+MAGIC = 0x50
+"""Second byte of every C3D file."""
 _LARGEST = 2**30  # bytes
 
 
@@ -36,7 +37,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Mocap:
     source = os.fspath(path)
     _check_header(source)
     require("ezc3d", f"{source}: C3D", "c3d")
-    arrays = read_guarded("c3d", source)
+    arrays = read_guarded("c3d:arrays_of", source)
     points, rate = arrays["points"], float(arrays["rate"].item())
     names, count = tuple(arrays["names"].tolist()), points.shape[1]
     if not 0.01 < rate < 1e4 or len(names) < count or not points.size:
@@ -86,7 +87,7 @@ def _check_header(source: str) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
         header = file.read(_BLOCK)
-    if len(header) < _BLOCK or header[1] != _MAGIC or size > _LARGEST:
+    if len(header) < _BLOCK or header[1] != MAGIC or size > _LARGEST:
         raise InputError(f"{source}: not a C3D file, or cut off; export it again")
     points, analog, first, last = struct.unpack("<4H", header[2:10])
     scale, start = struct.unpack("<fH", header[12:18])

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Clip, InputError
+from kinefilter.characters.arrays import Array
 
-from .archive import read_clip
 from .files import atomic_path, beginning, open_text
+from .npz import read_npz
 from .rows import RowReader
 
 _HEADER = ("time", *CONTACTS)
@@ -30,14 +31,11 @@ def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
         file.write(",".join(_HEADER) + "\n")
-        file.writelines(
-            ",".join([repr(time), *map(str, flags)]) + "\n" for time, flags in rows
-        )
+        for time, flags in rows:
+            file.write(",".join([repr(time), *map(str, flags)]) + "\n")
 
 
-def read_contacts(
-    path: str | os.PathLike[str], time: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_]:
     """Return the contacts (CONTACTS) of a file at some times, shape (T, 4).
 
     Each time gets the last row at or before it: a file may have a row per frame, or
@@ -51,7 +49,7 @@ def read_contacts(
         InputError: The file is missing, is no such table, or is of another time.
     """
     if Path(path).suffix.lower() == ".npz":
-        clip = read_clip(path)
+        clip = read_npz(path)
         stamps, flags = clip.time, clip.contacts
     else:
         stamps, flags = contact_table(path)
@@ -70,9 +68,7 @@ def claims_contacts(path: str | os.PathLike[str]) -> bool:
     return beginning(path).startswith(",".join(_HEADER))
 
 
-def contact_table(
-    path: str | os.PathLike[str],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def contact_table(path: str | os.PathLike[str]) -> tuple[Array, NDArray[np.bool_]]:
     """Return times [s], shape (T,), and contacts (CONTACTS), shape (T, 4), of a table.
 
     Raises:
@@ -86,16 +82,16 @@ def contact_table(
                 f"{source}: row 1 is {','.join(header)[:60]!r}; expected the header "
                 f"{','.join(_HEADER)} that 'kinefilter clean --save-contacts' writes"
             )
-        reader = RowReader(source, _HEADER, str.strip)
-        blocks = list(reader.blocks(file, 2))
+        blocks = list(RowReader(source, _HEADER, str.strip).blocks(file, 2))
     values = np.concatenate([np.empty((0, 5)), *(block.values for block in blocks)])
     rows = np.concatenate([np.empty(0, int), *(block.rows for block in blocks)])
-    wrong = ~np.isin(values[:, 1:], (0.0, 1.0)).all(axis=1) | np.isnan(values[:, 0])
-    wrong[1:] |= np.diff(values[:, 0]) < 0.0
+    time, flags = values[:, 0], values[:, 1:]
+    wrong = ~np.isin(flags, (0.0, 1.0)).all(axis=1) | np.isnan(time)
+    wrong[1:] |= np.diff(time) < 0.0
     if len(values) == 0 or wrong.any():
         row = int(rows[wrong][0]) if wrong.any() else 2
         raise InputError(
-            f"{source}: row {row} is no time after the last and four times 0 or 1; "
+            f"{source}: row {row} is not a time after the last and four times 0 or 1; "
             "correct or remove it"
         )
-    return values[:, 0], values[:, 1:] == 1.0
+    return time, flags == 1.0

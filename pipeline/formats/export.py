@@ -14,14 +14,14 @@ from kinefilter.characters.arrays import Array
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
-_USD = ("up", "units", "fps", "rest", "rig", "target")
+USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+"""Extensions of USD files."""
+_RIGGED = ("up", "units", "fps", "rest", "rig", "target")
 # What each kind of file can follow; kinefilter's own are in meters, y up.
 _FOLLOWED = {
-    ".usda": (*_USD, "character"),
-    ".usdc": (*_USD, "character"),
-    ".usd": (*_USD, "character"),
-    ".usdz": _USD,
-    ".bvh": (*_USD, "rotation_order"),
+    **dict.fromkeys(USD_SUFFIXES, (*_RIGGED, "character")),
+    ".usdz": _RIGGED,
+    ".bvh": (*_RIGGED, "rotation_order"),
     ".csv": ("fps",),
     ".npz": ("fps",),
 }
@@ -106,3 +106,9 @@ class Export:
             return values
         x, y, z = np.moveaxis(values[..., -3:], -1, 0)
         return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, -z, y], axis=-1)
+
+
+def with_y_up(values: Array) -> Array:
+    """Return directions (..., 3) or rotations wxyz (..., 4) that were given z up."""
+    x, y, z = np.moveaxis(values[..., -3:], -1, 0)
+    return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, z, -y], axis=-1)

@@ -1,10 +1,11 @@
-"""Files that appear whole or not at all, and text that may be zipped."""
+"""Files that appear whole or not at all, text that may be zipped, and TOML."""
 
 from __future__ import annotations
 
 import gzip
 import io
 import os
+import tomllib
 import uuid
 import zlib
 from collections.abc import Iterator
@@ -16,8 +17,9 @@ from kinefilter.characters import InputError
 
 _GZIP_MAGIC = b"\x1f\x8b"
 
-LARGEST_TEXT = 2**30
-"""Bytes of text at most: ten hours of Kinect v2 CSV. What is longer is no recording."""
+_LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; longer is no recording
+LARGEST_TOML = 2**16
+"""Bytes of a TOML file that somebody wrote by hand."""
 _LARGEST_RATIO = 100
 """Text that is this many times as long as its gzip file, and longer than
 ``_ANY_RATIO``, is no recording: numbers give 2 to 10. A guess."""
@@ -134,7 +136,7 @@ def read_limited(path: str | os.PathLike[str], most: int) -> str:
 
 
 @contextmanager
-def _readable(path: Path, most: int = LARGEST_TEXT) -> Iterator[io.BufferedReader]:
+def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedReader]:
     """Yield a file's bytes, unzipped and counted; errors become InputErrors."""
     try:
         with path.open("rb") as raw:
@@ -195,3 +197,26 @@ def _lines(file: TextIO, path: Path) -> Iterator[str]:
                 + "; expected a text file of recorded frames"
             )
         yield line
+
+
+def read_toml(path: str | os.PathLike[str], expected: str) -> dict[str, Any]:
+    """Return the table in a file as ``parse_toml``; raises InputError without one."""
+    return parse_toml(read_limited(path, LARGEST_TOML), os.fspath(path), expected)
+
+
+def parse_toml(text: str, name: str, expected: str) -> dict[str, Any]:
+    """Return the table that a text describes.
+
+    Args:
+        text: TOML.
+        name: Where it is, for messages.
+        expected: What to write instead of what is wrong, for messages.
+
+    Raises:
+        InputError: It is no TOML.
+    """
+    try:
+        return tomllib.loads(text)
+    # Not its own error alone: numbers of thousands of digits, brackets in thousands.
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name}: no TOML ({error}); {expected}") from None

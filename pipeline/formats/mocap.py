@@ -10,7 +10,7 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.retarget.source_rig import SourceRig, matching_source_rig
+from kinefilter.retarget.rig_map import SourceRig, matching_source_rig
 
 _Z_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """Minus a quarter turn about x, wxyz: what pointed along z points along y."""

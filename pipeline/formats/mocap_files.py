@@ -1,4 +1,10 @@
-"""Mocap files of every kind, by what they hold."""
+"""Mocap files of every kind, by what they hold; BVH also as takes.
+
+BVH that tools recorded from a Kinect gives the joints of Kinect v2 where the file has
+the SDK's names, as kinefilter's own; else those of Kinect v1, found by the names of
+``retarget/source_rigs``. A BVH knows no tracking states: every joint counts as tracked.
+Its unit is the one in which the bones are a person's: m, cm, mm or inches.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +12,21 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from kinefilter.characters import InputError
+import numpy as np
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State, Take
+from kinefilter.retarget.rig_map import matching_source_rig
 
 from .acclaim import read_amc, read_asf
-from .bvh_takes import read_bvh_mocap
-from .c3d import read_c3d
+from .bvh import read_bvh
+from .c3d import MAGIC, read_c3d
 from .files import beginning, check_file
-from .mocap import Mocap
+from .mocap import Mocap, bare_name, kinect_motion
+from .recording import Recording, check_extent, check_length, missing_marked
 
 RIGS = ("cmu", "motionbuilder", "acclaim", "plug_in_gait")
 """Skeletons that mocap comes on, besides the Kinects' own."""
-_C3D_MAGIC = 0x50
+_BVH_RIGS = ("cmu", "motionbuilder", "jointed")  # the most particular first
 
 
 def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
@@ -45,7 +55,7 @@ def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> 
     """
     path = check_file(path)
     with path.open("rb") as file:
-        if file.read(2)[1:] == bytes([_C3D_MAGIC]):
+        if file.read(2)[1:] == bytes([MAGIC]):
             return read_c3d(path)
     first = beginning(path)
     if first.startswith("HIERARCHY"):
@@ -69,4 +79,32 @@ def _skeleton_for(path: Path, skeletons: Sequence[Path]) -> Path:
     raise InputError(
         f"{path}: no ASF file for it among {len(given)}; give the subject's skeleton, "
         "such as 01.asf for 01_02.amc"
+    )
+
+
+def read_bvh_mocap(source: str) -> Mocap:
+    """Read a BVH file as mocap; raises InputError as ``read_bvh``."""
+    bvh = read_bvh(source)
+    return Mocap(bvh.names, bvh.positions, bvh.rotations, bvh.frame_time, source)
+
+
+def read_bvh_take(source: str) -> Recording:
+    """Read a BVH file as a take.
+
+    Raises:
+        InputError: The file is malformed, or its joints have names of no known rig.
+    """
+    mocap = read_bvh_mocap(source)
+    check_length(len(mocap.positions), source)
+    names = [bare_name(name) for name in mocap.names]
+    skeleton = KINECT_V1 if matching_source_rig(names, KINECT_V2, ())[1] else KINECT_V2
+    motion = kinect_motion(mocap, skeleton, _BVH_RIGS)
+    state = np.full(motion.positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    positions, state = missing_marked(motion.meters * motion.positions, state)
+    check_extent(positions, source)
+    time = np.arange(len(positions), dtype=np.float64) * motion.frame_time
+    take = Take(time, positions, state, skeleton, source)
+    scaled = f"no unit of length fits the bones; scaled by {motion.meters:.4g}"
+    return Recording(
+        (take,), "bvh", motion.unit or "unknown", () if motion.unit else (scaled,)
     )

@@ -10,7 +10,6 @@ camera's lens they are no positions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
@@ -24,6 +23,7 @@ from .recording import (
     check_extent,
     check_length,
     missing_marked,
+    open_rows,
 )
 from .rows import RowReader
 
@@ -40,26 +40,19 @@ _COLUMNS = ("x", "y", "z", "confidence")
 _PIXELS = 20.0  # a person is less meters wide, and more pixels
 
 
-def read_msr_action3d(
-    source: str, head: tuple[int, str], lines: Iterator[str]
-) -> Recording:
+def read_msr_action3d(source: str) -> Recording:
     """Read a file of real-world coordinates.
-
-    Args:
-        source: The file, for messages.
-        head: Number and text of the first line that is not blank.
-        lines: The lines after it.
 
     Raises:
         InputError: A row is malformed, frames are incomplete, or it holds pixels.
     """
-    reader = RowReader(source, _COLUMNS, lambda line: ",".join(line.split()))
     blocks, count = [], 0
-    for block in reader.blocks(chain([head[1]], lines), head[0]):
-        blocks.append(block.values)
-        count += len(block.values)
-        if count > MOST_FRAMES * len(JOINTS):
-            break
+    with open_rows(source) as (row, line, lines):
+        for block in RowReader(source, _COLUMNS).blocks(chain([line], lines), row):
+            blocks.append(block.values)
+            count += len(block.values)
+            if count > MOST_FRAMES * len(JOINTS):
+                break
     if count % len(JOINTS):
         raise InputError(
             f"{source}: has {count} rows, expected {len(JOINTS)} a frame; the file may "

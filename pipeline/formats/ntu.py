@@ -17,35 +17,36 @@ import numpy as np
 
 from kinefilter.characters import KINECT_V2, InputError, State
 
-from .bodies import Sighting, takes_of
-from .recording import MOST_FRAMES, Recording, check_length
+from .recording import (
+    MOST_FRAMES,
+    Recording,
+    Sighting,
+    check_length,
+    open_rows,
+    takes_of,
+)
 
 _FRAMES_PER_SECOND = 30.0
 _BODY_VALUES = 10
 _JOINT_VALUES = 12
 
 
-def read_ntu(source: str, head: tuple[int, str], lines: Iterator[str]) -> Recording:
+def read_ntu(source: str) -> Recording:
     """Read a .skeleton file.
-
-    Args:
-        source: The file, for messages.
-        head: Number and text of the first line that is not blank.
-        lines: The lines after it.
 
     Raises:
         InputError: A line is malformed or missing, or nobody is seen.
     """
-    row, line = head
-    reader = _Reader(source, lines, row)
-    count = reader.whole(line, "the number of frames")
     sightings: list[Sighting] = []
-    for frame in range(min(count, MOST_FRAMES + 1)):
-        reader.frame = f"frame {frame + 1} of {count}"
-        bodies = reader.whole(reader.line(), "the number of bodies")
-        sightings += [reader.body(frame) for _ in range(bodies)]
-    check_length(count, source)
-    reader.expect_end(count)
+    with open_rows(source) as (row, line, lines):
+        reader = _Reader(source, lines, row)
+        count = reader.whole(line, "the number of frames")
+        for frame in range(min(count, MOST_FRAMES + 1)):
+            reader.frame = f"frame {frame + 1} of {count}"
+            bodies = reader.whole(reader.line(), "the number of bodies")
+            sightings += [reader.body(frame) for _ in range(bodies)]
+        check_length(count, source)
+        reader.expect_end(count)
     time = np.arange(count) / _FRAMES_PER_SECOND
     return Recording(takes_of(time, sightings, KINECT_V2, source), "ntu")
 
@@ -60,7 +61,6 @@ class _Reader:
     frame: str = ""
 
     def line(self) -> str:
-        """Return the next line that is not blank."""
         for line in self.lines:
             self.row += 1
             if line.strip():
@@ -71,7 +71,6 @@ class _Reader:
         )
 
     def expect_end(self, count: int) -> None:
-        """Raise InputError if there is more."""
         for line in self.lines:
             self.row += 1
             if line.strip():
@@ -85,7 +84,6 @@ class _Reader:
         return int(word)
 
     def body(self, frame: int) -> Sighting:
-        """Read a body."""
         words = self.line().split()
         if len(words) != _BODY_VALUES:
             self.fail(
@@ -120,5 +118,4 @@ class _Reader:
         return values
 
     def fail(self, complaint: str) -> NoReturn:
-        """Raise the InputError that the line read last deserves."""
         raise InputError(f"{self.source}: row {self.row} {complaint}")

@@ -1,7 +1,13 @@
-"""What a recorded file holds: a take of every person in it."""
+"""What a recorded file holds: a take of every person in it.
+
+Whose body is whose is told through gaps: who is lost and back within 2 s and 0.5 m is
+the same person.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Literal, TypeVar
@@ -9,8 +15,10 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import InputError, State, Take
+from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
+
+from .files import open_text
 
 _Path = TypeVar("_Path", bound=PurePath)
 
@@ -20,6 +28,13 @@ _FASTEST = 2000.0  # frames a second, of marker mocap
 _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
 _FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
+_AWAY = 2.0
+"""A body that is new within this time [s] may be one that was lost. A guess."""
+_NEAR = 0.5
+"""It is where it is new within this distance [m] of where the other was lost, the
+mean of the joints compared: half a stride. A guess."""
+_FEWEST = 2
+"""Frames of a person at least; what is seen once moves nothing."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +44,7 @@ class Recording:
     takes: tuple[Take, ...]
     """One a person, in the order in which they appear."""
     format: str
-    """Name of the file's layout (pipeline.config.TakeFormat)."""
+    """Name of the file's layout (``takes.FORMATS``)."""
     unit: str = "m"
     """The file's own unit of length."""
     notes: tuple[str, ...] = ()
@@ -38,8 +53,8 @@ class Recording:
     @property
     def main(self) -> int:
         """Index of the person who is seen in most frames."""
-        seen = [int(_seen(take).sum()) for take in self.takes]
-        return int(np.argmax(seen))
+        seen = [(take.state > State.NOT_TRACKED).any(axis=1) for take in self.takes]
+        return int(np.argmax([frames.sum() for frames in seen]))
 
     def numbers(self, body: int | Literal["all"] | None) -> list[int]:
         """Return the numbers, from 1, of who is asked for.
@@ -78,8 +93,19 @@ def numbered(path: _Path, body: int | None) -> _Path:
     return path.with_name(f"{path.stem}.{body}{path.suffix}")
 
 
-def _seen(take: Take) -> NDArray[np.bool_]:
-    return np.asarray((take.state > State.NOT_TRACKED).any(axis=1))
+@contextmanager
+def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
+    """Yield number and text of a file's first line that is not blank, and those after.
+
+    Raises:
+        InputError: As ``open_text``, or the file is empty.
+    """
+    with open_text(source) as lines:
+        for row, line in enumerate(lines, start=1):
+            if line.strip():
+                yield row, line, lines
+                return
+        raise InputError(f"{source}: the file is empty; expected a recorded take")
 
 
 def missing_marked(
@@ -124,6 +150,23 @@ def check_rate(time: Array, source: str) -> None:
         )
 
 
+def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
+    """Raise InputError where time [s] goes backwards.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        where: Names file and frame of an index, for the message.
+        what: What the file's frames are called, for the message.
+    """
+    backwards = np.flatnonzero(np.diff(time) < 0)
+    if len(backwards):
+        k = int(backwards[0]) + 1
+        raise InputError(
+            f"{where(k)} goes backwards ({time[k - 1]:.4f} s, then {time[k]:.4f} s); "
+            f"sort the {what} by time or cut the take there"
+        )
+
+
 def check_extent(positions: Array, source: str) -> None:
     """Raise InputError where nobody is seen or no one can be that tall."""
     seen = np.flatnonzero(np.isfinite(positions[..., 0]).any(axis=1))
@@ -150,3 +193,113 @@ def check_extent(positions: Array, source: str) -> None:
             f"{source}: frame {far[0] + 1} has a joint {distance.max():.3g} m away, "
             "expected a person before a sensor, in meters; correct or delete it"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A body in a frame."""
+
+    frame: int
+    """Index of the frame."""
+    body: int
+    """The tracker's number for the body."""
+    positions: Array
+    """Joint positions [m], shape (J, 3)."""
+    state: NDArray[np.uint8]
+    """Tracking states (State), shape (J,)."""
+
+
+def takes_of(
+    time: Array, sightings: Sequence[Sighting], skeleton: Skeleton, source: str
+) -> tuple[Take, ...]:
+    """Return a take for every person, in the order in which they appear.
+
+    A person is the bodies of one number, and those that are new near to where and soon
+    after one was lost. A take goes from the first frame of its person to the last;
+    every joint is missing in frames between that do not have the person.
+
+    Args:
+        time: Time stamp of every frame of the recording [s], shape (T,).
+        sightings: The bodies in it, in the order of the frames.
+        skeleton: The joints.
+        source: The file, for messages.
+
+    Raises:
+        InputError: Nobody is seen, a body is in a frame twice, or it is no take.
+    """
+    check_length(len(time), source)
+    check_rate(time, source)
+    people = [p for p in _people(time, sightings, source) if len(p) >= _FEWEST]
+    if not people:
+        raise InputError(
+            f"{source}: nobody is tracked for two frames or more; record again with "
+            "the person in view"
+        )
+    names = [f"{source}, body {number + 1}" for number in range(len(people))]
+    return tuple(
+        _take(time, person, skeleton, name if len(people) > 1 else source)
+        for person, name in zip(people, names, strict=True)
+    )
+
+
+def _people(
+    time: Array, sightings: Sequence[Sighting], source: str
+) -> list[list[Sighting]]:
+    """Return the sightings of each person, who appears first first."""
+    tracks: dict[int, list[Sighting]] = {}
+    for sighting in sightings:
+        track = tracks.setdefault(sighting.body, [])
+        if track and track[-1].frame == sighting.frame:
+            raise InputError(
+                f"{source}: frame {sighting.frame + 1} has body {sighting.body} twice; "
+                "delete one of them"
+            )
+        track.append(sighting)
+    parts = list(tracks.values())
+    after = _continued(time, parts)
+    people = []
+    for k in sorted(set(range(len(parts))) - set(after.values())):
+        person = list(parts[k])
+        while k in after:
+            k = after[k]
+            person += parts[k]
+        people.append(person)
+    return people
+
+
+def _continued(time: Array, parts: list[list[Sighting]]) -> dict[int, int]:
+    """Return which part goes on after which, the nearest pairs first."""
+    pairs = []
+    for k, lost in enumerate(parts):
+        for m, new in enumerate(parts):
+            gap = time[new[0].frame] - time[lost[-1].frame]
+            if new[0].frame > lost[-1].frame and gap <= _AWAY:
+                away = float(np.linalg.norm(_place(new[0]) - _place(lost[-1])))
+                if away <= _NEAR:
+                    pairs.append((away, k, m))
+    after: dict[int, int] = {}
+    for _, k, m in sorted(pairs):
+        if k not in after and m not in after.values():
+            after[k] = m
+    return after
+
+
+def _place(sighting: Sighting) -> Array:
+    """Return the mean of the joints that are seen [m], NaN without one."""
+    positions, _ = missing_marked(sighting.positions, sighting.state)
+    known = positions[~np.isnan(positions[:, 0])]
+    return known.mean(axis=0) if len(known) else np.full(3, np.nan)
+
+
+def _take(time: Array, person: list[Sighting], skeleton: Skeleton, source: str) -> Take:
+    first, last = person[0].frame, person[-1].frame
+    shape = (last - first + 1, len(skeleton))
+    positions = np.full((*shape, 3), np.nan)
+    state = np.full(shape, State.NOT_TRACKED, dtype=np.uint8)
+    rows = np.array([sighting.frame for sighting in person]) - first
+    positions[rows], state[rows] = missing_marked(
+        np.array([sighting.positions for sighting in person]),
+        np.array([sighting.state for sighting in person]),
+    )
+    check_extent(positions, source)
+    return Take(time[first : last + 1], positions, state, skeleton, source)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
+from kinefilter.characters.arrays import Array
 
 _BLOCK_LINES = 2000  # some megabytes of text at a time, whatever the file's length
 
@@ -22,7 +23,7 @@ class Block:
 
     rows: NDArray[np.intp]
     """Line number of each row, counted from 1, shape (R,)."""
-    values: NDArray[np.float64]
+    values: Array
     """The numbers, NaN where a cell is empty, none infinite, shape (R, C)."""
 
 
@@ -34,7 +35,7 @@ class RowReader:
     """The file, for messages."""
     columns: tuple[str, ...]
     """What each column is called."""
-    normalize: Callable[[str], str]
+    normalize: Callable[[str], str] = lambda line: ",".join(line.split())
     """Turns a line into comma-separated cells, one per column if the line is right."""
 
     def blocks(self, lines: Iterable[str], first_row: int) -> Iterator[Block]:
@@ -49,7 +50,7 @@ class RowReader:
                 an infinite number.
         """
         numbered = enumerate(lines, start=first_row)
-        while chunk := [(row, line) for row, line in islice(numbered, _BLOCK_LINES)]:
+        while chunk := list(islice(numbered, _BLOCK_LINES)):
             filled = [(row, line.strip()) for row, line in chunk if line.strip()]
             if filled:
                 yield self._block(filled)
@@ -58,59 +59,56 @@ class RowReader:
         rows = np.array([row for row, _ in numbered])
         texts = [self.normalize(line) for _, line in numbered]
         try:
-            values = np.loadtxt(
-                [_name_the_empty(text) for text in texts],
-                delimiter=",",
-                comments=None,
-                ndmin=2,
-            )
+            named = [_name_the_empty(text) for text in texts]
+            values = np.loadtxt(named, delimiter=",", comments=None, ndmin=2)
         except ValueError:
             values = None
         if values is None or values.shape != (len(rows), len(self.columns)):
-            values = self._cell_by_cell(rows, texts)
-        infinite = np.argwhere(np.isinf(values))
-        if len(infinite):
-            row, column = infinite[0]
-            self.fail(rows[row], column, "is infinite; expected a finite number")
-        return Block(rows, values)
+            values = np.array(
+                [self._cells(row, text) for row, text in zip(rows, texts, strict=True)]
+            )
+        block = Block(rows, values)
+        for column in np.flatnonzero(np.isinf(values).any(axis=0)).tolist():
+            words = "is infinite; expected a finite number"
+            self.refuse(block, column, np.isinf(values[:, column]), words)
+        return block
 
-    def _cell_by_cell(
-        self, rows: NDArray[np.intp], texts: list[str]
-    ) -> NDArray[np.float64]:
-        """Return the numbers, or raise on the first cell that is none."""
-        values = np.empty((len(rows), len(self.columns)))
-        for i, (row, text) in enumerate(zip(rows, texts, strict=True)):
-            cells = text.split(",")
-            if len(cells) != len(self.columns):
-                raise InputError(
-                    f"{self.source}: row {row} has {len(cells)} columns, expected "
-                    f"{len(self.columns)}; complete the row or delete it"
-                )
-            for column, cell in enumerate(cells):
-                values[i, column] = self._number(row, column, cell)
-        return values
+    def _cells(self, row: int, text: str) -> list[float]:
+        """Return the numbers of a row, or raise on the first cell that is none."""
+        cells = text.split(",")
+        if len(cells) != len(self.columns):
+            raise InputError(
+                f"{self.source}: row {row} has {len(cells)} columns, expected "
+                f"{len(self.columns)}; complete the row or delete it"
+            )
+        return [self._number(row, column, cell) for column, cell in enumerate(cells)]
 
     def _number(self, row: int, column: int, cell: str) -> float:
-        if not cell.strip():
-            return math.nan
         try:
-            return float(cell)
+            return float(cell) if cell.strip() else math.nan
         except ValueError:
+            word = cell.strip()
+            word = word if len(word) <= 40 else f"{word[:37]}..."
             self.fail(
                 row,
                 column,
-                f"is {_shortened(cell)!r}, expected a number; leave the cell empty if "
-                "nothing was measured",
+                f"is {word!r}, expected a number; leave the cell empty if nothing was "
+                "measured",
             )
 
-    def fail(self, row: int, column: int, complaint: str) -> NoReturn:
-        """Raise the InputError that a cell deserves.
+    def refuse(
+        self, block: Block, column: int, wrong: NDArray[np.bool_], words: str
+    ) -> None:
+        """Raise the InputError of the first row (R,) whose cell is wrong, if any is.
 
-        Args:
-            row: Line number counted from 1.
-            column: Index of the column.
-            complaint: The rest of the sentence.
+        The words are the rest of the sentence; ``{}`` in them is the cell's number.
         """
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            self.fail(block.rows[k], column, words.format(block.values[k, column]))
+
+    def fail(self, row: int, column: int, complaint: str) -> NoReturn:
+        """Raise the InputError of a cell: row counted from 1, column from 0."""
         raise InputError(
             f"{self.source}: row {row}, column {self.columns[column]} {complaint}"
         )
@@ -124,8 +122,3 @@ def _name_the_empty(text: str) -> str:
     if text.startswith(","):
         text = f"nan{text}"
     return f"{text}nan" if text.endswith(",") else text
-
-
-def _shortened(cell: str) -> str:
-    cell = cell.strip()
-    return cell if len(cell) <= 40 else f"{cell[:37]}..."

@@ -4,29 +4,63 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
 
 from kinefilter.characters import InputError, Take
-from kinefilter.pipeline.config import TakeFormat
 
-from .azure import LARGEST, read_azure
-from .bvh_takes import read_bvh_take
-from .files import beginning, open_text, read_limited
-from .layouts import LAYOUTS, V2_CELLS
-from .msr_action3d import read_msr_action3d
-from .ntu import read_ntu
-from .recording import Recording
-from .sheets import read_sheet
+from .files import beginning
+from .recording import Recording, open_rows
 
-_MSRC_CELLS = 81
-_MSR_CELLS = 4
-_NAMES = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")
+_V2_CELLS = 101  # time, and x, y, z and state of 25 joints
+_JOINTS = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")
 """Joints that headers of takes name: the root or what hangs on it."""
 _AZURE_KEYS = ('"bone_list"', '"joint_names"', '"timestamp_usec"', '"joint_positions"')
 _AZURE_BEGINNING = 2**16  # characters: a bone list is a tenth of it
 
-# Path of a file, number and text of its first line that is not blank, those after it.
-_Reader = Callable[[str, tuple[int, str], Iterator[str]], Recording]
+
+@dataclass(frozen=True)
+class Format:
+    """A layout of files that hold takes."""
+
+    reader: str
+    """Module of this package and function in it that makes a Recording of a path."""
+    begins: Callable[[str], bool]
+    """Whether a file of this layout can begin with a line."""
+
+
+def _cells(line: str) -> list[str]:
+    return line.strip().split(",")
+
+
+def _words(line: str) -> list[str]:
+    return line.replace(",", " ").split()
+
+
+FORMATS = {
+    "kinefilter": Format(
+        "sheets:read_kinefilter",
+        lambda line: _cells(line)[0].strip().strip('"').lower() == "time",
+    ),
+    "kinect-v2": Format(
+        "sheets:read_kinect_v2",
+        # The recorder ends every cell with a comma, the last one too.
+        lambda line: ";" not in line and len(_cells(line)) - _V2_CELLS in (0, 1),
+    ),
+    "kinect-v1": Format("sheets:read_kinect_v1", lambda line: ";" in line),
+    "msrc-12": Format("sheets:read_msrc_12", lambda line: len(_words(line)) == 81),
+    "msr-action3d": Format(
+        "msr_action3d:read_msr_action3d",
+        lambda line: len(_words(line)) == 4 and "," not in line,
+    ),
+    "ntu": Format("ntu:read_ntu", lambda line: line.strip().isdigit()),
+    "azure": Format("azure:read_azure", lambda line: line.startswith("{")),
+    "bvh": Format(
+        "mocap_files:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]
+    ),
+}
+"""Every format by its name; a file is of the first that can begin as it does."""
 
 
 def read_take(
@@ -48,8 +82,8 @@ def read_take(
     - ``msrc-12``: no header, time in microseconds, then x, y, z and state of Kinect
       v1's 20 joints in the SDK's order, split by blanks or commas. Where no state is 2,
       1 says that there is a joint (Fothergill et al. 2012, CHI).
-    - ``msr-action3d``: see ``msr_action3d``. ``ntu``: see ``ntu``. ``azure``: see
-      ``azure``. ``bvh``: see ``bvh_takes``.
+    - ``msr-action3d``, ``ntu`` and ``azure``: see the modules of these names. ``bvh``:
+      see ``mocap_files``.
 
     A joint that is not tracked, not a number or exactly at the origin, where the
     sensors put what they do not see, is missing: NaN and state 0.
@@ -72,11 +106,7 @@ def read_takes(
     *,
     format: str | None = None,  # noqa: A002 - the word that users know
 ) -> tuple[Take, ...]:
-    """Read a recording of several people: a take each, as they appear.
-
-    Raises:
-        InputError: As ``read_take``.
-    """
+    """Read a take for each person, as they appear; raises InputError as read_take."""
     return read_recording(path, format=format).takes
 
 
@@ -85,32 +115,22 @@ def read_recording(
     *,
     format: str | None = None,  # noqa: A002 - the word that users know
 ) -> Recording:
-    """Read a file with what there is to know about it.
-
-    Raises:
-        InputError: As ``read_take``.
-    """
+    """Read all that is known about a recorded file; raises InputError as read_take."""
     source = os.fspath(path)
     if format is not None and format not in FORMATS:
         raise InputError(f"unknown take format {format!r}; known: {', '.join(FORMATS)}")
-    name = format
-    if name is None and beginning(path).startswith("{"):
-        name = "azure"  # its first line may be all of it
-    if name in _WHOLE:
-        return _WHOLE[name](source)
-    with open_text(path) as lines:
-        head = _first_line(lines, source)
-        name = name or _detected(head[1], source)
-        if name in _WHOLE:
-            return _WHOLE[name](source)
-        return _BY_LINE[name](source, head, lines)
+    name = format or _detected(_first_line(source), source)
+    module, _, function = FORMATS[name].reader.partition(":")
+    read = getattr(import_module(f".{module}", __package__), function)
+    recording: Recording = read(source)
+    return recording
 
 
 def claims_take(path: str | os.PathLike[str]) -> bool:
     """Return whether a file claims by how it begins to be a recording.
 
-    What is said before the joints must be there: names of joints in a header, or
-    numbers, so that notes and other tables are told from a recording that is damaged.
+    Names of joints in a header, or numbers, tell a recording that may be damaged from
+    notes and other tables.
 
     Raises:
         InputError: The file is missing, empty, or cannot be read as text.
@@ -118,81 +138,40 @@ def claims_take(path: str | os.PathLike[str]) -> bool:
     start = beginning(path, _AZURE_BEGINNING)
     if start.startswith("{"):
         return any(key in start for key in _AZURE_KEYS)
-    source = os.fspath(path)
-    with open_text(path) as lines:
-        line = _first_line(lines, source)[1]
+    line = _first_line(os.fspath(path))
     try:
-        name = _detected(line, source)
+        name = _detected(line, os.fspath(path))
     except InputError:
         return False
     if name in ("kinefilter", "kinect-v1"):
-        return _NAMES.search(line) is not None
+        return _JOINTS.search(line) is not None
     return name == "bvh" or _all_numbers(line)
 
 
 def _all_numbers(line: str) -> bool:
     try:
-        return bool([float(word) for word in line.replace(",", " ").split()])
+        return bool([float(word) for word in _words(line)])
     except ValueError:
         return False
 
 
-def _first_line(lines: Iterator[str], source: str) -> tuple[int, str]:
-    """Return number and text of the first line that is not blank."""
-    for row, line in enumerate(lines, start=1):
-        if line.strip():
-            return row, line
-    raise InputError(f"{source}: the file is empty; expected a recorded take")
+def _first_line(source: str) -> str:
+    start = beginning(source)
+    if start.startswith("{"):
+        return start  # the first line of JSON may be all of it
+    with open_rows(source) as (_, line, _):
+        return line
 
 
-def _detected(line: str, source: str) -> TakeFormat:
+def _detected(line: str, source: str) -> str:
     """Return the format of a file by its first line."""
-    cells, words = line.strip().split(","), line.replace(",", " ").split()
-    if cells[0].strip().strip('"').lower() == "time":
-        return "kinefilter"
-    if words == ["HIERARCHY"]:
-        return "bvh"
-    if ";" in line:
-        return "kinect-v1"
-    if len(cells) in (V2_CELLS, V2_CELLS + 1):
-        return "kinect-v2"
-    if len(words) == _MSRC_CELLS:
-        return "msrc-12"
-    if len(words) == _MSR_CELLS and len(cells) == 1:
-        return "msr-action3d"
-    if len(words) == 1 and words[0].isdigit():
-        return "ntu"
+    for name, known in FORMATS.items():
+        if known.begins(line):
+            return name
     raise InputError(
-        f"{source}: row 1 is of no known layout ({len(cells)} comma-separated cells); "
-        "expected a kinefilter CSV (header time,Joint.x,Joint.y,Joint.z,Joint.state), "
-        f"Kinect v2 rows of {V2_CELLS} numbers, Kinect v1 joints split by ;, or one of "
-        f"the other formats: {', '.join(list(FORMATS)[3:])}"
+        f"{source}: row 1 is of no known layout ({len(_cells(line))} comma-separated "
+        "cells); expected a kinefilter CSV (header "
+        "time,Joint.x,Joint.y,Joint.z,Joint.state), "
+        f"Kinect v2 rows of {_V2_CELLS} numbers, Kinect v1 joints split by ;, or one "
+        f"of the other formats: {', '.join(list(FORMATS)[3:])}"
     )
-
-
-def _sheet(name: str) -> _Reader:
-    def read(source: str, head: tuple[int, str], lines: Iterator[str]) -> Recording:
-        return read_sheet(source, head, lines, LAYOUTS[name](head[1], source))
-
-    return read
-
-
-def _azure(source: str) -> Recording:
-    return read_azure(read_limited(source, LARGEST), source)
-
-
-_BY_LINE: dict[str, _Reader] = {
-    "kinefilter": _sheet("kinefilter"),
-    "kinect-v2": _sheet("kinect-v2"),
-    "kinect-v1": _sheet("kinect-v1"),
-    "msrc-12": _sheet("msrc-12"),
-    "msr-action3d": read_msr_action3d,
-    "ntu": read_ntu,
-}
-_WHOLE: dict[str, Callable[[str], Recording]] = {
-    "azure": _azure,
-    "bvh": read_bvh_take,
-}
-
-FORMATS = (*_BY_LINE, *_WHOLE)
-"""Names of all formats (pipeline.config.TakeFormat)."""

@@ -1,15 +1,17 @@
-"""The character as USD: a skeleton in T-pose and the mesh that is bound to it."""
+"""What a USD clip shows: the skeleton in T-pose with its mesh, and the props."""
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinefilter.characters import Body, InputError
+from kinefilter.characters import Body, Clip, InputError, Prop, Shape
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import matrix_from_wxyz
+from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
 
 from .export import Export
@@ -20,6 +22,9 @@ SKELETON = f"{CHARACTER}/Skeleton"
 SKIN = f"{CHARACTER}/Skin"
 ANIMATION = f"{CHARACTER}/Animation"
 
+LINEAR = 2.2
+"""Exponent from a screen's colors to light, about that of sRGB."""
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _COLOR = (0.11, 0.24, 0.32)  # linear; a quiet color that no prop has
 
 
@@ -94,7 +99,7 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
 
 def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
     """Define a skeleton at rest, and nothing else, under ``/Character``."""
-    from pxr import UsdGeom, UsdSkel
+    from pxr import UsdSkel
 
     UsdSkel.Root.Define(stage, CHARACTER)
     skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
@@ -103,10 +108,7 @@ def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
     skeleton.CreateRestTransformsAttr(_transforms(places, turns, export))
     bind = _transforms(rig.rest_positions, rig.axes, export)
     skeleton.CreateBindTransformsAttr(bind)
-    points = export.points(rig.rest_positions)
-    extent = _vectors(np.array([points.min(axis=0), points.max(axis=0)]))
-    for path in (CHARACTER, SKELETON):
-        UsdGeom.Boundable(stage.GetPrimAtPath(path)).CreateExtentAttr(extent)
+    _set_extent(stage, export.points(rig.rest_positions), SKELETON)
 
 
 def define_character(stage: Any, body: Body, export: Export) -> None:
@@ -116,15 +118,10 @@ def define_character(stage: Any, body: Body, export: Export) -> None:
     rig = rig_of(body)
     define_skeleton(stage, rig, export)
     skin = skin_of(body)
-    mesh = UsdGeom.Mesh.Define(stage, SKIN)
     points = export.points(skin.points)
-    mesh.CreatePointsAttr(_vectors(points))
-    mesh.CreateNormalsAttr(_vectors(export.axes(skin.normals)))
+    mesh = _mesh(stage, SKIN, points, skin.quads)
+    mesh.CreateNormalsAttr(vectors(export.axes(skin.normals)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    corners = skin.quads.astype(np.int32)
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(corners), 4))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*_COLOR)])
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([SKELETON])
@@ -136,12 +133,19 @@ def define_character(stage: Any, body: Body, export: Export) -> None:
     binding.CreateJointWeightsPrimvar(False, INFLUENCES).Set(
         Vt.FloatArray.FromNumpy(skin.weights.astype(np.float32).ravel())
     )
-    extent = _vectors(np.array([points.min(axis=0), points.max(axis=0)]))
-    for path in (CHARACTER, SKIN):
-        UsdGeom.Boundable(stage.GetPrimAtPath(path)).CreateExtentAttr(extent)
+    _set_extent(stage, points, SKIN)
 
 
-def _vectors(values: Array) -> Any:
+def _set_extent(stage: Any, points: Array, path: str) -> None:
+    from pxr import UsdGeom
+
+    extent = vectors(np.array([points.min(axis=0), points.max(axis=0)]))
+    for name in (CHARACTER, path):
+        UsdGeom.Boundable(stage.GetPrimAtPath(name)).CreateExtentAttr(extent)
+
+
+def vectors(values: NDArray[Any]) -> Any:
+    """Return rows of three numbers as USD keeps them, in single precision."""
     from pxr import Vt
 
     return Vt.Vec3fArray.FromNumpy(values.astype(np.float32))
@@ -160,3 +164,120 @@ def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
         matrices[:, :3, :3] = np.swapaxes(turned, 1, 2)
     matrices[:, 3, :3] = export.points(places)
     return Vt.Matrix4dArray.FromNumpy(matrices)
+
+
+def _mesh(stage: Any, path: Any, points: Array, faces: NDArray[Any]) -> Any:
+    """Define a mesh of faces that have as many corners each, shape (F, C)."""
+    from pxr import UsdGeom, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    corners = faces.astype(np.int32)
+    mesh.CreatePointsAttr(vectors(points))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(corners), corners.shape[1]))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    return mesh
+
+
+def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
+    """Define every prop of a clip, with the time code of each frame, shape (T,)."""
+    from pxr import Tf, UsdGeom
+
+    if not clip.props:
+        return
+    folder = UsdGeom.Xform.Define(stage, f"{CHARACTER}/Props").GetPath()
+    for prop in clip.props:
+        name = Tf.MakeValidIdentifier(prop.name)
+        while stage.GetPrimAtPath(folder.AppendChild(name)):
+            name += "_"
+        path = folder.AppendChild(name)
+        prim = UsdGeom.Xform.Define(stage, path)
+        places = export.points(prop.positions)
+        turns = export.axes(prop.rotations)
+        _move(prim, places, turns, codes if prop.moves else None)
+        for n, shape in enumerate(prop.shapes):
+            _define_shape(stage, path.AppendChild(f"Shape{n}"), shape, export)
+
+
+def _move(prim: Any, places: Array, turns: Array, codes: Array | None) -> None:
+    """Place a prim: for good, or with one sample per time code."""
+    from pxr import Gf, Sdf
+
+    translate = prim.AddTranslateOp().GetAttr()
+    orient = prim.AddOrientOp().GetAttr()
+    if codes is None:
+        translate.Set(Gf.Vec3d(*places[0].tolist()))
+        orient.Set(Gf.Quatf(*turns[0].tolist()))
+        return
+    layer = prim.GetPrim().GetStage().GetRootLayer()
+    with Sdf.ChangeBlock():
+        for code, place, turn in zip(
+            codes.tolist(), places.tolist(), turns.tolist(), strict=True
+        ):
+            layer.SetTimeSample(translate.GetPath(), code, Gf.Vec3d(*place))
+            layer.SetTimeSample(orient.GetPath(), code, Gf.Quatf(*turn))
+
+
+def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
+    from pxr import Gf, Usd, UsdGeom
+
+    half = np.abs(export.points(shape.size))
+    geometry, scale = _geometry(stage, path, shape, export)
+    place, turn = export.points(shape.position), export.axes(shape.rotation)
+    _move(geometry, place[None], turn[None], None)
+    if scale:
+        geometry.AddScaleOp().Set(Gf.Vec3f(*half.tolist()))
+    geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**LINEAR).tolist())])
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
+        geometry, Usd.TimeCode.Default()
+    )
+    geometry.CreateExtentAttr(extent)
+
+
+def _geometry(stage: Any, path: Any, shape: Shape, export: Export) -> tuple[Any, bool]:
+    """Return a shape's geometry, and whether it is yet to be scaled to its size."""
+    from pxr import UsdGeom
+
+    if shape.kind == "box":
+        geometry = UsdGeom.Cube.Define(stage, path)
+        geometry.CreateSizeAttr(2.0)
+        return geometry, True
+    if shape.kind == "ellipsoid":
+        geometry = UsdGeom.Sphere.Define(stage, path)
+        geometry.CreateRadiusAttr(1.0)
+        return geometry, True
+    if shape.kind == "mesh":
+        points = export.points(shape.points)
+        return _mesh(stage, path, points, shape.triangles), False
+    kind = UsdGeom.Capsule if shape.kind == "capsule" else UsdGeom.Cylinder
+    geometry = kind.Define(stage, path)
+    radius, half, _ = (shape.size / export.meters_per_unit).tolist()
+    geometry.CreateRadiusAttr(radius)
+    geometry.CreateHeightAttr(2.0 * half)
+    geometry.CreateAxisAttr(UsdGeom.Tokens.z if export.up == "z" else UsdGeom.Tokens.y)
+    return geometry, False
+
+
+def props_extent(clip: Clip, export: Export, boxes: Array) -> Array:
+    """Return boxes (T, 2, 3), lowest and highest corner, grown to hold the props."""
+    grown = boxes.copy()
+    for prop in clip.props:
+        corners = export.points(_corners(prop))
+        np.minimum(grown[:, 0], corners.min(axis=1), out=grown[:, 0])
+        np.maximum(grown[:, 1], corners.max(axis=1), out=grown[:, 1])
+    return grown
+
+
+def _corners(prop: Prop) -> Array:
+    """Return the corners of the box around a prop's shapes [m], shape (T, 8, 3)."""
+    own = np.concatenate(
+        [
+            shape.position + rotate(shape.rotation, _CORNERS * shape.half_extents)
+            for shape in prop.shapes
+        ]
+    )
+    low, high = own.min(axis=0), own.max(axis=0)
+    corners = 0.5 * (low + high) + 0.5 * (high - low) * _CORNERS
+    return np.asarray(
+        prop.positions[:, None] + rotate(prop.rotations[:, None], corners)
+    )

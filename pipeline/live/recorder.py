@@ -13,7 +13,7 @@ import numpy as np
 
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.pipeline.formats.files import check_folder
-from kinefilter.pipeline.formats.tables import take_header, take_rows
+from kinefilter.pipeline.formats.sheets import take_header, take_rows
 
 from .messages import SeenBody
 from .tally import Event, Tally

@@ -11,7 +11,7 @@ import numpy as np
 from kinefilter.characters import Clip, InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import rotate
-from kinefilter.pipeline.formats.toml import read_toml
+from kinefilter.pipeline.formats.files import read_toml
 
 CAMERAS = ("front", "side", "three-quarter", "orbit", "follow")
 """Cameras that find their place themselves."""

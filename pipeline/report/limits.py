@@ -11,8 +11,7 @@ from importlib import resources
 from typing import Literal
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.formats.files import read_limited
-from kinefilter.pipeline.formats.toml import LARGEST_TOML, parse_toml
+from kinefilter.pipeline.formats.files import LARGEST_TOML, parse_toml, read_limited
 
 from .table import METRICS
 
