@@ -23,8 +23,8 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.view import read_viewed
-from kinefilter.pipeline.view.server import may_connect, opened_server
+from kinefilter.pipeline.look import read_drawing
+from kinefilter.pipeline.look.viewer_server import may_connect, opened_server
 
 QUICK = CleanConfig(method="none", physics=False)
 
@@ -128,7 +128,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
 ) -> None:
     clip, take = str(clip_path), str(sample_path())
     contacts = tmp_path / "take.contacts.csv"
-    write_contacts(read_viewed(clip_path).clip, contacts)
+    write_contacts(read_drawing(clip_path).clip, contacts)
     copied = tmp_path / "take.csv"
     copied.write_bytes(sample_path().read_bytes())
     for arguments, words in (
@@ -168,7 +168,7 @@ def test_a_viewer_says_where_it_is_and_ends_in_peace(
 
 def test_help_and_the_other_commands_do_not_load_viser() -> None:
     code = (
-        "import sys, kinefilter.pipeline, kinefilter.pipeline.view\n"
+        "import sys, kinefilter.pipeline, kinefilter.pipeline.look\n"
         "from kinefilter.pipeline.cli import main\n"
         "try: main(['view', '--help'])\n"
         "except SystemExit: pass\n"

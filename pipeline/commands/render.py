@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.render.look import Look
+from kinefilter.pipeline.look import Look
 
 from .terminal import err, keep, out, progress_bars
 
@@ -32,7 +32,7 @@ class Render:
 
     def run(self) -> int:
         """Draw, write, report."""
-        from kinefilter.pipeline.render import render_clips
+        from kinefilter.pipeline.look import render_clips
 
         if not self.clips:
             raise InputError("no clips given; name one or more to draw")

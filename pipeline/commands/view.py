@@ -14,9 +14,9 @@ from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from .terminal import keep, out, progress_bars
 
 if TYPE_CHECKING:
+    from kinefilter.pipeline.look import Drawing
+    from kinefilter.pipeline.look.viewer import CleanAgain
     from kinefilter.pipeline.progress import Progress
-    from kinefilter.pipeline.view import Viewed
-    from kinefilter.pipeline.view.viewer import Again
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class View:
         save = self.save_contacts or _beside(self.motion)
         self._check(save)
         try:
-            viewed, again = self._viewed()
-            self._serve(viewed, save, again)
+            drawing, again = self._drawing()
+            self._serve(drawing, save, again)
         except KeyboardInterrupt:
             pass  # that is how it ends
         return 0
@@ -68,7 +68,7 @@ class View:
     def _check(self, save: Path) -> None:
         """Raise what is wrong before any work is done."""
         from kinefilter.pipeline.formats import check_folder
-        from kinefilter.pipeline.view.address import check_address
+        from kinefilter.pipeline.look.viewer_server import check_address
 
         check_address(self.bind, self.port)
         if self.save_contacts is not None:
@@ -90,12 +90,12 @@ class View:
                 "a take itself"
             )
 
-    def _viewed(self) -> tuple[Viewed, Again | None]:
+    def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
         """Return what is looked at, and how it is cleaned again."""
-        from kinefilter.pipeline.view import cleaned, read_viewed
+        from kinefilter.pipeline.look import cleaned, read_drawing
 
         if _is_clip(self.motion):
-            return read_viewed(self.motion, self.take, body=self.body), None
+            return read_drawing(self.motion, self.take, body=self.body), None
         from kinefilter.pipeline.formats.takes import read_recording
 
         recording = read_recording(self.motion, format=self.format)
@@ -103,18 +103,18 @@ class View:
         for note in recording.notes:
             out.print(note)
 
-        def again(contacts: Path, progress: Progress) -> Viewed:
+        def again(contacts: Path, progress: Progress) -> Drawing:
             config = replace(self.config, contacts=contacts)
             return cleaned(take, config, progress=progress)
 
         with progress_bars() as progress:
             return cleaned(take, self.config, progress=progress), again
 
-    def _serve(self, viewed: Viewed, save: Path, again: Again | None) -> None:
-        from kinefilter.pipeline.view import opened_viewer
+    def _serve(self, drawing: Drawing, save: Path, again: CleanAgain | None) -> None:
+        from kinefilter.pipeline.look import opened_viewer
 
         with opened_viewer(
-            viewed, save, again=again, bind=self.bind, port=self.port
+            drawing, save, again=again, bind=self.bind, port=self.port
         ) as viewer:
             out.print(f"{viewer.address} shows {self.motion}; Ctrl-C ends")
             if self.open:

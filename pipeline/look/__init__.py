@@ -1,0 +1,60 @@
+"""What is drawn of takes and clips: videos, the viewer in the browser, report pages.
+
+``drawing`` describes what is drawn; ``video``, ``viewer`` and ``page`` each turn that
+description into their medium.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from kinefilter.pipeline.extras import require
+
+if TYPE_CHECKING:
+    from .comparison import Comparison, compare, read_comparison
+    from .drawing import Drawing, cleaned, read_drawing
+    from .metric_limits import Limit, parse_limit, read_limits
+    from .options import Look
+    from .page import check_report, write_report
+    from .video import Rendering, render_clips
+    from .viewer import Viewer, opened_viewer
+
+__all__ = [
+    "Comparison",
+    "Drawing",
+    "Limit",
+    "Look",
+    "Rendering",
+    "Viewer",
+    "check_report",
+    "cleaned",
+    "compare",
+    "opened_viewer",
+    "parse_limit",
+    "read_comparison",
+    "read_drawing",
+    "read_limits",
+    "render_clips",
+    "write_report",
+]
+
+_MODULES = {
+    "comparison": ("Comparison", "compare", "read_comparison"),
+    "drawing": ("Drawing", "cleaned", "read_drawing"),
+    "metric_limits": ("Limit", "parse_limit", "read_limits"),
+    "options": ("Look",),
+    "page": ("check_report", "write_report"),
+    "video": ("Rendering", "render_clips"),
+    "viewer": ("Viewer", "opened_viewer"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for, and only that."""
+    for module, names in _MODULES.items():
+        if name in names:
+            if module == "viewer":
+                require("viser", "viewing", "view")
+            return getattr(import_module(f".{module}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
