@@ -30,7 +30,7 @@ from .formats.files import check_file
 from .formats.mocap import Mocap, kinect_motion
 from .formats.mocap_files import RIGS, read_mocap
 from .formats.npz import array_names
-from .formats.usd_contents import usd_contents
+from .formats.usd_reader import usd_contents
 from .models import load_model
 from .training import read_pairs
 

@@ -273,8 +273,9 @@ def test_npz_that_holds_no_clip_is_refused(make_clip: MakeClip, tmp_path: Path) 
     with pytest.raises(InputError, match="holds no clip"):
         read_clip(tmp_path / "other.npz")
     np.save(tmp_path / "array.npy", np.arange(3))
+    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
     with pytest.raises(InputError, match="cannot be read as npz"):
-        read_clip(tmp_path / "array.npy")
+        read_clip(tmp_path / "array.npz")
     write_clip(make_clip(2), tmp_path / "clip.npz")
     with np.load(tmp_path / "clip.npz") as archive:
         np.savez(tmp_path / "alien.npz", **{**archive, "skeleton": "octopus"})

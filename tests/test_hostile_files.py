@@ -167,7 +167,7 @@ TAKES = (
 )
 READERS: dict[str, list[Reader]] = {
     **{name: [read_recording, contents_of] for name in TAKES},
-    "clip.bvh": [read_bvh, read_recording, contents_of, _motion],
+    "clip.bvh": [read_bvh, read_clip, read_recording, contents_of, _motion],
     "arm.amc": [_motion, contents_of],
     "arm.asf": [lambda path: read_mocap(path.with_name("arm.amc"), [path])],
     "points.c3d": [_motion],
@@ -176,8 +176,8 @@ READERS: dict[str, list[Reader]] = {
     "database.npz": [PostureDatabase.load, contents_of],
     "model.npz": [load_model, contents_of],
     "pairs.npz": [read_pairs, contents_of],
-    "clip.usda": [contents_of],
-    "clip.usdc": [contents_of],
+    "clip.usda": [contents_of, read_clip],
+    "clip.usdc": [contents_of, read_clip],
 }
 
 

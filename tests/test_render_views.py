@@ -16,7 +16,7 @@ from kinefilter.characters import KINECT_V2, Clip, InputError, Take, standard_bo
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.look import Look
 from kinefilter.pipeline.look.cameras import CAMERAS, axes_toward, camera_path
-from kinefilter.pipeline.look.motions import read_motion
+from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.placing import nearest_frames, raw_positions
 from kinefilter.pipeline.look.video import output_paths, stretches
 from kinefilter.pipeline.look.video_task import shown_frames
@@ -190,7 +190,7 @@ def test_csv_and_bvh_show_the_same_joints_as_the_whole_clip(
     clip = replace(clip, root=act.positions[:, body.skeleton.root])
     clip = replace(clip, rotations=act.rotations)
     write_clip(clip, tmp_path / f"clip{suffix}")
-    found = read_motion(tmp_path / f"clip{suffix}")
+    found = read_finite_clip(tmp_path / f"clip{suffix}")
     assert found.skeleton == clip.skeleton
     away = np.linalg.norm(found.positions - clip.positions, axis=-1)
     assert away.mean() < 0.02
@@ -202,13 +202,13 @@ def test_a_raw_take_is_no_clip(make_clip: MakeClip, tmp_path: Path) -> None:
     positions[4, 7] = np.nan
     write_take_csv(_take(clip, positions), tmp_path / "take.csv")
     with pytest.raises(InputError, match="frame 5 has no HandLeft"):
-        read_motion(tmp_path / "take.csv")
+        read_finite_clip(tmp_path / "take.csv")
 
 
-def test_usd_is_refused_with_what_is_read(tmp_path: Path) -> None:
+def test_usd_without_a_clip_is_refused(tmp_path: Path) -> None:
     (tmp_path / "clip.usda").write_text("#usda 1.0")
-    with pytest.raises(InputError, match=r"render reads \.npz"):
-        read_motion(tmp_path / "clip.usda")
+    with pytest.raises(InputError, match=r"clip\.usda: has no animated skeleton"):
+        read_finite_clip(tmp_path / "clip.usda")
 
 
 def test_a_take_of_another_clip_is_not_drawn_beside_it(

@@ -22,7 +22,7 @@ class Render:
     """
 
     clips: Positional[tuple[Path, ...]]
-    """Clips: .npz (with props and reliability), .csv or .bvh."""
+    """Clips: .npz, USD, .bvh or .csv; the last two hold no props and reliability."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """What to write: out.mp4, out.gif or frames/%05d.png; {clip} stands for a clip's
     name. Pictures that are there already are kept."""

@@ -21,7 +21,7 @@ class Report:
     """
 
     clip: Positional[Path]
-    """Clip, .npz."""
+    """Clip: .npz, USD, .bvh or .csv."""
     take: Path
     """The take that the clip was made of."""
     out: Annotated[Path, arg(aliases=["-o"])]

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.progress import Progress
 
 
+_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz")
+
+
 @dataclass(frozen=True)
 class View:
     """Look at a motion in the browser, and edit when its feet stand.
@@ -31,7 +34,7 @@ class View:
 
     motion: Annotated[Positional[Path], arg(metavar="TAKE|CLIP")]
     """A take in any of the formats of --format, which is cleaned first; or a clip,
-    .npz, which is shown as it is."""
+    .npz or USD, which is shown as it is. With --take, .bvh and .csv are clips too."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
@@ -79,22 +82,29 @@ class View:
         keep(
             save, self.motion, self.take, config.database, config.model, config.contacts
         )
-        if _is_clip(self.motion) and config != CleanConfig():
+        if self._is_clip and config != CleanConfig():
             raise InputError(
                 f"{self.motion}: a clip is shown as it is; options of cleaning are for "
                 "takes"
             )
-        if self.take is not None and not _is_clip(self.motion):
+        if self.take is not None and not self._is_clip:
             raise InputError(
-                f"--take {self.take} is for a clip (.npz); {self.motion} is taken for "
-                "a take itself"
+                f"--take {self.take} is for a clip; {self.motion} is taken for a take "
+                "itself"
             )
+
+    @property
+    def _is_clip(self) -> bool:
+        """Whether the motion is shown as it is; .bvh and .csv may be either."""
+        suffix = Path(self.motion.name.removesuffix(".gz")).suffix.lower()
+        with_take = self.take is not None and self.take != self.motion
+        return suffix in _CLIPS or (with_take and suffix in (".bvh", ".csv"))
 
     def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
         """Return what is looked at, and how it is cleaned again."""
         from kinefilter.pipeline.look import cleaned, read_drawing
 
-        if _is_clip(self.motion):
+        if self._is_clip:
             return read_drawing(self.motion, self.take, body=self.body), None
         from kinefilter.pipeline.formats.takes import read_recording
 
@@ -122,10 +132,6 @@ class View:
 
                 webbrowser.open(viewer.address)
             viewer.run()
-
-
-def _is_clip(path: Path) -> bool:
-    return path.suffix.lower() == ".npz"
 
 
 def _beside(path: Path) -> Path:

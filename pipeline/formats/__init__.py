@@ -6,10 +6,9 @@ stamps, dropped frames and joints that are missing now and then, or always, are 
 Who is lost and back within 2 s and 0.5 m is the same person (``bodies``).
 """
 
-from .archive import read_clip
 from .bvh import Bvh
 from .bvh_reader import read_bvh
-from .clips import check_writable, write_clip
+from .clips import check_writable, read_clip, write_clip
 from .contacts import read_contacts, write_contacts
 from .export import Export
 from .files import atomic_path, check_folder

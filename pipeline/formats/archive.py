@@ -58,7 +58,7 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
         )
 
 
-def read_clip(path: str | os.PathLike[str]) -> Clip:
+def read_npz(path: str | os.PathLike[str]) -> Clip:
     """Read a clip that write_clip wrote as npz.
 
     Raises:
@@ -100,7 +100,7 @@ def _clip(archive: dict[str, Any]) -> Clip:
         root=positions[:, skeleton.root],
         body=Body(skeleton=skeleton, **(measures | numbers)),
         source=str(archive["source"]),
-        props=tuple(_props(archive)),
+        props=tuple(props_from_arrays(archive)),
         tilt=np.asarray(frame["tilt"]).item(),
         floor=np.asarray(frame["floor"]).item(),
     )
@@ -119,7 +119,8 @@ def _props_as_arrays(props: tuple[Prop, ...]) -> dict[str, Any]:
     return arrays
 
 
-def _props(archive: Any) -> Iterator[Prop]:
+def props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
+    """Yield the props whose arrays are named as ``write_npz`` names them."""
     k = 0
     while f"prop:{k}:name" in archive:
         shapes = [

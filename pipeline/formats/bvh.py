@@ -12,6 +12,14 @@ from kinefilter.characters.rotations import multiply, rotate
 
 from .euler import wxyz_from_euler
 
+_UNITS = (1.0, 0.01, 0.001, 0.0254)  # m, cm, mm, inches
+_LEG = 0.86  # m: thigh and shin of a body of 1.75 m (Winter 2009, figure 4.1)
+
+
+def meters_by_leg(leg: float) -> float:
+    """Return the unit [m] in which a leg (thigh and shin) is nearest to a person's."""
+    return min(_UNITS, key=lambda unit: abs(np.log(unit * max(leg, 1e-9) / _LEG)))
+
 
 @dataclass(frozen=True, eq=False)
 class Bvh:
@@ -47,6 +55,25 @@ class Bvh:
     def time(self) -> NDArray[np.float64]:
         """Time of each frame [s], the first at 0, shape (T,)."""
         return np.arange(len(self), dtype=np.float64) * self.frame_time
+
+    @property
+    def joints(self) -> list[int]:
+        """Indices of the joints without the end sites."""
+        return [
+            n
+            for n, (name, parent) in enumerate(
+                zip(self.names, self.parents, strict=True)
+            )
+            if self.channels[n] or parent < 0 or name != f"{self.names[parent]}End"
+        ]
+
+    @cached_property
+    def rest_positions(self) -> NDArray[np.float64]:
+        """Position of each joint in the rest posture, shape (N, 3)."""
+        places = np.array(self.offsets)
+        for n, parent in enumerate(self.parents):
+            places[n] += places[parent] if parent >= 0 else 0.0
+        return places
 
     @cached_property
     def rotations(self) -> NDArray[np.float64]:

@@ -36,7 +36,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Mocap:
     source = os.fspath(path)
     _check_header(source)
     require("ezc3d", f"{source}: C3D", "c3d")
-    arrays = read_guarded("c3d", source)
+    arrays = read_guarded("c3d:arrays_of", source)
     points, rate = arrays["points"], float(arrays["rate"].item())
     names, count = tuple(arrays["names"].tolist()), points.shape[1]
     if not 0.01 < rate < 1e4 or len(names) < count or not points.size:

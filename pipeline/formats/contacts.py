@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Clip, InputError
 
-from .archive import read_clip
+from .archive import read_npz
 from .files import atomic_path, beginning, open_text
 from .rows import RowReader
 
@@ -51,7 +51,7 @@ def read_contacts(
         InputError: The file is missing, is no such table, or is of another time.
     """
     if Path(path).suffix.lower() == ".npz":
-        clip = read_clip(path)
+        clip = read_npz(path)
         stamps, flags = clip.time, clip.contacts
     else:
         stamps, flags = contact_table(path)

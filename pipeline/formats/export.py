@@ -106,3 +106,9 @@ class Export:
             return values
         x, y, z = np.moveaxis(values[..., -3:], -1, 0)
         return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, -z, y], axis=-1)
+
+
+def with_y_up(values: Array) -> Array:
+    """Return directions (..., 3) or rotations wxyz (..., 4) that were given z up."""
+    x, y, z = np.moveaxis(values[..., -3:], -1, 0)
+    return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, z, -y], axis=-1)

@@ -25,17 +25,17 @@ _NAME = "kinefilter.pipeline.formats.guarded"
 _REFUSED = 3  # exit code: the message is on the standard error
 
 
-def read_guarded(module: str, path: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays that a module's ``arrays_of(path)`` returns.
+def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
+    """Return the arrays that a function of this package makes of a file.
 
     Args:
-        module: Name of a module of this package.
+        reader: Its module and name, such as ``c3d:arrays_of``; it takes the path.
         path: The file.
 
     Raises:
         InputError: The reader refuses the file, fails, or needs too much.
     """
-    command = [sys.executable, "-m", _NAME, module, path]
+    command = [sys.executable, "-m", _NAME, reader, path]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
@@ -57,7 +57,7 @@ def read_guarded(module: str, path: str) -> dict[str, NDArray[Any]]:
         return {key: file[key] for key in file.files}
 
 
-def _main(module: str, path: str) -> int:
+def _main(reader: str, path: str) -> int:
     """Read a file and write its arrays to the standard output."""
     try:
         import resource
@@ -69,9 +69,10 @@ def _main(module: str, path: str) -> int:
     # What the libraries themselves print must not get between the arrays.
     output = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    reader = importlib.import_module(f"kinefilter.pipeline.formats.{module}")
+    module, _, function = reader.partition(":")
+    found = importlib.import_module(f"kinefilter.pipeline.formats.{module}")
     try:
-        arrays = reader.arrays_of(path)
+        arrays = getattr(found, function)(path)
     except InputError as error:
         sys.stderr.write(f"\n{error}\n")
         return _REFUSED

@@ -5,7 +5,7 @@ It is our own, or that of somebody else's rig.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -13,8 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Clip, Skeleton
+from kinefilter.characters import (
+    SKELETONS,
+    Body,
+    Clip,
+    Motion,
+    Skeleton,
+    standard_body,
+)
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
+from kinefilter.retarget.body_size import measured_body
 from kinefilter.retarget.retargeting import Retargeted
 from kinefilter.retarget.target_rig import RestPose, TargetRig
 
@@ -114,6 +123,13 @@ class Rig:
             places[1:] = rotate(inverse(above), places[1:])
         return places, self.local_rotations(still)
 
+    def world_rotations(self, local: Array) -> Array:
+        """Return world rotations (T, N, 4) of nodes turned in their parents, wxyz."""
+        world = local.copy()
+        for n, parent in enumerate(self.parents[1:], start=1):
+            world[:, n] = multiply(world[:, parent], local[:, n])
+        return world
+
     def without_axes(self) -> Rig:
         """Return the rig for formats whose rest pose has no rotations."""
         return replace(self, axes=None)
@@ -145,6 +161,50 @@ def rig_of(body: Body) -> Rig:
         segments=np.array([node.segment for node in nodes]),
         leaves=tuple(n for n in range(len(nodes)) if n not in parents),
         root=body.rest_positions[body.skeleton.root],
+    )
+
+
+def own_skeleton(names: Sequence[str]) -> Skeleton | None:
+    """Return the skeleton whose rig has nodes of these names, None if none has."""
+    for skeleton in SKELETONS.values():
+        if tuple(names) == rig_of(standard_body(skeleton)).names:
+            return skeleton
+    return None
+
+
+def motion_of_rig(
+    skeleton: Skeleton,
+    offsets: Array,
+    rotations: Array,
+    root: Array,
+    time: Array,
+    source: str,
+) -> Motion:
+    """Return what a skeleton's own rig does as a motion.
+
+    Args:
+        skeleton: The joints.
+        offsets: Vector [m] from each node's parent in the rest pose, shape (N, 3).
+        rotations: World rotation of each node, wxyz, shape (T, N, 4).
+        root: Position of the root [m], shape (T, 3).
+        time: Time stamps [s], shape (T,).
+        source: Where it came from, for messages.
+
+    Raises:
+        InputError: No person has such segments.
+    """
+    rig = rig_of(standard_body(skeleton))
+    bones = offsets[[rig.names.index(joint) for joint in skeleton.joints]].copy()
+    bones[skeleton.root] = 0.0
+    lengths = np.linalg.norm(bones, axis=1)
+    directions = bones / np.maximum(lengths, 1e-12)[:, None]
+    person = measured_body(skeleton, lengths, directions, source=source)
+    return Motion(
+        time=time,
+        body=replace(person, lengths=lengths, directions=directions),
+        root=root,
+        rotations=rotations[:, rig.starts],
+        source=source,
     )
 
 

@@ -16,12 +16,11 @@ from kinefilter.characters.rotations import wxyz_from_matrix
 from kinefilter.retarget.rig_map import RigMap, load_rig_map
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
-from .bvh import Bvh
+from .bvh import meters_by_leg
 from .bvh_reader import read_bvh
-from .usd_contents import check_usd
+from .export import with_y_up
+from .usd_reader import check_usd
 
-_UNITS = (1.0, 0.01, 0.001, 0.0254)  # m, cm, mm, inches
-_LEG = 0.86  # m: thigh and shin of a body of 1.75 m (Winter 2009, figure 4.1)
 _MOST_JOINTS = 1000  # as in BVH
 _USD = (".usda", ".usdc", ".usd", ".usdz")
 
@@ -53,10 +52,8 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
 def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
     """Return the skeleton of a BVH file, in the unit in which it is most a person."""
     bvh = read_bvh(path)
-    places = np.zeros((len(bvh.names), 3))
-    for n, parent in enumerate(bvh.parents):
-        places[n] = bvh.offsets[n] + (places[parent] if parent >= 0 else 0.0)
-    joints = [n for n in range(len(bvh.names)) if not _is_end_site(bvh, n)]
+    places = bvh.rest_positions
+    joints = bvh.joints
     index = {n: k for k, n in enumerate(joints)}
     meters = _meters(places[joints], [bvh.names[n] for n in joints], rig_map)
     return RestPose(
@@ -68,12 +65,6 @@ def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
     )
 
 
-def _is_end_site(bvh: Bvh, joint: int) -> bool:
-    parent = bvh.parents[joint]
-    end = parent >= 0 and bvh.names[joint] == f"{bvh.names[parent]}End"
-    return end and not bvh.channels[joint]
-
-
 def _meters(places: Array, names: list[str], rig_map: RigMap) -> float:
     """Return the unit [m] in which the legs are nearest to a person's."""
     plain = [rig_map.plain(name) for name in names]
@@ -81,16 +72,13 @@ def _meters(places: Array, names: list[str], rig_map: RigMap) -> float:
     if not set(chain) <= set(plain):
         return 1.0  # whoever looks for the joints says that they are missing
     thigh, foot = (places[plain.index(name)] for name in chain)
-    leg = max(float(np.linalg.norm(foot - thigh)), 1e-9)
-    return min(_UNITS, key=lambda unit: abs(np.log(unit * leg / _LEG)))
+    return meters_by_leg(float(np.linalg.norm(foot - thigh)))
 
 
 def _usd_rest(path: Path) -> RestPose:
     """Return the rest pose of the first skeleton of a USD file, y up, in meters."""
     from pxr import Tf
 
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file; check the name")
     check_usd(str(path))
     try:
         return _first_skeleton(path)
@@ -169,11 +157,5 @@ def _rest_pose(
         )
     axes = wxyz_from_matrix(turned / sizes)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
-        places, axes = _with_y_up(places), _with_y_up(axes)
+        places, axes = with_y_up(places), with_y_up(axes)
     return RestPose(tuple(names), tuple(parents), places, axes, source=source)
-
-
-def _with_y_up(values: Array) -> Array:
-    """Return directions (..., 3) or rotations wxyz (..., 4) given with z up."""
-    x, y, z = np.moveaxis(values[..., -3:], -1, 0)
-    return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, z, -y], axis=-1)

@@ -15,7 +15,8 @@ from .export import Export
 from .usd_character import CHARACTER
 
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-_LINEAR = 2.2  # exponent from a screen's colors to light, about that of sRGB
+LINEAR = 2.2
+"""Exponent from a screen's colors to light, about that of sRGB."""
 
 
 def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
@@ -77,7 +78,7 @@ def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
     )
     if scale:
         geometry.AddScaleOp().Set(Gf.Vec3f(*half.tolist()))
-    geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**_LINEAR).tolist())])
+    geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**LINEAR).tolist())])
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
         geometry, Usd.TimeCode.Default()
     )

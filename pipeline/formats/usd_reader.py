@@ -1,23 +1,92 @@
-"""Joint positions back out of USD.
+"""USD read back: whole clips of ours, joint positions and figures of any file.
 
-pxr is imported where it is used: loading it takes longer than most commands run.
+pxr is imported where it is used: loading it takes longer than most commands run. What
+comes from outside is read in a process of its own (``guarded``).
 """
 
 from __future__ import annotations
 
+import json
 import os
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import InputError
+from kinefilter.characters import (
+    CONTACTS,
+    Clip,
+    InputError,
+    Origin,
+    Skeleton,
+    Term,
+    skeleton_named,
+    standard_body,
+)
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import normalize
+
+from .archive import props_from_arrays
+from .export import with_y_up
+from .files import check_file
+from .guarded import read_guarded
+from .rig import motion_of_rig, own_skeleton, rig_of
+from .usd_character import CHARACTER
+from .usd_props import LINEAR
+
+_LARGEST = 2**31  # bytes
+_BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
+_MOVED = ("moved_by_correction", "moved_by_physics", "reliability")
+_PER_FRAME = {
+    "reliability": "reliability",
+    "movedByCorrection": "moved_by_correction",
+    "movedByPhysics": "moved_by_physics",
+    "decidingTerm": "deciding_term",
+    "origin": "origin",
+    "contacts": "contacts",
+}
+_KINDS = {
+    "Cube": "box",
+    "Sphere": "ellipsoid",
+    "Capsule": "capsule",
+    "Cylinder": "cylinder",
+    "Mesh": "mesh",
+}
+
+_Animated = tuple[Any, Any, Any]  # stage, prim of a skeleton, its query
+
+
+def check_usd(path: str) -> None:
+    """Raise InputError for a file that no reader of USD should be asked to open.
+
+    A package (.usdz) keeps its files as they are; one that has to be inflated is
+    another archive, of whatever size.
+    """
+    size = check_file(path).stat().st_size
+    if size > _LARGEST:
+        raise InputError(f"{path}: {size / 1e6:.0f} MB of USD are no clip")
+    if Path(path).suffix.lower() != ".usdz":
+        return
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        raise InputError(f"{path}: damaged USD package; export it again") from None
+    stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
+    if not stored or sum(member.file_size for member in members) > size:
+        raise InputError(
+            f"{path}: its files are packed smaller than they are, which a USD package "
+            "may not; export it again"
+        )
 
 
 def read_usd_positions(
     path: str | os.PathLike[str],
-) -> tuple[NDArray[np.float64], tuple[str, ...], NDArray[np.float64]]:
+) -> tuple[Array, tuple[str, ...], Array]:
     """Return where UsdSkel puts the joints of the first animated skeleton.
 
     Args:
@@ -30,12 +99,163 @@ def read_usd_positions(
     Raises:
         InputError: The file cannot be opened or has no animated skeleton.
     """
-    from pxr import Tf, Usd, UsdGeom, UsdSkel
+    from pxr import Gf, UsdGeom
 
-    if not Path(path).is_file():
-        raise InputError(f"{path}: there is no such file; check the name")
+    stage, prim, query = _first_animated(os.fspath(check_file(path)))
+    names, codes = _joint_names(query), _codes(query)
+    positions = np.empty((len(codes), len(names), 3))
+    for frame, code in enumerate(codes):
+        world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code)
+        matrices = np.array(query.ComputeJointSkelTransforms(code))
+        places = matrices[:, 3, :3] @ np.array(world)[:3, :3]
+        positions[frame] = places + np.array(Gf.Matrix4d(world).ExtractTranslation())
+    time = np.array(codes) / stage.GetTimeCodesPerSecond()
+    return time, tuple(names), positions * UsdGeom.GetStageMetersPerUnit(stage)
+
+
+def usd_contents(path: str) -> dict[str, Any]:
+    """Return units, axis, rate, joints and duration of the first animated skeleton.
+
+    Raises:
+        InputError: The file is no USD, or has no animated skeleton.
+    """
+    check_usd(path)
+    found = read_guarded("usd_reader:contents_arrays", path)
+    contents: dict[str, Any] = json.loads(str(found["json"]))
+    return contents
+
+
+def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
+    """Read a clip that kinefilter wrote as USD on its own skeleton.
+
+    Axes and unit are undone; frame rate and rest pose are the file's, and time starts
+    at 0. USD does not hold the sensor's states (all joints count as tracked), nor
+    stature and mass, which follow from the segments.
+
+    Raises:
+        InputError: The file is missing or damaged, or of another skeleton.
+    """
+    source = os.fspath(path)
+    check_usd(source)
+    arrays = read_guarded("usd_reader:clip_arrays", source)
     try:
-        stage = Usd.Stage.Open(os.fspath(path))
+        skeleton = skeleton_named(str(arrays["skeleton"]))
+        world = rig_of(standard_body(skeleton)).world_rotations(arrays["turns"])
+        motion = motion_of_rig(
+            skeleton, arrays["offsets"], world, arrays["root"], arrays["time"], source
+        )
+        known: dict[str, Any] = {
+            name: arrays[name] for name in _PER_FRAME.values() if name in arrays
+        }
+        for name in _MOVED:
+            if name in known:
+                known[name] = np.where(known[name] < 0.0, np.nan, known[name])
+        return Clip.of(
+            motion,
+            **known,
+            external_force=arrays["external_force"],
+            tilt=arrays["tilt"].item(),
+            floor=arrays["floor"].item(),
+            props=tuple(props_from_arrays(arrays)),
+        )
+    except InputError as error:
+        told = str(error)
+        raise InputError(told if source in told else f"{source}: {told}") from None
+    except (KeyError, *_BROKEN):
+        raise InputError(
+            f"{source}: what it says of joints and frames does not fit together; "
+            "write the clip again"
+        ) from None
+
+
+# What the other process does (see guarded)
+
+
+def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """Return the contents as JSON in an array; raises InputError as usd_contents."""
+    from pxr import UsdGeom
+
+    with _refused(path):
+        stage, _, _ = _first_animated(path)
+        time, names, _ = read_usd_positions(path)
+        attributes = sorted(
+            {
+                attribute.GetName()
+                for prim in stage.Traverse()
+                for attribute in prim.GetAuthoredAttributes()
+                if "kinefilter:" in attribute.GetName()
+            }
+        )
+        meters = float(UsdGeom.GetStageMetersPerUnit(stage))
+    steps = np.diff(time)
+    contents = {
+        "unit": f"{meters:g} m",
+        "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
+        "joints": len(names),
+        "names": list(names),
+        "frames": len(time),
+        "seconds": float(time[-1] - time[0]) if len(time) else 0.0,
+        "fps": float(1.0 / np.median(steps)) if len(steps) and steps.all() else None,
+        "time_codes_per_second": float(stage.GetTimeCodesPerSecond()),
+        "attributes": attributes,
+    }
+    return {"json": np.array(json.dumps(contents))}
+
+
+def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """Return what a file says of a clip, y up, in meters, frames along the first axis.
+
+    Raises:
+        InputError: As read_usd_clip.
+    """
+    from pxr import UsdGeom, UsdSkel
+
+    with _refused(path):
+        stage, prim, query = _first_animated(path)
+        names = _joint_names(query)
+        skeleton = own_skeleton(names)
+        if skeleton is None:
+            raise InputError(
+                f"{path}: its skeleton ({', '.join(names[:3])[:60]}, ...) is not one "
+                "of kinefilter's own; clean the take without --rig, or write it as "
+                ".npz, to have a clip that can be read again"
+            )
+        codes = _codes(query)
+        meters = UsdGeom.GetStageMetersPerUnit(stage)
+        turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
+        axes = with_y_up if turned else np.asarray
+        animation = UsdSkel.Animation(query.GetAnimQuery().GetPrim())
+        rest = np.array(UsdSkel.Skeleton(prim).GetRestTransformsAttr().Get())
+        places = _samples(animation.GetTranslationsAttr(), codes)
+        xyzw = _samples(animation.GetRotationsAttr(), codes)
+        return {
+            "skeleton": np.array(skeleton.name),
+            "time": np.array(codes) / stage.GetTimeCodesPerSecond(),
+            "offsets": axes(rest[:, 3, :3]) * meters,
+            "root": axes(places[:, 0].astype(np.float64)) * meters,
+            "turns": axes(normalize(np.roll(xyzw, 1, axis=-1).astype(np.float64))),
+            **_provenance(stage.GetPrimAtPath(CHARACTER), codes, skeleton, path),
+            **_props(stage, codes, axes, meters),
+        }
+
+
+@contextmanager
+def _refused(path: str) -> Iterator[None]:
+    from pxr import Tf
+
+    try:
+        yield
+    except (Tf.ErrorException, *_BROKEN):
+        raise InputError(
+            f"{path}: its skeleton and animation do not fit; export it again"
+        ) from None
+
+
+def _first_animated(path: str) -> _Animated:
+    from pxr import Tf, Usd, UsdSkel
+
+    try:
+        stage = Usd.Stage.Open(path)
     except Tf.ErrorException:
         raise InputError(
             f"{path}: cannot be read as USD; expected .usda, .usdc or .usd"
@@ -47,23 +267,110 @@ def read_usd_positions(
         if prim.IsA(UsdSkel.Skeleton):
             query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
             if query and query.GetAnimQuery():
-                meters = UsdGeom.GetStageMetersPerUnit(stage)
-                return _skeleton_positions(stage, prim, query, meters)
+                return stage, prim, query
     raise InputError(f"{path}: has no animated skeleton; expected a UsdSkel animation")
 
 
-def _skeleton_positions(
-    stage: Any, prim: Any, query: Any, meters: float
-) -> tuple[NDArray[np.float64], tuple[str, ...], NDArray[np.float64]]:
-    from pxr import Gf, UsdGeom
+def _joint_names(query: Any) -> list[str]:
+    return [str(joint).rpartition("/")[2] for joint in query.GetJointOrder()]
 
-    names = tuple(str(joint).rpartition("/")[2] for joint in query.GetJointOrder())
-    codes = query.GetAnimQuery().GetJointTransformTimeSamples()
-    positions = np.empty((len(codes), len(names), 3))
-    for frame, code in enumerate(codes):
-        world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code)
-        matrices = np.array(query.ComputeJointSkelTransforms(code))
-        places = matrices[:, 3, :3] @ np.array(world)[:3, :3]
-        positions[frame] = places + np.array(Gf.Matrix4d(world).ExtractTranslation())
-    time = np.array(codes) / stage.GetTimeCodesPerSecond()
-    return time, names, positions * meters
+
+def _codes(query: Any) -> list[float]:
+    return list(query.GetAnimQuery().GetJointTransformTimeSamples())
+
+
+def _samples(attribute: Any, codes: Sequence[float]) -> NDArray[Any]:
+    return np.array([np.array(attribute.Get(code)) for code in codes])
+
+
+def _provenance(
+    character: Any, codes: Sequence[float], skeleton: Skeleton, path: str
+) -> dict[str, NDArray[Any]]:
+    """Return what ``usd_provenance`` wrote, as far as it is there."""
+    tables = {
+        "joints": list(skeleton.joints),
+        "decidingTermNames": [term.name.lower() for term in Term],
+        "originNames": [origin.name.lower() for origin in Origin],
+        "contactNames": list(CONTACTS),
+    }
+    for name, ours in tables.items():
+        theirs = character.GetAttribute(f"kinefilter:{name}").Get()
+        if theirs is not None and list(theirs) != ours[: len(theirs)]:
+            raise InputError(
+                f"{path}: kinefilter:{name} are {', '.join(theirs)[:60]}, expected "
+                f"{', '.join(ours)[:60]}; write the clip again"
+            )
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, field in _PER_FRAME.items():
+        attribute = character.GetAttribute(f"kinefilter:{name}")
+        if attribute and attribute.GetTimeSamples():
+            arrays[field] = _samples(attribute, codes)
+    force = character.GetAttribute("kinefilter:externalForce")
+    simulated = set(force.GetTimeSamples()) if force else set()
+    arrays["external_force"] = np.array(
+        [force.Get(code) if code in simulated else np.nan for code in codes]
+    )
+    for name, field in (("sensorTilt", "tilt"), ("floorHeight", "floor")):
+        number = character.GetAttribute(f"kinefilter:{name}").Get()
+        arrays[field] = np.array(np.nan if number is None else float(number))
+    return arrays
+
+
+def _props(
+    stage: Any, codes: Sequence[float], axes: Callable[[Array], Array], meters: float
+) -> dict[str, NDArray[Any]]:
+    """Return props as ``archive`` names their arrays."""
+    folder = stage.GetPrimAtPath(f"{CHARACTER}/Props")
+    arrays: dict[str, NDArray[Any]] = {}
+    for k, prim in enumerate(folder.GetChildren() if folder else ()):
+        shapes = prim.GetChildren()
+        arrays[f"prop:{k}:name"] = np.array(prim.GetName())
+        arrays[f"prop:{k}:kinds"] = np.array([_KINDS[s.GetTypeName()] for s in shapes])
+        places, turns = _placed(prim, codes)
+        arrays[f"prop:{k}:positions"] = axes(places) * meters
+        arrays[f"prop:{k}:rotations"] = axes(turns)
+        for n, shape in enumerate(shapes):
+            for name, array in _shape(shape, axes, meters).items():
+                arrays[f"prop:{k}:{n}:{name}"] = array
+    return arrays
+
+
+def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
+    """Return where a prim is, (T, 3), and its rotations wxyz, (T, 4), in its parent.
+
+    T is 1 for what never moves.
+    """
+    translate, orient = (
+        prim.GetAttribute(f"xformOp:{name}") for name in ("translate", "orient")
+    )
+    times = codes if translate.GetTimeSamples() else codes[:1]
+    turns = [orient.Get(code) for code in times]
+    wxyz = np.array([[turn.GetReal(), *turn.GetImaginary()] for turn in turns])
+    return np.array([translate.Get(code) for code in times], dtype=float), wxyz
+
+
+def _shape(
+    prim: Any, axes: Callable[[Array], Array], meters: float
+) -> dict[str, NDArray[Any]]:
+    def number(name: str) -> Any:
+        return np.array(prim.GetAttribute(name).Get(), dtype=float)
+
+    (place,), (turn,) = _placed(prim, [0.0])
+    points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+    if prim.GetTypeName() == "Mesh":
+        points = axes(number("points")) * meters
+        triangles = number("faceVertexIndices").astype(np.int64).reshape(-1, 3)
+        size = np.abs(points).max(axis=0)
+    elif prim.GetTypeName() in ("Capsule", "Cylinder"):
+        radius, height = number("radius"), number("height")
+        size = np.array([radius, 0.5 * height, radius]) * meters
+    else:
+        size = np.abs(axes(number("xformOp:scale"))) * meters
+    return {
+        "size": size,
+        "position": axes(place) * meters,
+        "rotation": axes(turn),
+        "color": number("primvars:displayColor")[0] ** (1.0 / LINEAR),
+        "points": points,
+        "triangles": triangles,
+    }

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from kinefilter.pipeline.extras import require
 
 if TYPE_CHECKING:
-    from .comparison import Comparison, compare, read_comparison
-    from .drawing import Drawing, cleaned, read_drawing
+    from .comparison import Comparison, compare, read_comparison, read_drawing
+    from .drawing import Drawing, cleaned
     from .metric_limits import Limit, parse_limit, read_limits
     from .options import Look
     from .page import check_report, write_report
@@ -40,8 +40,8 @@ __all__ = [
 ]
 
 _MODULES = {
-    "comparison": ("Comparison", "compare", "read_comparison"),
-    "drawing": ("Drawing", "cleaned", "read_drawing"),
+    "comparison": ("Comparison", "compare", "read_comparison", "read_drawing"),
+    "drawing": ("Drawing", "cleaned"),
     "metric_limits": ("Limit", "parse_limit", "read_limits"),
     "options": ("Look",),
     "page": ("check_report", "write_report"),

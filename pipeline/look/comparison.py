@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import Clip, InputError, Take
+from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.metrics import Quality, measure
 from kinefilter.pipeline.target.contacts import feet_of
 
-from .motions import read_motion
+from .drawing import Drawing, read_finite_clip
 from .placing import in_clip_frame, leveled_to_clip, same_stamps
 
 METRICS = {
@@ -66,11 +66,25 @@ def read_comparison(
     Raises:
         InputError: One cannot be read, or they do not belong together.
     """
-    clip, take = read_motion(clip_path), read_take(take_path, body=body)
+    clip, take = read_finite_clip(clip_path), read_take(take_path, body=body)
     try:
         return compare(clip, take)
     except InputError as error:
         raise InputError(f"{clip_path} with --take {take_path}: {error}") from None
+
+
+def read_drawing(
+    clip_path: Path, take_path: Path | None = None, *, body: int | None = None
+) -> Drawing:
+    """Read a clip and, if it is given, the take that it was made from.
+
+    Raises:
+        InputError: As ``read_comparison``.
+    """
+    if take_path is None:
+        return Drawing(read_finite_clip(clip_path))
+    found = read_comparison(clip_path, take_path, body=body)
+    return Drawing(found.clip, found.raw)
 
 
 def compare(clip: Clip, take: Take) -> Comparison:
@@ -82,10 +96,12 @@ def compare(clip: Clip, take: Take) -> Comparison:
         InputError: The clip was not made from the take, or does not say where its floor
             was, or has numbers that are not finite, or too few frames to be a motion.
     """
-    # Files without provenance (BVH, CSV) say nothing about how the take was leveled.
-    keeps_provenance = not np.isnan(clip.reliability).all()
-    _check(clip, take, states=keeps_provenance)
-    raw = (in_clip_frame if keeps_provenance else leveled_to_clip)(take, clip)
+    # BVH and CSV do not keep what was done to the take.
+    provenance = bool(np.isfinite(clip.moved_by_correction).any())
+    # USD does not keep the sensor's states.
+    states = provenance and bool((clip.state != State.TRACKED).any())
+    _check(clip, take, states=states)
+    raw = (in_clip_frame if provenance else leveled_to_clip)(take, clip)
     distinct = np.concatenate([[True], np.diff(clip.time) > 0])
     time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
     seen, positions = raw[distinct], clip.positions[distinct]
@@ -119,8 +135,10 @@ def _check(clip: Clip, take: Take, *, states: bool) -> None:
         )
     if states and not np.array_equal(clip.state, take.state):
         raise InputError(f"the tracking states of clip and take differ; {_TRY}")
-    numbers = (clip.positions, *([clip.reliability] if states else []))
-    if not all(np.isfinite(values).all() for values in numbers):
+    rates = clip.reliability
+    if not np.isfinite(clip.positions).all() or (
+        np.isnan(rates).any() and not np.isnan(rates).all()  # all: nothing is known
+    ):
         raise InputError("the clip has numbers that are not finite; write it again")
     for name, positions in (("clip", clip.positions), ("take", take.positions)):
         if (np.abs(positions) > _FARTHEST).any():

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import Clip, Motion, Take
+from kinefilter.characters import Clip, InputError, Motion, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.formats import read_clip
 from kinefilter.pipeline.progress import Progress, silent
 
 from .figures import StickFigure
@@ -119,25 +120,15 @@ def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> 
     return Drawing(clip, to_world(take.positions, clip.tilt, clip.floor), target)
 
 
-def read_drawing(
-    clip_path: Path, take_path: Path | None = None, *, body: int | None = None
-) -> Drawing:
-    """Read a clip and, if it is given, the take that it was made from.
-
-    Args:
-        clip_path: The clip, in any format that ``write_clip`` writes.
-        take_path: The take.
-        body: Which person of the take, counted from 1; None: who is seen in most
-            frames.
+def read_finite_clip(path: Path) -> Clip:
+    """Read a clip (``read_clip``) that has frames, and only finite numbers.
 
     Raises:
-        InputError: One cannot be read, or they do not belong together.
+        InputError: As ``read_clip``, or there is nothing to draw.
     """
-    if take_path is None:
-        from .motions import read_motion
-
-        return Drawing(read_motion(clip_path))
-    from .comparison import read_comparison
-
-    found = read_comparison(clip_path, take_path, body=body)
-    return Drawing(found.clip, found.raw)
+    clip = read_clip(path)
+    if not len(clip):
+        raise InputError(f"{path}: has no frames; nothing can be drawn")
+    if not (np.isfinite(clip.positions).all() and np.isfinite(clip.rotations).all()):
+        raise InputError(f"{path}: has numbers that are not finite; write it again")
+    return clip

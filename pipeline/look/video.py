@@ -67,7 +67,7 @@ def render_clips(
     pictures of an earlier run are kept if they are of the same clip and look.
 
     Args:
-        clips: Files of clips, see ``read_motion``.
+        clips: Files of clips, in any format that ``write_clip`` writes.
         out: ``.mp4``, ``.gif`` or ``.png`` with a place for the number; see
             ``output_paths`` for several clips.
         look: How they are drawn.

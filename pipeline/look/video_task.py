@@ -17,9 +17,8 @@ from kinefilter.pipeline.settings import hash_of
 from kinefilter.pipeline.target.placement import place_of
 
 from .cameras import CameraPath, axes_toward, camera_path
-from .drawing import Drawing, offset_beside
+from .drawing import Drawing, offset_beside, read_finite_clip
 from .figures import corners_around, corners_of
-from .motions import read_motion
 from .options import Look
 from .placing import raw_positions
 from .video_opengl import Backend
@@ -92,7 +91,7 @@ class Composition:
     """
 
     def __init__(self, task: RenderTask) -> None:
-        look, whole = task.look, read_motion(task.clip)
+        look, whole = task.look, read_finite_clip(task.clip)
         self._look = look
         clip, self.rate = shown_frames(whole, look)
         """Frames a second [1/s]."""
