@@ -24,13 +24,14 @@ from kinefilter.characters import (
     Skeleton,
     Take,
 )
-from kinefilter.pipeline import clean
+from kinefilter.pipeline import CleanConfig, clean
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look import (
     compare,
     parse_limit,
+    read_comparison,
     read_limits,
     write_report,
 )
@@ -186,6 +187,32 @@ def test_the_metrics_are_those_that_clean_printed() -> None:
             assert figures[name] == pytest.approx(expected, nan_ok=True), name
     assert found.after["jitter"] < 0.2 * found.before["jitter"]
     assert found.after["skate"] == 1e-3 * found.after["skate_mm_per_frame"]
+
+
+@pytest.mark.parametrize("suffix", [".usdc", ".bvh", ".csv"])
+def test_clips_of_other_kinds_have_nearly_the_metrics_of_the_whole_clip(
+    suffix: str, tmp_path: Path
+) -> None:
+    take = read_take(sample_path())
+    clip = clean(take, CleanConfig(method="none", physics=False)).clip
+    write_clip(clip, tmp_path / f"clip{suffix}")
+    found = read_comparison(tmp_path / f"clip{suffix}", sample_path())
+    expected = compare(clip, take)
+    for name in ("jitter", "peak_hand_speed", "moved_cm"):
+        assert found.after[name] == pytest.approx(expected.after[name], rel=0.1)
+    write_report(found, tmp_path / "report.html")
+    rates = _numbers(_contents(tmp_path / "report.html")["reliability"], "u1")
+    assert rates.max() <= 100
+
+
+def test_unknown_reliability_is_marked_on_the_page(
+    make_pair: MakePair, tmp_path: Path
+) -> None:
+    clip, take = make_pair()
+    unknown = replace(clip, reliability=np.full(clip.state.shape, np.nan))
+    write_report(compare(unknown, take), tmp_path / "report.html")
+    rates = _numbers(_contents(tmp_path / "report.html")["reliability"], "u1")
+    assert (rates == 255).all()
 
 
 def test_curves_are_the_derivatives_of_closed_forms(make_pair: MakePair) -> None:

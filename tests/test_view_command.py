@@ -20,6 +20,7 @@ from websockets.sync.client import connect
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig, clean, read_take
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.commands.view import View
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
@@ -144,6 +145,17 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([clip, "--port", "70000"], "--port 70000"),
     ):
         assert words in _refused(arguments, capsys), arguments
+
+
+def test_csv_and_bvh_are_clips_only_beside_a_take() -> None:
+    take = Path("take.csv")
+    for name, alone in (
+        *(("clip.npz", True), ("clip.usda", True), ("clip.USDZ", True)),
+        *(("clip.csv", False), ("clip.csv.gz", False), ("clip.bvh", False)),
+    ):
+        assert View(Path(name))._is_clip is alone
+        assert View(Path(name), take=take)._is_clip
+    assert not View(take, take=take)._is_clip
 
 
 def test_without_viser_the_extra_is_named(

@@ -12,20 +12,17 @@ from typing import TYPE_CHECKING, Any
 from kinefilter.pipeline.extras import require
 
 if TYPE_CHECKING:
-    from .comparison import Comparison, compare, read_comparison, read_drawing
+    from .comparison import compare, read_comparison, read_drawing
     from .drawing import Drawing, cleaned
-    from .metric_limits import Limit, parse_limit, read_limits
+    from .metric_limits import parse_limit, read_limits
     from .options import Look
     from .page import check_report, write_report
-    from .video import Rendering, render_clips
+    from .video import render_clips
     from .viewer import Viewer, opened_viewer
 
 __all__ = [
-    "Comparison",
     "Drawing",
-    "Limit",
     "Look",
-    "Rendering",
     "Viewer",
     "check_report",
     "cleaned",
@@ -40,12 +37,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    "comparison": ("Comparison", "compare", "read_comparison", "read_drawing"),
+    "comparison": ("compare", "read_comparison", "read_drawing"),
     "drawing": ("Drawing", "cleaned"),
-    "metric_limits": ("Limit", "parse_limit", "read_limits"),
+    "metric_limits": ("parse_limit", "read_limits"),
     "options": ("Look",),
     "page": ("check_report", "write_report"),
-    "video": ("Rendering", "render_clips"),
+    "video": ("render_clips",),
     "viewer": ("Viewer", "opened_viewer"),
 }
 

@@ -30,11 +30,7 @@ _LABELS = tuple(name.replace("Left", " L").replace("Right", " R") for name in CO
 
 
 class ContactEdits:
-    """Contacts, and what they were before each change.
-
-    Args:
-        contacts: Which parts of the feet stand (CONTACTS), shape (T, 4).
-    """
+    """Contacts (CONTACTS), shape (T, 4), and what they were before each change."""
 
     def __init__(self, contacts: Flags) -> None:
         self._contacts = self._saved = _read_only_copy(contacts)
@@ -78,9 +74,6 @@ class Timeline:
     """When each part of the feet stands, as four rows of bars over time.
 
     Long motions have a close-up of the frames around the present one.
-
-    Args:
-        contacts: Which parts of the feet stand (CONTACTS), shape (T, 4).
     """
 
     def __init__(self, contacts: Flags) -> None:
@@ -91,12 +84,7 @@ class Timeline:
         self._bars = _bars(np.logical_or.reduceat(contacts, starts, axis=0))
 
     def html(self, frame: int, chosen: tuple[int, int]) -> str:
-        """Return the picture as HTML.
-
-        Args:
-            frame: The frame that is marked.
-            chosen: First and last of the frames that are to be edited.
-        """
+        """Return HTML with one frame marked and the first to last chosen shaded."""
         count = len(self._contacts)
         strips = [_strip("timeline", self._bars, range(count), frame, chosen)]
         if count > 2 * _CLOSE:

@@ -85,13 +85,7 @@ class Drawing:
 
 
 def offset_beside(positions: Array, way: Array, room: float = 0.0) -> Array:
-    """Return the offset [m] along a unit vector that separates two figures, (3,).
-
-    Args:
-        positions: Joint positions of one of them [m], shape (T, J, 3).
-        way: Direction of the other, shape (3,).
-        room: Distance to keep besides the usual gap [m].
-    """
+    """Return the offset [m] along a unit vector that separates two figures, (3,)."""
     width = np.ptp(positions @ way, axis=1).max()
     return np.asarray((width + _GAP + room) * way)
 

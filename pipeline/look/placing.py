@@ -42,13 +42,7 @@ def nearest_frames(stamps: Array, times: Array) -> NDArray[np.intp]:
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
     """Read the take of a clip and return its joints in the clip's frame.
 
-    Args:
-        path: The take.
-        clip: What was made from it.
-        times: Time stamps [s] to show.
-
-    Returns:
-        Joint positions [m], NaN where nothing was measured, shape (T, J, 3).
+    Positions [m] at some times [s], NaN where nothing was measured, shape (T, J, 3).
 
     Raises:
         InputError: The file is no take, or not the one that the clip was made from.
@@ -79,10 +73,6 @@ def in_clip_frame(take: Take, clip: Clip) -> Array:
 
     The take is leveled as cleaning leveled it. Where both have the same frames, the
     distances that the clip keeps show whether it was made from this take.
-
-    Args:
-        take: A take of the clip's skeleton.
-        clip: What was made from it.
 
     Raises:
         InputError: The clip does not keep its tilt and floor, or it was made from

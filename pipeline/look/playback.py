@@ -10,11 +10,7 @@ _SHORTEST = 1.0 / 60.0  # s between two pictures: screens show no more
 
 
 class Playback:
-    """A place in a motion, at rest or running with a clock; the end leads back.
-
-    Args:
-        time: Time stamps [s], never decreasing, shape (T,).
-    """
+    """A place in a motion, at rest or running with a clock; the end leads back."""
 
     def __init__(self, time: Array) -> None:
         self._since = time - time[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -124,7 +124,8 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
         named = out.with_name(f"{out.stem}.{_CLIP}{out.suffix}")
         if numbered:
             named = out.parent / _CLIP / out.name
-    paths = [Path(str(named).replace(_CLIP, _stem(clip))) for clip in clips]
+    stems = [c.name.removesuffix(".gz").rpartition(".")[0] or c.name for c in clips]
+    paths = [Path(str(named).replace(_CLIP, stem)) for stem in stems]
     twice = [path for path, count in Counter(paths).items() if count > 1]
     if twice:
         same = [str(c) for c, path in zip(clips, paths, strict=True) if path in twice]
@@ -144,17 +145,11 @@ def stretches(count: int, share: int) -> list[Parts]:
 
     The parts are the same whatever the groups, and so are the videos made of them.
 
-    Args:
-        count: Frames of the clip.
-        share: Frames of all clips that each process draws.
+    ``share`` is how many frames of all clips each process draws.
     """
     parts = [range(k, min(k + _PART, count)) for k in range(0, count, _PART)]
     size = max(1, min(share // _STRETCHES, _LONGEST) // _PART)
     return [tuple(parts[k : k + size]) for k in range(0, len(parts), size)]
-
-
-def _stem(clip: Path) -> str:
-    return clip.name.removesuffix(".gz").rpartition(".")[0] or clip.name
 
 
 def _make_folder(folder: Path) -> None:
@@ -208,7 +203,10 @@ def _drawn(
     with workers(min(count, max(tasks, 1)), environment=backend.environment) as pool:
         try:
             for job in planned:
-                _submit(job, share, pool)
+                job.futures = {
+                    pool.submit(draw_parts, job.task, parts, job.fingerprint): parts
+                    for parts in stretches(job.frames, share)
+                }
             for job in planned:
                 yield job, _finished(job, steps)
                 done += 1
@@ -222,13 +220,6 @@ def _drawn(
     # Which clip it was shows once each has processes of its own.
     for job in left:
         yield from _drawn([job], backend, count, steps)
-
-
-def _submit(job: _Job, share: int, pool: ProcessPoolExecutor) -> None:
-    job.futures = {
-        pool.submit(draw_parts, job.task, parts, job.fingerprint): parts
-        for parts in stretches(job.frames, share)
-    }
 
 
 def _finished(job: _Job, steps: Iterator[int]) -> str | None:

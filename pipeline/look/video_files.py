@@ -57,13 +57,7 @@ def encode_video(
 def write_mp4(
     parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
 ) -> None:
-    """Write the parts of a video one after another.
-
-    Args:
-        parts: Pictures of each part, as ``encode_video`` returns them.
-        path: The file.
-        size: Width and height in pixels, both even.
-        rate: Frames a second.
+    """Write the parts of a video (``encode_video``) one after another.
 
     Raises:
         InputError: The file cannot be written.
@@ -87,13 +81,7 @@ def write_mp4(
 def write_gif(
     parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
 ) -> None:
-    """Write an endless animation with one palette for all pictures.
-
-    Args:
-        parts: Pictures of each part as PNG.
-        path: The file.
-        size: Width and height in pixels.
-        rate: Frames a second.
+    """Write an endless animation of PNG pictures, all with one palette.
 
     Raises:
         InputError: The file cannot be written.

@@ -42,13 +42,8 @@ _KINDS = {
 class ClipModel:
     """The model of a drawing, posed frame by frame.
 
-    Args:
-        drawing: What is drawn: the clip with its props, and the raw take if there is
-            one.
-        size: Width and height of the pictures in pixels.
-        samples: Samples per pixel.
-        toward: Direction to the camera, from which most light comes, world frame.
-        translucent: Whether the raw take is drawn inside the character.
+    Most light comes from ``toward``, the direction to the camera; the skin is
+    translucent where the raw take is drawn inside the character.
     """
 
     def __init__(

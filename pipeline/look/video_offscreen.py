@@ -22,11 +22,7 @@ class OffscreenRenderer:
 
     Without a GPU, filling floor and sky is most of the work. A picture of the rest
     alone, put before them where it is nearer, is the same to the pixel.
-
-    Args:
-        clip_model: What is drawn.
-        camera: Where it is seen from.
-        shadows: Whether to draw shadows; everything is then drawn in every frame.
+    With shadows, everything is drawn in every frame.
     """
 
     def __init__(

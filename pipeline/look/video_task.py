@@ -39,10 +39,6 @@ class RenderTask:
     """A video, a GIF, or pictures with their number in the name (``%05d.png``)."""
     look: Look
     """How it is drawn."""
-    shadows: bool = False
-    """Whether to draw shadows."""
-    samples: int = 0
-    """Samples per pixel."""
     renderer: str = ""
     """The OpenGL that draws."""
 
@@ -53,12 +49,12 @@ class RenderTask:
         """
         soft, look = backend.software, self.look
         samples = 0 if soft else _GPU_SAMPLES
-        return replace(
-            self,
+        look = replace(
+            look,
             shadows=look.shadows or not soft,
             samples=samples if look.samples is None else look.samples,
-            renderer=str(backend),
         )
+        return replace(self, look=look, renderer=str(backend))
 
     def fingerprint(self) -> str:
         """Return a hash of all that decides the pictures.
@@ -69,8 +65,6 @@ class RenderTask:
         named = (look.compare or "", look.camera, look.scene or "")
         known = {
             **asdict(look),
-            "shadows": self.shadows,
-            "samples": self.samples,
             "renderer": self.renderer,
             "kinefilter": version("kinefilter"),
             "files": [
@@ -156,12 +150,8 @@ def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
 def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop, ...]:
     """Return props and what else a scene has, at rest.
 
-    The scene lies where ``clean --scene`` puts it: the person begins at its origin.
-
-    Args:
-        clip: The whole clip.
-        props: Its props in the frames that are drawn.
-        scene: One of SCENES, or an MJCF file.
+    The scene lies where ``clean --scene`` puts it: the person, in the whole clip,
+    begins at its origin.
 
     Raises:
         InputError: As ``load_scene``.

@@ -37,11 +37,6 @@ def draw_parts(task: RenderTask, parts: Parts, fingerprint: str) -> list[list[Co
 
     Numbered pictures are written; pictures of a video or a GIF are returned.
 
-    Args:
-        task: What to draw.
-        parts: The frames.
-        fingerprint: The task's, for numbered pictures.
-
     Raises:
         InputError: The task cannot be drawn, or a picture cannot be written.
     """
@@ -93,11 +88,11 @@ def _opened(task: RenderTask) -> _Open:
         model = ClipModel(
             made.drawing,
             size=task.look.pixels,
-            samples=task.samples,
+            samples=task.look.samples or 0,
             toward=made.camera.toward,
             translucent=made.drawing.raw is not None and task.look.place == "over",
         )
-        renderer = OffscreenRenderer(model, made.camera, shadows=task.shadows)
+        renderer = OffscreenRenderer(model, made.camera, shadows=task.look.shadows)
         _open.append(_Open(task, made, renderer))
     return _open[0]
 

@@ -41,12 +41,6 @@ class Viewer:
 
     What browsers ask for comes from threads of the server. It waits in a queue for
     ``run``, which alone changes anything, so that no locks are needed.
-
-    Args:
-        server: The page.
-        drawing: What is shown.
-        save: File that contacts are saved in.
-        again: How the take is cleaned once more; None: it cannot be.
     """
 
     def __init__(

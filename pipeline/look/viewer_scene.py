@@ -42,10 +42,7 @@ _FLOOR = 12.0  # m, the side of what catches shadows
 class ViewerScene:
     """Everything that is drawn, in layers (Drawing.layers) that are shown or hidden.
 
-    Args:
-        server: The page.
-        drawing: What is drawn.
-        contacts: Which parts of the feet stand (CONTACTS), shape (T, 4).
+    ``contacts`` (T, 4) are those that are being edited.
     """
 
     def __init__(
@@ -68,13 +65,7 @@ class ViewerScene:
         self._shown = set(self._layers)
 
     def choose(self, names: set[str], *, beside: bool, shadows: bool) -> None:
-        """Show some layers, hide the others, and place the raw take.
-
-        Args:
-            names: Layers to show.
-            beside: Whether the raw take stands beside the character.
-            shadows: Whether there are shadows.
-        """
+        """Show some layers, hide the others, and put the raw take beside or over."""
         self._sun.cast_shadow = shadows
         self._shown = names & set(self._layers)
         for name, (handle, _) in self._layers.items():

@@ -49,10 +49,6 @@ def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
     check. On loopback the page's own address must be on loopback too, so that no
     foreign name that points there passes for it.
 
-    Args:
-        bind: Address to listen at.
-        port: Port, 0: any that is free.
-
     Raises:
         InputError: Nothing can listen there.
     """
@@ -90,13 +86,7 @@ def address_of(server: viser.ViserServer) -> str:
 
 
 def may_connect(origin: str | None, host: str | None, *, loopback: bool) -> bool:
-    """Tell whether a page may talk to the server that it names.
-
-    Args:
-        origin: Where the page came from, as its browser says.
-        host: Whom the browser believes to talk to.
-        loopback: Whether only this machine should be able to.
-    """
+    """Tell whether a page from an origin may talk to the host that it names."""
     if origin is None or host is None:
         return False
     if loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):
