@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from kinefilter.pipeline.batch.plan import Job
     from kinefilter.pipeline.batch.row import Row
-    from kinefilter.pipeline.render.codec import Coded
-    from kinefilter.pipeline.render.parts import Parts
-    from kinefilter.pipeline.render.shot import Shot
+    from kinefilter.pipeline.look.video_files import Coded
+    from kinefilter.pipeline.look.video_task import RenderTask
+    from kinefilter.pipeline.look.video_worker import Parts
 
 
-def draw_or_die(shot: Shot, parts: Parts, fingerprint: str) -> list[list[Coded]]:
-    if shot.clip.stem == "deadly":
+def draw_or_die(task: RenderTask, parts: Parts, fingerprint: str) -> list[list[Coded]]:
+    if task.clip.stem == "deadly":
         os._exit(1)
-    shot.out.with_name(f"{shot.clip.stem}.drawn").write_text(fingerprint)
+    task.out.with_name(f"{task.clip.stem}.drawn").write_text(fingerprint)
     return [[] for _ in parts]
 
 

@@ -19,13 +19,12 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline.cleaner import CleanResult
-from kinefilter.pipeline.clip_frame import in_clip_frame, same_stamps
 from kinefilter.pipeline.failures import unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
 from kinefilter.pipeline.formats.resample import resampled
-from kinefilter.pipeline.render.raw_take import raw_positions
-from kinefilter.pipeline.report import compare
-from kinefilter.pipeline.report.table import METRICS
+from kinefilter.pipeline.look import compare
+from kinefilter.pipeline.look.comparison import METRICS
+from kinefilter.pipeline.look.placing import in_clip_frame, raw_positions, same_stamps
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -20,10 +20,10 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import render as command
 from kinefilter.pipeline.formats import write_clip, write_take_csv
-from kinefilter.pipeline.render import Look, clips, render_clips, shot
-from kinefilter.pipeline.render.backend import Backend, find_backend
-from kinefilter.pipeline.render.frames import frame_path
-from kinefilter.pipeline.render.shot import Shot
+from kinefilter.pipeline.look import Look, render_clips, video, video_task
+from kinefilter.pipeline.look.video_files import frame_path
+from kinefilter.pipeline.look.video_opengl import Backend, find_backend
+from kinefilter.pipeline.look.video_task import RenderTask
 
 SMALL = Look(size="96x54")
 
@@ -39,14 +39,14 @@ def found() -> Backend:
 @pytest.fixture
 def backend(found: Backend, monkeypatch: pytest.MonkeyPatch) -> Backend:
     """Return what draws here, found once for all tests."""
-    monkeypatch.setattr(clips, "find_backend", lambda: found)
+    monkeypatch.setattr(video, "find_backend", lambda: found)
     return found
 
 
 @pytest.fixture
 def no_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let tests go on that do not get as far as drawing."""
-    monkeypatch.setattr(clips, "find_backend", lambda: Backend("none", "nothing"))
+    monkeypatch.setattr(video, "find_backend", lambda: Backend("none", "nothing"))
 
 
 def _decoded(path: Path) -> tuple[list[np.ndarray], list[Any], Any]:
@@ -127,14 +127,14 @@ def test_pictures_of_another_opengl_or_version_are_of_another_shot(
 
     def fingerprint(backend: Backend) -> str:
         out = tmp_path / "%d.png"
-        return Shot(clip, out, SMALL).drawn_by(backend).fingerprint()
+        return RenderTask(clip, out, SMALL).drawn_by(backend).fingerprint()
 
     one = Backend("osmesa", "llvmpipe (LLVM 15)")
     first = fingerprint(one)
     assert fingerprint(one) == first
     assert fingerprint(replace(one, renderer="llvmpipe (LLVM 19)")) != first
     assert fingerprint(replace(one, name="egl")) != first
-    monkeypatch.setattr(shot, "version", lambda _: "another")
+    monkeypatch.setattr(video_task, "version", lambda _: "another")
     assert fingerprint(one) != first
 
 
@@ -164,7 +164,7 @@ def test_a_clip_that_kills_its_process_is_told_from_the_others(
     names = ["deadly", "first", "second"]
     for name in names:
         write_clip(make_clip(3), tmp_path / f"{name}.npz")
-    monkeypatch.setattr(clips, "draw_parts", draw_or_die)
+    monkeypatch.setattr(video, "draw_parts", draw_or_die)
     files = [tmp_path / f"{name}.npz" for name in names]
     done = render_clips(files, tmp_path / "{clip}-%d.png", SMALL, jobs=2)
     assert len(done.failures) == 1
@@ -251,7 +251,7 @@ def test_without_opengl_what_to_install_is_said(
 
 def test_who_only_waits_for_pictures_loads_no_opengl() -> None:
     code = (
-        "import sys, kinefilter.pipeline.render.clips\n"
+        "import sys, kinefilter.pipeline.look.video\n"
         "print([m for m in ('mujoco', 'OpenGL', 'av', 'pxr') if m in sys.modules])"
     )
     done = subprocess.run(

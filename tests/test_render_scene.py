@@ -3,41 +3,40 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from conftest import MakeClip
+from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.pipeline.formats import write_clip, write_take_csv
-from kinefilter.pipeline.render import Look
-from kinefilter.pipeline.render.backend import find_backend
-from kinefilter.pipeline.render.cameras import axes_toward
-from kinefilter.pipeline.render.raw_figure import RawFigure, figure_names
-from kinefilter.pipeline.render.reliability_colors import reliability_colors
-from kinefilter.pipeline.render.scene import Scene
-from kinefilter.pipeline.render.shot import Shot, Staged
-from kinefilter.pipeline.render.surroundings import corners_of, props_around
+from kinefilter.pipeline.look import Drawing, Look
+from kinefilter.pipeline.look.cameras import axes_toward
+from kinefilter.pipeline.look.figures import corners_of
+from kinefilter.pipeline.look.palette import (
+    RELIABILITY,
+    UNKNOWN,
+    reliability_colors,
+)
+from kinefilter.pipeline.look.video_model import ClipModel, figure_names
+from kinefilter.pipeline.look.video_opengl import find_backend
+from kinefilter.pipeline.look.video_task import Composition, RenderTask, props_around
 
 
-def _scene(clip: Clip, *, figure: bool = False) -> Scene:
-    return Scene(
-        clip,
-        clip.props,
+def _model(clip: Clip, raw: NDArray[np.float64] | None = None) -> ClipModel:
+    return ClipModel(
+        Drawing(clip, raw),
         size=(64, 36),
         samples=0,
-        facing=np.array([0.0, 0.0, 1.0]),
-        reach=2.0,
-        figure=figure_names(clip.skeleton) if figure else (),
+        toward=np.array([0.0, 0.0, 1.0]),
     )
 
 
@@ -45,7 +44,7 @@ def test_every_corner_of_a_prop_is_where_the_model_has_it(
     make_clip: MakeClip, furnish: Callable[[Clip], Clip]
 ) -> None:
     clip = furnish(make_clip(12))
-    scene = _scene(clip)
+    scene = _model(clip)
     boxes = 0
     for frame in (0, 11):
         scene.pose(frame)
@@ -74,7 +73,7 @@ def test_every_corner_of_a_prop_is_where_the_model_has_it(
 
 def test_the_skin_is_posed_by_the_clips_rotations(make_clip: MakeClip) -> None:
     clip = make_clip(6)
-    scene = _scene(clip)
+    scene = _model(clip)
     view = mujoco.MjvScene(scene.model, maxgeom=100)
     scene.pose(5)
     mujoco.mjv_updateScene(
@@ -97,10 +96,8 @@ def test_the_figures_bones_end_at_its_joints(make_clip: MakeClip) -> None:
     clip = make_clip(4)
     raw = clip.positions.copy()
     raw[2, 5] = np.nan
-    scene = _scene(clip, figure=True)
-    figure = RawFigure(scene.model, raw, clip)
+    scene = _model(clip, raw)
     scene.pose(2)
-    figure.pose(scene.data, 2)
     model, data, skeleton = scene.model, scene.data, clip.skeleton
     seen = 0
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
@@ -123,8 +120,8 @@ def test_joints_are_blue_where_reliable_and_red_where_not(make_clip: MakeClip) -
     clip = make_clip(1)
     rates = np.linspace(0.0, 1.0, len(clip.skeleton))
     clip = replace(clip, reliability=rates[None])
-    scene = _scene(clip, figure=True)
-    RawFigure(scene.model, clip.positions, clip).pose(scene.data, 0)
+    scene = _model(clip, clip.positions)
+    scene.pose(0)
     names = figure_names(clip.skeleton)[: len(rates)]
     colors = np.array([scene.model.geom(name).rgba for name in names])
     balance = colors[:, 2] - colors[:, 0]
@@ -133,16 +130,10 @@ def test_joints_are_blue_where_reliable_and_red_where_not(make_clip: MakeClip) -
     assert balance[-1] > 0.4
 
 
-def test_pictures_and_reports_have_the_same_colors_of_reliability() -> None:
-    part = resources.files("kinefilter.pipeline") / "report/template/arrays.js"
-    hexes = re.search(
-        r'LOW = rgb\("#(\w+)"\), MIDDLE = rgb\("#(\w+)"\), HIGH = rgb\("#(\w+)"\)',
-        part.read_text(encoding="utf-8"),
-    )
-    assert hexes is not None
-    colors = reliability_colors(np.array([-0.1, 0.5, 1.1])) * 255.0
-    found = [bytes(color).hex() for color in np.round(colors).astype(np.uint8)]
-    assert found == [*hexes.groups()]
+def test_joints_of_unknown_reliability_are_gray() -> None:
+    colors = reliability_colors(np.array([np.nan, -0.1, 0.5, 1.1])) * 255.0
+    found = [f"#{bytes(c).hex()}" for c in np.round(colors).astype(np.uint8)]
+    assert found == [UNKNOWN, *RELIABILITY]
 
 
 def test_the_raw_take_stands_beside_the_character_and_in_the_picture(
@@ -156,21 +147,29 @@ def test_the_raw_take_stands_beside_the_character_and_in_the_picture(
     write_clip(clip, tmp_path / "clip.npz")
     write_take_csv(clip, tmp_path / "take.csv")
     look = Look(compare=tmp_path / "take.csv", camera="front")
-    staged = Staged(Shot(tmp_path / "clip.npz", tmp_path / "clip.mp4", look))
-    assert staged.raw is not None
-    position, target = staged.camera.at(0)
+    composed = Composition(
+        RenderTask(tmp_path / "clip.npz", tmp_path / "clip.mp4", look)
+    )
+    assert composed.drawing.raw is not None
+    position, target = composed.camera.at(0)
     toward = (position - target) / np.linalg.norm(position - target)
     right, _ = axes_toward(toward)
-    gap = (staged.clip.positions @ right).min(axis=1) - (staged.raw @ right).max(axis=1)
+    gap = (composed.drawing.clip.positions @ right).min(axis=1) - (
+        composed.drawing.raw @ right
+    ).max(axis=1)
     assert (gap > 0.2).all()
     over = replace(look, place="over")
-    staged = Staged(Shot(tmp_path / "clip.npz", tmp_path / "clip.mp4", over))
-    assert staged.raw == pytest.approx(staged.clip.positions, abs=1e-6)
+    composed = Composition(
+        RenderTask(tmp_path / "clip.npz", tmp_path / "clip.mp4", over)
+    )
+    assert composed.drawing.raw == pytest.approx(
+        composed.drawing.clip.positions, abs=1e-6
+    )
 
 
 def test_a_scene_stands_where_the_clip_begins(make_clip: MakeClip) -> None:
     clip = make_clip(20)
-    props = {prop.name: prop for prop in props_around(clip, clip, "chair")}
+    props = {prop.name: prop for prop in props_around(clip, (), "chair")}
     assert "chair" in props
     start = np.median(clip.positions[:15, clip.skeleton.root], axis=0)
     away = props["chair"].positions[0] - start
@@ -180,27 +179,26 @@ def test_a_scene_stands_where_the_clip_begins(make_clip: MakeClip) -> None:
 _DRAWN_TWICE = """
 import sys, numpy as np
 from pathlib import Path
-from kinefilter.pipeline.render.look import Look
-from kinefilter.pipeline.render.painter import Painter
-from kinefilter.pipeline.render.scene import Scene
-from kinefilter.pipeline.render.shot import Shot, Staged
+from kinefilter.pipeline.look import Look
+from kinefilter.pipeline.look.video_model import ClipModel
+from kinefilter.pipeline.look.video_offscreen import OffscreenRenderer
+from kinefilter.pipeline.look.video_task import Composition, RenderTask
 
-def painter(camera):
+def renderer(camera):
     look = Look(size="160x90", camera=camera)
-    staged = Staged(Shot(Path(sys.argv[1]), Path("clip.mp4"), look))
-    scene = Scene(
-        staged.clip, staged.props, size=(160, 90), samples=0,
-        facing=np.array([0.0, 0.0, 1.0]), reach=2.0,
+    composed = Composition(RenderTask(Path(sys.argv[1]), Path("clip.mp4"), look))
+    model = ClipModel(
+        composed.drawing, size=(160, 90), samples=0, toward=np.array([0.0, 0.0, 1.0])
     )
-    return Painter(scene, staged.camera)
+    return OffscreenRenderer(model, composed.camera)
 
-fast, whole, orbit = painter("front"), painter("front"), painter("orbit")
-assert fast._layers is not None
-whole._layers = None  # floor and sky too are drawn in every picture
+fast, whole, orbit = renderer("front"), renderer("front"), renderer("orbit")
+assert fast._background is not None
+whole._background = None  # floor and sky too are drawn in every picture
 for k in range(0, 40, 8):
-    assert np.array_equal(fast.paint(k), whole.paint(k)), k
-there = [orbit.paint(k) for k in range(0, 40, 8)]
-back = [orbit.paint(k) for k in reversed(range(0, 40, 8))][::-1]
+    assert np.array_equal(fast.render(k), whole.render(k)), k
+there = [orbit.render(k) for k in range(0, 40, 8)]
+back = [orbit.render(k) for k in reversed(range(0, 40, 8))][::-1]
 assert np.array_equal(there, back)
 assert not np.array_equal(there[0], there[1])
 for each in (fast, whole, orbit):

@@ -10,18 +10,23 @@ import pytest
 from conftest import MakeClip
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V2, InputError, standard_body
+from kinefilter.characters import KINECT_V2, Clip, InputError, Take, standard_body
 from kinefilter.pipeline.formats import write_clip, write_take_csv
-from kinefilter.pipeline.render import Look
-from kinefilter.pipeline.render.cameras import CAMERAS, axes_toward, camera_path
-from kinefilter.pipeline.render.motions import read_motion, shown_frames
-from kinefilter.pipeline.render.naming import outputs
-from kinefilter.pipeline.render.parts import stretches
-from kinefilter.pipeline.render.raw_take import nearest_frames, raw_positions
+from kinefilter.pipeline.look import Look
+from kinefilter.pipeline.look.cameras import CAMERAS, axes_toward, camera_path
+from kinefilter.pipeline.look.drawing import read_finite_clip
+from kinefilter.pipeline.look.placing import nearest_frames, raw_positions
+from kinefilter.pipeline.look.video import output_paths, stretches
+from kinefilter.pipeline.look.video_task import shown_frames
 from kinefilter.scenes.library import perform
 
 ASPECT = 16 / 9
+
+
+def _take(clip: Clip, positions: NDArray[np.float64]) -> Take:
+    return Take(clip.time, positions, clip.state, clip.skeleton)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +171,7 @@ def test_the_raw_take_is_put_where_cleaning_put_it(
     raw[..., 1] = np.cos(tilt) * y + np.sin(tilt) * z
     raw[..., 2] = np.cos(tilt) * z - np.sin(tilt) * y
     raw[10:20, 3] += 1.0  # what cleaning corrected
-    write_take_csv(replace(clip, positions=raw), tmp_path / "take.csv")
+    write_take_csv(_take(clip, raw), tmp_path / "take.csv")
     found = raw_positions(tmp_path / "take.csv", clip, clip.time)
     expected = clip.positions.copy()
     moved = found[10:20, 3]
@@ -182,9 +187,10 @@ def test_csv_and_bvh_show_the_same_joints_as_the_whole_clip(
     body = standard_body(KINECT_V2)
     act = perform("walk", body, seed=0, fps=30.0)
     clip = make_clip(len(act), KINECT_V2, body=body)
-    clip = replace(clip, positions=act.positions, rotations=act.rotations)
+    clip = replace(clip, root=act.positions[:, body.skeleton.root])
+    clip = replace(clip, rotations=act.rotations)
     write_clip(clip, tmp_path / f"clip{suffix}")
-    found = read_motion(tmp_path / f"clip{suffix}")
+    found = read_finite_clip(tmp_path / f"clip{suffix}")
     assert found.skeleton == clip.skeleton
     away = np.linalg.norm(found.positions - clip.positions, axis=-1)
     assert away.mean() < 0.02
@@ -194,15 +200,15 @@ def test_a_raw_take_is_no_clip(make_clip: MakeClip, tmp_path: Path) -> None:
     clip = make_clip(20)
     positions = clip.positions.copy()
     positions[4, 7] = np.nan
-    write_take_csv(replace(clip, positions=positions), tmp_path / "take.csv")
+    write_take_csv(_take(clip, positions), tmp_path / "take.csv")
     with pytest.raises(InputError, match="frame 5 has no HandLeft"):
-        read_motion(tmp_path / "take.csv")
+        read_finite_clip(tmp_path / "take.csv")
 
 
 def test_usd_without_a_clip_is_refused(tmp_path: Path) -> None:
     (tmp_path / "clip.usda").write_text("#usda 1.0")
     with pytest.raises(InputError, match=r"clip\.usda: has no animated skeleton"):
-        read_motion(tmp_path / "clip.usda")
+        read_finite_clip(tmp_path / "clip.usda")
 
 
 def test_a_take_of_another_clip_is_not_drawn_beside_it(
@@ -231,9 +237,9 @@ def test_several_clips_get_a_name_each(
     out: str, expected: list[str], tmp_path: Path
 ) -> None:
     clips = [Path("a/walk.npz"), Path("b/run.csv.gz")]
-    assert outputs(clips, tmp_path / out) == [tmp_path / name for name in expected]
+    assert output_paths(clips, tmp_path / out) == [tmp_path / name for name in expected]
     with pytest.raises(InputError, match="one file"):
-        outputs([Path("a/walk.npz"), Path("b/walk.npz")], tmp_path / out)
+        output_paths([Path("a/walk.npz"), Path("b/walk.npz")], tmp_path / out)
 
 
 def test_parts_are_the_same_however_they_are_shared() -> None:

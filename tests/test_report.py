@@ -16,7 +16,7 @@ import pytest
 from conftest import MakeClip
 from numpy.typing import NDArray
 
-from kinefilter import clean
+from kinefilter import CleanConfig, clean
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -28,14 +28,15 @@ from kinefilter.characters import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.metrics import distances
-from kinefilter.pipeline.report import (
+from kinefilter.pipeline.look import (
     compare,
     parse_limit,
+    read_comparison,
     read_limits,
     write_report,
 )
-from kinefilter.pipeline.report.table import METRICS
+from kinefilter.pipeline.look.comparison import METRICS
+from kinefilter.pipeline.metrics import distances
 from kinefilter.pipeline.target.floor import leveled
 
 Pair = tuple[Clip, Take]
@@ -188,13 +189,39 @@ def test_the_metrics_are_those_that_clean_printed() -> None:
     assert found.after["skate"] == 1e-3 * found.after["skate_mm_per_frame"]
 
 
+@pytest.mark.parametrize("suffix", [".usdc", ".bvh", ".csv"])
+def test_clips_of_other_kinds_have_nearly_the_metrics_of_the_whole_clip(
+    suffix: str, tmp_path: Path
+) -> None:
+    take = read_take(sample_path())
+    clip = clean(take, CleanConfig(method="none", physics=False)).clip
+    write_clip(clip, tmp_path / f"clip{suffix}")
+    found = read_comparison(tmp_path / f"clip{suffix}", sample_path())
+    expected = compare(clip, take)
+    for name in ("jitter", "peak_hand_speed", "moved_cm"):
+        assert found.after[name] == pytest.approx(expected.after[name], rel=0.1)
+    write_report(found, tmp_path / "report.html")
+    rates = _numbers(_contents(tmp_path / "report.html")["reliability"], "u1")
+    assert rates.max() <= 100
+
+
+def test_unknown_reliability_is_marked_on_the_page(
+    make_pair: MakePair, tmp_path: Path
+) -> None:
+    clip, take = make_pair()
+    unknown = replace(clip, reliability=np.full(clip.state.shape, np.nan))
+    write_report(compare(unknown, take), tmp_path / "report.html")
+    rates = _numbers(_contents(tmp_path / "report.html")["reliability"], "u1")
+    assert (rates == 255).all()
+
+
 def test_curves_are_the_derivatives_of_closed_forms(make_pair: MakePair) -> None:
-    from kinefilter.pipeline.report.contents import contents_of
+    from kinefilter.pipeline.look.page import contents_of
 
     clip, _ = make_pair(60)
-    time = clip.time[:, None, None]
-    moved = replace(clip, positions=clip.positions[:1] + [0.0, 0.0, 2.0] * time**3)
-    still = replace(clip, positions=np.repeat(clip.positions[:1], 60, axis=0))
+    still = clip.at(np.zeros(60, dtype=int))
+    still = replace(still, time=clip.time)
+    moved = replace(still, root=still.root + [0.0, 0.0, 2.0] * clip.time[:, None] ** 3)
     pair = replace(compare(*make_pair(60)), clip=moved, raw=still.positions)
     speed, jitter = contents_of(pair, ())["curves"]
     third = _numbers(jitter["clean"], "<f4")
@@ -349,9 +376,9 @@ def test_what_does_not_belong_together_is_refused(
 @pytest.mark.parametrize(
     ("at", "word", "message"),
     [
-        (1, "clip.bvh", "write the clip as .npz"),
+        (1, "clip.bvh", "clip.bvh"),
         (1, "none.npz", "no such file"),
-        (1, "take.csv", "write the clip as .npz"),
+        (1, "take.csv", "raw take"),
         (3, "clip.npz", ""),
         (3, "none.csv", "no such file"),
         (5, "report.txt", "name it .html"),
@@ -371,11 +398,11 @@ def test_files_that_do_not_fit_are_refused(
     assert message in _refused(files, capsys)
 
 
-@pytest.mark.parametrize("array", ["positions", "reliability"])
+@pytest.mark.parametrize("array", ["root", "reliability"])
 def test_a_clip_that_is_not_finite_is_refused(make_pair: MakePair, array: str) -> None:
     clip, take = make_pair()
     values = getattr(clip, array).copy()
-    values[3, 2] = np.nan
+    values[3, 0] = np.nan
     with pytest.raises(InputError, match="not finite"):
         compare(replace(clip, **{array: values}), take)
 
@@ -383,6 +410,6 @@ def test_a_clip_that_is_not_finite_is_refused(make_pair: MakePair, array: str) -
 def test_joints_out_of_this_world_are_refused(make_pair: MakePair) -> None:
     clip, take = make_pair()
     with pytest.raises(InputError, match="clip has joints over 1000 m"):
-        compare(replace(clip, positions=clip.positions * 1e200), take)
+        compare(replace(clip, root=clip.root + 1e200), take)
     with pytest.raises(InputError, match="take has joints over 1000 m"):
         compare(clip, replace(take, positions=take.positions * 1e200))

@@ -19,12 +19,10 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import read_contacts, write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.view import Viewed, cleaned, opened_viewer, read_viewed
-from kinefilter.pipeline.view.contact_edits import PARTS, ContactEdits
-from kinefilter.pipeline.view.layers import names_of, way_aside
-from kinefilter.pipeline.view.playback import Playback
-from kinefilter.pipeline.view.status import status_html
-from kinefilter.pipeline.view.timeline import Timeline
+from kinefilter.pipeline.look import Drawing, cleaned, opened_viewer, read_drawing
+from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, Timeline
+from kinefilter.pipeline.look.playback import Playback
+from kinefilter.pipeline.look.viewer import status_html
 
 QUICK = CleanConfig(method="none", physics=False)
 TIME = np.array([5.0, 5.1, 5.2, 5.2, 5.5, 5.6])  # a repeated stamp and a gap
@@ -175,48 +173,56 @@ def test_the_status_names_the_least_reliable_joint_and_the_force(
 def test_a_take_is_viewed_with_its_target_where_the_clip_is() -> None:
     take = read_take(sample_path())
     result = clean(take, CleanConfig())
-    viewed = cleaned(take, CleanConfig())
-    assert viewed.target is not None
-    assert viewed.raw is not None
-    np.testing.assert_array_equal(viewed.target, result.target)
-    moved = np.linalg.norm(viewed.clip.positions - viewed.target, axis=2)
-    np.testing.assert_allclose(moved, viewed.clip.moved_by_physics, atol=1e-9)
-    moved = np.linalg.norm(viewed.target - viewed.raw, axis=2)
+    drawing = cleaned(take, CleanConfig())
+    assert drawing.target is not None
+    assert drawing.raw is not None
+    np.testing.assert_array_equal(drawing.target, result.target)
+    moved = np.linalg.norm(drawing.clip.positions - drawing.target, axis=2)
+    np.testing.assert_allclose(moved, drawing.clip.moved_by_physics, atol=1e-9)
+    moved = np.linalg.norm(drawing.target - drawing.raw, axis=2)
     known = np.isfinite(moved)
     np.testing.assert_allclose(
-        moved[known], viewed.clip.moved_by_correction[known], atol=1e-9
+        moved[known], drawing.clip.moved_by_correction[known], atol=1e-9
     )
-    assert names_of(viewed).keys() == {
+    assert drawing.layers.keys() == {
         *("skin", "raw", "cleaned", "physics", "contacts", "forces"),
     }
 
 
 def test_without_physics_there_is_no_force_and_no_second_figure() -> None:
-    viewed = cleaned(read_take(sample_path()), QUICK)
-    assert viewed.target is None
-    assert names_of(viewed).keys() == {"skin", "raw", "cleaned", "contacts"}
+    drawing = cleaned(read_take(sample_path()), QUICK)
+    assert drawing.target is None
+    assert drawing.layers.keys() == {"skin", "raw", "cleaned", "contacts"}
 
 
 def test_the_take_beside_a_clip_never_touches_it(make_clip: MakeClip) -> None:
     clip = make_clip(30)
-    aside = way_aside(Viewed(clip, raw=clip.positions))
+    aside = Drawing(clip, raw=clip.positions).raw_offset
     assert aside[1] == 0.0
     along = aside / np.linalg.norm(aside)
     reach = clip.positions @ along
     assert ((reach + aside @ along).min(axis=1) > reach.max(axis=1)).all()
-    assert not way_aside(Viewed(clip)).any()
+    assert not Drawing(clip).raw_offset.any()
 
 
 def test_a_clip_is_read_with_its_take_and_without(tmp_path: Path) -> None:
     take = read_take(sample_path())
     clip = clean(take, QUICK).clip
-    path = tmp_path / "clip.npz"
-    write_clip(clip, path)
-    assert read_viewed(path).raw is None
-    viewed = read_viewed(path, sample_path())
-    assert viewed.raw is not None
-    np.testing.assert_array_equal(viewed.clip.positions, clip.positions)
-    np.testing.assert_allclose(viewed.raw, cleaned(take, QUICK).raw, atol=1e-9)
+    expected = cleaned(take, QUICK).raw
+    for suffix, off in (
+        (".npz", 1e-9),
+        (".usdc", 1e-6),
+        (".bvh", 0.02),
+        (".csv", 0.02),
+    ):
+        path = tmp_path / f"clip{suffix}"
+        write_clip(clip, path)
+        assert read_drawing(path).raw is None
+        drawing = read_drawing(path, sample_path())
+        assert drawing.raw is not None
+        np.testing.assert_allclose(drawing.raw, expected, atol=off)
+        away = np.linalg.norm(drawing.clip.positions - clip.positions, axis=2)
+        assert away.mean() < off, suffix
 
 
 @pytest.mark.parametrize(
@@ -232,7 +238,9 @@ def test_a_motion_with_things_and_gaps_is_put_on_a_page(
     clip = furnish(make_clip(frames, skeleton))
     raw = clip.positions.copy()
     raw[0], raw[frames // 2, 4], raw[frames // 2, 2, 1] = np.nan, np.nan, np.nan
-    with opened_viewer(Viewed(clip, raw, clip.positions), tmp_path / "c.csv") as viewer:
+    with opened_viewer(
+        Drawing(clip, raw, clip.positions), tmp_path / "c.csv"
+    ) as viewer:
         viewer.stop()
         viewer.run()
         with urllib.request.urlopen(viewer.address, timeout=10) as page:

@@ -20,11 +20,12 @@ from websockets.sync.client import connect
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.commands.view import View
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.view import read_viewed
-from kinefilter.pipeline.view.server import may_connect, opened_server
+from kinefilter.pipeline.look import read_drawing
+from kinefilter.pipeline.look.viewer_server import may_connect, opened_server
 
 QUICK = CleanConfig(method="none", physics=False)
 
@@ -128,7 +129,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
 ) -> None:
     clip, take = str(clip_path), str(sample_path())
     contacts = tmp_path / "take.contacts.csv"
-    write_contacts(read_viewed(clip_path).clip, contacts)
+    write_contacts(read_drawing(clip_path).clip, contacts)
     copied = tmp_path / "take.csv"
     copied.write_bytes(sample_path().read_bytes())
     for arguments, words in (
@@ -144,6 +145,17 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([clip, "--port", "70000"], "--port 70000"),
     ):
         assert words in _refused(arguments, capsys), arguments
+
+
+def test_csv_and_bvh_are_clips_only_beside_a_take() -> None:
+    take = Path("take.csv")
+    for name, alone in (
+        *(("clip.npz", True), ("clip.usda", True), ("clip.USDZ", True)),
+        *(("clip.csv", False), ("clip.csv.gz", False), ("clip.bvh", False)),
+    ):
+        assert View(Path(name))._is_clip is alone
+        assert View(Path(name), take=take)._is_clip
+    assert not View(take, take=take)._is_clip
 
 
 def test_without_viser_the_extra_is_named(
@@ -168,7 +180,7 @@ def test_a_viewer_says_where_it_is_and_ends_in_peace(
 
 def test_help_and_the_other_commands_do_not_load_viser() -> None:
     code = (
-        "import sys, kinefilter.pipeline, kinefilter.pipeline.view\n"
+        "import sys, kinefilter.pipeline, kinefilter.pipeline.look\n"
         "from kinefilter.pipeline.cli import main\n"
         "try: main(['view', '--help'])\n"
         "except SystemExit: pass\n"

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.pipeline.formats.contacts import read_contacts
 from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.pipeline.look import Drawing, Viewer, cleaned, opened_viewer
 from kinefilter.pipeline.progress import Progress
-from kinefilter.pipeline.view import Viewed, Viewer, cleaned, opened_viewer
 
 WINDOW = {"size": (900, 640), "webgl": True}  # of the browser
 _PATIENCE = 60.0  # s: WebGL on a busy processor is slow
@@ -43,7 +43,7 @@ _TEXT = "return document.body.innerText"
 
 
 @pytest.fixture(scope="module")
-def viewed() -> Viewed:
+def viewed() -> Drawing:
     return cleaned(read_take(sample_path()), CleanConfig())
 
 
@@ -53,8 +53,8 @@ def saved(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def viewer(viewed: Viewed, saved: Path) -> Iterator[Viewer]:
-    def again(contacts: Path, progress: Progress) -> Viewed:
+def viewer(viewed: Drawing, saved: Path) -> Iterator[Viewer]:
+    def again(contacts: Path, progress: Progress) -> Drawing:
         take = read_take(sample_path())
         return cleaned(take, CleanConfig(contacts=contacts), progress=progress)
 
@@ -125,7 +125,7 @@ def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
 
 
 def test_contacts_are_edited_and_saved_and_the_take_is_cleaned_with_them(
-    page: Browser, viewed: Viewed, saved: Path
+    page: Browser, viewed: Drawing, saved: Path
 ) -> None:
     take, before = read_take(sample_path()), viewed.clip.contacts
     bars = (

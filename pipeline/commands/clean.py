@@ -57,7 +57,7 @@ class Clean:
         from kinefilter.pipeline.formats import check_folder, check_writable
         from kinefilter.pipeline.formats.recording import numbered
         from kinefilter.pipeline.formats.takes import read_recording
-        from kinefilter.pipeline.report import check_report
+        from kinefilter.pipeline.look import check_report
         from kinefilter.pipeline.summary import as_json
 
         check_writable(self.out, self.export)
@@ -152,7 +152,7 @@ class Clean:
 
 
 def _report(result: CleanResult, take: Take, path: Path) -> None:
-    from kinefilter.pipeline.report import compare, read_limits, write_report
+    from kinefilter.pipeline.look import compare, read_limits, write_report
 
     write_report(compare(result.clip, take), path, read_limits())
     out.print(f"wrote {path}")

@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.render.look import Look
+from kinefilter.pipeline.look import Look
 
 from .terminal import err, keep, out, progress_bars
 
@@ -22,7 +22,7 @@ class Render:
     """
 
     clips: Positional[tuple[Path, ...]]
-    """Clips: .npz (with props and reliability), .csv or .bvh."""
+    """Clips: .npz, USD, .bvh or .csv; the last two hold no props and reliability."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """What to write: out.mp4, out.gif or frames/%05d.png; {clip} stands for a clip's
     name. Pictures that are there already are kept."""
@@ -32,7 +32,7 @@ class Render:
 
     def run(self) -> int:
         """Draw, write, report."""
-        from kinefilter.pipeline.render import render_clips
+        from kinefilter.pipeline.look import render_clips
 
         if not self.clips:
             raise InputError("no clips given; name one or more to draw")

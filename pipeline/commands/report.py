@@ -21,7 +21,7 @@ class Report:
     """
 
     clip: Positional[Path]
-    """Clip, .npz."""
+    """Clip: .npz, USD, .bvh or .csv."""
     take: Path
     """The take that the clip was made of."""
     out: Annotated[Path, arg(aliases=["-o"])]
@@ -38,10 +38,10 @@ class Report:
 
     def run(self) -> int:
         """Compare, write, say what failed."""
-        from kinefilter.pipeline.report import (
+        from kinefilter.pipeline.look import (
             check_report,
             parse_limit,
-            read_compared,
+            read_comparison,
             read_limits,
             write_report,
         )
@@ -50,12 +50,12 @@ class Report:
         keep(self.out, self.clip, self.take, self.thresholds)
         gates = [parse_limit(text) for text in self.fail_on]
         limits = read_limits(self.thresholds)
-        compared = read_compared(self.clip, self.take, body=self.body)
+        comparison = read_comparison(self.clip, self.take, body=self.body)
         # A gate that is a threshold too stands once in the table.
-        write_report(compared, self.out, tuple(dict.fromkeys((*limits, *gates))))
+        write_report(comparison, self.out, tuple(dict.fromkeys((*limits, *gates))))
         out.print(f"wrote {self.out}")
-        failed = [gate for gate in gates if gate.fails(compared.after)]
+        failed = [gate for gate in gates if gate.fails(comparison.after)]
         for gate in failed:
-            value = compared.after[gate.metric]
+            value = comparison.after[gate.metric]
             err.print(f"kinefilter: failed {gate}: it is {value:.4g}")
         return 1 if failed else 0

@@ -14,9 +14,12 @@ from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from .terminal import keep, out, progress_bars
 
 if TYPE_CHECKING:
+    from kinefilter.pipeline.look import Drawing
+    from kinefilter.pipeline.look.viewer import CleanAgain
     from kinefilter.pipeline.progress import Progress
-    from kinefilter.pipeline.view import Viewed
-    from kinefilter.pipeline.view.viewer import Again
+
+
+_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz")
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class View:
 
     motion: Annotated[Positional[Path], arg(metavar="TAKE|CLIP")]
     """A take in any of the formats of --format, which is cleaned first; or a clip,
-    .npz, which is shown as it is."""
+    .npz or USD, which is shown as it is. With --take, .bvh and .csv are clips too."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
@@ -59,8 +62,8 @@ class View:
         save = self.save_contacts or _beside(self.motion)
         self._check(save)
         try:
-            viewed, again = self._viewed()
-            self._serve(viewed, save, again)
+            drawing, again = self._drawing()
+            self._serve(drawing, save, again)
         except KeyboardInterrupt:
             pass  # that is how it ends
         return 0
@@ -68,7 +71,7 @@ class View:
     def _check(self, save: Path) -> None:
         """Raise what is wrong before any work is done."""
         from kinefilter.pipeline.formats import check_folder
-        from kinefilter.pipeline.view.address import check_address
+        from kinefilter.pipeline.look.viewer_server import check_address
 
         check_address(self.bind, self.port)
         if self.save_contacts is not None:
@@ -79,23 +82,30 @@ class View:
         keep(
             save, self.motion, self.take, config.database, config.model, config.contacts
         )
-        if _is_clip(self.motion) and config != CleanConfig():
+        if self._is_clip and config != CleanConfig():
             raise InputError(
                 f"{self.motion}: a clip is shown as it is; options of cleaning are for "
                 "takes"
             )
-        if self.take is not None and not _is_clip(self.motion):
+        if self.take is not None and not self._is_clip:
             raise InputError(
-                f"--take {self.take} is for a clip (.npz); {self.motion} is taken for "
-                "a take itself"
+                f"--take {self.take} is for a clip; {self.motion} is taken for a take "
+                "itself"
             )
 
-    def _viewed(self) -> tuple[Viewed, Again | None]:
-        """Return what is looked at, and how it is cleaned again."""
-        from kinefilter.pipeline.view import cleaned, read_viewed
+    @property
+    def _is_clip(self) -> bool:
+        """Whether the motion is shown as it is; .bvh and .csv may be either."""
+        suffix = Path(self.motion.name.removesuffix(".gz")).suffix.lower()
+        with_take = self.take is not None and self.take != self.motion
+        return suffix in _CLIPS or (with_take and suffix in (".bvh", ".csv"))
 
-        if _is_clip(self.motion):
-            return read_viewed(self.motion, self.take, body=self.body), None
+    def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
+        """Return what is looked at, and how it is cleaned again."""
+        from kinefilter.pipeline.look import cleaned, read_drawing
+
+        if self._is_clip:
+            return read_drawing(self.motion, self.take, body=self.body), None
         from kinefilter.pipeline.formats.takes import read_recording
 
         recording = read_recording(self.motion, format=self.format)
@@ -103,18 +113,18 @@ class View:
         for note in recording.notes:
             out.print(note)
 
-        def again(contacts: Path, progress: Progress) -> Viewed:
+        def again(contacts: Path, progress: Progress) -> Drawing:
             config = replace(self.config, contacts=contacts)
             return cleaned(take, config, progress=progress)
 
         with progress_bars() as progress:
             return cleaned(take, self.config, progress=progress), again
 
-    def _serve(self, viewed: Viewed, save: Path, again: Again | None) -> None:
-        from kinefilter.pipeline.view import opened_viewer
+    def _serve(self, drawing: Drawing, save: Path, again: CleanAgain | None) -> None:
+        from kinefilter.pipeline.look import opened_viewer
 
         with opened_viewer(
-            viewed, save, again=again, bind=self.bind, port=self.port
+            drawing, save, again=again, bind=self.bind, port=self.port
         ) as viewer:
             out.print(f"{viewer.address} shows {self.motion}; Ctrl-C ends")
             if self.open:
@@ -122,10 +132,6 @@ class View:
 
                 webbrowser.open(viewer.address)
             viewer.run()
-
-
-def _is_clip(path: Path) -> bool:
-    return path.suffix.lower() == ".npz"
 
 
 def _beside(path: Path) -> Path:

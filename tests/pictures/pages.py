@@ -23,8 +23,13 @@ from browser import Browser
 from kinefilter import CleanConfig, read_take
 from kinefilter.characters import Clip, Take
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.report import compare, read_limits, write_report
-from kinefilter.pipeline.view import cleaned, opened_viewer
+from kinefilter.pipeline.look import (
+    cleaned,
+    compare,
+    opened_viewer,
+    read_limits,
+    write_report,
+)
 from kinefilter.pipeline.workers import one_thread
 
 VIEW, REPORT = (1040, 730), (1060, 1040)  # pixels of the windows, their bars included
@@ -39,8 +44,8 @@ CLOSE = "document.querySelectorAll('.mantine-CloseButton-root').forEach(b => b.c
 
 def take_view(take: Take, out: Path) -> Clip:
     """Write the picture of view; return the clip."""
-    viewed = cleaned(take, CleanConfig())
-    with opened_viewer(viewed, Path("wave_punch_bend.contacts.csv")) as viewer:
+    drawing = cleaned(take, CleanConfig())
+    with opened_viewer(drawing, Path("wave_punch_bend.contacts.csv")) as viewer:
         work = threading.Thread(target=viewer.run)
         work.start()
         with Browser(size=VIEW, webgl=True) as browser:
@@ -55,7 +60,7 @@ def take_view(take: Take, out: Path) -> Clip:
             write(browser, out)
         viewer.stop()
         work.join()
-    return viewed.clip
+    return drawing.clip
 
 
 def take_report(clip: Clip, take: Take, out: Path) -> None:

@@ -40,8 +40,7 @@ def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]
 
 def _draw(path: Path, progress: Progress) -> None:
     """Write the sample take, raw beside cleaned, as a moving picture."""
-    from kinefilter.pipeline.render import render_clips
-    from kinefilter.pipeline.render.look import Look
+    from kinefilter.pipeline.look import Look, render_clips
 
     sample = sample_path()
     with tempfile.TemporaryDirectory() as folder:

@@ -1,0 +1,195 @@
+"""Where a motion is looked at from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinefilter.characters import InputError, Motion
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import rotate
+from kinefilter.pipeline.formats.files import read_toml
+
+CAMERAS = ("front", "side", "three-quarter", "orbit", "follow")
+"""Cameras that place themselves."""
+
+_FOV = 28.0  # degrees, vertical: a normal lens, 48 mm on 35 mm film
+_FOVS = (1.0, 170.0)  # degrees
+# Degrees to the left of where the character faces, and up. Guesses by eye.
+_DIRECTIONS = {
+    "front": (0.0, 6.0),
+    "side": (90.0, 6.0),
+    "three-quarter": (35.0, 12.0),
+    "orbit": (35.0, 12.0),
+    "follow": (35.0, 12.0),
+}
+_TURN = 12.0  # s that an orbit takes, about
+_LAG = 0.5  # s over which a following camera averages the character's place
+_AZIMUTHS = 24  # at which an orbit is checked to show everything
+_FARTHEST = 1e6  # m from the origin, where single precision is already coarse
+_MARGIN = 0.06  # of the picture, on every side
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """A camera in every frame, or one that stays."""
+
+    positions: Array
+    """Where it is [m], world frame, shape (T, 3), or (1, 3) if it stays."""
+    targets: Array
+    """What is in the middle of its picture [m], of the same shape."""
+    fov: float
+    """Vertical field of view [degrees]."""
+
+    @property
+    def stays(self) -> bool:
+        """Whether it never moves."""
+        return len(self.positions) == 1
+
+    def at(self, frame: int) -> tuple[Array, Array]:
+        """Return position and target in a frame."""
+        k = 0 if self.stays else frame
+        return self.positions[k], self.targets[k]
+
+    @property
+    def toward(self) -> Array:
+        """Unit vector from the target to the camera, in the first frame."""
+        away = self.positions[0] - self.targets[0]
+        return np.asarray(away / np.linalg.norm(away))
+
+
+def camera_path(
+    camera: str, motion: Motion, points: Array, *, aspect: float, rate: float
+) -> CameraPath:
+    """Return the camera of a motion.
+
+    Args:
+        camera: One of CAMERAS, or the path of a TOML file.
+        motion: The frames that are drawn.
+        points: What is to be seen in each frame [m], shape (T, N, 3).
+        aspect: Width of the picture over its height.
+        rate: Frames a second.
+
+    Raises:
+        InputError: There is no such camera, or the file does not describe one.
+    """
+    if camera not in CAMERAS:
+        return _from_file(camera)
+    around, up = np.radians(_DIRECTIONS[camera])
+    azimuth = _facing(motion) + around
+    toward = _direction(azimuth, up)
+    if camera == "follow":
+        from scipy.ndimage import gaussian_filter1d  # takes long to load
+
+        targets = gaussian_filter1d(motion.root, _LAG * rate, axis=0, mode="nearest")
+        low, high = points[..., 1].min(), points[..., 1].max()
+        targets[:, 1] = 0.5 * (low + high)
+        away = _distance(points - targets[:, None], toward, aspect)
+        return CameraPath(targets + away * toward, targets, _FOV)
+    flat = points.reshape(-1, 3)
+    target = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
+    if camera != "orbit":
+        target, away = _framed(flat, target, toward, aspect)
+        return CameraPath((target + away * toward)[None], target[None], _FOV)
+    turns = np.arange(_AZIMUTHS) / _AZIMUTHS * 2.0 * np.pi
+    away = max(_distance(flat - target, _direction(a, up), aspect) for a in turns)
+    count = len(motion)
+    whole = max(1, round(count / rate / _TURN))
+    angles = azimuth + 2.0 * np.pi * whole * np.arange(count) / count
+    positions = target + away * np.stack([_direction(a, up) for a in angles])
+    return CameraPath(positions, np.broadcast_to(target, positions.shape), _FOV)
+
+
+def check_camera(camera: str) -> None:
+    """Raise what ``camera_path`` would raise, before there is a motion."""
+    if camera not in CAMERAS:
+        _from_file(camera)
+
+
+def axes_toward(toward: Array) -> tuple[Array, Array]:
+    """Return a picture's right and up, given the unit vector to its camera."""
+    right = np.cross([0.0, 1.0, 0.0], toward)
+    right /= np.linalg.norm(right)
+    return right, np.cross(toward, right)
+
+
+def _facing(motion: Motion) -> float:
+    """Return the mean heading of the character [rad], 0 for +z, from z to x."""
+    turns = motion.rotations[:, motion.skeleton.root]
+    x, _, z = rotate(turns, np.array([0.0, 0.0, 1.0])).mean(axis=0)
+    return float(np.arctan2(x, z))
+
+
+def _direction(azimuth: float, elevation: float) -> Array:
+    level = np.cos(elevation)
+    return np.array(
+        [level * np.sin(azimuth), np.sin(elevation), level * np.cos(azimuth)]
+    )
+
+
+def _framed(
+    points: Array, target: Array, toward: Array, aspect: float
+) -> tuple[Array, float]:
+    """Return the target with equal margins on opposite sides, and the distance."""
+    axes = axes_toward(toward)
+    away = _distance(points - target, toward, aspect)
+    for _ in range(4):  # each time the margins differ by a tenth of before
+        seen = points - target
+        depth = away - seen @ toward
+        for axis in axes:
+            edge = seen @ axis / depth
+            target = target + 0.5 * away * (edge.max() + edge.min()) * axis
+        away = _distance(points - target, toward, aspect)
+    return target, away
+
+
+def _distance(seen: Array, toward: Array, aspect: float) -> float:
+    """Return from how far [m] all points (..., 3) about a target are in the picture."""
+    right, up = axes_toward(toward)
+    half = np.tan(0.5 * np.radians(_FOV)) * (1.0 - 2.0 * _MARGIN)
+    across = np.maximum(np.abs(seen @ right) / aspect, np.abs(seen @ up)) / half
+    return float(np.max(seen @ toward + across))
+
+
+def _from_file(camera: str) -> CameraPath:
+    path = Path(camera)
+    if path.suffix != ".toml":
+        raise InputError(
+            f"--camera {camera}: unknown; known: {', '.join(CAMERAS)}, or the path of "
+            "a file that ends in .toml"
+        )
+    table = read_toml(path, "write lines such as position = [0.0, 1.5, 4.0]")
+    unknown = set(table) - {"position", "target", "fov"}
+    if unknown:
+        raise InputError(
+            f"{path}: unknown {', '.join(sorted(unknown))}; known: position, target, "
+            "fov"
+        )
+    position, target = (_vector(path, table, name) for name in ("position", "target"))
+    fov = table.get("fov", _FOV)
+    if not isinstance(fov, int | float) or not _FOVS[0] <= fov <= _FOVS[1]:
+        raise InputError(
+            f"{path}: fov is {fov!r}; expected {_FOVS[0]:g} to {_FOVS[1]:g} degrees"
+        )
+    if np.linalg.norm(np.cross(position - target, [0.0, 1.0, 0.0])) < 1e-3:
+        raise InputError(
+            f"{path}: the camera looks straight up or down, or at itself; move its "
+            "position or target sideways"
+        )
+    return CameraPath(position[None], target[None], float(fov))
+
+
+def _vector(path: Path, table: dict[str, Any], name: str) -> Array:
+    value = table.get(name)
+    numbers = isinstance(value, list) and all(
+        isinstance(v, int | float) and abs(v) < _FARTHEST for v in value
+    )
+    if not numbers or not isinstance(value, list) or len(value) != 3:
+        raise InputError(
+            f"{path}: {name} is {value!r}; expected three numbers [x, y, z] in meters, "
+            "y up"
+        )
+    return np.array(value, dtype=np.float64)

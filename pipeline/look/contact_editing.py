@@ -1,0 +1,145 @@
+"""Foot contacts that are edited by hand, and their picture over time."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import CONTACTS
+from kinefilter.retarget.runs import runs
+
+Flags = NDArray[np.bool_]
+
+PARTS: dict[str, tuple[int, ...]] = {
+    "both feet": (0, 1, 2, 3),
+    "left foot": (0, 1),
+    "right foot": (2, 3),
+    **{name: (k,) for k, name in enumerate(CONTACTS)},
+}
+"""What can be edited at once: columns of the contacts, by name."""
+
+_STEPS = 200  # that can be undone
+_WIDTH = 600  # steps of the picture: about the pixels that a panel has
+_ROW = 16  # pixels from one row to the next
+_BAR = 10  # pixels that a bar is high
+_CLOSE = 300  # frames of a close-up: ten seconds, a pixel or more for each
+_COLORS = ("#2f7fd6", "#2f7fd6", "#e08a2e", "#e08a2e")  # left, right
+_LABELS = tuple(name.replace("Left", " L").replace("Right", " R") for name in CONTACTS)
+
+
+class ContactEdits:
+    """Contacts (CONTACTS), shape (T, 4), and what they were before each change."""
+
+    def __init__(self, contacts: Flags) -> None:
+        self._contacts = self._saved = _read_only_copy(contacts)
+        self._before: deque[Flags] = deque(maxlen=_STEPS)
+
+    @property
+    def contacts(self) -> Flags:
+        """The contacts as they are now, read-only, shape (T, 4)."""
+        return self._contacts
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether they differ from those that were last saved."""
+        return not np.array_equal(self._contacts, self._saved)
+
+    def put(self, part: str, first: int, last: int, *, stands: bool) -> None:
+        """Set whether a part (PARTS) stands in the frames from first to last."""
+        edited = self._contacts.copy()
+        edited[max(first, 0) : last + 1, list(PARTS[part])] = stands
+        self.replace(edited)
+
+    def replace(self, contacts: Flags) -> None:
+        """Take other contacts, shape (T, 4), as one step that can be undone."""
+        if not np.array_equal(contacts, self._contacts):
+            self._before.append(self._contacts)
+            self._contacts = _read_only_copy(contacts)
+
+    def undo(self) -> bool:
+        """Take back the last change; return whether there was one."""
+        if not self._before:
+            return False
+        self._contacts = self._before.pop()
+        return True
+
+    def mark_saved(self) -> None:
+        """Note that the contacts were saved as they are."""
+        self._saved = self._contacts
+
+
+class Timeline:
+    """When each part of the feet stands, as four rows of bars over time.
+
+    Long motions have a close-up of the frames around the present one.
+    """
+
+    def __init__(self, contacts: Flags) -> None:
+        self._contacts = contacts
+        # However long the motion, no more steps are sent than can be seen.
+        columns = min(len(contacts), _WIDTH)
+        starts = np.arange(columns) * len(contacts) // columns
+        self._bars = _bars(np.logical_or.reduceat(contacts, starts, axis=0))
+
+    def html(self, frame: int, chosen: tuple[int, int]) -> str:
+        """Return HTML with one frame marked and the first to last chosen shaded."""
+        count = len(self._contacts)
+        strips = [_strip("timeline", self._bars, range(count), frame, chosen)]
+        if count > 2 * _CLOSE:
+            first = min(max(frame - _CLOSE // 2, 0), count - _CLOSE)
+            near = range(first, first + _CLOSE)
+            bars = _bars(self._contacts[near.start : near.stop])
+            strips.append(_strip("close-up", bars, near, frame, chosen))
+        return "".join(strips)
+
+
+def _read_only_copy(contacts: Flags) -> Flags:
+    copy = np.array(contacts, dtype=np.bool_)
+    copy.flags.writeable = False
+    return copy
+
+
+def _strip(
+    name: str, bars: str, frames: range, frame: int, chosen: tuple[int, int]
+) -> str:
+    """Return rows with their labels, the chosen frames shaded and one frame marked."""
+    height, scale = _ROW * len(CONTACTS), _WIDTH / len(frames)
+    first, end = (
+        min(max(k - frames.start, 0), len(frames)) for k in (chosen[0], chosen[1] + 1)
+    )
+    mark = (frame - frames.start + 0.5) * scale
+    labels = "".join(
+        f'<div style="height:{_ROW}px;line-height:{_ROW}px">{label}</div>'
+        for label in _LABELS
+    )
+    return (
+        '<div style="display:flex;gap:6px;font-size:11px;margin:4px 8px">'
+        f'<div style="flex:none">{labels}</div>'
+        f'<svg id="{name}" viewBox="0 0 {_WIDTH} {height}" width="100%" '
+        f'height="{height}" preserveAspectRatio="none" '
+        'style="background:rgba(128,128,128,0.12)">'
+        f'<rect x="{first * scale:.1f}" width="{(end - first) * scale:.1f}" '
+        f'height="{height}" fill="rgba(128,128,128,0.25)"/>'
+        f"{bars}"
+        f'<path d="M{mark:.1f} 0V{height}" stroke="#d9342b" stroke-width="2" '
+        'vector-effect="non-scaling-stroke"/></svg></div>'
+    )
+
+
+def _bars(contacts: Flags) -> str:
+    """Return a path for each row, with a bar for each run of frames that stand."""
+    scale = _WIDTH / len(contacts)
+    paths = []
+    for row, color in enumerate(_COLORS):
+        y = _ROW * row + _ROW // 2
+        parts = "".join(
+            f"M{run.start * scale:.1f} {y}h{(run.stop - run.start) * scale:.1f}"
+            for run in runs(contacts[:, row])
+        )
+        paths.append(
+            f'<path class="stands" d="{parts}" stroke="{color}" '
+            f'stroke-width="{_BAR}" fill="none"/>'
+        )
+    return "".join(paths)

@@ -1,0 +1,177 @@
+"""The page of a report: one HTML file that needs no network."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import os
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import CONTACTS, InputError, Origin, Term
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.formats.files import atomic_path, check_folder
+from kinefilter.pipeline.metrics import even_differences
+
+from .comparison import METRICS, Comparison
+from .metric_limits import Limit
+from .palette import ORIGINS, RELIABILITY, TERMS, UNKNOWN
+
+_SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
+_MISSING = -(2**15)  # of the int16 that a position is written as
+_FARTHEST = 2**15 - 1  # mm from the origin
+_NO_RATE = 255  # of the uint8 that reliability is written as, where it is unknown
+
+
+def check_report(path: Path) -> None:
+    """Raise, before any work is done, what write_report would raise after it.
+
+    Raises:
+        InputError: It is not named as a web page, or nothing can be written there.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path}: a report is a web page; name it .html")
+    check_folder(path)
+
+
+def write_report(
+    comparison: Comparison, path: str | os.PathLike[str], limits: Sequence[Limit] = ()
+) -> None:
+    """Write a page with everything in it, which appears whole or not at all.
+
+    Args:
+        comparison: A clip and its take.
+        path: The HTML file.
+        limits: What fails in the table of metrics.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    page = _html(contents_of(comparison, limits))
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, encoding="utf-8", errors="replace")
+
+
+def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:
+    """Return everything that a page shows, ready for ``json.dumps``.
+
+    Arrays are base64 of little-endian numbers, frame by frame: positions and distances
+    moved int16 [mm], -32768 where missing; reliability uint8 [%], 255 where unknown.
+    """
+    clip = comparison.clip
+    rates = np.where(np.isnan(clip.reliability), _NO_RATE, clip.reliability * 100.0)
+    return {
+        "source": clip.source,
+        "skeleton": clip.skeleton.name,
+        "fps": clip.fps,
+        "height": clip.body.height,
+        "joints": list(clip.skeleton.joints),
+        "parents": list(clip.skeleton.parents),
+        "terms": [term.words for term in Term],
+        "origins": [origin.name.lower() for origin in Origin],
+        "parts": list(CONTACTS),
+        "colors": {
+            "reliability": RELIABILITY,
+            "origins": ORIGINS,
+            "terms": TERMS,
+            "unknown": UNKNOWN,
+        },
+        "time": _packed(clip.time - clip.time[0], "<f4"),
+        "raw": _packed(_millimeters(comparison.raw), "<i2"),
+        "clean": _packed(_millimeters(clip.positions), "<i2"),
+        "reliability": _packed(rates, "u1"),
+        "term": _packed(clip.deciding_term, "u1"),
+        "origin": _packed(clip.origin, "u1"),
+        "correction": _packed(_millimeters(clip.moved_by_correction), "<i2"),
+        "physics": _packed(_millimeters(clip.moved_by_physics), "<i2"),
+        "contacts": _packed(clip.contacts, "u1"),
+        "curves": [
+            _curve("speed, m/s", comparison, 1),
+            _curve("jitter, m/s³", comparison, 3),
+        ],
+        "metrics": _metrics(comparison, limits),
+    }
+
+
+def _html(contents: dict[str, Any]) -> str:
+    """Return the HTML that shows contents; no name in them becomes markup."""
+    page = _template("page.html").replace("@STYLE@", _template("page.css"))
+    page = page.replace("@SCRIPT@", "\n".join(map(_template, _SCRIPTS)))
+    # What comes from files is put in last, so that none of it is taken for a mark.
+    head, body = page.split("@TITLE@")
+    middle, end = body.split("@DATA@")
+    title = html.escape(f"kinefilter: {contents['source']}")
+    data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
+    for mark in "<>&":  # none may end the script element
+        data = data.replace(mark, f"\\u{ord(mark):04x}")
+    return head + title + middle + data + end
+
+
+def _template(name: str) -> str:
+    folder = resources.files(__package__).joinpath("template")
+    return folder.joinpath(name).read_text(encoding="utf-8")
+
+
+def _packed(values: NDArray[Any], kind: str) -> str:
+    if np.issubdtype(np.dtype(kind), np.integer):
+        values = np.rint(values)
+    return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")
+
+
+def _millimeters(meters: Array) -> Array:
+    near = np.clip(np.nan_to_num(meters) * 1e3, -_FARTHEST, _FARTHEST)
+    return np.where(np.isfinite(meters), near, _MISSING)
+
+
+def _curve(name: str, comparison: Comparison, order: int) -> dict[str, Any]:
+    """Return the mean magnitude of a derivative of the joints, raw and clean."""
+    time, clean = comparison.clip.time, comparison.clip.positions
+    return {
+        "name": name,
+        "raw": _packed(_derivative(time, comparison.raw, order), "<f4"),
+        "clean": _packed(_derivative(time, clean, order), "<f4"),
+    }
+
+
+def _derivative(time: Array, positions: Array, order: int) -> Array:
+    """Return the mean over joints of the magnitude of a difference over dt^order, (T,).
+
+    As in ``metrics.jitter``, only frames at the nominal rate (within half a step)
+    count, and joints that are there in all of them; elsewhere NaN.
+    """
+    values = np.full(len(time), np.nan)
+    size, nominal = even_differences(time, positions, order)
+    known = ~np.isnan(size)
+    total = np.where(known, size, 0.0).sum(axis=1)
+    count = known.sum(axis=1)
+    first = order // 2  # the difference belongs to the frame in its middle
+    values[first : first + len(size)] = np.where(
+        count > 0, total / np.maximum(count, 1) / nominal**order, np.nan
+    )
+    return values
+
+
+def _metrics(comparison: Comparison, limits: Sequence[Limit]) -> list[dict[str, Any]]:
+    def finite(value: float) -> float | None:
+        return value if np.isfinite(value) else None
+
+    return [
+        {
+            "name": name,
+            "meaning": meaning,
+            "raw": finite(comparison.before[name]),
+            "clean": finite(comparison.after[name]),
+            "limits": [
+                {"text": f"{k.side} {k.number:g}", "fails": k.fails(comparison.after)}
+                for k in limits
+                if k.metric == name
+            ],
+        }
+        for name, meaning in METRICS.items()
+    ]

@@ -1,0 +1,117 @@
+// Puts the page together and plays it.
+
+const scrubber = document.getElementById("scrubber");
+const playButton = document.getElementById("play");
+let frame = 0, playing = false, seconds = 0, stamp = null;
+
+const WHITE = [246, 247, 249], FAR = 200; // mm that are shown in full color
+const cm = (value) => (value === MISSING ? "unknown" : `${(value / 10).toFixed(1)} cm`);
+const word = (names, k) => names[k] || "unknown";
+const rate = (k) => (report.reliability[k] === NO_RATE ? "reliability unknown"
+  : `reliability ${report.reliability[k]}%, decided by ${word(report.terms, report.term[k])}`);
+const tip = (k) =>
+  `${rate(k)}\n` +
+  `origin: ${word(report.origins, report.origin[k])}\n` +
+  `moved by correction ${cm(report.correction[k])}, by physics ${cm(report.physics[k])}`;
+const distanceMap = (name, hex) => ({
+  title: `Moved by ${name}`, rows: report.joints, tip,
+  badness: (k) => report[name][k],
+  color: (k) => report[name][k] === MISSING ? [120, 120, 128]
+    : mixed(WHITE, rgb(hex), Math.min(report[name][k] / FAR, 1)),
+  legend: [[WHITE, "0"], [hex, `${FAR / 10} cm or more`], ["#787880", "unknown"]],
+});
+const MAPS = [
+  { title: "Reliability", rows: report.joints, tip,
+    badness: (k) => -report.reliability[k],
+    color: (k) => reliabilityColor(report.reliability[k]),
+    legend: [[LOW, "0%"], [MIDDLE, "50%"], [HIGH, "100%"]] },
+  { title: "Origin", rows: report.joints, tip,
+    badness: (k) => report.origin[k],
+    color: (k) => rgb(ORIGIN_COLORS[report.origin[k]] || UNKNOWN),
+    legend: report.origins.map((name, k) => [ORIGIN_COLORS[k], name]) },
+  { title: "Deciding term, the paler the more reliable", rows: report.joints, tip,
+    badness: (k) => -report.reliability[k],
+    color: (k) => report.reliability[k] === NO_RATE ? rgb(UNKNOWN)
+      : mixed(rgb(TERM_COLORS[report.term[k]] || UNKNOWN), WHITE,
+        report.reliability[k] / 100),
+    legend: report.terms.map((name, k) => [TERM_COLORS[k] || UNKNOWN, name]) },
+  distanceMap("correction", "#b45309"),
+  distanceMap("physics", "#0f6e6c"),
+  { title: "Contacts", rows: report.parts,
+    tip: (k) => (report.contacts[k] ? "on the floor" : "in the air"),
+    badness: (k) => -report.contacts[k],
+    color: (k) => (report.contacts[k] ? rgb("#2f9e57") : WHITE),
+    legend: [["#2f9e57", "on the floor"], [WHITE, "in the air"]] },
+];
+
+const plots = [];
+const go = (to) => {
+  frame = Math.min(Math.max(to, 0), frames - 1);
+  seconds = report.time[frame];
+  show();
+};
+for (const map of MAPS) plots.push(addMap(document.getElementById("maps"), map, go));
+for (const curve of report.curves) {
+  plots.push(addCurve(document.getElementById("curves"), curve, go));
+}
+
+function show() {
+  drawFigures(frame);
+  scrubber.value = frame;
+  document.getElementById("clock").textContent = `${clock(frame)} of ${frames}`;
+  for (const plot of plots) plot.show(frame);
+}
+
+function redraw() {
+  for (const plot of plots) plot.redraw();
+  show();
+}
+
+function tick(now) {
+  if (!playing) return;
+  const pace = Number(document.getElementById("pace").value);
+  seconds += stamp === null ? 0 : ((now - stamp) / 1000) * pace;
+  stamp = now;
+  if (seconds > duration) seconds = 0;
+  const next = frameAt(seconds);
+  if (next !== frame) {
+    frame = next;
+    show();
+  }
+  requestAnimationFrame(tick);
+}
+
+function play() {
+  [playing, stamp] = [!playing, null];
+  playButton.textContent = playing ? "Pause" : "Play";
+  if (playing) requestAnimationFrame(tick);
+}
+
+scrubber.max = frames - 1;
+scrubber.addEventListener("input", () => go(Number(scrubber.value)));
+playButton.addEventListener("click", play);
+for (const name of ["over", "follow"]) {
+  const box = document.getElementById(name);
+  box.checked = view[name];
+  box.addEventListener("change", () => {
+    view[name] = box.checked;
+    show();
+  });
+}
+document.addEventListener("keydown", (e) => {
+  if (["INPUT", "SELECT", "BUTTON"].includes(e.target.tagName)) return;
+  const steps = { ArrowLeft: -1, ArrowRight: 1 };
+  if (e.key === " ") play();
+  else if (e.key in steps) go(frame + steps[e.key]);
+  else return;
+  e.preventDefault();
+});
+turnByMouse(show);
+window.addEventListener("resize", redraw);
+document.getElementById("source").textContent = report.source;
+document.getElementById("facts").textContent =
+  `${report.skeleton}, ${frames} frames, ${duration.toFixed(1)} s, ` +
+  `${report.fps.toFixed(1)} frames a second`;
+fillMetrics(document.getElementById("metrics"));
+fillMoved(document.getElementById("moved"));
+redraw();

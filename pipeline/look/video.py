@@ -1,0 +1,250 @@
+"""Clips into videos, animations and pictures, drawn by several processes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline.formats import check_folder
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.workers import cores, workers
+
+from .cameras import check_camera
+from .options import Look
+from .video_files import FASTEST_GIF, Coded, is_numbered, write_gif, write_mp4
+from .video_opengl import Backend, find_backend
+from .video_task import Composition, RenderTask
+from .video_worker import Parts, draw_parts
+
+_EXTENSIONS = (".mp4", ".gif", ".png")
+_CLIP = "{clip}"
+_PART = 60  # frames: each part of a video begins with a keyframe, to which players jump
+_STRETCHES = 4
+"""Stretches that each process draws, about. With fewer, one process is left with the
+last; with more, each of them has to read every clip."""
+_LONGEST = 600  # frames: some seconds, after which a progress bar should move
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What became of clips that were to be drawn."""
+
+    backend: Backend
+    """What drew."""
+    written: tuple[Path, ...]
+    """The files, or patterns of files, that are there now."""
+    failures: tuple[str, ...]
+    """A message for each clip that could not be drawn."""
+
+
+@dataclass
+class _Job:
+    """A task, and its frames as they are drawn."""
+
+    task: RenderTask
+    frames: int
+    rate: float
+    fingerprint: str = ""
+    futures: dict[Future[list[list[Coded]]], Parts] = field(default_factory=dict)
+
+
+def render_clips(
+    clips: Sequence[Path],
+    out: Path,
+    look: Look | None = None,
+    *,
+    jobs: int | None = None,
+    progress: Progress = silent,
+) -> Rendering:
+    """Draw clips, each into a file or into numbered pictures.
+
+    The same clip and look give the same pixels, however many processes draw. Numbered
+    pictures of an earlier run are kept if they are of the same clip and look.
+
+    Args:
+        clips: Files of clips, in any format that ``write_clip`` writes.
+        out: ``.mp4``, ``.gif`` or ``.png`` with a place for the number; see
+            ``output_paths`` for several clips.
+        look: How they are drawn.
+        jobs: Processes that draw; by default one per core.
+        progress: Wraps the loop over all frames, for a progress bar.
+
+    Raises:
+        InputError: Nothing can be drawn: the look, the name of the output, OpenGL or
+            the only clip is wrong. Of several clips, those that are wrong are left out.
+    """
+    look = look or Look()
+    paths = _checked(clips, out, look)
+    with ThreadPoolExecutor(1) as beside:  # drivers are slow to start
+        asked = beside.submit(find_backend)
+        planned, failures = _planned(clips, paths, look)
+        backend = asked.result()
+    for job in planned:
+        job.task = job.task.drawn_by(backend)
+        job.fingerprint = job.task.fingerprint()
+    steps = iter(progress("draw", sum(job.frames for job in planned)))
+    written = []
+    for job, failure in _drawn(planned, backend, jobs or cores(), steps):
+        if failure is None:
+            written.append(job.task.out)
+        else:
+            failures.append(failure)
+    if failures and len(clips) == 1:
+        raise InputError(failures[0])
+    return Rendering(backend, tuple(written), tuple(failures))
+
+
+def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
+    """Return the file, or pattern of files, of each clip.
+
+    ``{clip}`` in a name stands for the clip's name. If there are several clips and it
+    is missing, the clip's name is added before the extension, or as a folder of
+    numbered pictures. Folders of numbered pictures are created.
+
+    Raises:
+        InputError: No such file can be written, or two clips have the same.
+    """
+    if out.suffix.lower() not in _EXTENSIONS:
+        raise InputError(
+            f"{out}: unknown extension {out.suffix!r}; known: {', '.join(_EXTENSIONS)}"
+        )
+    numbered = out.suffix.lower() == ".png"
+    if numbered and not is_numbered(out.name):
+        raise InputError(
+            f"{out}: pictures need a place for their number in their name, such as "
+            f"{out.with_name(out.stem + '-%05d.png')}"
+        )
+    named = out
+    if len(clips) > 1 and _CLIP not in str(out):
+        named = out.with_name(f"{out.stem}.{_CLIP}{out.suffix}")
+        if numbered:
+            named = out.parent / _CLIP / out.name
+    stems = [c.name.removesuffix(".gz").rpartition(".")[0] or c.name for c in clips]
+    paths = [Path(str(named).replace(_CLIP, stem)) for stem in stems]
+    twice = [path for path, count in Counter(paths).items() if count > 1]
+    if twice:
+        same = [str(c) for c, path in zip(clips, paths, strict=True) if path in twice]
+        raise InputError(
+            f"{', '.join(same)}: would be drawn into one file, {twice[0]}; draw clips "
+            "of the same name one at a time"
+        )
+    for path in paths:
+        if numbered:
+            _make_folder(path.parent)
+        check_folder(path)
+    return paths
+
+
+def stretches(count: int, share: int) -> list[Parts]:
+    """Return the parts of a clip in groups that one process draws in one go.
+
+    The parts are the same whatever the groups, and so are the videos made of them.
+
+    ``share`` is how many frames of all clips each process draws.
+    """
+    parts = [range(k, min(k + _PART, count)) for k in range(0, count, _PART)]
+    size = max(1, min(share // _STRETCHES, _LONGEST) // _PART)
+    return [tuple(parts[k : k + size]) for k in range(0, len(parts), size)]
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made ({error.strerror}); write elsewhere"
+        ) from error
+
+
+def _checked(clips: Sequence[Path], out: Path, look: Look) -> list[Path]:
+    """Return the outputs; raise what is wrong with all clips before any work."""
+    if look.compare is not None and len(clips) > 1:
+        raise InputError("--compare is the take of one clip; draw them one at a time")
+    if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
+        raise InputError(
+            f"--size {look.size}: a video's width and height are even; add a pixel"
+        )
+    check_camera(look.camera)
+    return output_paths(clips, out)
+
+
+def _planned(
+    clips: Sequence[Path], paths: Sequence[Path], look: Look
+) -> tuple[list[_Job], list[str]]:
+    """Return what is to be drawn, and messages for what cannot be."""
+    planned, failures = [], []
+    for clip, path in zip(clips, paths, strict=True):
+        task = RenderTask(clip, path, look)
+        try:
+            made = Composition(task)
+            if path.suffix.lower() == ".gif" and made.rate > FASTEST_GIF:
+                raise InputError(
+                    f"{clip}: a GIF has at most {FASTEST_GIF:g} frames a second, not "
+                    f"{made.rate:g}; lower --fps or raise --every"
+                )
+            planned.append(_Job(task, len(made), made.rate))
+        except InputError as error:
+            failures.append(str(error))
+    return planned, failures
+
+
+def _drawn(
+    planned: list[_Job], backend: Backend, count: int, steps: Iterator[int]
+) -> Iterator[tuple[_Job, str | None]]:
+    """Yield each job when it is done, with what went wrong."""
+    done = 0
+    share = sum(job.frames for job in planned) // count
+    tasks = sum(len(stretches(job.frames, share)) for job in planned)
+    with workers(min(count, max(tasks, 1)), environment=backend.environment) as pool:
+        try:
+            for job in planned:
+                job.futures = {
+                    pool.submit(draw_parts, job.task, parts, job.fingerprint): parts
+                    for parts in stretches(job.frames, share)
+                }
+            for job in planned:
+                yield job, _finished(job, steps)
+                done += 1
+        except BrokenProcessPool:
+            pass
+    left = planned[done:]
+    if left and len(planned) == 1:
+        clip = left[0].task.clip
+        yield left[0], f"{clip}: a process that drew it died; is memory short?"
+        return
+    # Which clip it was shows once each has processes of its own.
+    for job in left:
+        yield from _drawn([job], backend, count, steps)
+
+
+def _finished(job: _Job, steps: Iterator[int]) -> str | None:
+    """Write a job's file from its parts; return what went wrong."""
+    out, pixels, parts = job.task.out, job.task.look.pixels, _results(job, steps)
+    try:
+        if out.suffix.lower() == ".mp4":
+            write_mp4(parts, out, pixels, job.rate)
+        elif out.suffix.lower() == ".gif":
+            write_gif(parts, out, pixels, job.rate)
+        else:
+            list(parts)
+    except BrokenProcessPool:
+        raise
+    except Exception as error:  # the other clips are drawn, whatever it is
+        for future in job.futures:
+            future.cancel()
+        if isinstance(error, InputError):
+            return str(error)
+        return f"{job.task.clip}: cannot be drawn ({type(error).__name__}: {error})"
+    return None
+
+
+def _results(job: _Job, steps: Iterator[int]) -> Iterator[list[Coded]]:
+    for future, parts in job.futures.items():
+        yield from future.result()
+        for _ in range(sum(map(len, parts))):
+            next(steps, None)

@@ -1,0 +1,252 @@
+"""Pictures into files: H.264 in MP4, animated GIF, numbered PNG.
+
+Videos are drawn in parts, each encoded by itself and beginning with a keyframe, so that
+parts from several processes follow one another in one file.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline.formats import atomic_path
+
+Pixels = NDArray[np.uint8]
+"""A picture, shape (height, width, 3)."""
+Coded = tuple[bytes, bool]
+"""An encoded picture, and whether it is a keyframe."""
+
+FASTEST_GIF = 50.0
+"""Frames a second that programs still play at the right speed."""
+
+# x264's quality 18 is said to look lossless; below it, lines on the floor suffer.
+_X264 = {"preset": "veryfast", "crf": "18", "bf": "0", "threads": "1"}
+_LARGEST_RATE = 100_000  # denominator of a frame rate
+_HUNDREDTH = Fraction(1, 100)  # s, the time unit of a GIF
+_STEP = Fraction(1, 1000)  # s; filters want a time base but only use the order
+_PALETTE_SIDE = 16  # pixels: a palette is a picture of its 256 colors
+_HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
+_KEY = b"kinefilter\0"
+_NUMBER = re.compile(r"%0?\d*d")
+
+
+def encode_video(
+    pictures: Iterable[Pixels], size: tuple[int, int], rate: float
+) -> list[Coded]:
+    """Return the pictures of one part, encoded."""
+    import av
+
+    codec = _x264(av.CodecContext.create("libx264", "w"), size, rate)
+    packets = []
+    for number, picture in enumerate(pictures):
+        packets += codec.encode(_frame(picture, number, codec.time_base))
+    packets += codec.encode(None)
+    return [(bytes(packet), packet.is_keyframe) for packet in packets]
+
+
+def write_mp4(
+    parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
+) -> None:
+    """Write the parts of a video (``encode_video``) one after another.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    import av
+
+    with _media_file(path, {"movflags": "+faststart"}) as file:
+        stream = file.add_stream("libx264", rate=_fraction(rate))
+        _x264(stream.codec_context, size, rate)
+        number = 0
+        for part in parts:
+            for data, keyframe in part:
+                packet: Any = av.Packet(data)
+                packet.stream, packet.time_base = stream, 1 / _fraction(rate)
+                packet.pts = packet.dts = number
+                packet.duration, packet.is_keyframe = 1, keyframe
+                file.mux(packet)
+                number += 1
+
+
+def write_gif(
+    parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
+) -> None:
+    """Write an endless animation of PNG pictures, all with one palette.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    pictures = [data for part in parts for data, _ in part]
+    with _media_file(path, {"loop": "0"}) as file:
+        stream = file.add_stream("gif", rate=_fraction(rate))
+        stream.width, stream.height = size
+        stream.pix_fmt = "pal8"
+        stream.codec_context.time_base = _HUNDREDTH
+        for number, frame in enumerate(_with_palette(pictures, size)):
+            frame.pts = round(number / (_fraction(rate) * _HUNDREDTH))
+            frame.time_base = _HUNDREDTH
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode(None))
+
+
+def encode_png(picture: Pixels) -> bytes:
+    """Return a picture as PNG."""
+    import av
+
+    codec: Any = av.CodecContext.create("png", "w")
+    codec.height, codec.width = picture.shape[:2]
+    codec.pix_fmt, codec.time_base = "rgb24", Fraction(1, 30)
+    codec.options = {"compression_level": "4", "pred": "up"}
+    packets = codec.encode(_frame(picture, 0, codec.time_base)) + codec.encode(None)
+    return b"".join(bytes(packet) for packet in packets)
+
+
+def is_numbered(name: str) -> bool:
+    """Tell whether a file's name has a place for a number, such as %05d."""
+    return len(_NUMBER.findall(name)) == 1 and name.count("%") == 1
+
+
+def frame_path(pattern: Path, number: int) -> Path:
+    """Return the file of a frame, by its number from 0."""
+    return pattern.with_name(pattern.name % number)
+
+
+def write_frame(picture: Pixels, path: Path, fingerprint: str) -> None:
+    """Write a picture, whole or not at all, with the fingerprint of what it shows.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    data = encode_png(picture)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data[:_HEADER] + _chunk(fingerprint) + data[_HEADER:])
+
+
+def is_drawn(path: Path, fingerprint: str) -> bool:
+    """Tell whether a file is there and has a fingerprint.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    chunk = _chunk(fingerprint)
+    try:
+        with path.open("rb") as file:
+            return file.read(_HEADER + len(chunk))[_HEADER:] == chunk
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _chunk(text: str) -> bytes:
+    """Return a PNG chunk of text (PNG specification, 11.3.3.2)."""
+    body = b"tEXt" + _KEY + text.encode("latin-1")
+    return struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+
+
+def _fraction(rate: float) -> Fraction:
+    return Fraction(rate).limit_denominator(_LARGEST_RATE)
+
+
+def _x264(codec: Any, size: tuple[int, int], rate: float) -> Any:
+    """Return a codec with the settings that are the same for every part and file."""
+    from av.codec.context import Flags
+
+    codec.width, codec.height = size
+    codec.pix_fmt = "yuv420p"
+    codec.framerate, codec.time_base = _fraction(rate), 1 / _fraction(rate)
+    codec.options = dict(_X264)
+    codec.flags |= Flags.global_header
+    return codec
+
+
+def _frame(picture: Pixels, number: int, step: Fraction) -> Any:
+    import av
+
+    frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture))
+    frame.pts, frame.time_base = number, step
+    return frame
+
+
+@contextmanager
+def _media_file(path: Path, options: dict[str, str]) -> Iterator[Any]:
+    """Yield a media file that replaces ``path`` once it is whole."""
+    import av
+
+    try:
+        # A full disk may only show when the file is closed.
+        with (
+            atomic_path(path) as temporary,
+            av.open(str(temporary), "w", options=options) as file,
+        ):
+            yield file
+    except av.FFmpegError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error}); write elsewhere or make room"
+        ) from error
+
+
+def _with_palette(pictures: Sequence[bytes], size: tuple[int, int]) -> Iterator[Any]:
+    """Yield a frame of color indices for each PNG, all with the palette of all.
+
+    One palette keeps a floor that does not change from flickering.
+    """
+    import av
+
+    graph = av.filter.Graph()
+    source, sink = _source(graph, size, "rgb24"), graph.add("buffersink")
+    count = graph.add("palettegen", "reserve_transparent=0")
+    source.link_to(count)
+    count.link_to(sink)
+    graph.configure()
+    (palette,) = _filtered(pictures, source, sink)
+    palette.pts, palette.time_base = 0, _STEP
+    graph = av.filter.Graph()
+    source, sink = _source(graph, size, "rgb24"), graph.add("buffersink")
+    colors = _source(graph, (_PALETTE_SIDE, _PALETTE_SIDE), "bgra")
+    # Ordered dither: diffusing errors would change the whole floor in every frame.
+    use = graph.add("paletteuse", "dither=bayer:bayer_scale=5")
+    source.link_to(use, 0, 0)
+    colors.link_to(use, 0, 1)
+    use.link_to(sink)
+    graph.configure()
+    colors.push(palette)
+    colors.push(None)
+    yield from _filtered(pictures, source, sink)
+
+
+def _source(graph: Any, size: tuple[int, int], layout: str) -> Any:
+    import av
+
+    width, height = size
+    return graph.add_buffer(
+        width=width, height=height, format=av.VideoFormat(layout), time_base=_STEP
+    )
+
+
+def _filtered(pictures: Sequence[bytes], source: Any, sink: Any) -> Iterator[Any]:
+    """Yield what a filter makes of PNG pictures."""
+    import av
+
+    for number, data in enumerate([*pictures, None]):
+        if data is None:
+            source.push(None)
+        else:
+            codec: Any = av.CodecContext.create("png", "r")
+            (frame,) = codec.decode(av.Packet(data)) + codec.decode(None)
+            source.push(_frame(frame.to_ndarray(format="rgb24"), number, _STEP))
+        while True:
+            try:
+                yield sink.pull()
+            except (av.BlockingIOError, av.EOFError):
+                break

@@ -1,0 +1,94 @@
+"""The OpenGL that draws without a screen, found by trying it in a process of its own.
+
+MuJoCo chooses its OpenGL when it is imported, and a process can hold only one kind.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+
+from kinefilter.characters import InputError
+
+_NAMES = {"egl": "EGL", "osmesa": "OSMesa"}  # in the order in which they are tried
+_LONGEST = 60.0  # s that a driver may take to start, a guess
+_SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software")
+_PROBE = """
+import mujoco
+context = mujoco.GLContext(16, 16)
+context.make_current()
+drawing = mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 50)
+mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawing)
+assert drawing.currentBuffer == mujoco.mjtFramebuffer.mjFB_OFFSCREEN
+from OpenGL import GL
+print("draws with", GL.glGetString(GL.GL_RENDERER).decode(), flush=True)
+import os
+os._exit(0)  # some drivers fail when they are closed
+"""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """An OpenGL that works here."""
+
+    name: str
+    """Value of MUJOCO_GL: ``egl`` or ``osmesa``."""
+    renderer: str
+    """What draws, in the driver's own words."""
+
+    @property
+    def software(self) -> bool:
+        """Whether the processor draws, which makes shadows and samples slow."""
+        return any(word in self.renderer.lower() for word in _SOFTWARE)
+
+    def __str__(self) -> str:
+        name = _NAMES.get(self.name, self.name)
+        where = "no GPU" if self.software else "GPU"
+        return f"drawn with {name} ({where}: {self.renderer})"
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Environment variables of the processes that draw."""
+        # One thread each: several processes draw, and would compete for the cores.
+        return {"MUJOCO_GL": self.name, "LP_NUM_THREADS": "0"}
+
+
+def find_backend() -> Backend:
+    """Return the first OpenGL that draws: MUJOCO_GL's if it is set, else EGL or OSMesa.
+
+    Raises:
+        InputError: None draws; the message names what to install.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    reasons = []
+    for name in (wanted,) if wanted else _NAMES:
+        found = _try(name)
+        if isinstance(found, Backend):
+            return found
+        reasons.append(f"{_NAMES.get(name, name)}: {found}")
+    raise InputError(
+        f"no OpenGL that draws without a screen ({'; '.join(reasons)}); install one: "
+        "Debian's libosmesa6 draws on any machine, libegl1 with the GPU's driver is "
+        "faster" + (", or unset MUJOCO_GL" if wanted else "")
+    )
+
+
+def _try(name: str) -> Backend | str:
+    """Return the backend if it works, else why it does not."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE],
+            env={**os.environ, "MUJOCO_GL": name},
+            capture_output=True,
+            text=True,
+            timeout=_LONGEST,
+        )
+    except subprocess.TimeoutExpired:
+        return "does not answer"
+    for line in done.stdout.splitlines():
+        if line.startswith("draws with "):
+            return Backend(name, line.removeprefix("draws with "))
+    said = done.stderr.strip().splitlines()
+    return said[-1].strip()[:120] if said else f"ended with code {done.returncode}"

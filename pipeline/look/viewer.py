@@ -1,0 +1,307 @@
+"""A motion in the browser: played, turned, and its foot contacts edited."""
+
+from __future__ import annotations
+
+import html
+import queue
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import viser
+
+from kinefilter.characters import Clip, InputError, Term
+from kinefilter.pipeline.formats import write_contacts
+from kinefilter.pipeline.progress import Progress
+
+from .contact_editing import PARTS, ContactEdits, Timeline
+from .drawing import Drawing
+from .playback import Playback
+from .viewer_scene import ViewerScene
+from .viewer_server import address_of, opened_server
+
+CleanAgain = Callable[[Path, Progress], Drawing]
+"""Cleans the take once more, with the contacts of a file."""
+Action = Callable[[Any], object]
+"""What is to be done, given the value of the widget that asked for it."""
+
+_STEPS = {"-10": -10, "-1": -1, "+1": 1, "+10": 10}  # frames, by button
+_SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
+_BESIDE = "raw beside"  # checkbox: the raw take stands beside the character
+_SHADOWS = "shadows"  # checkbox: they are half of the work where no GPU draws
+_PROGRESS_EVERY = 0.1  # s between two reports of progress
+
+
+class Viewer:
+    """One motion on one page; every browser that opens it sees the same.
+
+    What browsers ask for comes from threads of the server. It waits in a queue for
+    ``run``, which alone changes anything, so that no locks are needed.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        drawing: Drawing,
+        save: Path,
+        again: CleanAgain | None = None,
+    ) -> None:
+        self._server, self._save, self._again = server, save, again
+        self._asked: queue.Queue[tuple[Action, Any] | None] = queue.Queue()
+        self._playback = Playback(drawing.clip.time)
+        self._edits = ContactEdits(drawing.clip.contacts)
+        self._add_panel(server.gui, drawing)
+        self._look_at(drawing)
+        exists = ", which is there and will be replaced" if save.exists() else ""
+        self._say(f"to be saved as {save.name}{exists}")
+
+    @property
+    def address(self) -> str:
+        """What a browser opens."""
+        return address_of(self._server)
+
+    def run(self) -> None:
+        """Do what the page asks for, until ``stop``."""
+        while True:
+            self._show()
+            try:
+                wait = self._playback.until_next(perf_counter())
+                asked = self._asked.get(timeout=wait)
+                while asked is not None:
+                    action, value = asked
+                    action(value)
+                    # What came meanwhile first: of many scrubs only the last is drawn.
+                    asked = self._asked.get_nowait()
+                return
+            except queue.Empty:
+                pass
+
+    def stop(self) -> None:
+        """Let ``run`` return; from any thread."""
+        self._asked.put(None)
+
+    def _add_panel(self, gui: viser.GuiApi, drawing: Drawing) -> None:
+        gui.configure_theme(
+            control_width="large", show_logo=False, show_share_button=False
+        )
+        gui.set_panel_label("kinefilter")
+        gui.main_panel.dock_right()
+        last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
+        self._status = gui.add_html("")
+        self._frame = gui.add_slider("frame", 1, last, 1, 1)
+        self._on(self._frame.on_update, lambda k: self._playback.seek(int(k) - 1))
+        self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="key K")
+        self._on(self._play.on_click, self._play_or_pause)
+        steps = gui.add_button_group("step", tuple(_STEPS), hint="keys J and L")
+        self._on(steps.on_click, self._step)
+        # As in video editors; the space bar would press the last button as well.
+        key = gui.add_command("Play or pause", hotkey="K")
+        self._on(key.on_trigger, self._play_or_pause)
+        key = gui.add_command("A frame back", hotkey="J")
+        self._on(key.on_trigger, lambda _: self._step("-1"))
+        key = gui.add_command("A frame on", hotkey="L")
+        self._on(key.on_trigger, lambda _: self._step("+1"))
+        speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
+        self._on(
+            speed.on_update,
+            lambda s: self._playback.change_speed(float(s), perf_counter()),
+        )
+        with gui.add_folder("Foot contacts"):
+            self._picture = gui.add_html("")
+            self._span = gui.add_multi_slider("frames", 1, last, 1, (1, last))
+            self._on(self._span.on_update, lambda _: None)  # draws the timeline again
+            ends = gui.add_button_group("set", ("from here", "to here", "all"))
+            self._on(ends.on_click, self._set_end)
+            self._part = gui.add_dropdown("part", tuple(PARTS))
+            edit = gui.add_button_group("edit", ("stands", "lifts", "undo"))
+            self._on(edit.on_click, self._edit)
+            self._on(gui.add_button("Save contacts").on_click, self._save_contacts)
+            again = gui.add_button(
+                "Save and clean again", visible=self._again is not None
+            )
+            self._on(again.on_click, self._clean_again)
+            self._said = gui.add_html("")
+            self._busy = gui.add_progress_bar(0.0, visible=False, animated=True)
+        with gui.add_folder("Show"):
+            layers = drawing.layers
+            beside = {_BESIDE: True} if "raw" in layers else {}
+            self._boxes = {
+                name: gui.add_checkbox(name, shown)
+                for name, shown in {**layers, **beside, _SHADOWS: True}.items()
+            }
+        for box in self._boxes.values():
+            self._on(box.on_update, self._choose)
+
+    def _on(self, register: Callable[[Any], Any], action: Action) -> None:
+        async def ask(event: Any) -> None:
+            if event.client is not None:  # not where this program changed a widget
+                self._asked.put((action, getattr(event.target, "value", None)))
+
+        register(ask)
+
+    def _look_at(self, drawing: Drawing) -> None:
+        self._clip = drawing.clip
+        with self._server.atomic():
+            self._scene = ViewerScene(self._server, drawing, self._edits.contacts)
+        self._timeline = Timeline(self._edits.contacts)
+        self._choose()
+
+    def _show(self) -> None:
+        """Draw the present frame."""
+        frame = self._playback.frame(perf_counter())
+        playing = self._playback.playing
+        with self._server.atomic():
+            self._scene.show(frame)
+            if self._asked.empty():  # or a slider that is being pulled would jump back
+                _put(self._frame, frame + 1)
+            self._status.content = status_html(self._clip, frame)
+            self._picture.content = self._timeline.html(frame, self._first_and_last)
+            self._play.label = "Pause" if playing else "Play"
+            icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+            if self._play.icon != icon:
+                self._play.icon = icon
+
+    @property
+    def _first_and_last(self) -> tuple[int, int]:
+        """First and last of the frames to edit, counted from 0."""
+        first, last = self._span.value
+        return int(first) - 1, int(last) - 1
+
+    def _play_or_pause(self, _: object) -> None:
+        playback = self._playback
+        (playback.pause if playback.playing else playback.play)(perf_counter())
+
+    def _step(self, button: str) -> None:
+        self._playback.seek(self._playback.frame(perf_counter()) + _STEPS[button])
+
+    def _choose(self, _: object = None) -> None:
+        chosen = {name for name, box in self._boxes.items() if box.value}
+        self._scene.choose(chosen, beside=_BESIDE in chosen, shadows=_SHADOWS in chosen)
+
+    def _set_end(self, which: str) -> None:
+        """Let the frames to edit begin or end at the present one."""
+        first, last = self._first_and_last
+        here = self._playback.frame(perf_counter())
+        spans = {
+            "from here": (here, max(here, last)),
+            "to here": (min(first, here), here),
+            "all": (0, len(self._clip) - 1),
+        }
+        first, last = spans[which]
+        _put(self._span, (first + 1, last + 1))
+
+    def _edit(self, button: str) -> None:
+        """Change the contacts, or take the last change back."""
+        edits = self._edits
+        if button == "undo":
+            edits.undo()
+        else:
+            first, last = self._first_and_last
+            edits.put(self._part.value, first, last, stands=button == "stands")
+        self._scene.contacts = edits.contacts
+        self._timeline = Timeline(edits.contacts)
+        self._say("not saved" if edits.unsaved else "")
+
+    def _save_contacts(self, _: object = None) -> bool:
+        """Write the contacts; return whether that worked."""
+        try:
+            clip = replace(self._clip, contacts=self._edits.contacts)
+            write_contacts(clip, self._save)
+        except InputError as error:
+            self._say(str(error), wrong=True)
+            return False
+        self._edits.mark_saved()
+        self._say(f"saved {self._save}")
+        return True
+
+    def _clean_again(self, _: object) -> None:
+        """Save, and clean as ``clean --contacts`` would with that file."""
+        self._playback.pause(perf_counter())
+        if self._again is None or not self._save_contacts():
+            return
+        try:
+            drawing = self._again(self._save, self._progress)
+        except InputError as error:
+            self._say(str(error), wrong=True)
+            return
+        finally:
+            self._busy.visible = False
+        self._edits.replace(drawing.clip.contacts)
+        self._edits.mark_saved()
+        self._look_at(drawing)
+        self._say(f"cleaned with {self._save}")
+
+    def _progress(self, stage: str, count: int) -> Iterable[int]:
+        """Show on the page how far a stage is."""
+        self._say(f"{stage} ...")
+        shown = 0.0
+        for step in range(count):
+            if perf_counter() - shown > _PROGRESS_EVERY:
+                self._busy.visible = True
+                _put(self._busy, 100.0 * step / count)
+                shown = perf_counter()
+            yield step
+
+    def _say(self, words: str, *, wrong: bool = False) -> None:
+        color = "#c92a2a" if wrong else "inherit"
+        self._said.content = (
+            f'<div id="said" style="font-size:12px;margin:0 8px;color:{color};'
+            f'overflow-wrap:anywhere">{html.escape(words)}</div>'
+        )
+
+
+def status_html(clip: Clip, frame: int) -> str:
+    """Return time, least reliable joint and external force of a frame as HTML."""
+    seconds = clip.time[frame] - clip.time[0]
+    rows = {"time": f"{seconds:.2f} s, frame {frame + 1} of {len(clip)}"}
+    rates = clip.reliability[frame]
+    if np.isfinite(rates).any():
+        worst = int(np.nanargmin(rates))
+        term = Term(int(clip.deciding_term[frame, worst])).words
+        joint = clip.skeleton.joints[worst]
+        rows["least reliable"] = f"{joint}, {rates[worst]:.2f} ({term})"
+    force = float(clip.external_force[frame])
+    if np.isfinite(force):
+        rows["external force"] = f"{force:.2f} body weights"
+    cells = "".join(
+        f'<div style="opacity:0.6">{name}</div><div>{html.escape(text)}</div>'
+        for name, text in rows.items()
+    )
+    return (
+        '<div id="status" style="display:grid;grid-template-columns:auto 1fr;'
+        f'gap:1px 8px;font-size:12px;margin:2px 8px">{cells}</div>'
+    )
+
+
+@contextmanager
+def opened_viewer(
+    drawing: Drawing,
+    save: Path,
+    *,
+    again: CleanAgain | None = None,
+    bind: str = "127.0.0.1",
+    port: int = 0,
+) -> Iterator[Viewer]:
+    """Yield a page that waits for browsers, and works while its ``run`` does.
+
+    Args:
+        drawing: What is shown.
+        save: File that contacts are saved in, the only one that is written.
+        again: How the take is cleaned once more; None: it cannot be.
+        bind: Address to listen at; 127.0.0.1 is reached from this machine alone.
+        port: Port, 0: any that is free.
+
+    Raises:
+        InputError: Nothing can listen there.
+    """
+    with opened_server(bind, port) as server:
+        yield Viewer(server, drawing, save, again)
+
+
+def _put(widget: Any, value: object) -> None:
+    """Set a widget's value, which viser declares as constant for mypy."""
+    widget.value = value

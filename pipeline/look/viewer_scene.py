@@ -1,0 +1,315 @@
+"""A drawing in the scene of a browser: figures, skin, props, contacts and force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import trimesh
+import viser
+from numpy.typing import NDArray
+
+from kinefilter.characters import Clip, Shape
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import IDENTITY
+from kinefilter.pipeline.target.contacts import ankles_and_toes
+
+from .cameras import camera_path
+from .drawing import Drawing
+from .figures import StickFigure, segment_poses, segment_starts, skin_triangles
+
+Update = Callable[[int], None]
+"""Puts something where it is in a frame."""
+
+_JOINT, _BONE = 0.026, 0.011  # m, radii of stick figures
+_BONE_COLOR = (0.32, 0.33, 0.37)
+_SKIN = (0.84, 0.80, 0.75)  # nearly gray: a figure inside keeps its colors
+_TRANSLUCENT = 0.4  # opacity of the skin where a figure is inside it
+_DISK, _THICK = 0.055, 0.006  # m, radius and height of what marks a standing foot
+_STANDS = (0.0, 100 / 255, 36 / 255)
+_BAR = 0.025  # m, radius of the bar, which is as high as a force of 1 body weight per m
+_FORCE = (214 / 255, 92 / 255, 60 / 255)
+_LEAST_FORCE = 0.01  # body weights: a shorter bar could not be seen
+_ASPECT = 1.0  # of the scene beside the panel, or more: there is room for a label
+_FRAMES = 1000  # at least, of a long motion, that the first view is to hold
+_ROOM = 0.15  # m between a joint and the skin's farthest point
+_SKY = ((0.80, 0.86, 0.92), (0.97, 0.98, 0.99))  # overhead, at the horizon
+_SKY_ROWS = 64
+_FLOOR = 12.0  # m, the side of what catches shadows
+
+
+class ViewerScene:
+    """Everything that is drawn, in layers (Drawing.layers) that are shown or hidden.
+
+    ``contacts`` (T, 4) are those that are being edited.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, drawing: Drawing, contacts: NDArray[np.bool_]
+    ) -> None:
+        scene = server.scene
+        scene.reset()
+        self.contacts = contacts
+        self._offset = drawing.raw_offset
+        self._sun = _set_stage(server, drawing.clip, self._offset)
+        self._skin, update = _add_skin(scene, drawing.clip)
+        self._layers: dict[str, tuple[Any, Update]] = {"skin": (self._skin, update)}
+        for name, figure in drawing.figures.items():
+            self._layers[name] = _add_sticks(scene, name, figure)
+        self._layers["contacts"] = self._add_contacts(scene, drawing.clip)
+        if drawing.simulated:
+            self._layers["forces"] = _add_force(scene, drawing)
+        if drawing.clip.props:
+            self._layers["things"] = _add_props(scene, drawing.clip)
+        self._shown = set(self._layers)
+
+    def choose(self, names: set[str], *, beside: bool, shadows: bool) -> None:
+        """Show some layers, hide the others, and put the raw take beside or over."""
+        self._sun.cast_shadow = shadows
+        self._shown = names & set(self._layers)
+        for name, (handle, _) in self._layers.items():
+            handle.visible = name in names
+        if "raw" in self._layers:
+            self._layers["raw"][0].position = self._offset * beside
+        apart = beside and self._offset.any()
+        inside = {"cleaned", "physics", *(() if apart else ("raw",))}
+        self._skin.opacity = _TRANSLUCENT if self._shown & inside else None
+
+    def show(self, frame: int) -> None:
+        """Put all that is shown where it is in a frame."""
+        for name in self._shown:
+            self._layers[name][1](frame)
+
+    def _add_contacts(self, scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+        """Add a disk on the floor under every heel and toe that stands."""
+        feet = ankles_and_toes(clip.skeleton)
+        parts = [j for pair in zip(*feet, strict=True) for j in pair]
+        places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
+        disk = _cylinder(_DISK, _THICK, sections=32)
+        disks = _add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
+
+        def update(frame: int) -> None:
+            disks.batched_positions = _float32(places[frame])
+            disks.batched_scales = _sizes(self.contacts[frame])
+
+        return disks, update
+
+
+def _add_sticks(
+    scene: viser.SceneApi, name: str, figure: StickFigure
+) -> tuple[Any, Update]:
+    """Add spheres and cylinders for joints and bones, which can be moved together."""
+    group = scene.add_frame(f"/{name}", show_axes=False)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=_JOINT)
+    color, skeleton = figure.color or _BONE_COLOR, figure.skeleton
+    joints = _add_batch(scene, f"/{name}/joints", ball, len(skeleton), color)
+    stick = _cylinder(_BONE, 1.0, sections=12)
+    count = len(skeleton.segments)
+    bones = _add_batch(scene, f"/{name}/bones", stick, count, color)
+
+    def update(frame: int) -> None:
+        now = figure.at(frame)
+        joints.batched_positions = _float32(now.joints)
+        joints.batched_scales = _sizes(now.joint_there)
+        bones.batched_positions = _float32(now.centers)
+        bones.batched_wxyzs = _float32(now.rotations)
+        there = now.bone_there
+        bones.batched_scales = _float32(
+            np.stack([there, there * now.lengths, there], axis=1)
+        )
+        if now.joint_colors is not None:
+            joints.batched_colors = _bytes(now.joint_colors)
+
+    return group, update
+
+
+def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+    body, joints = clip.body, len(clip.skeleton)
+    skin, triangles = skin_triangles(body)
+    weights = np.zeros((len(skin.points), joints))
+    np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
+    mesh = scene.add_mesh_skinned(
+        "/mesh",
+        skin.points,
+        triangles,
+        bone_wxyzs=np.tile(IDENTITY, (joints, 1)),
+        bone_positions=body.rest_positions[segment_starts(clip.skeleton)],
+        skin_weights=weights,
+        color=_color(_SKIN),
+    )
+    positions, rotations = segment_poses(clip)
+
+    def update(frame: int) -> None:
+        for joint, bone in enumerate(mesh.bones):
+            bone.position = positions[frame, joint]
+            bone.wxyz = rotations[frame, joint]
+
+    return mesh, update
+
+
+def _add_props(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+    group = scene.add_frame("/things", show_axes=False)
+    frames = []
+    for n, prop in enumerate(clip.props):
+        frames.append(scene.add_frame(f"/things/{n}", show_axes=False))
+        for k, shape in enumerate(prop.shapes):
+            mesh = _surface(shape)
+            scene.add_mesh_simple(
+                f"/things/{n}/{k}",
+                mesh.vertices,
+                mesh.faces,
+                color=_color(shape.color),
+                flat_shading=shape.kind in ("box", "mesh"),
+                position=shape.position,
+                wxyz=shape.rotation,
+            )
+
+    def update(frame: int) -> None:
+        for prop, handle in zip(clip.props, frames, strict=True):
+            k = frame if prop.moves else 0
+            handle.position, handle.wxyz = prop.positions[k], prop.rotations[k]
+
+    return group, update
+
+
+def _add_force(scene: viser.SceneApi, drawing: Drawing) -> tuple[Any, Update]:
+    """Add a bar beside the character, as high as the external force is large."""
+    mesh = _cylinder(_BAR, 1.0, sections=24)
+    mesh.apply_translation([0.0, 0.5, 0.0])
+    group = scene.add_frame("/force", show_axes=False)
+    bar = scene.add_mesh_simple(
+        "/force/bar", mesh.vertices, mesh.faces, color=_color(_FORCE)
+    )
+    label = scene.add_label("/force/label", "", anchor="bottom-center")
+    places = drawing.force_places
+
+    def update(frame: int) -> None:
+        force = float(np.nan_to_num(drawing.clip.external_force[frame]))
+        height = max(force, _LEAST_FORCE)
+        group.position = places[frame]
+        bar.scale = (1.0, height, 1.0)
+        label.position = (0.0, height, 0.0)
+        label.text = f"{force:.2f} body weights"
+
+    return group, update
+
+
+def _set_stage(
+    server: viser.ViserServer, clip: Clip, offset: Array
+) -> viser.DirectionalLightHandle:
+    """Set sky, floor, lights and the first view; return the light with shadows."""
+    scene = server.scene
+    scene.set_up_direction("+y")
+    top, bottom = (np.array(color) for color in _SKY)
+    share = np.linspace(0.0, 1.0, _SKY_ROWS)[:, None, None]
+    sky = _bytes(top + share * (bottom - top))
+    # No environment map for light: without a GPU, filtering it takes seconds.
+    scene.configure_environment_map(None)
+    scene.set_background_image(sky.repeat(2, axis=1), "png")
+    scene.add_grid(
+        "/floor",
+        _FLOOR,
+        _FLOOR,
+        plane="xz",
+        cell_size=0.5,
+        section_size=1.0,
+        cell_color=(205, 207, 211),
+        section_color=(170, 173, 180),
+        infinite_grid=True,
+        fade_distance=25.0,
+        shadow_opacity=0.2,
+    )
+    scene.configure_default_lights(False)
+    scene.add_light_hemisphere(
+        "/sky", sky_color=(255,) * 3, ground_color=(190, 186, 180), intensity=1.7
+    )
+    some = clip.positions[:: max(1, len(clip) // _FRAMES)]
+    joints = np.concatenate([some, some + offset], axis=1)
+    points = np.concatenate([joints + _ROOM, joints - _ROOM], axis=1)
+    camera = camera_path("front", clip, points, aspect=_ASPECT, rate=clip.fps)
+    server.initial_camera.position, server.initial_camera.look_at = camera.at(0)
+    server.initial_camera.fov = np.radians(camera.fov)
+    front = camera.toward * [1.0, 0.0, 1.0]
+    front /= np.linalg.norm(front)
+    left = np.array([-front[2], 0.0, front[0]])  # in the picture
+    return scene.add_light_directional(
+        "/sun",
+        intensity=2.0,
+        cast_shadow=True,
+        position=tuple(0.5 * front + 0.45 * left + [0.0, 1.0, 0.0]),
+    )
+
+
+def _add_batch(
+    scene: viser.SceneApi,
+    name: str,
+    mesh: trimesh.Trimesh,
+    count: int,
+    color: tuple[float, float, float],
+    *,
+    shadow: bool = True,
+) -> viser.BatchedMeshHandle:
+    """Add many copies of a mesh, hidden until they have a place."""
+    return scene.add_batched_meshes_simple(
+        name,
+        mesh.vertices,
+        mesh.faces,
+        batched_wxyzs=np.tile(IDENTITY, (count, 1)),
+        batched_positions=np.zeros((count, 3)),
+        batched_scales=np.zeros((count, 3)),
+        batched_colors=_bytes(np.tile(color, (count, 1))),
+        cast_shadow=shadow,
+        lod="off",
+    )
+
+
+def _surface(shape: Shape) -> trimesh.Trimesh:
+    """Return the surface of a shape in its own frame [m]."""
+    radius, half = float(shape.size[0]), float(shape.size[1])
+    mesh: trimesh.Trimesh
+    if shape.kind == "mesh":
+        mesh = trimesh.Trimesh(shape.points, shape.triangles, process=False)
+    elif shape.kind == "box":
+        mesh = trimesh.creation.box(extents=2.0 * shape.size)
+    elif shape.kind == "ellipsoid":
+        mesh = trimesh.creation.icosphere(subdivisions=3)
+        mesh.vertices = mesh.vertices * shape.size
+    elif shape.kind == "capsule":
+        mesh = _upright(trimesh.creation.capsule(radius=radius, height=2.0 * half))
+    else:
+        mesh = _cylinder(radius, 2.0 * half, sections=32)
+    return mesh
+
+
+def _cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
+    """Return a cylinder about the y axis [m], centered."""
+    return _upright(
+        trimesh.creation.cylinder(radius=radius, height=height, sections=sections)
+    )
+
+
+def _upright(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Turn a mesh that is round about z so that it is round about y."""
+    turn = np.eye(4)
+    turn[:3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    mesh.apply_transform(turn)
+    return mesh
+
+
+def _sizes(there: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the scales of copies that are there (1) or not (0), shape (N, 3)."""
+    return np.repeat(there[:, None], 3, axis=1).astype(np.float32)
+
+
+def _float32(values: Array) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def _bytes(colors: Any) -> NDArray[np.uint8]:
+    return np.rint(np.asarray(colors) * 255.0).astype(np.uint8)
+
+
+def _color(color: Any) -> tuple[int, int, int]:
+    red, green, blue = _bytes(color).tolist()
+    return red, green, blue
