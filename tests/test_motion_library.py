@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, random_body, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Motion,
+    random_body,
+    standard_body,
+)
 from kinefilter.characters.rotations import about_x, about_z, inverse, multiply, rotate
-from kinefilter.scenes.library import MOTIONS, Performance, perform
+from kinefilter.scenes.library import MOTIONS, perform
 from kinefilter.scenes.library.joint_ranges import JOINT_RANGES
 
 Array = NDArray[np.float64]
@@ -26,13 +32,13 @@ index = KINECT_V1.index
 
 
 @cache
-def performance(name: str, person: int) -> Performance:
+def performance(name: str, person: int) -> Motion:
     """The performance of a person of their own height and build."""
     body = random_body(KINECT_V1, np.random.default_rng(100 + person))
     return perform(name, body, seed=person)
 
 
-def performances(name: str) -> list[Performance]:
+def performances(name: str) -> list[Motion]:
     return [performance(name, person) for person in PEOPLE]
 
 
@@ -48,12 +54,12 @@ def tilts(turns: Array) -> tuple[Array, Array, Array]:
     return flexion, bend, np.arctan2(-left[..., 2], left[..., 0])
 
 
-def bone(p: Performance, start: str, end: str) -> Array:
+def bone(p: Motion, start: str, end: str) -> Array:
     line = p.positions[:, index(end)] - p.positions[:, index(start)]
     return np.asarray(line / np.linalg.norm(line, axis=-1, keepdims=True))
 
 
-def joint_angles(p: Performance) -> dict[str, Array]:
+def joint_angles(p: Motion) -> dict[str, Array]:
     """Every angle of JOINT_RANGES [deg], of both sides one after the other."""
     pelvis, thorax = (p.rotations[:, index(j)] for j in ("HipCenter", "ShoulderCenter"))
     found: dict[str, list[Array]] = {name: [] for name in JOINT_RANGES}
@@ -105,7 +111,7 @@ def test_speed_and_acceleration_are_human(name: str) -> None:
 # Floor
 
 
-def heights(p: Performance) -> Array:
+def heights(p: Motion) -> Array:
     """Lowest height [m] of the body's capsules in each frame, (T,)."""
     low = p.positions[..., 1] - p.body.radii
     parts = [low]
@@ -154,7 +160,7 @@ def gap(a: Array, b: Array, c: Array, d: Array) -> Array:
     return np.asarray(np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=-1))
 
 
-def overlap(p: Performance, first: str, second: str) -> Array:
+def overlap(p: Motion, first: str, second: str) -> Array:
     """How deep [m] the capsules of two segments are in each other, (T,)."""
     ends = [index(first), index(second)]
     starts = [KINECT_V1.parents[j] for j in ends]

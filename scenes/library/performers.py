@@ -8,15 +8,13 @@ recordings: ranges of motion are those of healthy adults, the timing is plausibl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from zlib import crc32
 
 import numpy as np
 
-from kinefilter.characters import Body, InputError
+from kinefilter.characters import Body, InputError, Motion
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.frozen import freeze
-from kinefilter.characters.motion import frames_per_second
 from kinefilter.characters.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
@@ -84,35 +82,7 @@ _TRUNK_TILT = (-0.03, 0.05)
 _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
 
-@dataclass(frozen=True, eq=False)
-class Performance:
-    """A motion without error: what a body did; arrays are read-only."""
-
-    name: str
-    """Name of the motion."""
-    time: Array
-    """Time [s], shape (T,), from 0 at a constant rate."""
-    positions: Array
-    """Joint positions [m], world frame, floor at y = 0, shape (T, J, 3)."""
-    rotations: Array
-    """World rotation of the segment that ends at each joint, unit quaternions wxyz,
-    identity in the T-pose, the root's row the pelvis, shape (T, J, 4)."""
-    body: Body
-    """Whose motion it is."""
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    @property
-    def fps(self) -> float:
-        """Nominal frame rate [1/s]: one over the median time step."""
-        return frames_per_second(self.time)
-
-
-def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Performance:
+def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Motion:
     """Return one performance of a motion, of 5 s or more: its last movement ends.
 
     The character starts near the origin of the world and faces +z.
@@ -168,7 +138,7 @@ def _as_one_stands(
 
 def perform_medley(
     parts: Sequence[tuple[str, float]], body: Body, *, seed: int
-) -> Performance:
+) -> Motion:
     """Return several motions one after another on feet that stay where they are.
 
     30 frames a second. Unlike those of ``perform``, arms may go through the body.
@@ -203,9 +173,15 @@ def _check(name: str, known: tuple[str, ...]) -> None:
         raise InputError(f"unknown motion {name!r}; known: {', '.join(known)}")
 
 
-def _performed(name: str, puppet: Puppet, time: Array, pose: Pose) -> Performance:
+def _performed(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
     rotations, positions = puppet.solve(pose)
-    return Performance(name, time, positions, continuous(rotations), puppet.body)
+    return Motion(
+        time=time,
+        body=puppet.body,
+        root=positions[:, puppet.body.skeleton.root],
+        rotations=continuous(rotations),
+        source=name,
+    )
 
 
 def _alive(pose: Pose, time: Array, rng: np.random.Generator) -> Pose:
