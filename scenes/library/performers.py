@@ -20,7 +20,7 @@ from kinefilter.characters.rotations import continuous, multiply, normalize
 from .actions import ACTIONS
 from .clearance import clear_arms
 from .exercises import EXERCISES
-from .gaits import GAITS, TURNS, gait
+from .gaits import GAITS, TURNS, Area, gait
 from .gestures import GESTURES
 from .joint_ranges import within_ranges
 from .lymph_flow import LYMPH_FLOW
@@ -82,16 +82,27 @@ _TRUNK_TILT = (-0.03, 0.05)
 _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
 
-def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Motion:
+def perform(
+    name: str,
+    body: Body,
+    *,
+    seed: int,
+    fps: float = 30.0,
+    within: Area | None = None,
+) -> Motion:
     """Return one performance of a motion, of 5 s or more: its last movement ends.
 
-    The character starts near the origin of the world and faces +z.
+    The character starts near the origin of the world and faces +z; with ``within`` it
+    starts where its loop does.
 
     Args:
         name: One of MOTIONS.
         body: Who performs, on any skeleton kinefilter knows.
         seed: Draws style, tempo and sides; the same seed gives the same arrays.
         fps: Frames per second.
+        within: Where the root stays in gaits (carry, march, run, walk), which then go
+            around in it with shorter steps; by default they go straight ahead. Other
+            motions are the same with it.
 
     Raises:
         InputError: There is no motion of that name.
@@ -102,7 +113,7 @@ def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Motion:
     length = rng.uniform(5.0, 9.0)
     if name in GAITS:
         time = np.arange(0.0, length, 1.0 / fps)
-        pose = gait(name, puppet, rng, time)
+        pose = gait(name, puppet, rng, time, within)
     else:
         base = stance(puppet, rng, wide=_EXTRA_WIDTH.get(name, _CLOSER))
         ahead = rng.normal(*_HIPS_AHEAD) * puppet.scale
