@@ -62,7 +62,8 @@ def simulated(pair: Pair, person: int) -> Pair:
     sensor = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
     seed = sum(map(ord, pair.clip)) * 1000 + person
     take = observe(pair.act, seed=seed, sensor=sensor, person=person)
-    return replace(pair, kinect=in_world_frame(take.positions, sensor))
+    kinect = in_world_frame(take.positions, sensor)
+    return replace(pair, kinect=kinect, mocap=pair.act.positions)
 
 
 # Fitting ------------------------------------------------------------------------
@@ -174,7 +175,7 @@ def paired_figures(pairs: list[Pair]) -> dict[str, float]:
         if len(moved) > 30:
             lagged.append([_products(moved, lag) for lag in (1, 3, 10)])
         steps.append(np.linalg.norm(np.diff(pair.error, axis=0), axis=-1)[:, JOINTS])
-        thirds = [np.diff(p, 3, axis=0) for p in (pair.kinect, pair.act.positions)]
+        thirds = [np.diff(p, 3, axis=0) for p in (pair.kinect, pair.mocap)]
         jerk.append([np.linalg.norm(t, axis=-1)[:, JOINTS] for t in thirds])
     step = 1000.0 * np.concatenate(steps)
     kinect, mocap = (1000.0 * np.concatenate(list(t)) for t in zip(*jerk, strict=True))

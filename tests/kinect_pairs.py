@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1
+from kinefilter.characters import KINECT_V1, Motion
 from kinefilter.retarget import measured_body, rotations_from_positions
-from kinefilter.scenes.library import Performance
 
 Array = NDArray[np.float64]
 
@@ -28,12 +27,14 @@ class Pair:
 
     clip: str
     kinect: Array
-    act: Performance
+    mocap: Array
+    act: Motion
+    """The mocap on a body of constant segment lengths."""
 
     @property
     def error(self) -> Array:
         """Kinect minus mocap [m], (T, 20, 3), NaN where either lacks the joint."""
-        error = self.kinect - self.act.positions
+        error = self.kinect - self.mocap
         error[:, UNSEEN] = np.nan
         return error
 
@@ -48,7 +49,8 @@ def pairs_of(file: Path, every: int = 1) -> Iterator[Pair]:
         if np.isfinite(mocap).all():
             shift = np.array([0.0, 0.0, DISTANCE])
             kinect = data["kinect"][start:stop].astype(float) + shift
-            yield Pair(str(clip), kinect, _act(mocap + shift, str(clip)))
+            truth = mocap + shift
+            yield Pair(str(clip), kinect, truth, _act(truth, str(clip)))
 
 
 def _completed(mocap: Array) -> Array:
@@ -69,11 +71,17 @@ def _completed(mocap: Array) -> Array:
     return filled
 
 
-def _act(positions: Array, name: str) -> Performance:
+def _act(positions: Array, name: str) -> Motion:
     seg, par = KINECT_V1.segments, KINECT_V1.segment_parents
     bones = np.linalg.norm(positions[:, seg] - positions[:, par], axis=-1)
     lengths = np.full(len(KINECT_V1), np.nan)
     lengths[seg] = np.median(bones, axis=0)
     body = measured_body(KINECT_V1, lengths)
     turn = rotations_from_positions(positions, body)
-    return Performance(name, np.arange(len(positions)) / 30.0, positions, turn, body)
+    return Motion(
+        time=np.arange(len(positions)) / 30.0,
+        body=body,
+        root=positions[:, KINECT_V1.root],
+        rotations=turn,
+        source=name,
+    )

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, Skeleton, standard_body
-from kinefilter.scenes.library import Performance
+from kinefilter.characters import KINECT_V1, Motion, Skeleton, standard_body
 
 __all__ = ["BODY", "FEET", "Array", "noisy", "polynomial", "stamps", "standing"]
 
@@ -23,7 +22,7 @@ def standing(frames: int, skeleton: Skeleton = KINECT_V1) -> Array:
     return np.tile(standard_body(skeleton).rest_positions, (frames, 1, 1))
 
 
-def noisy(act: Performance, sigma: float = 0.006, seed: int = 0) -> Array:
+def noisy(act: Motion, sigma: float = 0.006, seed: int = 0) -> Array:
     """Return where a performance's joints are seen, every axis off by sigma [m]."""
     rng = np.random.default_rng(seed)
     return act.positions + rng.normal(0.0, sigma, act.positions.shape)

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from kinefilter.characters import (
     KINECT_V1,
     Body,
-    positions_from_rotations,
+    Motion,
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, between, multiply
-from kinefilter.scenes.library import Performance
 from kinefilter.scenes.sensor import Sensor, TrackerErrors
 
 Array = NDArray[np.float64]
@@ -35,7 +34,7 @@ EXACT = replace(
 
 def posed(
     frames: int = 1, *, body: Body = BODY, yaw: float = 0.0, **arms: ArrayLike
-) -> Performance:
+) -> Motion:
     """Stand in T-pose, turned by yaw, limbs pointing where the keywords say."""
     skeleton = body.skeleton
     turn = np.tile(about_y(yaw), (frames, len(skeleton), 1))
@@ -47,8 +46,7 @@ def posed(
             bent = between(body.directions[j], np.asarray(direction, float))
             turn[:, j] = multiply(about_y(yaw), bent)
     root = np.tile(body.rest_positions[skeleton.root], (frames, 1))
-    positions = positions_from_rotations(turn, root, body)
-    return Performance("posed", np.arange(frames) / 30.0, positions, turn, body)
+    return Motion(time=np.arange(frames) / 30.0, body=body, root=root, rotations=turn)
 
 
 def room_with(name: str, size: tuple[float, float, float]) -> mujoco.MjSpec:

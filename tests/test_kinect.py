@@ -192,7 +192,7 @@ def test_behind_is_where_the_sensor_is_not_and_not_a_direction_of_the_room(
     # Turned by 70 degrees to the left: on the left of the room from the sensor, which
     # is 22 degrees off then, on the right towards it.
     act = posed(yaw=np.radians(70.0))
-    act = replace(act, positions=act.positions + np.array([aside, 0, 0]))
+    act = replace(act, root=act.root + np.array([aside, 0, 0]))
     errors = replace(NO_ERRORS, mirrored_beyond=np.radians(74.0))
     take = observe(act, seed=0, sensor=EXACT, errors=errors)
     truth = in_sensor_frame(act.positions, EXACT)

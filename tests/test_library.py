@@ -24,6 +24,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import inverse, rotate
+from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.database.build import database_from_mocap
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.lab.scripted_database import (
@@ -71,6 +72,15 @@ def test_the_scripted_database_holds_almost_every_motion(
     assert len(set(MOTIONS) - held) <= 2
     assert 0.95 <= len(scripted) / BUILTIN_POSTURES <= 1.05
     assert scripted.source == "built-in"
+
+
+def test_the_shipped_database_is_what_the_scripted_motions_give(
+    scripted: PostureDatabase,
+) -> None:
+    shipped = builtin_database(scripted.skeleton)
+    for name in ("positions", "rotations", "labels"):
+        np.testing.assert_array_equal(getattr(shipped, name), getattr(scripted, name))
+    assert shipped.source == scripted.source
 
 
 def test_scripted_postures_are_on_the_standard_body_facing_forward(

@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, random_body, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Motion,
+    random_body,
+    standard_body,
+)
 from kinefilter.characters.rotations import about_x, about_z, inverse, multiply, rotate
-from kinefilter.scenes.library import MOTIONS, Performance, perform
+from kinefilter.scenes.library import MOTIONS, Area, perform
 from kinefilter.scenes.library.joint_ranges import JOINT_RANGES
 
 Array = NDArray[np.float64]
@@ -23,17 +29,23 @@ TISSUE, HANDS = 0.05, 0.06  # m that parts may overlap; hands also touch and hol
 
 every_motion = pytest.mark.parametrize("name", MOTIONS)
 index = KINECT_V1.index
+AREAS = {
+    "wide": Area((-1.8, 1.8), (-1.5, 0.7)),
+    "narrow": Area((-1.3, 1.3), (-1.0, 0.0)),
+}
+every_area = pytest.mark.parametrize("area", AREAS.values(), ids=AREAS)
+every_gait = pytest.mark.parametrize("name", ["carry", "march", "run", "walk"])
 
 
 @cache
-def performance(name: str, person: int) -> Performance:
+def performance(name: str, person: int, within: Area | None = None) -> Motion:
     """The performance of a person of their own height and build."""
     body = random_body(KINECT_V1, np.random.default_rng(100 + person))
-    return perform(name, body, seed=person)
+    return perform(name, body, seed=person, within=within)
 
 
-def performances(name: str) -> list[Performance]:
-    return [performance(name, person) for person in PEOPLE]
+def performances(name: str, within: Area | None = None) -> list[Motion]:
+    return [performance(name, person, within) for person in PEOPLE]
 
 
 # Joint ranges
@@ -48,12 +60,12 @@ def tilts(turns: Array) -> tuple[Array, Array, Array]:
     return flexion, bend, np.arctan2(-left[..., 2], left[..., 0])
 
 
-def bone(p: Performance, start: str, end: str) -> Array:
+def bone(p: Motion, start: str, end: str) -> Array:
     line = p.positions[:, index(end)] - p.positions[:, index(start)]
     return np.asarray(line / np.linalg.norm(line, axis=-1, keepdims=True))
 
 
-def joint_angles(p: Performance) -> dict[str, Array]:
+def joint_angles(p: Motion) -> dict[str, Array]:
     """Every angle of JOINT_RANGES [deg], of both sides one after the other."""
     pelvis, thorax = (p.rotations[:, index(j)] for j in ("HipCenter", "ShoulderCenter"))
     found: dict[str, list[Array]] = {name: [] for name in JOINT_RANGES}
@@ -105,7 +117,7 @@ def test_speed_and_acceleration_are_human(name: str) -> None:
 # Floor
 
 
-def heights(p: Performance) -> Array:
+def heights(p: Motion) -> Array:
     """Lowest height [m] of the body's capsules in each frame, (T,)."""
     low = p.positions[..., 1] - p.body.radii
     parts = [low]
@@ -125,8 +137,12 @@ def test_the_lowest_point_is_on_the_floor(name: str) -> None:
 
 @every_motion
 def test_a_foot_that_stands_stays_where_it_is(name: str) -> None:
+    assert_feet_stay(performances(name))
+
+
+def assert_feet_stay(acts: list[Motion]) -> None:
     stood = 0
-    for p, (side, _) in product(performances(name), SIDES):
+    for p, (side, _) in product(acts, SIDES):
         toes = p.positions[:, index(f"Foot{side}")]
         down = toes[:, 1] - p.body.radii[index(f"Foot{side}")] < 1e-3
         edges = np.flatnonzero(np.diff(np.pad(down.astype(int), 1)))
@@ -154,7 +170,7 @@ def gap(a: Array, b: Array, c: Array, d: Array) -> Array:
     return np.asarray(np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=-1))
 
 
-def overlap(p: Performance, first: str, second: str) -> Array:
+def overlap(p: Motion, first: str, second: str) -> Array:
     """How deep [m] the capsules of two segments are in each other, (T,)."""
     ends = [index(first), index(second)]
     starts = [KINECT_V1.parents[j] for j in ends]
@@ -190,7 +206,11 @@ def test_arms_do_not_pass_through_each_other(name: str) -> None:
 
 @every_motion
 def test_legs_do_not_pass_through_each_other(name: str) -> None:
-    for p in performances(name):
+    assert_legs_are_apart(performances(name))
+
+
+def assert_legs_are_apart(acts: list[Motion]) -> None:
+    for p in acts:
         for first, second in (
             ("KneeLeft", "KneeRight"),
             ("AnkleLeft", "AnkleRight"),
@@ -199,6 +219,51 @@ def test_legs_do_not_pass_through_each_other(name: str) -> None:
             ("KneeLeft", "AnkleRight"),
         ):
             assert overlap(p, first, second).max() < TISSUE, (first, second)
+
+
+# Gaits that go around
+
+
+@every_area
+@every_gait
+def test_within_an_area_gaits_go_around_on_feet_that_stay(
+    name: str, area: Area
+) -> None:
+    acts = performances(name, area)
+    assert_feet_stay(acts)
+    assert_legs_are_apart(acts)
+    for p in acts:
+        for k, (least, most) in zip((0, 2), area, strict=True):
+            assert p.root[:, k].min() > least - 0.06
+            assert p.root[:, k].max() < most + 0.06
+        assert heights(p).min() > -0.01
+        change = np.linalg.norm(np.diff(p.positions, 2, axis=0), axis=-1) * 900.0
+        assert change.max() < 150.0
+
+
+@every_area
+@pytest.mark.parametrize("name", ["carry", "run", "walk"])
+def test_who_goes_around_faces_where_they_go_and_does_not_spin(
+    name: str, area: Area
+) -> None:
+    for p in performances(name, area):
+        ahead = rotate(p.rotations[:, KINECT_V1.root], np.array([0.0, 0.0, 1.0]))
+        steps = np.gradient(p.root, axis=0)
+        cosine = np.sum((ahead * steps)[:, [0, 2]], axis=1)
+        cosine /= np.linalg.norm(ahead[:, [0, 2]], axis=1)
+        cosine /= np.linalg.norm(steps[:, [0, 2]], axis=1)
+        assert np.median(cosine) > 0.9
+        heading = np.unwrap(np.arctan2(ahead[:, 0], ahead[:, 2]))
+        turned = np.abs(heading[30:] - heading[:-30])
+        assert turned.max() < np.pi
+        assert np.abs(heading[-1] - heading[0]) > np.pi / 2.0
+
+
+@pytest.mark.parametrize("name", ["wave", "turn"])
+def test_an_area_changes_nothing_of_motions_that_stay(name: str) -> None:
+    free, held = performance(name, 0), performance(name, 0, AREAS["narrow"])
+    np.testing.assert_array_equal(free.rotations, held.rotations)
+    np.testing.assert_array_equal(free.root, held.root)
 
 
 # Size of the library

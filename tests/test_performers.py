@@ -14,12 +14,13 @@ from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
     InputError,
+    Motion,
     Skeleton,
     positions_from_rotations,
     standard_body,
 )
 from kinefilter.characters.rotations import inverse, rotate
-from kinefilter.scenes.library import MOTIONS, Performance, perform, perform_medley
+from kinefilter.scenes.library import MOTIONS, perform, perform_medley
 
 Array = NDArray[np.float64]
 SEEDS = range(3)
@@ -34,11 +35,11 @@ every_motion = pytest.mark.parametrize("name", MOTIONS)
 
 
 @cache
-def performance(name: str, skeleton: Skeleton, seed: int) -> Performance:
+def performance(name: str, skeleton: Skeleton, seed: int) -> Motion:
     return perform(name, standard_body(skeleton), seed=seed)
 
 
-def performances(name: str, skeleton: Skeleton) -> list[Performance]:
+def performances(name: str, skeleton: Skeleton) -> list[Motion]:
     return [performance(name, skeleton, seed) for seed in SEEDS]
 
 
@@ -61,11 +62,11 @@ def test_rotations_and_root_give_the_positions_with_constant_bones(
 
 
 def hinge_angle(
-    p: Performance, upper: str, lower: str, bone: ArrayLike, axis: ArrayLike
+    p: Motion, upper: str, lower: str, bone: ArrayLike, axis: ArrayLike
 ) -> tuple[Array, Array]:
     """Signed turn of the lower bone about an axis of the upper segment, and the tilt
     of the lower bone out of the plane across that axis."""
-    index = p.body.skeleton.index
+    index = p.skeleton.index
     start, end = p.positions[:, index(upper)], p.positions[:, index(lower)]
     local = rotate(inverse(p.rotations[:, index(upper)]), end - start)
     local /= np.linalg.norm(local, axis=-1, keepdims=True)

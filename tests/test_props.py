@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from posed_people import posed
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.humanoid import GRAVITY, from_mujoco
 from kinefilter.characters.rotations import rotate
 from kinefilter.scenes import SCENES, load_scene, movable_props
-from kinefilter.scenes.library import Performance, perform, prop_poses
+from kinefilter.scenes.library import perform, prop_poses
 from kinefilter.scenes.library.ball import ball_path
 from kinefilter.scenes.library.box import box_path
 from kinefilter.scenes.library.dribble import Contact, Ending, contacts
@@ -23,6 +25,7 @@ Array = NDArray[np.float64]
 FPS = 30.0
 RADIUS = 0.121
 PALM = 0.03
+SIDES = ("Left", "Right")
 SIZE = np.array([0.15, 0.2, 0.15])
 BODY = standard_body(KINECT_V1)
 
@@ -316,13 +319,7 @@ def test_no_prop_enters_the_floor_whatever_is_performed(motion: str) -> None:
 @pytest.mark.parametrize("frames", [1, 2])
 def test_the_shortest_performances_have_poses_too(frames: int) -> None:
     act = perform("pick_up", BODY, seed=2)
-    short = Performance(
-        "short",
-        act.time[:frames],
-        act.positions[:frames],
-        act.rotations[:frames],
-        BODY,
-    )
+    short = act.at(slice(frames))
     for scene in ("basketball", "box"):
         for path in prop_poses(load_scene(scene), short).values():
             assert path.shape == (frames, 7)
@@ -349,22 +346,22 @@ def test_the_table_of_the_box_scene_carries_the_box() -> None:
     spec = load_scene("box")
     table = spec.body("table")
     time = _lifting().time
-    hands = [(0.0, 0.4), (1.0, 0.4), (1.1, 0.4), (2.0, 0.62), (3.0, 0.62), (5.0, 0.62)]
-    high = [0.2, 0.2, 0.2, 1.1, 0.62, 0.62]
-    width = [GRIPPED, GRIPPED, GRIPPED, GRIPPED, GRIPPED, 0.6]
-    direction, across = table.pos / np.linalg.norm(table.pos[:2]), np.zeros(3)
-    across[:2] = [-direction[1], direction[0]]
-    scale = np.linalg.norm(table.pos[:2]) / 0.62
-    positions = np.tile(BODY.rest_positions, (len(time), 1, 1))
-    for joint, side in (("HandLeft", 1.0), ("HandRight", -1.0)):
-        keys = [
-            (t, tuple(scale * x * direction + side * w * across + [0.0, 0.0, z]))
-            for (t, x), z, w in zip(hands, high, width, strict=True)
-        ]
-        positions[:, KINECT_V1.index(joint)] = from_mujoco(_through(time, keys))
-    facing = np.array([np.cos(turn / 2), 0.0, np.sin(turn / 2), 0.0])
-    rotations = np.tile(facing, (len(time), len(KINECT_V1), 1))
-    act = Performance("table", time, positions, rotations, BODY)
+    far, high = np.linalg.norm(table.pos[:2]), [0.2, 0.2, 1.1, 0.62, 0.62]
+    ways = [0.65 * far, 0.65 * far, 0.65 * far, far, far]
+    keys = [
+        (t, tuple(x * table.pos / far * [1.0, 1.0, 0.0] + [0.0, 0.0, z]))
+        for t, x, z in zip((0.0, 1.1, 2.0, 3.0, 5.0), ways, high, strict=True)
+    ]
+    # Arms that point forward hold the box, and those of a T-pose do not.
+    forward = {"ElbowLeft": (0.0, 0.0, 1.0), "ElbowRight": (0.0, 0.0, 1.0)}
+    holding, parted = (posed(len(time), yaw=turn, **arms) for arms in (forward, {}))
+    holds = time[:, None, None] < 4.0
+    act = replace(
+        holding, rotations=np.where(holds, holding.rotations, parted.rotations)
+    )
+    middle = act.positions[:, [KINECT_V1.index(f"Hand{s}") for s in SIDES]].mean(axis=1)
+    root = act.root + from_mujoco(_through(time, keys)) - middle
+    act = replace(act, time=time, root=root)
     path = prop_poses(spec, act)["box"]
     assert path[-1, 2] == pytest.approx(0.45 + 0.15)
     np.testing.assert_allclose(path[-1, :2], table.pos[:2], atol=0.02)

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from kinefilter import read_take
-from kinefilter.characters import InputError
+from kinefilter.characters import SKELETONS, InputError, Motion, State, random_body
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulate import area_in_view, motion_for, simulate
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.scenes import SCENES
+from kinefilter.scenes.library import perform
+from kinefilter.scenes.sensor import SENSORS, in_sensor_frame
+
+every_sensor = pytest.mark.parametrize("sensor", SENSORS)
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -73,3 +77,55 @@ def test_a_person_keeps_their_bones_in_another_performance() -> None:
     assert one.subject == other.subject
     assert len(one.take) != len(other.take)
     np.testing.assert_array_equal(one.truth, simulate("basic", "wave", seed=3).truth)
+
+
+# In view ------------------------------------------------------------------------
+
+
+@every_sensor
+@pytest.mark.parametrize("scene", SCENES)
+def test_what_people_do_in_a_scene_by_default_is_in_view(
+    scene: str, sensor: str
+) -> None:
+    pair = simulate(scene, motion_for(scene), sensor=sensor, seed=3, stay_in_view=True)
+    inside = SENSORS[sensor].in_view(pair.truth)
+    assert inside[:, pair.take.skeleton.root].all()
+    assert inside.mean() > 0.95
+    assert (pair.take.state != State.NOT_TRACKED).mean() > 0.95
+
+
+def test_the_command_lets_people_do_what_fits_the_scene_and_stay_in_view(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "take.csv"
+    assert main(["simulate", "box", "--sensor", "v1", "-o", str(path)]) == 0
+    expected = simulate("box", "lift_box", sensor="v1").take
+    np.testing.assert_allclose(read_take(path).positions, expected.positions, atol=1e-8)
+    arguments = ["simulate", "basic", "--motion", "walk", "-o", str(path)]
+    assert main(arguments) == 0
+    take = read_take(path)
+    seen = take.state[:, take.skeleton.root] != State.NOT_TRACKED
+    assert seen.all()
+    straight = simulate("basic", "walk").take
+    assert not (straight.state[:, 0] != State.NOT_TRACKED).all()
+
+
+def gaits_in_view(name: str, sensor: str) -> list[Motion]:
+    skeleton = SKELETONS["kinect_v1" if sensor == "v1" else "kinect_v2"]
+    bodies = [random_body(skeleton, np.random.default_rng(seed)) for seed in range(4)]
+    return [
+        perform(
+            name, body, seed=seed, within=area_in_view(SENSORS[sensor], body.height)
+        )
+        for seed, body in enumerate(bodies)
+    ]
+
+
+@every_sensor
+@pytest.mark.parametrize("name", ["walk", "run", "carry", "march"])
+def test_gaits_turn_before_they_leave_the_view(name: str, sensor: str) -> None:
+    for act in gaits_in_view(name, sensor):
+        place = in_sensor_frame(act.positions, SENSORS[sensor])
+        inside = SENSORS[sensor].in_view(place)
+        assert inside[:, act.skeleton.root].all()
+        assert inside.mean() > 0.95

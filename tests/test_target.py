@@ -16,6 +16,7 @@ from kinefilter.characters import (
     CONTACTS,
     KINECT_V1,
     Body,
+    Motion,
     State,
     Take,
     standard_body,
@@ -38,7 +39,7 @@ from kinefilter.pipeline.target.contacts import (
     feet_of,
     find_stance,
 )
-from kinefilter.scenes.library import Performance, perform
+from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 
@@ -68,17 +69,17 @@ def placed(
     return draft
 
 
-def target_of(act: Performance, **options: Any) -> Draft:
+def target_of(act: Motion, **options: Any) -> Draft:
     return placed(act.time, noisy(act), **options)
 
 
 @pytest.fixture(scope="module")
-def walk() -> Performance:
+def walk() -> Motion:
     return perform("walk", BODY, seed=1)
 
 
 @pytest.fixture(scope="module")
-def kick() -> Performance:
+def kick() -> Motion:
     return perform("kick", BODY, seed=1)
 
 
@@ -101,7 +102,7 @@ def test_the_soles_of_standing_feet_hardly_move_once_bones_are_in_place(
         assert np.abs(soles).mean() < 2e-3
 
 
-def test_contacts_say_heel_and_toes_of_both_feet(kick: Performance) -> None:
+def test_contacts_say_heel_and_toes_of_both_feet(kick: Motion) -> None:
     target = target_of(kick)
     assert target.contacts.shape == (len(kick), len(CONTACTS))
     assert target.contacts.dtype == np.bool_
@@ -117,7 +118,7 @@ def test_contacts_say_heel_and_toes_of_both_feet(kick: Performance) -> None:
 
 @pytest.mark.parametrize("feet", ["never", "always"])
 def test_feet_stand_never_or_always_where_they_are_told_to(
-    walk: Performance, feet: str
+    walk: Motion, feet: str
 ) -> None:
     target = target_of(walk, feet=feet)
     assert (target.stands == (feet == "always")).all()
@@ -128,7 +129,7 @@ def test_feet_stand_never_or_always_where_they_are_told_to(
 
 
 @pytest.mark.parametrize("feet", ["auto", "never", "always"])
-def test_given_contacts_have_the_last_word(kick: Performance, feet: str) -> None:
+def test_given_contacts_have_the_last_word(kick: Motion, feet: str) -> None:
     contacts = np.zeros((len(kick), 4), dtype=np.bool_)
     contacts[40:80, :2] = True
     contacts[60:, 2:] = True
@@ -138,7 +139,7 @@ def test_given_contacts_have_the_last_word(kick: Performance, feet: str) -> None
     assert np.ptp(still, axis=0).max() < 0.02
 
 
-def test_contacts_that_a_target_says_give_the_same_target(kick: Performance) -> None:
+def test_contacts_that_a_target_says_give_the_same_target(kick: Motion) -> None:
     once = target_of(kick)
     again = target_of(kick, contacts=once.contacts)
     np.testing.assert_array_equal(again.contacts, once.contacts)
@@ -146,7 +147,7 @@ def test_contacts_that_a_target_says_give_the_same_target(kick: Performance) -> 
 
 
 def test_edited_contacts_change_the_motion_where_they_were_edited(
-    kick: Performance,
+    kick: Motion,
 ) -> None:
     once = target_of(kick)
     contacts = once.contacts.copy()
@@ -165,7 +166,7 @@ def test_edited_contacts_change_the_motion_where_they_were_edited(
 
 @pytest.mark.parametrize("lift", [-0.9, 0.4])
 def test_the_target_does_not_depend_on_how_high_the_sensor_is(
-    kick: Performance, lift: float
+    kick: Motion, lift: float
 ) -> None:
     low = target_of(kick)
     high = placed(kick.time, noisy(kick) + np.array([0.0, lift, 0.0]))
@@ -174,7 +175,7 @@ def test_the_target_does_not_depend_on_how_high_the_sensor_is(
     np.testing.assert_allclose(high.positions, low.positions, atol=1e-4)
 
 
-def test_a_floor_that_is_given_is_the_floor(kick: Performance) -> None:
+def test_a_floor_that_is_given_is_the_floor(kick: Motion) -> None:
     target = target_of(kick, floor=-0.5, feet="never")
     assert target.floor == -0.5
     found = target_of(kick, feet="never")
@@ -193,7 +194,7 @@ def test_who_hangs_in_the_air_over_a_given_floor_stays_there() -> None:
 
 @pytest.mark.parametrize("feet", ["auto", "always", "never"])
 def test_bones_keep_their_length_and_nothing_is_under_the_floor(
-    walk: Performance, feet: str
+    walk: Motion, feet: str
 ) -> None:
     posed = target_of(walk, feet=feet).posed
     assert bone_length_cv(posed, BODY) < 1e-9
@@ -203,13 +204,13 @@ def test_bones_keep_their_length_and_nothing_is_under_the_floor(
 
 
 def test_without_a_cutoff_a_perfect_take_without_feet_is_left_alone(
-    walk: Performance,
+    walk: Motion,
 ) -> None:
     target = placed(walk.time, walk.positions, cutoff=0.0, feet="never", floor=0.0)
     np.testing.assert_allclose(target.posed, walk.positions, atol=2e-3)
 
 
-def test_arguments_are_not_modified(kick: Performance) -> None:
+def test_arguments_are_not_modified(kick: Motion) -> None:
     positions, trust = noisy(kick), np.full(kick.positions.shape[:2], 0.9)
     contacts = np.ones((len(kick), 4), dtype=np.bool_)
     before = [np.copy(a) for a in (kick.time, positions, trust, contacts)]
@@ -261,7 +262,7 @@ def test_a_few_frames_have_contacts_too(frames: int) -> None:
     assert result.clip.contacts.all()
 
 
-def test_a_second_without_the_person_is_bridged(walk: Performance) -> None:
+def test_a_second_without_the_person_is_bridged(walk: Motion) -> None:
     path = walk.positions.copy()
     path[60:90] = np.nan
     assert _standing_toes_move(_cleaned(walk.time, path)) < 4e-3
@@ -270,7 +271,7 @@ def test_a_second_without_the_person_is_bridged(walk: Performance) -> None:
 @pytest.mark.parametrize("part", ["Ankle", "Foot", "Ankle Foot", "Knee Ankle Foot"])
 @pytest.mark.parametrize("sides", [SIDES, SIDES[:1]])
 def test_feet_that_nobody_ever_saw_are_invented(
-    walk: Performance, part: str, sides: tuple[str, ...]
+    walk: Motion, part: str, sides: tuple[str, ...]
 ) -> None:
     path = walk.positions.copy()
     path[:, [KINECT_V1.index(p + s) for p in part.split() for s in sides]] = np.nan
@@ -278,7 +279,7 @@ def test_feet_that_nobody_ever_saw_are_invented(
     assert result.stages["corrected"].bone_length_cv < 1e-9
 
 
-def test_repeated_stamps_repeat_the_contacts(walk: Performance) -> None:
+def test_repeated_stamps_repeat_the_contacts(walk: Motion) -> None:
     once = _cleaned(walk.time, walk.positions)
     twice = _cleaned(np.repeat(walk.time, 2), np.repeat(walk.positions, 2, axis=0))
     np.testing.assert_array_equal(
@@ -286,7 +287,7 @@ def test_repeated_stamps_repeat_the_contacts(walk: Performance) -> None:
     )
 
 
-def test_dropped_frames_stand_as_still(walk: Performance) -> None:
+def test_dropped_frames_stand_as_still(walk: Motion) -> None:
     rng = np.random.default_rng(0)
     kept = np.sort(rng.permutation(len(walk))[: 2 * len(walk) // 3])
     result = _cleaned(walk.time[kept], walk.positions[kept])

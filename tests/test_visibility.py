@@ -13,20 +13,21 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import (
     InputError,
+    Motion,
     Skeleton,
     State,
     standard_body,
 )
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import IDENTITY
-from kinefilter.scenes.library import Performance, perform
+from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import Sensor, in_world_frame, observe
 from kinefilter.scenes.sensor.visibility import Sight, look
 
 Array = NDArray[np.float64]
 
 
-def seen(act: Performance, joint: str, **options: Any) -> float:
+def seen(act: Motion, joint: str, **options: Any) -> float:
     sight = look(act, options.pop("sensor", Sensor()), **options)
     return float(sight.visible[0, act.body.skeleton.index(joint)])
 
@@ -128,20 +129,11 @@ def test_a_frame_is_seen_alike_alone_and_among_others() -> None:
     act = perform("cross_arms", BODY, seed=0)
     sight = look(act, Sensor())
     frame = int(np.argmin(sight.visible.mean(axis=1)))
-    one = look(_cut(act, slice(frame, frame + 1)), Sensor())
+    one = look(act.at(slice(frame, frame + 1)), Sensor())
     for field in fields(Sight):
         whole, single = getattr(sight, field.name), getattr(one, field.name)
         np.testing.assert_allclose(whole[[frame]], single, atol=1e-12)
     assert sight.visible[frame].min() < 0.5
-
-
-def _cut(act: Performance, rows: slice) -> Performance:
-    return replace(
-        act,
-        time=act.time[rows],
-        positions=act.positions[rows],
-        rotations=act.rotations[rows],
-    )
 
 
 @every_skeleton

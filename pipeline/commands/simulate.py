@@ -22,10 +22,11 @@ class Simulate:
     (.xml)."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Take to write (.csv)."""
-    motion: str = "walk"
-    """What is done, such as walk, tai_chi or lift_box. squat, lunge, step_over, sit and
-    raise_leg are as people do them by themselves; deep_squat, inline_lunge,
-    hurdle_step, sit_to_stand and leg_raise are exercises, often done wrong."""
+    motion: str | None = None
+    """What the person does, such as walk, tai_chi or lift_box; default: what fits the
+    scene. People squat, lunge, step_over, sit and raise_leg in everyday life;
+    deep_squat, inline_lunge, hurdle_step, sit_to_stand and leg_raise are exercises,
+    often done wrong. Who walks, runs, marches or carries stays in the sensor's view."""
     sensor: Literal["v1", "v2", "azure"] = "v2"
     """Which Kinect looks."""
     skeleton: Skeletons | None = None
@@ -40,7 +41,12 @@ class Simulate:
     def run(self) -> int:
         """Simulate and write."""
         from kinefilter.pipeline.formats import check_folder, write_take_csv
-        from kinefilter.pipeline.lab.simulate import simulate, truth_of, write_pairs
+        from kinefilter.pipeline.lab.simulate import (
+            motion_for,
+            simulate,
+            truth_of,
+            write_pairs,
+        )
 
         for path, suffix in (
             (self.out, ".csv"),
@@ -54,10 +60,11 @@ class Simulate:
         keep(self.out, self.truth, self.pairs)
         pair = simulate(
             self.scene,
-            self.motion,
+            self.motion or motion_for(self.scene),
             sensor=self.sensor,
             skeleton=self.skeleton,
             seed=self.seed,
+            stay_in_view=True,
         )
         write_take_csv(pair.take, self.out)
         if self.truth is not None:

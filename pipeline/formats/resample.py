@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -59,12 +60,15 @@ def resampled(clip: Clip, fps: float) -> Clip:
         return found
 
     nearest = np.where(share < 0.5, before, after)
+    arrays: dict[str, Any] = {
+        **{name: line(getattr(clip, name)) for name in _ON_A_LINE},
+        **{name: getattr(clip, name)[nearest] for name in _NEAREST},
+    }
     return replace(
         clip,
         time=time,
         rotations=arc(clip.rotations),
-        **{name: line(getattr(clip, name)) for name in _ON_A_LINE},
-        **{name: getattr(clip, name)[nearest] for name in _NEAREST},
+        **arrays,
         props=tuple(
             replace(p, positions=line(p.positions), rotations=arc(p.rotations))
             if p.moves

@@ -8,13 +8,21 @@ from pathlib import Path
 import numpy as np
 
 from kinefilter.characters import SKELETONS, InputError, State, Take, random_body
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes import load_scene
-from kinefilter.scenes.library import MOTIONS, perform, prop_poses
-from kinefilter.scenes.sensor import SENSORS, in_sensor_frame, observe
+from kinefilter.scenes.library import MOTIONS, Area, perform, prop_poses
+from kinefilter.scenes.sensor import SENSORS, Sensor, in_sensor_frame, observe
 
+_IN_SCENE = {
+    "basketball": "basketball",
+    "box": "lift_box",
+    "chair": "chair",
+    "flip_chart": "flip_chart",
+    "office": "office",
+}
 _SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
 _OWN_SENSOR = {"kinect_v1": "v1", "kinect_v2": "v2"}
 _IN_THE_WAY = ("office", "flip_chart", "box")
@@ -30,6 +38,15 @@ _HANDLED = (
 """Scenes and what people do with the thing in them."""
 _ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
 """Motions that go through things, or need one."""
+_ROOM = 0.25  # m around the root of who walks, for feet and elbows: a guess
+
+
+def motion_for(scene: str | Path) -> str:
+    """Return what a person does in a scene: something with what is there, on the spot.
+
+    Without anything there, and in scenes of users, they squat.
+    """
+    return _IN_SCENE.get(str(scene), "squat")
 
 
 def simulate(
@@ -40,6 +57,7 @@ def simulate(
     skeleton: str | None = None,
     seed: int = 0,
     person: int | None = None,
+    stay_in_view: bool = False,
 ) -> PairedTake:
     """Return what a virtual Kinect sees of a motion in a scene, and the truth.
 
@@ -52,6 +70,10 @@ def simulate(
         seed: Draws the person, the performance and the sensor's errors.
         person: Draws the person alone, with what the sensor always errs by in them;
             by default the seed.
+        stay_in_view: Let gaits go around in the sensor's view. By default they go
+            straight ahead and leave it, as in the takes that the embedded weights and
+            the figures come from: studies and training keep to that. Other motions are
+            the same either way.
 
     Raises:
         InputError: An unknown scene, motion, sensor or skeleton.
@@ -64,7 +86,8 @@ def simulate(
     body = random_body(
         SKELETONS[skeleton or _SKELETON[sensor]], np.random.default_rng(person)
     )
-    act = perform(motion, body, seed=seed)
+    area = area_in_view(SENSORS[sensor], body.height) if stay_in_view else None
+    act = perform(motion, body, seed=seed, within=area)
     take = observe(
         act,
         seed=seed,
@@ -79,6 +102,23 @@ def simulate(
     truth = in_sensor_frame(act.positions, SENSORS[sensor])[frames]
     stem = f"{Path(scene).stem}_{motion}_{sensor}"
     return PairedTake(take, truth, f"person {person}", f"{stem}_e{seed:02d}")
+
+
+def area_in_view(sensor: Sensor, height: float) -> Area:
+    """Return where on the floor a person is in a sensor's view from head to foot."""
+    place = np.arange(-4.0, 4.0, 0.05)
+    around = [(x, y, z) for x in (-1, 1) for y in (0, 1) for z in (-1, 1)]
+    person = np.array([_ROOM, height, _ROOM]) * around
+
+    def ends(spots: Array) -> tuple[float, float]:
+        seen = sensor.in_view(in_sensor_frame(spots[:, None] + person, sensor))
+        rows = np.flatnonzero(seen.all(axis=1))
+        return float(place[rows[0]]), float(place[rows[-1]])
+
+    zero = np.zeros_like(place)
+    near, far = ends(np.stack([zero, zero, place], axis=-1))
+    middle = np.full_like(place, 0.5 * (near + far))
+    return Area(ends(np.stack([place, zero, middle], axis=-1)), (near, far))
 
 
 def simulated_pairs(

@@ -8,15 +8,30 @@ was put while the root passes over it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.humanoid import GRAVITY
 from kinefilter.characters.rotations import about_y, rotate
 
 from .poses import Pose, Score
 from .puppet import LEFT, RIGHT, Puppet
 from .script import Script, stance
+
+_WIDEST_TURN = 0.55  # rad per step: longer steps on a loop would cross the legs
+_WIDER = 0.4  # hip widths by which each foot is farther from the middle on a loop
+_LONGEST_LOOP = 1.3  # width of a loop over its depth: a longer one has sharp ends
+
+
+class Area(NamedTuple):
+    """A rectangle of the floor, world frame [m]."""
+
+    left: tuple[float, float]
+    """Least and greatest x."""
+    forward: tuple[float, float]
+    """Least and greatest z."""
 
 
 @dataclass(frozen=True)
@@ -95,14 +110,29 @@ def _style(name: str, rng: np.random.Generator) -> _Gait:
     )
 
 
-def gait(name: str, puppet: Puppet, rng: np.random.Generator, time: Array) -> Pose:
-    """Return the motion of a gait at the given times [s], shape (T,)."""
+def gait(
+    name: str,
+    puppet: Puppet,
+    rng: np.random.Generator,
+    time: Array,
+    within: Area | None = None,
+) -> Pose:
+    """Return the motion of a gait at the given times [s], shape (T,).
+
+    The way leads straight ahead, or around an ellipse within an area.
+    """
     style, size = _style(name, rng), puppet.scale
+    loop = None if within is None else _Loop(within, int(rng.choice([-1, 1])))
+    if loop is not None:
+        longest = 2.0 * _WIDEST_TURN * loop.sharpest / size
+        style = replace(style, stride=min(style.stride, longest))
     base = stance(puppet, rng)
     cycle = time / style.period + rng.uniform(0.0, 1.0)
     lead = style.stance / 2.0 - 0.03
     ankle, foot = np.zeros((len(time), 2, 3)), np.zeros((len(time), 2, 2))
     half = puppet.hip_width * rng.uniform(*style.half_width)
+    if loop is not None:
+        half += _WIDER * puppet.hip_width
     for side in (LEFT, RIGHT):
         number, phase = np.divmod(cycle + 0.5 * side, 1.0)
         swing = np.clip((phase - style.stance) / (1.0 - style.stance), 0.0, 1.0)
@@ -140,10 +170,71 @@ def gait(name: str, puppet: Puppet, rng: np.random.Generator, time: Array) -> Po
         lifted=np.zeros((len(time), 2)),
         knee_out=np.zeros((len(time), 2)),
     )
+    if loop is not None:
+        pose = loop.bent(pose, style.stride * size / style.period)
     if name == "carry":
         return _load(puppet, pose, rng)
     drifts = [_drift(rng, time) for _ in range(3)]
     return _swing_arms(puppet, pose, style, turn, rng, drifts)
+
+
+class _Loop:
+    """An ellipse on the floor, begun where it leads forward (+z)."""
+
+    def __init__(self, area: Area, way: int) -> None:
+        """Fit the ellipse into an area; way: 1 turns to the left, -1 to the right."""
+        wide, deep = (0.5 * (most - least) for least, most in area)
+        wide = min(wide, _LONGEST_LOOP * deep)
+        deep = min(deep, _LONGEST_LOOP * wide)
+        self.sharpest = min(wide, deep) ** 2 / max(wide, deep)
+        """Least radius of curvature [m]."""
+        angle = np.linspace(0.0, 2.0 * np.pi, 721)
+        middle = np.array([sum(side) / 2.0 for side in area])
+        edge = np.stack([-way * wide * np.cos(angle), deep * np.sin(angle)], axis=-1)
+        steps = np.diff(edge, axis=0)
+        self._place = middle + edge
+        self._way = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
+        tangent = way * wide * np.sin(angle), deep * np.cos(angle)
+        self._heading = np.unwrap(np.arctan2(*tangent))
+
+    def _at(self, way: Array) -> tuple[Array, Array, Array]:
+        """Return place (..., 2), heading [rad] and curvature [1/m] after a way [m]."""
+        rounds, rest = np.divmod(way, self._way[-1])
+        place = np.stack(
+            [np.interp(rest, self._way, values) for values in self._place.T], axis=-1
+        )
+        heading = np.interp(rest, self._way, self._heading)
+        bends = np.gradient(self._heading, self._way)
+        return (
+            place,
+            heading + rounds * self._heading[-1],
+            np.interp(rest, self._way, bends),
+        )
+
+    def bent(self, pose: Pose, speed: float) -> Pose:
+        """Return a straight way at a speed [m/s] led around the loop.
+
+        What was straight ahead is along the loop, what was beside it is across. A foot
+        that stands stays where it is, and the body leans inward.
+        """
+        start = pose.root[0, 2]
+
+        def led(points: Array) -> tuple[Array, Array, Array]:
+            place, heading, curvature = self._at(points[..., 2] - start)
+            beside = points[..., 0]
+            moved = points.copy()
+            moved[..., 0] = place[..., 0] + beside * np.cos(heading)
+            moved[..., 2] = place[..., 1] - beside * np.sin(heading)
+            return moved, heading, curvature
+
+        root, heading, curvature = led(pose.root)
+        ankle, toes, _ = led(pose.ankle)
+        lean = np.arctan(curvature * speed**2 / GRAVITY)
+        turn = np.stack([heading, np.zeros_like(heading), lean], axis=-1)
+        foot = pose.foot + np.stack([toes, np.zeros_like(toes)], axis=-1)
+        return replace(
+            pose, root=root, ankle=ankle, foot=foot, pelvis=pose.pelvis + turn
+        )
 
 
 def _drift(rng: np.random.Generator, time: Array) -> Array:

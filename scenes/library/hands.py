@@ -7,12 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from kinefilter.characters import Motion
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import rotate, wxyz_from_matrix
 from kinefilter.retarget.smooth_step import smooth_step
-
-from .performers import Performance
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,23 +34,23 @@ class Hands:
     """Radius of a hand [m]."""
 
     @classmethod
-    def of(cls, performance: Performance) -> Hands:
-        """Return the hands of a performance."""
-        skeleton = performance.body.skeleton
-        positions = to_mujoco(performance.positions)
+    def of(cls, motion: Motion) -> Hands:
+        """Return the hands of a motion."""
+        skeleton = motion.skeleton
+        positions = to_mujoco(motion.positions)
         hand, elbow = (
             [skeleton.index(f"{stem}{side}") for side in ("Left", "Right")]
             for stem in ("Hand", "Elbow")
         )
-        pelvis = to_mujoco(performance.rotations[:, skeleton.root])
+        pelvis = to_mujoco(motion.rotations[:, skeleton.root])
         return cls(
-            time=performance.time,
+            time=motion.time,
             positions=positions[:, hand],
             elbows=positions[:, elbow],
             root=positions[:, skeleton.root],
             head=positions[:, skeleton.index("Head"), 2],
             forward=rotate(pelvis, np.array([1.0, 0.0, 0.0])),
-            radius=float(performance.body.radii[hand[0]]),
+            radius=float(motion.body.radii[hand[0]]),
         )
 
     @property

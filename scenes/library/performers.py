@@ -8,21 +8,19 @@ recordings: ranges of motion are those of healthy adults, the timing is plausibl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from zlib import crc32
 
 import numpy as np
 
-from kinefilter.characters import Body, InputError
+from kinefilter.characters import Body, InputError, Motion
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.frozen import freeze
-from kinefilter.characters.motion import frames_per_second
 from kinefilter.characters.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
 from .clearance import clear_arms
 from .exercises import EXERCISES
-from .gaits import GAITS, TURNS, gait
+from .gaits import GAITS, TURNS, Area, gait
 from .gestures import GESTURES
 from .joint_ranges import within_ranges
 from .lymph_flow import LYMPH_FLOW
@@ -84,44 +82,27 @@ _TRUNK_TILT = (-0.03, 0.05)
 _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
 
-@dataclass(frozen=True, eq=False)
-class Performance:
-    """A motion without error: what a body did; arrays are read-only."""
-
-    name: str
-    """Name of the motion."""
-    time: Array
-    """Time [s], shape (T,), from 0 at a constant rate."""
-    positions: Array
-    """Joint positions [m], world frame, floor at y = 0, shape (T, J, 3)."""
-    rotations: Array
-    """World rotation of the segment that ends at each joint, unit quaternions wxyz,
-    identity in the T-pose, the root's row the pelvis, shape (T, J, 4)."""
-    body: Body
-    """Whose motion it is."""
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    @property
-    def fps(self) -> float:
-        """Nominal frame rate [1/s]: one over the median time step."""
-        return frames_per_second(self.time)
-
-
-def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Performance:
+def perform(
+    name: str,
+    body: Body,
+    *,
+    seed: int,
+    fps: float = 30.0,
+    within: Area | None = None,
+) -> Motion:
     """Return one performance of a motion, of 5 s or more: its last movement ends.
 
-    The character starts near the origin of the world and faces +z.
+    The character starts near the origin of the world and faces +z; with ``within`` it
+    starts where its loop does.
 
     Args:
         name: One of MOTIONS.
         body: Who performs, on any skeleton kinefilter knows.
         seed: Draws style, tempo and sides; the same seed gives the same arrays.
         fps: Frames per second.
+        within: Where the root stays in gaits (carry, march, run, walk), which then go
+            around in it with shorter steps; by default they go straight ahead. Other
+            motions are the same with it.
 
     Raises:
         InputError: There is no motion of that name.
@@ -132,7 +113,7 @@ def perform(name: str, body: Body, *, seed: int, fps: float = 30.0) -> Performan
     length = rng.uniform(5.0, 9.0)
     if name in GAITS:
         time = np.arange(0.0, length, 1.0 / fps)
-        pose = gait(name, puppet, rng, time)
+        pose = gait(name, puppet, rng, time, within)
     else:
         base = stance(puppet, rng, wide=_EXTRA_WIDTH.get(name, _CLOSER))
         ahead = rng.normal(*_HIPS_AHEAD) * puppet.scale
@@ -168,7 +149,7 @@ def _as_one_stands(
 
 def perform_medley(
     parts: Sequence[tuple[str, float]], body: Body, *, seed: int
-) -> Performance:
+) -> Motion:
     """Return several motions one after another on feet that stay where they are.
 
     30 frames a second. Unlike those of ``perform``, arms may go through the body.
@@ -203,9 +184,15 @@ def _check(name: str, known: tuple[str, ...]) -> None:
         raise InputError(f"unknown motion {name!r}; known: {', '.join(known)}")
 
 
-def _performed(name: str, puppet: Puppet, time: Array, pose: Pose) -> Performance:
+def _performed(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
     rotations, positions = puppet.solve(pose)
-    return Performance(name, time, positions, continuous(rotations), puppet.body)
+    return Motion(
+        time=time,
+        body=puppet.body,
+        root=positions[:, puppet.body.skeleton.root],
+        rotations=continuous(rotations),
+        source=name,
+    )
 
 
 def _alive(pose: Pose, time: Array, rng: np.random.Generator) -> Pose:

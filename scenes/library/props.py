@@ -7,16 +7,16 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
+from kinefilter.characters import Motion
 from kinefilter.characters.arrays import Array
 from kinefilter.scenes.rooms import movable_props
 
 from .ball import ball_path
 from .box import box_path
 from .hands import Hands
-from .performers import Performance
 
 
-def prop_poses(scene: mujoco.MjSpec, performance: Performance) -> dict[str, Array]:
+def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
     """Return the pose of every movable prop in every frame, shape (T, 7), by name.
 
     A pose is the position [m] and the rotation wxyz of the prop's body in MuJoCo's
@@ -26,16 +26,16 @@ def prop_poses(scene: mujoco.MjSpec, performance: Performance) -> dict[str, Arra
 
     Args:
         scene: The scene; a character in it is ignored.
-        performance: What is done in it.
+        motion: What is done in it.
     """
     model = scene.copy().compile()
-    hands = Hands.of(performance)
+    hands = Hands.of(motion)
     support = _support(scene)
     poses = {}
     for name in movable_props(scene):
         body = model.body(name)
         rest = np.concatenate([body.pos, body.quat])
-        poses[name] = np.tile(rest, (len(performance), 1))
+        poses[name] = np.tile(rest, (len(motion), 1))
         geom = int(body.geomadr[0])
         size = model.geom_size[geom].copy()
         match model.geom_type[geom]:

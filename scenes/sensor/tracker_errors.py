@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from kinefilter.characters import STANDARD_HEIGHT, Body, Skeleton
+from kinefilter.characters import STANDARD_HEIGHT, Body, Motion, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import rotate
-from kinefilter.scenes.library.performers import Performance
 
 from .geometry import Sensor
 from .misplacement import kinship, misplacements, unsteadiness
@@ -112,7 +111,7 @@ class TrackerErrors:
 
 
 def misplaced(
-    performance: Performance,
+    motion: Motion,
     sight: Sight,
     sensor: Sensor,
     errors: TrackerErrors,
@@ -125,7 +124,7 @@ def misplaced(
     """Return where the tracker puts joints that it sees [m], world, shape (T, J, 3).
 
     Args:
-        performance: The truth.
+        motion: The truth.
         sight: What is seen of it.
         sensor: Its noise of depth and pixels.
         errors: How far the tracker errs.
@@ -135,20 +134,18 @@ def misplaced(
         rng: Draws what differs between takes.
         person: Draws what differs between people.
     """
-    frames = len(performance)
-    fps = performance.fps
-    truth, body = performance.positions, performance.body
+    frames = len(motion)
+    fps = motion.fps
+    truth, body = motion.positions, motion.body
     line = truth - eye
     depth = np.linalg.norm(line, axis=-1, keepdims=True)
     line = line / depth
     unsteady = unsteadiness(body.skeleton)[:, None]
     hidden = 1.0 - sight.visible[..., None]
-    away = _bias(performance, errors, person) + errors.pull * sight.pull
+    away = _bias(motion, errors, person) + errors.pull * sight.pull
     nearer = sight.front - rest_front * (sight.visible > 0.0)
     away -= errors.foreshortening * nearer[..., None] * line
-    away += (
-        errors.posture_error * unsteady * _posture_error(performance, errors, person)
-    )
+    away += errors.posture_error * unsteady * _posture_error(motion, errors, person)
     stir = errors.calm + (1.0 - errors.calm) * _stir(truth, errors, fps)
     strength = errors.wobble * unsteady * stir * (1.0 + errors.hidden_wobble * hidden)
     away += _wander(strength, kinship(body.skeleton), errors, fps, rng)
@@ -160,22 +157,20 @@ def misplaced(
     return np.asarray(truth + away)
 
 
-def _bias(
-    performance: Performance, errors: TrackerErrors, person: np.random.Generator
-) -> Array:
+def _bias(motion: Motion, errors: TrackerErrors, person: np.random.Generator) -> Array:
     """Misplacement by the tracker's definition of joints [m], (T, J, 3)."""
-    skeleton = performance.body.skeleton
+    skeleton = motion.skeleton
     offsets = misplacements(skeleton)
     own = kinship(skeleton) @ person.normal(size=offsets.shape)
-    scale = performance.body.height / STANDARD_HEIGHT
+    scale = motion.body.height / STANDARD_HEIGHT
     offsets = scale * errors.bias * offsets + errors.bias_spread * own
     after = [c[0] if c else j for j, c in enumerate(skeleton.children)]
-    turn = performance.rotations
+    turn = motion.rotations
     return rotate(turn, offsets[0]) + rotate(turn[:, after], offsets[1])
 
 
 def _posture_error(
-    performance: Performance, errors: TrackerErrors, person: np.random.Generator
+    motion: Motion, errors: TrackerErrors, person: np.random.Generator
 ) -> Array:
     """A smooth random function of the posture, unit variance, (T, J, 3).
 
@@ -184,9 +179,9 @@ def _posture_error(
     2007). The directions are the world's: the sensor sees a turned person as another
     posture.
     """
-    skeleton = performance.body.skeleton
+    skeleton = motion.skeleton
     parents = np.maximum(skeleton.parents, 0)
-    bones = performance.positions - performance.positions[:, parents]
+    bones = motion.positions - motion.positions[:, parents]
     bones /= np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9)
     weights = person.normal(size=(_FEATURES, len(skeleton), 3))
     weights = np.sqrt(2.0 / _FEATURES) * (kinship(skeleton) @ weights)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Skeleton, State
+from kinefilter.characters import Motion, Skeleton, State
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import rotate
-from kinefilter.scenes.library.performers import Performance
 
 from .tracker_errors import TrackerErrors, slow_noise
 from .visibility import Sight
@@ -50,7 +49,7 @@ def _limbs(skeleton: Skeleton) -> list[list[int]]:
 
 
 def believed(
-    performance: Performance,
+    motion: Motion,
     sight: Sight,
     in_view: NDArray[np.bool_],
     errors: TrackerErrors,
@@ -62,7 +61,7 @@ def believed(
     A joint is tracked while the share of its part that is seen, as the tracker
     believes, is over a threshold; what lies out of view is not tracked.
     """
-    skeleton, shape = performance.body.skeleton, sight.visible.shape
+    skeleton, shape = motion.skeleton, sight.visible.shape
     steps = errors.doubt_time * fps
     slow = slow_noise(shape, steps, rng)
     for limb in _limbs(skeleton):
@@ -72,23 +71,23 @@ def believed(
     doubt = np.sqrt(1.0 - _FLICKER) * slow + np.sqrt(_FLICKER) * rng.normal(size=shape)
     seen = sight.visible - errors.merging * sight.merged
     if shape[0] > 1:
-        seen = seen - errors.fast * _speed(performance, fps)
+        seen = seen - errors.fast * _speed(motion, fps)
     needed = [_NEEDED.get(_stem(j), _NEEDED_OF_TRUNK) for j in skeleton.joints]
     tracked = seen + errors.doubt * doubt > errors.trust + np.array(needed)
     state = np.where(tracked, State.TRACKED, State.INFERRED)
     return np.where(in_view, state, State.NOT_TRACKED).astype(np.uint8)
 
 
-def _speed(performance: Performance, fps: float) -> Array:
+def _speed(motion: Motion, fps: float) -> Array:
     """Speed of each joint against the root [m/s], (T, J)."""
-    root = performance.positions[:, [performance.body.skeleton.root]]
-    velocity = np.gradient(performance.positions - root, 1.0 / fps, axis=0)
+    root = motion.positions[:, [motion.skeleton.root]]
+    velocity = np.gradient(motion.positions - root, 1.0 / fps, axis=0)
     return np.asarray(np.linalg.norm(velocity, axis=-1))
 
 
 def guessed(
     placed: Array,
-    performance: Performance,
+    motion: Motion,
     sight: Sight,
     state: NDArray[np.uint8],
     errors: TrackerErrors,
@@ -101,11 +100,11 @@ def guessed(
     somewhat, and goes to where such joints mostly are: hanging. It counts as much as
     the part is hidden.
     """
-    skeleton = performance.body.skeleton
+    skeleton = motion.skeleton
     row = np.arange(len(state))
     jumps = errors.jump * rng.normal(size=placed.shape)
     positions = placed.copy()
-    hanging = _hanging(performance)
+    hanging = _hanging(motion)
     for j, parent in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         seen = state[:, j] == State.TRACKED
         last = np.maximum.accumulate(np.where(seen, row, -1))
@@ -130,21 +129,21 @@ def _between(usual: Array, kept: Array, share: Array) -> Array:
     )
 
 
-def _hanging(performance: Performance) -> Array:
+def _hanging(motion: Motion) -> Array:
     """Vectors [m] from each joint's parent of a person who stands, (T, J, 3)."""
-    body = performance.body
+    body = motion.body
     skeleton = body.skeleton
     usual = body.rest_offsets.copy()
     for j, joint in enumerate(skeleton.joints):
         if _stem(joint) in _ARM:
             usual[j] = [0.0, -body.lengths[j], 0.0]
-    pelvis = performance.rotations[:, skeleton.root, None]
+    pelvis = motion.rotations[:, skeleton.root, None]
     return rotate(pelvis, usual)
 
 
 def swapped(
     positions: Array,
-    performance: Performance,
+    motion: Motion,
     sight: Sight,
     errors: TrackerErrors,
     fps: float,
@@ -155,14 +154,14 @@ def swapped(
 
     Args:
         positions: Where the tracker put the joints [m], world, shape (T, J, 3).
-        performance: The truth.
+        motion: The truth.
         sight: What is seen of it.
         errors: How often limbs are swapped.
         fps: Frames per second.
         toward: Unit horizontal direction from the person to the sensor, (T, 3).
         rng: Draws the swaps.
     """
-    skeleton = performance.body.skeleton
+    skeleton = motion.skeleton
     swap = np.zeros(positions.shape[:2], dtype=bool)
     left_arm, right_arm, left_leg, right_leg = _limbs(skeleton)
     for limb in (left_arm + right_arm, left_leg + right_leg):
@@ -172,7 +171,7 @@ def swapped(
         for start in np.flatnonzero(starts):
             stop = start + max(1, round(lengths[start]))
             swap[start:stop, limb] = True
-    forward = rotate(performance.rotations[:, skeleton.root], np.array([0.0, 0.0, 1.0]))
+    forward = rotate(motion.rotations[:, skeleton.root], np.array([0.0, 0.0, 1.0]))
     facing = np.sum(forward * toward, axis=-1)
     swap ^= (facing < np.cos(errors.mirrored_beyond))[:, None]
     return np.where(swap[..., None], positions[:, skeleton.mirror], positions)

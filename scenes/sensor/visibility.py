@@ -9,16 +9,16 @@ depth cannot be told from it in a depth image. The rays are MuJoCo's.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, InputError, Skeleton
+from kinefilter.characters import Body, InputError, Motion, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.scenes.library.performers import Performance
+from kinefilter.characters.rotations import IDENTITY
 
 from .geometry import Sensor, in_world_frame, sensor_axes
 
@@ -38,7 +38,7 @@ _PREFIX = "seen:"  # keeps the names of the body apart from those of the scene
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a sensor sees of each joint; vectors in the world of the performance."""
+    """What a sensor sees of each joint; vectors in the world of the motion."""
 
     visible: Array
     """Share of the part that nothing hides, in [0, 1], shape (T, J)."""
@@ -59,16 +59,16 @@ class Sight:
 
 
 def look(
-    performance: Performance,
+    motion: Motion,
     sensor: Sensor,
     *,
     scene: mujoco.MjSpec | None = None,
     prop_poses: Mapping[str, Array] | None = None,
 ) -> Sight:
-    """Return what a sensor sees of a performance.
+    """Return what a sensor sees of a motion.
 
     Args:
-        performance: Joint positions and segment rotations, world frame.
+        motion: Joint positions and segment rotations, world frame.
         sensor: Where the sensor stands.
         scene: The room and its props, z up as MuJoCo has it; by default a bare floor.
         prop_poses: For bodies of the scene that move: position [m] and orientation
@@ -76,29 +76,36 @@ def look(
 
     Raises:
         InputError: A moving prop is no body of the scene, not a child of its world,
-            or its poses do not fit the performance.
+            or its poses do not fit the motion.
     """
     prop_poses = dict(prop_poses or {})
     for name, poses in prop_poses.items():
-        if np.shape(poses) != (len(performance), 7):
+        if np.shape(poses) != (len(motion), 7):
             raise InputError(
                 f"poses of prop {name!r} have shape {np.shape(poses)}, expected "
-                f"{(len(performance), 7)}: position and quaternion in every frame"
+                f"{(len(motion), 7)}: position and quaternion in every frame"
             )
-    scanner = _Scanner(performance.body, sensor, scene, tuple(prop_poses))
+    scanner = _Scanner(motion.body, sensor, scene, tuple(prop_poses))
     parts = []
-    for start in range(0, len(performance), _CHUNK):
+    for start in range(0, len(motion), _CHUNK):
         rows = slice(start, start + _CHUNK)
         parts.append(
             scanner.scan(
-                performance.positions[rows],
-                performance.rotations[rows],
+                motion.positions[rows],
+                motion.rotations[rows],
                 [np.asarray(poses, float)[rows] for poses in prop_poses.values()],
             )
         )
     return Sight(
         *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sight))
     )
+
+
+def rest_front(body: Body, sensor: Sensor) -> Array:
+    """Return ``front`` of a T-pose before a level sensor that it faces [m], (J,)."""
+    scanner = _Scanner(body, replace(sensor, azimuth=0.0, tilt=0.0), None, ())
+    rotations = np.broadcast_to(IDENTITY, (1, len(body.skeleton), 4))
+    return np.asarray(scanner.scan(body.rest_positions[None], rotations, []).front[0])
 
 
 class _Scanner:
