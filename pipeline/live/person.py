@@ -19,25 +19,20 @@ _MEASURED_FOR = 1.0
 """Time [s] that a person is measured for. In recorded takes segment lengths are then on
 average 7 mm from those of the whole take, after 3 s 5 mm."""
 _ENOUGH = 15  # good frames in it
-_LONGEST = 3.0  # s; whoever is half hidden for that long is measured as they are
+_LONGEST = 3.0  # s; a person half hidden for that long is measured all the same
 _MOST_FRAMES = 120  # kept meanwhile, whatever the rate
 _WELL_SEEN = 0.8  # share of joints tracked in a good frame. A guess.
 
 
 @dataclass(frozen=True)
-class Stature:
-    """What is known of people before they come."""
+class PersonSettings:
+    """What is known of every person beforehand."""
 
     skeleton: Skeleton
-    """The joints that the sensor sees."""
-    height: float | None = None
-    """Stature [m]; None: each is measured."""
-    mass: float | None = None
-    """Body mass [kg]; None: from the stature."""
-    scene: str | Path | None = None
-    """What each is in, alone: a scene or an MJCF file."""
-    floor: float | None = None
-    """Height of the floor in the sensor's frame [m]; None: under the feet."""
+    height: float | None = None  # [m]; None: each person is measured
+    mass: float | None = None  # [kg]; None: estimated from the height
+    scene: str | Path | None = None  # what is around each; a scene or an MJCF file
+    floor: float | None = None  # its height in the sensor's frame [m]; None: under feet
 
     def avatar(self, body: Body) -> Avatar:
         """Return the character of a body."""
@@ -52,18 +47,18 @@ class Person:
     begin after it.
 
     Args:
-        stature: What is known of the person.
+        settings: What is known of the person.
     """
 
-    def __init__(self, stature: Stature) -> None:
-        self._stature = stature
+    def __init__(self, settings: PersonSettings) -> None:
+        self._settings = settings
         self._avatar: Avatar | None = None
         self._frames: list[tuple[float, SeenBody]] = []
-        if stature.height is not None:
+        if settings.height is not None:
             body = standard_body(
-                stature.skeleton, height=stature.height, mass=stature.mass
+                settings.skeleton, height=settings.height, mass=settings.mass
             )
-            self._avatar = stature.avatar(body)
+            self._avatar = settings.avatar(body)
 
     @property
     def body(self) -> Body | None:
@@ -71,7 +66,7 @@ class Person:
         return None if self._avatar is None else self._avatar.body
 
     def start(self) -> None:
-        """Begin anew: the clock does."""
+        """Start over, as the sender's clock does."""
         self._frames.clear()
         if self._avatar is not None:
             self._avatar.start()
@@ -99,15 +94,15 @@ class Person:
         return None
 
     def _measure(self, frames: list[tuple[float, SeenBody]]) -> None:
-        take = _take(frames, self._stature.skeleton)
+        take = _take(frames, self._settings.skeleton)
         reference = measure_reference(take)
         body = measured_body(
             take.skeleton,
             reference.lengths,
             reference.directions,
-            mass=self._stature.mass,
+            mass=self._settings.mass,
         )
-        self._avatar = self._stature.avatar(body)
+        self._avatar = self._settings.avatar(body)
         self._frames.clear()
 
 
