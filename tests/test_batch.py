@@ -15,6 +15,7 @@ from published_layouts import ntu_text
 from kinefilter.characters import InputError
 from kinefilter.pipeline import CleanConfig, clean, read_take, write_clip
 from kinefilter.pipeline.batch import Outcome, Row, as_tables, clean_files, run
+from kinefilter.pipeline.batch.manifest import Status
 from kinefilter.pipeline.batch.plan import Job, plan_jobs
 from kinefilter.pipeline.batch.sources import find_sources
 from kinefilter.pipeline.batch.store import store_at
@@ -298,6 +299,20 @@ def test_the_worst_takes_come_first(
     printed = capsys.readouterr().out
     places = [printed.index(row.take) for row in rows]
     assert places == sorted(places, reverse=True)
+
+
+def test_one_take_is_not_told_as_several(capsys: pytest.CaptureFixture[str]) -> None:
+    from rich.console import Console
+
+    def row(take: str, status: Status) -> Row:
+        return Row(take, status, "a.bvh", "1", seconds=1.0)
+
+    one = [row("a", "done"), row("b", "no take")]
+    for rows in (one, one * 2):
+        Console(width=200).print(as_tables(Outcome(rows=rows, seconds=1.0)))
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("1 take cleaned, 0 failed, 1 other file skipped, 0 frames")
+    assert second.startswith("2 takes cleaned, 0 failed, 2 other files skipped")
 
 
 def test_the_longest_take_is_begun_first(

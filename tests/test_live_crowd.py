@@ -14,9 +14,10 @@ from live_session import SAMPLE, sample_frame
 
 from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline import read_take
+from kinefilter.pipeline.live import LiveConfig
 from kinefilter.pipeline.live import recorder as recording
 from kinefilter.pipeline.live.crowd import Crowd
-from kinefilter.pipeline.live.person import Person, PersonSettings
+from kinefilter.pipeline.live.person import Person
 from kinefilter.pipeline.live.recorder import Recorder
 from kinefilter.pipeline.live.tally import Event, Latency, Tally
 from kinefilter.pipeline.reliability import measure_reference
@@ -117,7 +118,7 @@ def test_there_is_room_for_as_many_as_allowed_and_ids_do_not_pile_up() -> None:
 
 
 def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> None:
-    person = Person(PersonSettings(KINECT_V1))
+    person = Person(LiveConfig("-", ("-",), skeleton="kinect_v1"))
     poses = []
     for row in range(60):
         (seen,) = sample_frame(row).bodies
@@ -134,7 +135,7 @@ def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> N
 
 
 def test_who_is_half_hidden_is_measured_after_three_seconds_all_the_same() -> None:
-    person = Person(PersonSettings(KINECT_V1))
+    person = Person(LiveConfig("-", ("-",), skeleton="kinect_v1"))
     legs = [
         KINECT_V1.index(f"{j}{s}")
         for j in ("Knee", "Ankle", "Foot", "Hip")

@@ -96,8 +96,7 @@ class Row:
 class Manifest(ABC):
     """The rows of one output folder."""
 
-    rows: dict[str, Row]
-    """The last row of each take."""
+    rows: dict[str, Row]  # the last of each take
 
     def append(self, rows: Sequence[Row]) -> None:
         """Add rows; they are on the disk when this returns.
@@ -109,8 +108,7 @@ class Manifest(ABC):
         self.rows.update((row.take, row) for row in rows)
 
     @abstractmethod
-    def _write(self, lines: Sequence[str]) -> None:
-        """Write lines."""
+    def _write(self, lines: Sequence[str]) -> None: ...
 
 
 @contextmanager

@@ -44,12 +44,7 @@ class Job:
         return file.size * (_ZIPPED if file.name.lower().endswith(".gz") else 1) + 1
 
     def row(self, status: Status, **known: Any) -> Row:
-        """Return what became of the take.
-
-        Args:
-            status: Whether it was cleaned.
-            **known: Fields of the row beside those that the job decides.
-        """
+        """Return what became of the take."""
         known |= {"settings": self.fingerprint}
         source = self.source
         return Row(source.take, status, self.output, source.file.stamp, **known)
@@ -59,10 +54,6 @@ class Job:
 
         A file is the same if size and time are, or else if its bytes are. So nothing is
         read twice, and a copied folder is not cleaned again.
-
-        Args:
-            row: The last row of the take.
-            written: The files in the output folder, by name.
         """
         if row.status == "failed" or row.settings != self.fingerprint:
             return False
@@ -104,8 +95,23 @@ def plan_jobs(
         InputError: A file of settings is wrong, contacts of one take are given to
             several, or a clip would overwrite a take.
     """
-    folders = _Folders(overlaid(settings, files, given), given)
-    chosen = [folders.settings_of(source) for source in sources]
+    known: dict[tuple[str, str], Settings] = {}
+
+    def settings_of(store: Store, folder: PurePosixPath) -> Settings:
+        key = store.root, str(folder)
+        if key not in known:
+            top = folder == folder.parent
+            above = start if top else settings_of(store, folder.parent)
+            own = _settings_files(store, str(folder / FOLDER_FILE))
+            known[key] = overlaid(above, own, given)
+        return known[key]
+
+    start = overlaid(settings, files, given)
+    folders = [PurePosixPath(source.file.name).parent for source in sources]
+    chosen = [
+        settings_of(source.store, folder)
+        for source, folder in zip(sources, folders, strict=True)
+    ]
     fingerprints = {}
     for one in dict.fromkeys(chosen):
         _check(one, store, suffix)
@@ -125,28 +131,6 @@ def plan_jobs(
                 "folder"
             )
     return sorted(jobs, key=lambda job: (-job.size, job.source.take))
-
-
-class _Folders:
-    """The settings of folders, each read once."""
-
-    def __init__(self, settings: Settings, given: Collection[str]) -> None:
-        self._settings, self._given = settings, given
-        self._known: dict[tuple[str, str], Settings] = {}
-
-    def settings_of(self, source: Source) -> Settings:
-        """Return the settings of a take."""
-        return self._inherited(source.store, PurePosixPath(source.file.name).parent)
-
-    def _inherited(self, store: Store, folder: PurePosixPath) -> Settings:
-        key = store.root, str(folder)
-        if key not in self._known:
-            above = self._settings
-            if folder != folder.parent:
-                above = self._inherited(store, folder.parent)
-            own = _settings_files(store, str(folder / FOLDER_FILE))
-            self._known[key] = overlaid(above, own, self._given)
-        return self._known[key]
 
 
 def _settings_files(store: Store, name: str) -> list[SettingsFile]:

@@ -18,12 +18,9 @@ from .crew import Crew, open_crew
 from .manifest import Manifest, Row, open_manifest, write_csv
 from .plan import Job, plan_jobs
 from .sources import find_sources
-from .store import Store, remove_unfinished, store_at
+from .store import remove_unfinished, store_at
 
-_DIED = (
-    "the process that cleaned it died, twice; is memory short? 'kinefilter clean' may "
-    "tell more"
-)
+_DIED = "its process died twice; is memory short? 'kinefilter clean' may tell more"
 
 
 @dataclass
@@ -42,12 +39,9 @@ class JobProgress:
 class Outcome:
     """What became of the takes."""
 
-    kept: list[Row] = field(default_factory=list)
-    """Rows of an earlier run, of takes that need no work."""
-    rows: list[Row] = field(default_factory=list)
-    """Rows of this run."""
-    seconds: float = 0.0
-    """Time spent cleaning [s]."""
+    kept: list[Row] = field(default_factory=list)  # of an earlier run: nothing to do
+    rows: list[Row] = field(default_factory=list)  # of this run
+    seconds: float = 0.0  # spent cleaning
 
     @property
     def failed(self) -> list[Row]:
@@ -106,7 +100,14 @@ def clean_files(
         open_crew(scheduler, jobs or cores()) as crew,
         open_manifest(store) as manifest,
     ):
-        outcome, todo = _without_done(planned, manifest, store)
+        written = {file.name: file for file in store.files()} if manifest.rows else {}
+        outcome, todo = Outcome(), []
+        for job in planned:
+            row = manifest.rows.get(job.source.take)
+            if row is not None and job.is_done(row, written):
+                outcome.kept.append(row)
+            else:
+                todo.append(job)
         try:
             remove_unfinished(store)
             _clean(todo, crew, manifest, outcome, on_progress)
@@ -117,21 +118,6 @@ def clean_files(
             raise
         write_csv(manifest.rows.values(), store)
     return outcome
-
-
-def _without_done(
-    planned: Sequence[Job], manifest: Manifest, store: Store
-) -> tuple[Outcome, list[Job]]:
-    """Return the rows of jobs that are done already, and the jobs that are left."""
-    written = {file.name: file for file in store.files()} if manifest.rows else {}
-    outcome, todo = Outcome(), []
-    for job in planned:
-        row = manifest.rows.get(job.source.take)
-        if row is not None and job.is_done(row, written):
-            outcome.kept.append(row)
-        else:
-            todo.append(job)
-    return outcome, todo
 
 
 def _clean(

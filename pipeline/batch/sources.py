@@ -51,10 +51,6 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
     A file that is found twice counts once. With several inputs, the takes of a folder
     are prefixed with the folder's name.
 
-    Args:
-        inputs: Files and folders, paths or URLs.
-        out: Folder to write to, which is not searched.
-
     Raises:
         InputError: An input does not exist or is ``out``, or nothing was found.
     """

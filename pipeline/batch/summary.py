@@ -21,22 +21,18 @@ def as_tables(outcome: Outcome) -> RenderableType:
     no body can do what a tracker invents. Without physics they are those that the
     database covers the least.
     """
-    parts: list[RenderableType] = [_counts(outcome)]
     rows = [*outcome.kept, *outcome.rows]
     clips = [(row, clip) for row in rows for clip in row.clips]
-    if clips:
-        clips.sort(key=lambda pair: _badness(pair[1]), reverse=True)
-        parts.append(_worst_table(clips[:_WORST]))
-    if outcome.failed:
-        parts.append(_failed_table(outcome.failed))
-    return Group(*parts)
+    clips.sort(key=lambda pair: _badness(pair[1]), reverse=True)
+    tables = [_worst_table(clips[:_WORST])] if clips else []
+    tables += [_failed_table(outcome.failed)] if outcome.failed else []
+    return Group(_counts(outcome), *tables)
 
 
 def _counts(outcome: Outcome) -> str:
     done = sum(row.status == "done" for row in outcome.rows)
     kept = sum(row.status == "done" for row in outcome.kept)
-    rows = [*outcome.kept, *outcome.rows]
-    others = sum(row.status == "no take" for row in rows)
+    others = sum(row.status == "no take" for row in [*outcome.kept, *outcome.rows])
     frames = sum(clip.frames for row in outcome.rows for clip in row.clips)
     seconds = max(outcome.seconds, 1e-9)
     words = [f"{_counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]

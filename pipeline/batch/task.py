@@ -21,7 +21,7 @@ from kinefilter.pipeline.correct import Corrector, WholeTakeCorrector
 from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.takes import read_recording
-from kinefilter.pipeline.run import CleanResult, clean, make_corrector
+from kinefilter.pipeline.run import clean, make_corrector
 from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
@@ -98,17 +98,10 @@ def _write_clips(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], s
     for body in bodies:
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            result = _cleaned(recording.take(body), job)
-            clips.append(_write_clip(result, str(path), body, job))
+            clips.append(_write_clip(recording.take(body), str(path), body, job))
         except InputError as error:
             errors.append(str(error))
     return tuple(clips), "; ".join(errors)
-
-
-def _cleaned(take: Take, job: Job) -> CleanResult:
-    config = job.settings.config
-    corrector = _corrector(take.skeleton.name, config, job.fingerprint)
-    return clean(take, config, corrector=corrector, progress=_while_awaited)
 
 
 @lru_cache(maxsize=_KEPT)
@@ -120,8 +113,11 @@ def _corrector(
     return make_corrector(skeleton_named(skeleton), config)
 
 
-def _write_clip(result: CleanResult, name: str, body: int, job: Job) -> ClipRow:
-    """Write a clip, and return its main figures."""
+def _write_clip(take: Take, name: str, body: int, job: Job) -> ClipRow:
+    """Clean a take, write the clip, and return its main figures."""
+    config = job.settings.config
+    corrector = _corrector(take.skeleton.name, config, job.fingerprint)
+    result = clean(take, config, corrector=corrector, progress=_while_awaited)
     with job.store.writing(name) as path:
         write_clip(result.clip, path, job.settings.export)
         sha256 = hash_of(path)

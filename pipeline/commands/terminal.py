@@ -59,6 +59,16 @@ def progress_display(*, counted: bool = True) -> RichProgress:
     )
 
 
+def check_output(path: Path | None, suffix: str) -> None:
+    """Raise an InputError if a file to write has another suffix, or no folder."""
+    from kinefilter.pipeline.formats import check_folder
+
+    if path is not None and path.suffix != suffix:
+        raise InputError(f"{path}: expected a name that ends in {suffix}")
+    if path is not None:
+        check_folder(path)
+
+
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
     """Yield what shows on the terminal how far long work is."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from enum import Enum, auto
 
 import numpy as np
 
@@ -18,15 +17,6 @@ _STEPS = 15  # steps of which the median is the sender's: half a second
 _LONGEST_GAP = 2.0  # s: after that the person was gone, and no frame is missing
 
 
-class Arrival(Enum):
-    """How a frame comes."""
-
-    NEXT = auto()  # in order
-    REPEATED = auto()  # with the stamp of the last
-    LATE = auto()  # after one that was taken later
-    RESTARTED = auto()  # first of a clock that restarted
-
-
 class Stamps:
     """The time stamps of one person's frames, in whatever order they come."""
 
@@ -34,31 +24,29 @@ class Stamps:
         self._last: float | None = None
         self._steps: deque[float] = deque(maxlen=_STEPS)
 
-    def arrive(self, time: float) -> tuple[Arrival, int]:
-        """Take the stamp of a frame.
-
-        Args:
-            time: The sensor's stamp [s].
+    def arrive(self, time: float) -> tuple[Event | None, int]:
+        """Take the sensor's stamp [s] of a frame.
 
         Returns:
-            How it comes, and how many frames seem to be missing before it: by how many
-            times the usual step the stamps are apart.
+            Whether it is REPEATED, LATE or the first of a clock that RESTARTED, or None
+            if it is in order; and how many frames seem to be missing before it: by how
+            many times the usual step the stamps are apart.
         """
         last, self._last = self._last, time
         if last is None:
-            return Arrival.NEXT, 0
+            return None, 0
         step = time - last
         if step < -_RESTARTED:
             self._steps.clear()
-            return Arrival.RESTARTED, 0
+            return Event.RESTARTED, 0
         if step <= 0.0:
             self._last = last
-            return (Arrival.LATE if step < 0.0 else Arrival.REPEATED), 0
+            return (Event.LATE if step < 0.0 else Event.REPEATED), 0
         missing = 0
         if len(self._steps) == _STEPS and step < _LONGEST_GAP:
             missing = max(0, round(step / float(np.median(self._steps))) - 1)
         self._steps.append(step)
-        return Arrival.NEXT, missing
+        return None, missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +77,6 @@ class Crowd:
 
     The newest frame wins: where poses take longer than frames come, older frames are
     dropped and counted.
-
-    Args:
-        most: How many people there may be.
-        tally: Counts what happens.
     """
 
     def __init__(self, most: int, tally: Tally) -> None:
@@ -163,13 +147,13 @@ class Crowd:
         self, presence: Presence, seen: SeenBody, time: float, now: float
     ) -> bool:
         """Keep a person's frame; tell whether it is new and in order."""
-        arrival, missing = presence.stamps.arrive(time)
+        event, missing = presence.stamps.arrive(time)
         self._tally.count(Event.MISSING, missing)
-        if arrival is not Arrival.NEXT:
-            self._tally.count(Event[arrival.name])
-        if arrival in (Arrival.REPEATED, Arrival.LATE):
+        if event is not None:
+            self._tally.count(event)
+        if event in (Event.REPEATED, Event.LATE):
             return False
-        restarted, since = arrival is Arrival.RESTARTED, now
+        restarted, since = event is Event.RESTARTED, now
         if presence.waiting is not None:
             self._tally.count(Event.DROPPED)
             restarted |= presence.waiting.restarted

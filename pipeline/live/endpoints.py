@@ -54,10 +54,6 @@ class Address:
 def read_address(text: str, schemes: Sequence[str]) -> Address:
     """Return the address that a text names: ``scheme://host:port`` or ``-``.
 
-    Args:
-        text: What the user wrote.
-        schemes: Those that are possible here.
-
     Raises:
         InputError: It is not such an address.
     """
@@ -80,10 +76,6 @@ def read_address(text: str, schemes: Sequence[str]) -> Address:
 
 def listening_host(address: Address, bind: str | None) -> str:
     """Return the host that a server listens on.
-
-    Args:
-        address: What the user wrote.
-        bind: ``--bind``; None: this machine alone.
 
     Raises:
         InputError: Others could reach it, and the user did not say that they may.

@@ -118,11 +118,6 @@ def parse_frame(
 ) -> Frame:
     """Return the frame that a message holds.
 
-    Args:
-        message: A line of JSON, as above.
-        skeleton: Joints of the bodies.
-        most_bodies: How many people a frame may hold.
-
     Raises:
         MalformedError: The message is anything else.
     """

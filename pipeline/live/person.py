@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Skeleton, State, Take, standard_body
+from kinefilter.characters import Body, State, Take, skeleton_named, standard_body
 from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.retarget import measured_body
 
+from .config import LiveConfig
 from .messages import SeenBody
 
 _MEASURED_FOR = 1.0
@@ -24,19 +22,9 @@ _MOST_FRAMES = 120  # kept meanwhile, whatever the rate
 _WELL_SEEN = 0.8  # share of joints tracked in a good frame. A guess.
 
 
-@dataclass(frozen=True)
-class PersonSettings:
-    """What is known of every person beforehand."""
-
-    skeleton: Skeleton
-    height: float | None = None  # [m]; None: each person is measured
-    mass: float | None = None  # [kg]; None: estimated from the height
-    scene: str | Path | None = None  # what is around each; a scene or an MJCF file
-    floor: float | None = None  # its height in the sensor's frame [m]; None: under feet
-
-    def avatar(self, body: Body) -> Avatar:
-        """Return the character of a body."""
-        return Avatar(body, self.scene, floor=self.floor)
+def make_avatar(body: Body, config: LiveConfig) -> Avatar:
+    """Return the character of a person's body."""
+    return Avatar(body, config.scene, floor=config.floor)
 
 
 class Person:
@@ -45,20 +33,16 @@ class Person:
     With a height the standard body of that height is followed from the first frame.
     Without, the person's segments are measured in the first second or so, and poses
     begin after it.
-
-    Args:
-        settings: What is known of the person.
     """
 
-    def __init__(self, settings: PersonSettings) -> None:
-        self._settings = settings
+    def __init__(self, config: LiveConfig) -> None:
+        self._config, self._skeleton = config, skeleton_named(config.skeleton)
         self._avatar: Avatar | None = None
         self._frames: list[tuple[float, SeenBody]] = []
-        if settings.height is not None:
-            body = standard_body(
-                settings.skeleton, height=settings.height, mass=settings.mass
-            )
-            self._avatar = settings.avatar(body)
+        if config.height is not None:
+            height, mass = config.height, config.mass
+            body = standard_body(self._skeleton, height=height, mass=mass)
+            self._avatar = make_avatar(body, config)
 
     @property
     def body(self) -> Body | None:
@@ -94,28 +78,24 @@ class Person:
         return None
 
     def _measure(self, frames: list[tuple[float, SeenBody]]) -> None:
-        take = _take(frames, self._settings.skeleton)
+        take = Take(
+            np.array([time for time, _ in frames]),
+            np.array([seen.positions for _, seen in frames]),
+            np.array([seen.state for _, seen in frames]),
+            self._skeleton,
+            "live",
+        )
         reference = measure_reference(take)
         body = measured_body(
             take.skeleton,
             reference.lengths,
             reference.directions,
-            mass=self._settings.mass,
+            mass=self._config.mass,
         )
-        self._avatar = self._settings.avatar(body)
+        self._avatar = make_avatar(body, self._config)
         self._frames.clear()
 
 
 def _well_seen(seen: SeenBody) -> bool:
     tracked: NDArray[np.bool_] = seen.state == State.TRACKED
     return bool(tracked.mean() >= _WELL_SEEN)
-
-
-def _take(frames: list[tuple[float, SeenBody]], skeleton: Skeleton) -> Take:
-    return Take(
-        np.array([time for time, _ in frames]),
-        np.array([seen.positions for _, seen in frames]),
-        np.array([seen.state for _, seen in frames]),
-        skeleton,
-        "live",
-    )

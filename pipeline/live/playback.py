@@ -46,11 +46,6 @@ async def open_sender(
 ) -> AsyncIterator[Sender]:
     """Yield what sends frames to an address.
 
-    Args:
-        address: Of the scheme udp, ws, wss or ``-``.
-        token_file: Holds the token that the WebSocket server asks for.
-        certificate: Certificate (PEM) that is trusted beside the system's.
-
     Raises:
         InputError: The host is not known, or a file is wrong.
     """
@@ -200,13 +195,6 @@ async def replay(
     loop: bool = False,
 ) -> int:
     """Send a recording's frames when they are due, until it ends or is stopped.
-
-    Args:
-        takes: The people of one recording.
-        sender: Where frames go.
-        stop: Ends the replay when it is set.
-        speed: How many times as fast as it was recorded.
-        loop: Whether to begin again at the end.
 
     Returns:
         How many frames were sent.

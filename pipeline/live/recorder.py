@@ -43,11 +43,6 @@ class Recorder:
     become ``take.csv``, or for several bodies ``take.1.csv``, ``take.2.csv`` and so on
     in order of appearance.
 
-    Args:
-        path: The recording (.csv).
-        skeleton: The joints.
-        tally: Counts frames that are not recorded.
-
     Raises:
         InputError: It cannot be written there, or a recording of that name exists.
     """

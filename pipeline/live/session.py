@@ -20,7 +20,7 @@ from .config import AccessConfig, LiveConfig
 from .crowd import Crowd, Presence, Waiting
 from .endpoints import Address, find_endpoints
 from .messages import LivePose, MalformedError, parse_frame
-from .person import Person, PersonSettings
+from .person import Person, make_avatar
 from .recorder import Recorder
 from .sinks import Sink, open_sink
 from .sources import Intake, open_source
@@ -40,10 +40,6 @@ class Session:
     some milliseconds. Between two poses all frames that came are taken in; while poses
     are late, the newest frame of each person waits and older ones are dropped.
 
-    Args:
-        config: Where frames come from, who is in them, and where poses go.
-        access: Who may connect.
-
     Raises:
         InputError: The configuration is wrong, or a package is not installed.
     """
@@ -55,10 +51,7 @@ class Session:
         self.endpoints = find_endpoints(config, access or AccessConfig())
         if not 1 <= config.bodies <= _MOST_BODIES:
             raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
-        self._skeleton, self._bodies = skeleton_named(config.skeleton), config.bodies
-        self._settings = PersonSettings(
-            self._skeleton, config.height, config.mass, config.scene, config.floor
-        )
+        self._config, self._skeleton = config, skeleton_named(config.skeleton)
         self.crowd = Crowd(config.bodies, self.tally)
         self.recorder: Recorder | None = None
         if config.record is not None:
@@ -124,7 +117,7 @@ class Session:
     def receive(self, message: bytes | str) -> None:
         """Take in a message; one that is not a frame is counted."""
         try:
-            frame = parse_frame(message, self._skeleton, self._bodies)
+            frame = parse_frame(message, self._skeleton, self._config.bodies)
         except MalformedError as error:
             self.tally.malformed[error.reason] += 1
             return
@@ -160,7 +153,7 @@ class Session:
     def _pose(self, presence: Presence, waiting: Waiting) -> None:
         """Make a person's pose and send it."""
         if presence.person is None:
-            presence.person = Person(self._settings)
+            presence.person = Person(self._config)
         person = presence.person
         if waiting.restarted:
             person.start()
@@ -203,10 +196,10 @@ class Session:
 
     def _warm_up(self) -> None:
         """Load what the first pose needs, and exempt it from garbage collection."""
-        height, mass = self._settings.height, self._settings.mass
+        height, mass = self._config.height, self._config.mass
         height = STANDARD_HEIGHT if height is None else height
         body = standard_body(self._skeleton, height=height, mass=mass)
-        avatar = self._settings.avatar(body)
+        avatar = make_avatar(body, self._config)
         for k in range(_WARM_UP):
             avatar.step(body.rest_positions, k / 30.0)
         gc.collect()

@@ -10,15 +10,15 @@ import threading
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from kinefilter.characters import Skeleton
 
 from .endpoints import STANDARD, Access, Address
 from .messages import LivePose, gone_line, pose_line, skeleton_line
-from .sockets import open_datagrams, open_server
+from .sockets import Datagrams, open_datagrams, open_server
 from .tally import Event, Tally
-from .vmc import Engine
+from .vmc import VmcFigure, absence
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -31,17 +31,24 @@ _LARGEST_ASKED = 2**10  # bytes: readers have nothing to say
 _GOODBYE = 1.0  # s for the last lines
 
 
-class Sink(Protocol):
+class Sink:
     """Where poses go."""
 
     def send(self, live: LivePose) -> None:
         """Send a pose, without waiting for readers."""
+        self.put(pose_line(live))
 
     def gone(self, body: str, slot: int) -> None:
         """Tell that a person is gone."""
+        del slot  # which VMC alone knows people by
+        self.put(gone_line(body))
+
+    def put(self, line: str) -> None:
+        """Send a line."""
+        raise NotImplementedError
 
     async def flushed(self) -> None:
-        """Wait for readers, where that makes sense."""
+        """Wait for readers; of those that come and go as they like, for none."""
 
 
 @asynccontextmanager
@@ -53,13 +60,6 @@ async def open_sink(
     lost: Callable[[], None],
 ) -> AsyncIterator[tuple[Sink, Address]]:
     """Yield what poses are sent to, and its address in use.
-
-    Args:
-        address: Of the scheme ws, wss, vmc or ``-``; port 0 listens on a free one.
-        access: Who may connect by WebSocket.
-        skeleton: The joints of poses.
-        tally: Counts lost poses.
-        lost: Called when the standard output is closed.
 
     Raises:
         InputError: The port is taken or the host not known.
@@ -81,37 +81,45 @@ async def open_sink(
             yield lines, actual
 
 
-class _Lines:
-    """Sends poses as lines."""
+class Engine(Sink):
+    """Sends each person to a port of their own: the first to PORT, the next to PORT+1.
+
+    Where no engine listens, datagrams are lost, which does no harm: an engine that
+    comes back goes on with the next pose.
+    """
+
+    def __init__(self, out: Datagrams, tally: Tally) -> None:
+        self._out, self._tally = out, tally
+        self._figures: dict[int, VmcFigure] = {}
+        self._since: float | None = None
 
     def send(self, live: LivePose) -> None:
-        """Send a pose, without waiting for readers."""
-        self.put(pose_line(live))
+        """Send the datagrams of a pose."""
+        figure = self._figures.get(live.slot)
+        if figure is None or figure.body is not live.body:
+            figure = self._figures[live.slot] = VmcFigure(live.body)
+        if self._since is None:
+            self._since = live.time
+        for datagram in figure.bundles(live.pose, live.time - self._since):
+            self._send(live.slot, datagram)
 
-    def gone(self, body: str, slot: int) -> None:  # noqa: ARG002 - as all sinks
+    def gone(self, body: str, slot: int) -> None:
         """Tell that a person is gone."""
-        self.put(gone_line(body))
+        del body
+        self._send(slot, absence())
 
-    def put(self, line: str) -> None:
-        """Send a line."""
-        raise NotImplementedError
+    def _send(self, slot: int, datagram: bytes) -> None:
+        if not self._out.send(datagram, offset=slot):
+            self._tally.count(Event.UNSENT)
 
 
-class Broadcast(_Lines):
-    """Sends lines to all readers of a WebSocket; a slow reader loses the oldest.
-
-    Args:
-        skeleton: The joints of poses.
-        tally: Counts lost lines.
-    """
+class Broadcast(Sink):
+    """Sends lines to all readers of a WebSocket; a slow reader loses the oldest."""
 
     def __init__(self, skeleton: Skeleton, tally: Tally) -> None:
         self._first, self._tally = skeleton_line(skeleton), tally
         self.readers: set[_Reader] = set()
         """Who is connected."""
-
-    async def flushed(self) -> None:
-        """Do not wait: readers come and go as they like."""
 
     def put(self, line: str) -> None:
         """Give a line to all readers."""
@@ -153,14 +161,8 @@ class _Reader:
         self.wake = asyncio.Event()
 
 
-class Printer(_Lines):
-    """Prints lines; where nobody reads for long, the oldest are lost and counted.
-
-    Args:
-        skeleton: The joints of poses.
-        tally: Counts lost lines.
-        lost: Called when the other end is closed.
-    """
+class Printer(Sink):
+    """Prints lines; where nobody reads for long, the oldest are lost and counted."""
 
     def __init__(
         self, skeleton: Skeleton, tally: Tally, lost: Callable[[], None]

@@ -23,6 +23,8 @@ MOST_CONNECTIONS = 8
 """Senders, or readers, at once on a port. A guess: a room of sensors."""
 _PATIENCE = 5.0  # s for a handshake, and for the answer to a ping
 _GOODBYE = 1.0  # s for the end of a connection
+_SILENT = logging.Logger("kinefilter.live")  # or any stranger could fill the terminal
+_SILENT.disabled = True
 
 
 @asynccontextmanager
@@ -35,13 +37,6 @@ async def open_server(
     largest: int,
 ) -> AsyncIterator[Address]:
     """Serve WebSockets; yields the address in use.
-
-    Args:
-        handler: Serves a connection.
-        address: Host and port to listen on.
-        access: Who may connect.
-        tally: Counts refused connections.
-        largest: Bytes of a message at most; a longer one ends the connection.
 
     Raises:
         InputError: The port is taken or the host is not of this machine.
@@ -72,7 +67,7 @@ async def open_server(
             ping_timeout=_PATIENCE,
             close_timeout=_GOODBYE,
             server_header=None,
-            logger=_silent(),
+            logger=_SILENT,
         )
     except OSError as error:
         raise cannot_listen(address, error) from None
@@ -121,23 +116,8 @@ def _guard(
     return guard
 
 
-def _silent() -> logging.Logger:
-    """Return a logger that says nothing: any stranger could fill the terminal."""
-    logger = logging.getLogger("kinefilter.live")
-    logger.propagate = False
-    if not logger.handlers:
-        logger.addHandler(logging.NullHandler())
-    return logger
-
-
 class Datagrams:
-    """Sends datagrams to a host, whether a program listens there or not.
-
-    Args:
-        out: An open socket that does not block.
-        host: The host's number.
-        port: Its port.
-    """
+    """Sends datagrams to a host, whether a program listens there or not."""
 
     def __init__(self, out: socket.socket, host: str, port: int) -> None:
         self._out, self._host, self._port = out, host, port

@@ -81,11 +81,6 @@ async def open_source(
 ) -> AsyncIterator[Address]:
     """Hand over the messages that come to an address; yields the address in use.
 
-    Args:
-        address: Of the scheme udp, ws, wss or ``-``; port 0 takes a free one.
-        access: Who may connect by WebSocket.
-        intake: What is done with messages.
-
     Raises:
         InputError: The port is taken or the host is not of this machine.
     """

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import chain
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +22,12 @@ from numpy.typing import NDArray
 from kinefilter.characters import Body, Motion
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate, slerp
-from kinefilter.pipeline.avatar import Pose
 from kinefilter.retarget.rest_difference import segment_of, turned
 from kinefilter.retarget.rig_map import SIDES, load_rig_map
 from kinefilter.retarget.target_rig import built_rig
 
-from .messages import LivePose
-from .sockets import Datagrams
-from .tally import Event, Tally
+if TYPE_CHECKING:
+    from kinefilter.pipeline.avatar import Pose
 
 LARGEST_BUNDLE = 1400
 """Bytes: what an Ethernet packet holds, so that no network splits it."""
@@ -44,9 +43,6 @@ class VmcFigure:
     Each bone turns as the segment of ours that turns it in ``retarget``. As arms and
     legs are as long as the person's and point where the person's do, hands and feet are
     where they are relative to shoulders and hips.
-
-    Args:
-        body: The person's body.
     """
 
     def __init__(self, body: Body) -> None:
@@ -99,9 +95,6 @@ class VmcFigure:
     def bones(self, pose: Pose) -> dict[str, tuple[Array, Array]]:
         """Return where each bone is relative to its parent, in Unity's axes.
 
-        Args:
-            pose: The pose of the body.
-
         Returns:
             By bone: position [m], shape (3,), and rotation wxyz, shape (4,).
         """
@@ -137,42 +130,9 @@ class VmcFigure:
         return packets
 
 
-class Engine:
-    """Sends each person to a port of their own: the first to PORT, the next to PORT+1.
-
-    Where no engine listens, datagrams are lost, which does no harm: an engine that
-    comes back goes on with the next pose.
-
-    Args:
-        out: Sends to the first port.
-        tally: Counts datagrams that the system does not take.
-    """
-
-    def __init__(self, out: Datagrams, tally: Tally) -> None:
-        self._out, self._tally = out, tally
-        self._figures: dict[int, VmcFigure] = {}
-        self._since: float | None = None
-
-    def send(self, live: LivePose) -> None:
-        """Send the datagrams of a pose."""
-        figure = self._figures.get(live.slot)
-        if figure is None or figure.body is not live.body:
-            figure = self._figures[live.slot] = VmcFigure(live.body)
-        if self._since is None:
-            self._since = live.time
-        for datagram in figure.bundles(live.pose, live.time - self._since):
-            self._send(live.slot, datagram)
-
-    def gone(self, body: str, slot: int) -> None:  # noqa: ARG002 - as all sinks
-        """Tell that a person is gone."""
-        self._send(slot, _message("/VMC/Ext/OK", 0))
-
-    async def flushed(self) -> None:
-        """Do not wait: datagrams do not."""
-
-    def _send(self, slot: int, datagram: bytes) -> None:
-        if not self._out.send(datagram, offset=slot):
-            self._tally.count(Event.UNSENT)
+def absence() -> bytes:
+    """Return the message that nobody is there."""
+    return _message("/VMC/Ext/OK", 0)
 
 
 def _message(address: str, *values: str | int | float) -> bytes:
