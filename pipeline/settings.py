@@ -26,7 +26,7 @@ class Settings:
     format: TakeFormat | None = None
     """Layout of the take; None: detected from its content."""
     body: int | Literal["all"] | None = None
-    """Which person, counted from 1, or all; None: who is seen in most frames."""
+    """Which person, counted from 1, or all; None: the person seen in most frames."""
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -47,7 +47,7 @@ class Crew(AbstractContextManager["Crew"]):
 
     @abstractmethod
     def finished(self) -> list[tuple[Job, Row | None]]:
-        """Wait for jobs; return those done. None: the process died over it.
+        """Wait for jobs; return those done. None: its process died.
 
         Without workers it does not wait for long.
         """

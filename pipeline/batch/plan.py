@@ -169,8 +169,8 @@ def _check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
         if file in takes:
             raise InputError(
                 f"--contacts {file}: is for one take, not for both {takes[file]} and "
-                f"{source.take}; set it in a kinefilter.toml beside that take alone, "
-                "or use 'kinefilter clean'"
+                f"{source.take}; put that take in a folder of its own, with a "
+                "kinefilter.toml that sets it, or use 'kinefilter clean'"
             )
         takes[file] = source.take
 

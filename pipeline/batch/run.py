@@ -148,7 +148,7 @@ def _results(
 ) -> Generator[list[tuple[Job, Row]], None, None]:
     """Yield rows as they come, or an empty list while there are no workers.
 
-    A job over which a process died is tried again with no other beside it.
+    A job whose process died is tried again, with no other job running.
     """
     deadly = yield from _round(jobs, crew, crew.room)
     for job in (yield from _round(deadly, crew, 1)):
@@ -158,7 +158,7 @@ def _results(
 def _round(
     jobs: Iterable[Job], crew: Crew, at_once: int
 ) -> Generator[list[tuple[Job, Row]], None, list[Job]]:
-    """Yield rows as they come; return the jobs over which a process died."""
+    """Yield rows as they come; return the jobs whose process died."""
     waiting, running = deque(jobs), 0
     rows: list[tuple[Job, Row]] = []
     deadly = []
@@ -166,7 +166,7 @@ def _round(
         while waiting and running < at_once:
             crew.submit(waiting.popleft())
             running += 1
-        yield rows  # only now: whoever had nothing to do is at work again
+        yield rows  # only now that free workers have their next job
         finished = crew.finished()
         running -= len(finished)
         rows = [(job, row) for job, row in finished if row is not None]

@@ -1,7 +1,7 @@
 """A take of a batch, from its file to its clips: what a worker does.
 
 A worker keeps the correction methods that it has made, with their databases and
-models, for the next take; each is told to forget the one before.
+models, for the next take; each starts over with every take.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Who is there, and each person's newest frame that waits for its pose."""
+"""The people who are there, and the newest frame of each that waits for its pose."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Waiting:
 
 @dataclass(eq=False)
 class Presence:
-    """A person who is there."""
+    """A person in front of the sensor."""
 
     id: str  # the sender's name for the person
     slot: int  # the lowest number, from 0, that was free when the person came
@@ -111,7 +111,7 @@ class Crowd:
         return new
 
     def next(self) -> tuple[Presence, Waiting] | None:
-        """Return who has waited longest, whose frame waits no more; None: nobody."""
+        """Take the frame of the person who has waited longest; None: none waits."""
         waiting = [(p, p.waiting) for p in self._here.values() if p.waiting is not None]
         if not waiting:
             return None

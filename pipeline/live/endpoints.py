@@ -95,7 +95,7 @@ class Access:
     """What a client has to show to connect."""
 
     token: str | None = None  # the secret; None: not needed
-    origins: tuple[str, ...] = ()  # of pages that may connect beside this machine's
+    origins: tuple[str, ...] = ()  # of pages of other machines that may connect
     tls: ssl.SSLContext | None = None  # None: the connection is not encrypted
 
     def grants(self, path: str, headers: Headers) -> bool:

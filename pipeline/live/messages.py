@@ -10,7 +10,7 @@ and its state (0 not tracked, 1 inferred, 2 tracked), which may be left out. Joi
 are not seen are left out, null, or at the origin. Instead of by name, ``joints`` may
 list all of the skeleton in the SDK's order: ``[[x, y, z, state], null, ...]``. An
 ``id`` is a text of up to 32 characters or a whole number, and means the same person
-whoever sends it. A single person may be written short: ``{"time": 12.034, "joints":
+from every sender. A single person may be written short: ``{"time": 12.034, "joints":
 ...}``, and is body 1.
 
 Poses begin with a line that says what the others mean::
@@ -22,7 +22,7 @@ sender's id; ``root`` is the position of the root joint and ``positions`` those 
 joints, in that order [m], world frame: right-handed, y up, floor at y = 0.
 ``rotations`` are world rotations wxyz of the segment that ends at each joint, identity
 in T-pose facing +z. ``stands`` says whether the left and the right foot stand,
-``external_force`` what pulls the body beside muscles and floor [body weights],
+``external_force`` the force that neither muscles nor floor give [body weights],
 ``latency`` how long the frame has been here [ms]. When a person is gone, one line says
 so: ``{"body": "1", "gone": true}``.
 """
@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
 LARGEST_MESSAGE = 2**15
 """Bytes of a message: twice those of six bodies of 25 joints with all their digits, and
 less than a datagram holds."""
+States = NDArray[np.uint8]
+
 _FARTHEST = 100.0  # m: no sensor of people sees that far
 _LATEST = 1e12  # s: clocks count from 1970, in seconds
 _LONGEST_ID = 32
@@ -85,7 +88,7 @@ class SeenBody:
 
     id: str  # the sender's name for the person
     positions: Array  # of joints [m], sensor frame, y up, NaN where missing, (J, 3)
-    state: NDArray[np.uint8]  # tracking states (State), shape (J,)
+    state: States  # tracking states (State), shape (J,)
 
     @property
     def is_seen(self) -> bool:
@@ -111,6 +114,15 @@ class LivePose:
     body: Body
     pose: Pose
     latency: float  # time since the frame came in [s]
+
+
+def stacked(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, States]:
+    """Return stamps [s], positions [m] and states of one person's frames."""
+    return (
+        np.array([time for time, _ in frames]),
+        np.array([seen.positions for _, seen in frames]),
+        np.array([seen.state for _, seen in frames]),
+    )
 
 
 def parse_frame(
@@ -212,7 +224,7 @@ def format_frame(frame: Frame) -> str:
     return _line({"time": frame.time, "bodies": bodies})
 
 
-def _joints(positions: Array, state: NDArray[np.uint8]) -> list[list[float] | None]:
+def _joints(positions: Array, state: States) -> list[list[float] | None]:
     places = np.round(positions, _DECIMALS).tolist()
     return [
         None if place[0] != place[0] else [*place, rank]

@@ -11,7 +11,7 @@ from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.retarget import measured_body
 
 from .config import LiveConfig
-from .messages import SeenBody
+from .messages import SeenBody, stacked
 
 _MEASURED_FOR = 1.0
 """Time [s] that a person is measured for. In recorded takes segment lengths are then on
@@ -78,13 +78,7 @@ class Person:
         return None
 
     def _measure(self, frames: list[tuple[float, SeenBody]]) -> None:
-        take = Take(
-            np.array([time for time, _ in frames]),
-            np.array([seen.positions for _, seen in frames]),
-            np.array([seen.state for _, seen in frames]),
-            self._skeleton,
-            "live",
-        )
+        take = Take(*stacked(frames), self._skeleton, "live")
         reference = measure_reference(take)
         body = measured_body(
             take.skeleton,

@@ -87,7 +87,7 @@ class _ToPort:
         self._out = out
 
     async def send(self, line: str) -> bool:
-        return self._out.send(line.encode())
+        return self._out(line.encode(), 0)
 
 
 class _Connection:
@@ -125,7 +125,7 @@ class _Connection:
             except InvalidStatus as error:
                 self.refused = error.response.status_code == HTTPStatus.UNAUTHORIZED
             except (OSError, WebSocketException):
-                pass  # nobody is there, or not yet
+                pass  # no server is there, or not yet
             self._open = None
             self.tried.set()
             await asyncio.sleep(pause)

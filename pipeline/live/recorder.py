@@ -9,14 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.pipeline.formats.files import check_folder
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.tables import take_header, take_rows
 
-from .messages import SeenBody
+from .messages import SeenBody, stacked
 from .tally import Event, Tally
 
 _MOST_FILES = 64  # bodies in one recording
@@ -36,7 +34,7 @@ class _Part:
 
 
 class Recorder:
-    """Writes frames into parts beside the file, which get their names at the end.
+    """Writes frames into parts beside the file, which get their final names at the end.
 
     Parts are called ``take.1.part.csv``. They hold whole rows only, so that the part of
     a session that was killed is a take that lacks its last second. At the end they
@@ -128,13 +126,8 @@ class Recorder:
         return part
 
     def _write(self, part: _Part, rows: list[tuple[float, SeenBody]]) -> None:
-        text = take_rows(
-            np.array([time for time, _ in rows]),
-            np.array([seen.positions for _, seen in rows]),
-            np.array([seen.state for _, seen in rows]),
-        )
         try:
-            _write_whole(part.file, text.encode())
+            _write_whole(part.file, take_rows(*stacked(rows)).encode())
         except OSError as error:
             self._fail(part.path, error)
         else:

@@ -1,4 +1,4 @@
-"""A live session: frames in, poses out, until it is told to stop."""
+"""A live session: frames in, poses out, until it is stopped."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ class Engine(Sink):
         self._send(slot, absence())
 
     def _send(self, slot: int, datagram: bytes) -> None:
-        if not self._out.send(datagram, offset=slot):
+        if not self._out(datagram, slot):
             self._tally.count(Event.UNSENT)
 
 
@@ -162,7 +162,7 @@ class _Reader:
 
 
 class Printer(Sink):
-    """Prints lines; where nobody reads for long, the oldest are lost and counted."""
+    """Prints lines; if they are not read for long, the oldest are lost and counted."""
 
     def __init__(
         self, skeleton: Skeleton, tally: Tally, lost: Callable[[], None]
@@ -174,7 +174,7 @@ class Printer(Sink):
         self._busy, self._over = False, False
         self._idle = asyncio.Event()
         first = skeleton_line(skeleton)
-        # A daemon: nothing ends a write that nobody reads.
+        # A daemon: a write to a pipe that is not read never ends.
         threading.Thread(target=self._write, args=(first,), daemon=True).start()
 
     async def flushed(self) -> None:
@@ -229,7 +229,7 @@ class Printer(Sink):
 
 
 def write_out(data: bytes) -> None:
-    """Write to the standard output; wait while nobody reads.
+    """Write to the standard output; wait until it is read.
 
     Raises:
         OSError: The other end is closed.

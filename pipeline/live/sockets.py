@@ -116,26 +116,9 @@ def _guard(
     return guard
 
 
-class Datagrams:
-    """Sends datagrams to a host, whether a program listens there or not."""
-
-    def __init__(self, out: socket.socket, host: str, port: int) -> None:
-        self._out, self._host, self._port = out, host, port
-
-    def send(self, datagram: bytes, *, offset: int = 0) -> bool:
-        """Send a datagram; tell whether the system took it.
-
-        Args:
-            datagram: What to send.
-            offset: Added to the port.
-        """
-        if self._port + offset > MOST_PORT:
-            return False
-        try:
-            self._out.sendto(datagram, (self._host, self._port + offset))
-        except OSError:  # too long, or the system's buffer is full
-            return False
-        return True
+Datagrams = Callable[[bytes, int], bool]
+"""Sends a datagram to a port so many further than the first, whether a program listens
+there or not; tells whether the system took it."""
 
 
 @contextmanager
@@ -152,6 +135,16 @@ def open_datagrams(address: Address) -> Iterator[Datagrams]:
             f"{address}: no such host ({error.strerror or error}); check the name"
         ) from None
     family, _, _, _, place = found[0]
+
+    def send(datagram: bytes, offset: int) -> bool:
+        if address.port + offset > MOST_PORT:
+            return False
+        try:
+            out.sendto(datagram, (str(place[0]), address.port + offset))
+        except OSError:  # too long, or the system's buffer is full
+            return False
+        return True
+
     with socket.socket(family, socket.SOCK_DGRAM) as out:
         out.setblocking(False)
-        yield Datagrams(out, str(place[0]), address.port)
+        yield send

@@ -85,7 +85,7 @@ async def open_source(
         InputError: The port is taken or the host is not of this machine.
     """
     if address.scheme == STANDARD:
-        # A daemon: nothing ends a read of a pipe into which nobody writes.
+        # A daemon: a read of a pipe that stays empty never ends.
         reader = _Stdin(intake)
         threading.Thread(target=reader.read, daemon=True).start()
         yield address

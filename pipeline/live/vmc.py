@@ -7,7 +7,7 @@ origin. Unity's axes are left-handed: x is mirrored, so (x, y, z) becomes (-x, y
 the quaternion (w, x, y, z) becomes (w, x, -y, -z).
 
 Packing OSC messages takes half a millisecond. So they are packed once, and the floats
-in them are written anew for each pose, in a tenth of that.
+in them are overwritten for each pose, in a tenth of that.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class VmcFigure:
 
 
 def absence() -> bytes:
-    """Return the message that nobody is there."""
+    """Return the message that there is no person."""
     return _message("/VMC/Ext/OK", 0)
 
 
