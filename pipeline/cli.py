@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
-from inspect import getdoc
+from importlib import import_module
 from operator import or_
 from typing import Annotated, Any
 
@@ -15,26 +15,21 @@ from tyro.conf import subcommand
 
 from kinefilter.characters import InputError
 
-from . import commands
 from .commands.terminal import ended_gently, err
 from .workers import one_thread
 
 _GROUPS = {
-    "daily": "Clean, Batch, Info, Render, Report, View, Character",
-    "live": "Live, Replay",
-    "learning": "Train, Database",
-    "lab": "Evaluate, Simulate, Reproduce, Bench",
+    "daily": "clean, batch, info, render, report, view, character",
+    "live": "live, replay",
+    "learning": "train, database",
+    "lab": "evaluate, simulate, reproduce, bench",
 }
-COMMANDS: dict[str, Any] = {
-    name.lower(): getattr(commands, name)
-    for names in _GROUPS.values()
-    for name in names.split(", ")
-}
-"""The commands by name, group by group."""
+COMMANDS = ", ".join(_GROUPS.values()).split(", ")
+"""Names of the commands, group by group."""
 
 _DESCRIPTION = f"""Turn noisy Kinect takes into clips that animators ship.
 
-{chr(10).join(f"- {group}: {names.lower()}" for group, names in _GROUPS.items())}
+{chr(10).join(f"- {group}: {names}" for group, names in _GROUPS.items())}
 
 'kinefilter COMMAND --help' says more about a command.
 
@@ -52,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         command = _read(words)
-        if isinstance(command, commands.Batch | commands.Clean):
+        if hasattr(command, "given"):
             command = replace(command, given=given_options(words))
         with ended_gently(), one_thread():
             return int(command.run())
@@ -68,18 +63,21 @@ def _read(words: Sequence[str]) -> Any:
     """Return the command that a command line asks for, with its options."""
     if words and words[0] in COMMANDS:
         prog = f"kinefilter {words[0]}"
-        return tyro.cli(COMMANDS[words[0]], prog=prog, args=words[1:])
-    listed = (
-        # One line a command: its own --help has the rest.
-        Annotated[
-            kind, subcommand(name, description=(getdoc(kind) or "").split("\n")[0])
-        ]
-        for name, kind in COMMANDS.items()
-    )
+        return tyro.cli(_command(words[0]), prog=prog, args=words[1:])
+    listed = []
+    for name in COMMANDS:
+        kind = _command(name)
+        first = (kind.__doc__ or "").split("\n")[0]  # its own --help has the rest
+        listed.append(Annotated[kind, subcommand(name, description=first)])
     any_command: Any = reduce(or_, listed)
     return tyro.cli(
         any_command, prog="kinefilter", description=_DESCRIPTION, args=words
     )
+
+
+def _command(name: str) -> Any:
+    module = import_module(f"kinefilter.pipeline.commands.{name}")
+    return getattr(module, name.capitalize())
 
 
 def given_options(words: Sequence[str]) -> frozenset[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from kinefilter.pipeline.commands import Reproduce
+from kinefilter.pipeline.commands.reproduce import Reproduce
 from kinefilter.pipeline.config import LearnedMethod, Method
 from kinefilter.pipeline.correct.methods import FILTERS, FROM_DATABASE, LEARNED
 from kinefilter.pipeline.lab.studies import STUDIES
