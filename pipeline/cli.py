@@ -5,87 +5,98 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated
+from functools import reduce
+from importlib import import_module
+from operator import or_
+from typing import Annotated, Any
 
 import tyro
 from tyro.conf import subcommand
 
 from kinefilter.characters import InputError
 
-from .commands import (
-    Batch,
-    Bench,
-    Character,
-    Clean,
-    Database,
-    Evaluate,
-    Info,
-    Live,
-    Render,
-    Replay,
-    Report,
-    Reproduce,
-    Simulate,
-    Train,
-    View,
-)
-from .commands.given import given_options
-from .commands.signals import ended_gently
-from .commands.terminal import err
+from .commands.terminal import ended_gently, err
 from .workers import one_thread
 
-Command = (
-    Annotated[Clean, subcommand("clean")]
-    | Annotated[Batch, subcommand("batch")]
-    | Annotated[Info, subcommand("info")]
-    | Annotated[Live, subcommand("live")]
-    | Annotated[Replay, subcommand("replay")]
-    | Annotated[Render, subcommand("render")]
-    | Annotated[Report, subcommand("report")]
-    | Annotated[View, subcommand("view")]
-    | Annotated[Database, subcommand("database")]
-    | Annotated[Train, subcommand("train")]
-    | Annotated[Evaluate, subcommand("evaluate")]
-    | Annotated[Simulate, subcommand("simulate")]
-    | Annotated[Reproduce, subcommand("reproduce")]
-    | Annotated[Character, subcommand("character")]
-    | Annotated[Bench, subcommand("bench")]
-)
+_GROUPS = {
+    "daily": "clean, batch, info, render, report, view, character",
+    "live": "live, replay",
+    "learning": "train, database",
+    "lab": "evaluate, simulate, reproduce, bench",
+}
+COMMANDS = ", ".join(_GROUPS.values()).split(", ")
+"""Names of the commands, group by group."""
 
-_DESCRIPTION = """Turn noisy Kinect takes into clips that animators ship.
+_DESCRIPTION = f"""Turn noisy Kinect takes into clips that animators ship.
 
-Exit codes: 0 done, for live, replay and view also if Ctrl-C or SIGTERM ended them; 1
-done, but of several takes or clips some were left out, the recording of live ended
-early, a metric is beyond --fail-on, or a figure of README did not hold; 2 the input or
-the command was wrong, or a file could not be written; 130 interrupted: batch, render
-and reproduce --all go on with the same command. Files are there whole or not at all."""
+{chr(10).join(f"- {group}: {names}" for group, names in _GROUPS.items())}
+
+'kinefilter COMMAND --help' says more about a command.
+
+Exit codes: 0 done, also if Ctrl-C or SIGTERM ended live, replay or view; 1 done, but
+some takes or clips were left out, the recording of live ended early, a metric is beyond
+--fail-on, or a figure of README did not hold; 2 the input or the command was wrong, or
+a file could not be written; 130 interrupted: the same batch, render or reproduce --all
+command goes on where it ended. Files are written whole or not at all."""
 
 _INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
-
-    ``--help`` says which there are.
-    """
+    """Run the command line and return its exit code, see ``kinefilter --help``."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        command = tyro.cli(
-            Command,
-            prog="kinefilter",
-            description=_DESCRIPTION,
-            args=arguments,
-        )
-        if isinstance(command, Batch | Clean):
-            named = sys.argv[1:] if arguments is None else arguments
-            command = replace(command, given=given_options(named))
+        command = _read(words)
+        if hasattr(command, "given"):
+            command = replace(command, given=given_options(words))
         with ended_gently(), one_thread():
-            return command.run()
+            return int(command.run())
     except InputError as error:
         err.print(f"kinefilter: {error}")
         return 2
     except KeyboardInterrupt as ended:  # its words are what the user should know
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
         return _INTERRUPTED
+
+
+def _read(words: Sequence[str]) -> Any:
+    """Return the command that a command line asks for, with its options."""
+    if words and words[0] in COMMANDS:
+        prog = f"kinefilter {words[0]}"
+        return tyro.cli(_command(words[0]), prog=prog, args=words[1:])
+    listed = []
+    for name in COMMANDS:
+        kind = _command(name)
+        first = (kind.__doc__ or "").split("\n")[0]  # its own --help has the rest
+        listed.append(Annotated[kind, subcommand(name, description=first)])
+    any_command: Any = reduce(or_, listed)
+    return tyro.cli(
+        any_command, prog="kinefilter", description=_DESCRIPTION, args=words
+    )
+
+
+def _command(name: str) -> Any:
+    module = import_module(f"kinefilter.pipeline.commands.{name}")
+    return getattr(module, name.capitalize())
+
+
+def given_options(words: Sequence[str]) -> frozenset[str]:
+    """Return the options that a command line names, which no file may change.
+
+    Args:
+        words: The command line; tyro does not accept shortened names of options.
+
+    Returns:
+        Names of the options, as their fields are called.
+    """
+    names = set()
+    for word in words:
+        if word == "--":
+            break
+        if word.startswith("--"):
+            name = word[2:].partition("=")[0].replace("-", "_")
+            names |= {name, name.removeprefix("no_")}
+    return frozenset(names)
 
 
 if __name__ == "__main__":

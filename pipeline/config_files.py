@@ -21,14 +21,13 @@ from .formats.files import LARGEST_TOML, parse_toml, read_limited
 from .settings import Settings, names_file
 
 FOLDER_FILE = "kinefilter.toml"
-"""Name of the file that says how the takes of its folder are cleaned."""
+"""Name of the file with the settings for the takes of its folder."""
 
-
-_OWN = {
-    name: hint
-    for name, hint in get_type_hints(Settings).items()
-    if name not in ("config", "export")
+_PARTS: dict[str, type[CleanConfig | Export]] = {
+    "config": CleanConfig,
+    "export": Export,
 }
+_OWN = {k: hint for k, hint in get_type_hints(Settings).items() if k not in _PARTS}
 _HINTS = get_type_hints(CleanConfig) | get_type_hints(Export) | _OWN
 _WORDS = {
     Path: "the path of a file",
@@ -41,10 +40,10 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class SettingsFile:
-    """What one file says."""
+    """The content of one file."""
 
     name: str
-    """Where it is, for messages."""
+    """Path or URL, for messages."""
     values: Mapping[str, Any]
     """Values of the fields of ``CleanConfig``, ``Export`` and ``Settings``."""
 
@@ -60,22 +59,24 @@ def read_settings(path: str | os.PathLike[str]) -> SettingsFile:
 
 
 def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
-    """Return what the text of a file says.
+    """Return the settings in the text of a file.
 
     Args:
         text: TOML.
-        name: Where it is, for messages.
+        name: Path or URL of the file, for messages.
         folder: What paths in it are relative to; None: they have to be absolute.
 
     Raises:
-        InputError: It is no TOML, a key is unknown, or a value of a wrong type.
+        InputError: It is not TOML, a key is unknown, or a value has the wrong type.
     """
-    table = parse_toml(text, name, "write lines such as cutoff = 4.0")
     values = {}
-    for key, value in table.items():
+    for key, value in parse_toml(
+        text, name, "write lines such as cutoff = 4.0"
+    ).items():
         field = key.replace("-", "_")
         if field not in _HINTS:
-            raise InputError(f"{name}: unknown key {key!r}; known: {_known()}")
+            known = ", ".join(sorted(name.replace("_", "-") for name in _HINTS))
+            raise InputError(f"{name}: unknown key {key!r}; known: {known}")
         values[field] = _converted(value, field, f"{name}: {key}", folder)
     return SettingsFile(name, values)
 
@@ -83,41 +84,36 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
 def overlaid(
     settings: Settings, files: Sequence[SettingsFile], given: Collection[str]
 ) -> Settings:
-    """Return settings with what files say; the later file is the stronger.
+    """Return settings with the values of files, of which later ones override earlier.
 
     Args:
-        settings: What holds where no file says anything.
-        files: The files, the strongest last.
-        given: Names of fields that no file may change, as the user gave them.
+        settings: Values that hold where no file sets others.
+        files: The files.
+        given: Names of fields that the user gave, which no file may change.
 
     Raises:
-        InputError: A file says something impossible.
+        InputError: A file sets an impossible value.
     """
     for file in files:
         values = {k: v for k, v in file.values.items() if k not in given}
+        own = {name: value for name, value in values.items() if name in _OWN}
         try:
-            settings = replace(
-                settings,
-                config=replace(settings.config, **_of(CleanConfig, values)),
-                export=replace(settings.export, **_of(Export, values)),
-                **{name: value for name, value in values.items() if name in _OWN},
-            )
+            for part, kind in _PARTS.items():
+                named = {f.name for f in fields(kind)} & values.keys()
+                changed = {name: values[name] for name in named}
+                own[part] = replace(getattr(settings, part), **changed)
+            settings = replace(settings, **own)
         except InputError as error:
             raise InputError(f"{file.name}: {error}") from None
     return settings
 
 
-def _of(kind: type[CleanConfig | Export], values: Mapping[str, Any]) -> dict[str, Any]:
-    return {f.name: values[f.name] for f in fields(kind) if f.name in values}
-
-
-def _known() -> str:
-    return ", ".join(sorted(name.replace("_", "-") for name in _HINTS))
-
-
 def _converted(value: object, field: str, where: str, folder: Path | None) -> Any:
     """Return a value as its field has it."""
-    kinds = _kinds(_HINTS[field])
+    hint = _HINTS[field]
+    union = get_origin(hint) in (Union, types.UnionType)
+    # A file leaves out what is None.
+    kinds = [k for k in (get_args(hint) if union else (hint,)) if k is not type(None)]
     for kind in kinds:
         if get_origin(kind) is Literal:
             if isinstance(value, str) and value in get_args(kind):
@@ -130,27 +126,19 @@ def _converted(value: object, field: str, where: str, folder: Path | None) -> An
             if isinstance(value, str) and names_file(value):
                 return str(_placed(value, where, folder))
             return value
-    allowed = " or ".join(_described(kind) for kind in kinds)
+    allowed = " or ".join(
+        ", ".join(f'"{word}"' for word in get_args(kind)) or _WORDS[kind]
+        for kind in kinds
+    )
     raise InputError(f"{where} = {value!r}: expected {allowed}")
 
 
-def _kinds(hint: Any) -> list[Any]:
-    """Return the types that a field may have; a file leaves out what is None."""
-    union = get_origin(hint) in (Union, types.UnionType)
-    kinds = get_args(hint) if union else (hint,)
-    return [kind for kind in kinds if kind is not type(None)]
-
-
-def _described(kind: Any) -> str:
-    if get_origin(kind) is Literal:
-        return ", ".join(f'"{word}"' for word in get_args(kind))
-    return _WORDS[kind]
-
-
 def _placed(path: str, where: str, folder: Path | None) -> Path:
-    if folder is None and not Path(path).is_absolute():
+    if folder is not None:
+        return (folder / path).absolute()
+    if not Path(path).is_absolute():
         raise InputError(
-            f"{where} = {path!r}: expected an absolute path, as this file is in a "
-            "store, and what it names has to be on the disk of every worker"
+            f"{where} = {path!r}: expected an absolute path, since this file is in a "
+            "store, and every worker must find the path on its disk"
         )
-    return Path(path) if folder is None else (folder / path).absolute()
+    return Path(path)

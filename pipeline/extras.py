@@ -1,4 +1,4 @@
-"""Packages that only some commands need, and who lacks one is told."""
+"""Packages that only some commands need."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ OWN_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether a host is this machine and reached by nobody else."""
+    """Tell whether a host is this machine, and cannot be reached by others."""
     if host == "localhost":
         return True
     try:

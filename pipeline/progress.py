@@ -1,4 +1,4 @@
-"""How long work tells how far it is."""
+"""How long work reports its progress."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Progress = Callable[[str, int], Iterable[int]]
 
 
 def silent(stage: str, count: int) -> Iterable[int]:
-    """Return the steps of a stage without telling anybody."""
+    """Return the steps of a stage, and report nothing."""
     del stage
     return range(count)
 
 
 def over(items: Sequence[T], stage: str, progress: Progress) -> Iterator[T]:
-    """Yield items, and tell how far they are."""
+    """Yield items, and report how many are done."""
     for k in progress(stage, len(items)):
         yield items[k]

@@ -1,4 +1,4 @@
-"""What is done with a take, from reading to writing, and a fingerprint of it."""
+"""How a take is read, cleaned and written, and a fingerprint of these settings."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ import json
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from kinefilter.characters import InputError
 
 from .config import CleanConfig, TakeFormat
 from .formats.export import Export
-
-_BLOCK = 2**20  # bytes read at a time
 
 
 @dataclass(frozen=True)
@@ -28,11 +26,11 @@ class Settings:
     format: TakeFormat | None = None
     """Layout of the take; None: detected from its content."""
     body: int | Literal["all"] | None = None
-    """Which person, counted from 1, or all; None: who is seen in most frames."""
+    """Which person, counted from 1, or all; None: the person seen in most frames."""
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that are named, there or not."""
+        """The files that the settings name, whether they exist or not."""
         parts = (self.config, self.export)
         values = [getattr(part, f.name) for part in parts for f in fields(part)]
         return tuple(
@@ -43,22 +41,19 @@ class Settings:
 
 
 def fingerprint(settings: Settings, suffix: str) -> str:
-    """Return a hash of all that decides the bytes of a clip beside the take.
+    """Return a hash of all that decides the bytes of a clip, apart from the take.
 
-    Files that the settings name count by what is in them, not by where they are.
+    Files that the settings name count by their content, not by their path.
 
     Args:
-        settings: What is done.
+        settings: How a take is cleaned.
         suffix: Extension of the clip, such as ``.usdc``.
 
     Raises:
-        InputError: A file that the settings name is not there.
+        InputError: A file that the settings name does not exist.
     """
-    known: dict[str, Any] = {
-        **asdict(settings),
-        "suffix": suffix,
-        "kinefilter": version("kinefilter"),
-    }
+    known = asdict(settings)
+    known |= {"suffix": suffix, "kinefilter": version("kinefilter")}
     text = json.dumps(known, sort_keys=True, default=_by_content)
     names = (settings.config.scene, settings.export.rig)
     files = [hash_of(Path(name)) for name in names if name and names_file(name)]
@@ -71,22 +66,19 @@ def hash_of(path: Path) -> str:
     Raises:
         InputError: The file cannot be read.
     """
-    digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
-            while block := file.read(_BLOCK):
-                digest.update(block)
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(
             f"{path}: cannot be read ({reason}); check the name"
         ) from error
-    return digest.hexdigest()
 
 
 def _by_content(path: object) -> str:
     if not isinstance(path, Path):
-        raise TypeError(f"{path!r} is no setting")
+        raise TypeError(f"{path!r} is not a setting")
     return hash_of(path)
 
 

@@ -25,13 +25,13 @@ _given_up = threading.Event()
 
 def cores() -> int:
     """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):  # Linux; elsewhere nobody is kept from cores
+    if hasattr(os, "sched_getaffinity"):  # Linux; elsewhere a process may use all
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def given_up() -> bool:
-    """Tell, in one of the processes, whether nobody waits for its work any more."""
+    """Tell, inside a worker, whether nobody waits for its work any more."""
     return _given_up.is_set()
 
 
@@ -49,8 +49,8 @@ def give_back_memory() -> None:
 def one_thread() -> Iterator[None]:
     """Give linear algebra one thread, in this process and in those begun inside.
 
-    Over matrices this small several threads only fight: on two busy cores training is
-    eight times as fast with one.
+    With matrices this small, several threads only get in each other's way: on two busy
+    cores training is eight times as fast with one.
     """
     # The environment is for libraries loaded later, and for new processes.
     with _environment(_ONE_THREAD), threadpool_limits(1):
@@ -66,8 +66,8 @@ def workers(
     The processes end with the one that waits for them, however it ends.
 
     Args:
-        count: How many; by default one a core that this process may use.
-        environment: Variables that the processes see beside this one's.
+        count: Number of processes; by default one a core that this one may use.
+        environment: Variables to set for the processes.
     """
     # Not forked: threads of the engine and of linear algebra do not survive it.
     context = multiprocessing.get_context("spawn")
@@ -90,26 +90,24 @@ def workers(
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
     """Set environment variables for a while."""
-    before = {name: os.environ.get(name) for name in variables}
+    before = dict(os.environ)
     os.environ.update(variables)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in variables:
+            os.environ.pop(name, None)
+        os.environ.update({k: before[k] for k in variables if k in before})
 
 
 def _begin(told: Connection) -> None:
-    """Get a process ready; Ctrl-C, which reaches all, is for the one that waits."""
+    """Prepare a worker; Ctrl-C, which reaches all, is for the process that waits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_watch, args=(told,), daemon=True).start()
 
 
 def _watch(told: Connection) -> None:
-    """Say when nobody waits for the work, and end with the process that did."""
+    """Note when nobody waits for the work, and end with the process that did."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([told, parent.sentinel])

@@ -25,9 +25,9 @@ from time import perf_counter, process_time
 from batch_faults import batch, rows, rows_done
 from batch_takes import make_takes
 
-from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.plan import plan_jobs
 from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.settings import Settings
 
@@ -39,7 +39,7 @@ def seconds_a_take(takes: Path) -> tuple[float, float]:
     """Return what one process needs for a take, of time and of a processor [s]."""
     with TemporaryDirectory() as out:
         sources = find_sources([str(takes)], out)
-        jobs = plan_jobs(sources, LocalStore(out), Settings(), ".usdc")
+        jobs = plan_jobs(sources, store_at(out), Settings(), ".usdc")
         chosen = jobs[:: max(1, len(jobs) // (_WARM_UP + _ALONE))]
         for job in chosen[:_WARM_UP]:
             clean_file(job)

@@ -8,8 +8,7 @@ from pathlib import Path
 from batch_takes import short_take
 
 from kinefilter import CleanConfig
-from kinefilter.pipeline.batch import Outcome, clean_files
-from kinefilter.pipeline.batch.row import Row, row_from_json
+from kinefilter.pipeline.batch import Outcome, Row, clean_files
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.settings import Settings
 
@@ -35,7 +34,7 @@ def clean_folder(takes: Path, out: Path, settings: Settings = QUICK) -> Outcome:
 
 def rows_of(out: Path) -> list[Row]:
     lines = (out / "manifest.jsonl").read_text().splitlines()
-    return [row_from_json(line) for line in lines]
+    return [Row.from_json(line) for line in lines]
 
 
 def table_of(out: Path) -> list[dict[str, str]]:

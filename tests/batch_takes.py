@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from kinefilter.characters import Take
+from kinefilter.pipeline.batch import Row
+from kinefilter.pipeline.batch.crew import Crew
 from kinefilter.pipeline.batch.plan import Job
-from kinefilter.pipeline.batch.row import Row
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulate import simulate
@@ -22,17 +23,13 @@ _MOTIONS = ("walk", "squat", "punch", "tai_chi", "wave")
 _TREMBLE = 0.002  # m: takes differ, and stay as hard to clean
 
 
-class Here:
+class Here(Crew):
     """Does jobs in the test's own process, which is quick to begin."""
 
     room = 2
-    idle = False
 
     def __init__(self, *_: object) -> None:
         self.jobs: list[Job] = []
-
-    def __enter__(self) -> Here:
-        return self
 
     def __exit__(self, *_: object) -> None:
         pass

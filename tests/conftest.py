@@ -159,7 +159,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let batches of the test work in its own process."""
     from batch_takes import Here
 
-    monkeypatch.setattr("kinefilter.pipeline.batch.run._crew", Here)
+    monkeypatch.setattr("kinefilter.pipeline.batch.run.open_crew", Here)
 
 
 @pytest.fixture

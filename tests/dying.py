@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from kinefilter.pipeline.batch.manifest import Row
     from kinefilter.pipeline.batch.plan import Job
-    from kinefilter.pipeline.batch.row import Row
     from kinefilter.pipeline.look.video_files import Coded
     from kinefilter.pipeline.look.video_task import RenderTask
     from kinefilter.pipeline.look.video_worker import Parts

@@ -14,14 +14,14 @@ from websockets.asyncio.client import ClientConnection, connect
 from kinefilter import read_take
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live import (
+    AccessConfig,
     Frame,
     LiveConfig,
-    OpenConfig,
     SeenBody,
     Session,
     format_frame,
 )
-from kinefilter.pipeline.live.addresses import Address
+from kinefilter.pipeline.live.endpoints import Address
 
 SAMPLE = read_take(sample_path())
 UDP, WS = "udp://127.0.0.1:0", "ws://127.0.0.1:0"
@@ -55,7 +55,7 @@ def do(work: Coroutine[Any, Any, None]) -> None:
 
 @asynccontextmanager
 async def running(
-    what: LiveConfig, access: OpenConfig | None = None
+    what: LiveConfig, access: AccessConfig | None = None
 ) -> AsyncIterator[tuple[Session, list[Address]]]:
     """Run a session; yields it and its addresses in use."""
     session, stop = Session(what, access), asyncio.Event()

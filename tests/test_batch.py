@@ -14,11 +14,11 @@ from published_layouts import ntu_text
 
 from kinefilter import CleanConfig, Cleaner, clean, read_take, write_clip
 from kinefilter.characters import InputError
-from kinefilter.pipeline.batch import Outcome, as_tables, clean_files, run
-from kinefilter.pipeline.batch.local import LocalStore
+from kinefilter.pipeline.batch import Outcome, Row, as_tables, clean_files, run
+from kinefilter.pipeline.batch.manifest import Status
 from kinefilter.pipeline.batch.plan import Job, plan_jobs
-from kinefilter.pipeline.batch.row import Row
 from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
@@ -153,7 +153,9 @@ def test_contacts_are_of_one_take(takes: Path, tmp_path: Path, where: str) -> No
         settings = Settings(replace(QUICK.config, contacts=contacts))
     else:
         (takes / "kinefilter.toml").write_text('contacts = "contacts.csv"\n')
-    with pytest.raises(InputError, match=r"one take, not of a\.csv and monday/b\.csv"):
+    with pytest.raises(
+        InputError, match=r"one take, not for both a\.csv and monday/b\.csv"
+    ):
         clean_folder(takes, out, settings)
     assert not out.exists()
 
@@ -298,6 +300,20 @@ def test_the_worst_takes_come_first(
     assert places == sorted(places, reverse=True)
 
 
+def test_one_take_is_not_told_as_several(capsys: pytest.CaptureFixture[str]) -> None:
+    from rich.console import Console
+
+    def row(take: str, status: Status) -> Row:
+        return Row(take, status, "a.bvh", "1", seconds=1.0)
+
+    one = [row("a", "done"), row("b", "no take")]
+    for rows in (one, one * 2):
+        Console(width=200).print(as_tables(Outcome(rows=rows, seconds=1.0)))
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("1 take cleaned, 0 failed, 1 other file skipped, 0 frames")
+    assert second.startswith("2 takes cleaned, 0 failed, 2 other files skipped")
+
+
 def test_the_longest_take_is_begun_first(
     takes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -308,7 +324,7 @@ def test_the_longest_take_is_begun_first(
             begun.append(job.source.take)
             super().submit(job)
 
-    monkeypatch.setattr(run, "_crew", Watched)
+    monkeypatch.setattr(run, "open_crew", Watched)
     write_take_csv(short_take(60), takes / "z.csv")
     clean_folder(takes, tmp_path / "clips")
     assert begun[0] == "z.csv"
@@ -326,12 +342,12 @@ def test_an_interrupted_run_writes_its_table_and_goes_on(
 
     out = tmp_path / "clips"
     command = ["batch", str(takes), "-o", str(out), *FLAGS]
-    monkeypatch.setattr(run, "_crew", Tired)
+    monkeypatch.setattr(run, "open_crew", Tired)
     assert main(command) == 130
     done = {row.take for row in rows_of(out)}
     assert 0 < len(done) < 6
     assert {row["take"] for row in table_of(out)} <= done
-    monkeypatch.setattr(run, "_crew", Here)
+    monkeypatch.setattr(run, "open_crew", Here)
     assert main(command) == 0
     assert len(rows_of(out)) == 6
 
@@ -361,7 +377,7 @@ def test_a_store_by_url_gives_the_same_clips_as_its_folder(
 
 
 def test_a_worker_that_would_do_another_thing_refuses(takes: Path) -> None:
-    out = LocalStore(str(takes.parent / "clips"))
+    out = store_at(str(takes.parent / "clips"))
     sources = find_sources([str(takes / "a.csv")], out.root)
     (job,) = plan_jobs(sources, out, QUICK, ".bvh")
     elsewhere = clean_file(replace(job, fingerprint="of another kinefilter"))

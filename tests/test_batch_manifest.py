@@ -13,10 +13,13 @@ from batch_folders import clean_folder, rows_of, table_of
 from kinefilter import CleanConfig
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch import manifest
-from kinefilter.pipeline.batch.local import LocalStore
-from kinefilter.pipeline.batch.manifest import open_manifest, write_csv
-from kinefilter.pipeline.batch.places import store_at
-from kinefilter.pipeline.batch.row import Row, parse_rows, row_from_json
+from kinefilter.pipeline.batch.manifest import (
+    Row,
+    open_manifest,
+    parse_rows,
+    write_csv,
+)
+from kinefilter.pipeline.batch.store import remove_unfinished, store_at
 from kinefilter.pipeline.settings import Settings
 
 
@@ -49,7 +52,7 @@ def test_a_torn_last_line_is_dropped_and_its_take_done_again(
     lines = tmp_path / "clips" / "manifest.jsonl"
     clean_folder(takes, tmp_path / "clips")
     whole = lines.read_bytes()
-    last = row_from_json(whole.splitlines()[-1].decode()).take
+    last = Row.from_json(whole.splitlines()[-1].decode()).take
     lines.write_bytes(whole[:-cut])
     again = clean_folder(takes, tmp_path / "clips")
     assert [row.take for row in again.rows] == [last]
@@ -66,7 +69,7 @@ def test_a_damaged_line_that_is_not_the_last_is_refused() -> None:
 
 
 def test_two_runs_do_not_write_into_one_folder(tmp_path: Path) -> None:
-    store = LocalStore(str(tmp_path / "clips"))
+    store = store_at(str(tmp_path / "clips"))
     refused = pytest.raises(InputError, match="another run")
     with open_manifest(store), refused, open_manifest(store):
         pass
@@ -80,7 +83,7 @@ def test_a_full_disk_leaves_the_manifest_as_it_was(
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    store = LocalStore(str(tmp_path))
+    store = store_at(str(tmp_path))
     row = Row("a", "done", "a.bvh", "1", "", "", 1.0)
     with open_manifest(store) as opened:
         opened.append([row])
@@ -99,7 +102,7 @@ def test_what_a_killed_process_left_is_cleared_away(tmp_path: Path) -> None:
     others = [tmp_path / ".hidden", tmp_path / "a" / ".config.toml"]
     for other in others:
         other.write_text("somebody's")
-    LocalStore(str(tmp_path)).remove_unfinished()
+    remove_unfinished(store_at(str(tmp_path)))
     assert not left.exists()
     assert all(other.exists() for other in others)
 
@@ -115,6 +118,6 @@ def test_the_table_is_written_whole(tmp_path: Path) -> None:
 
 def test_rows_say_all_there_is_to_say_as_json() -> None:
     row = Row("é", "failed", "é.bvh", "1-2", "", "f", 0.5, error="no\nway")
-    assert row_from_json(row.as_json()) == row
+    assert Row.from_json(row.as_json()) == row
     assert "\n" not in row.as_json()
     assert json.loads(row.as_json())["take"] == "é"

@@ -9,8 +9,7 @@ import pytest
 from real_data import TAKES, recorded
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.batch.naming import clip_names
-from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.batch.sources import clip_names, find_sources
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.takes import claims_take
 
@@ -42,7 +41,7 @@ def test_the_output_folder_is_not_searched(takes: Path, tmp_path: Path) -> None:
     out.mkdir()
     (out / "old.csv").write_text("a clip of an earlier run")
     assert "clips/old.csv" not in {s.take for s in find_sources([str(takes)], str(out))}
-    with pytest.raises(InputError, match="searched for takes itself"):
+    with pytest.raises(InputError, match="also searched for takes"):
         find_sources([str(takes)], str(takes))
     with pytest.raises(InputError, match="no such file or folder"):
         find_sources([str(tmp_path / "absent")], str(out))

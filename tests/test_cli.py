@@ -14,7 +14,7 @@ import pytest
 from viewing import ended, viewing
 
 from kinefilter.characters import KINECT_V1, KINECT_V2
-from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.cli import COMMANDS, main
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.lab.bench import sample_path
@@ -376,3 +376,31 @@ def test_the_readmes_python_runs(
         code = block.replace("scenes/", f"{ROOT.as_posix()}/scenes/")
         exec(compile(code, "README.md", "exec"), {})
     assert any(tmp_path.iterdir())
+
+
+def test_help_has_every_command_in_a_group_with_one_sentence(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["--help"])
+    assert caught.value.code == 0
+    printed = capsys.readouterr().out
+    for group in (
+        "- daily: clean, batch, info, render, report, view, character\n",
+        "- live: live, replay\n",
+        "- learning: train, database\n",
+        "- lab: evaluate, simulate, reproduce, bench\n",
+    ):
+        assert group in printed
+    listed = re.findall(r"• (\w+) +[A-Z]", printed)
+    assert listed == COMMANDS
+    files = {file.stem for file in (ROOT / "pipeline" / "commands").glob("*.py")}
+    assert set(listed) == files - {"__init__", "terminal"}
+
+
+def test_without_a_command_nothing_is_done(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in ([], ["polish", "take.csv"]):
+        with pytest.raises(SystemExit) as caught:
+            main(arguments)
+        assert caught.value.code == 2
+    assert "clean" in capsys.readouterr().err

@@ -10,11 +10,10 @@ from batch_takes import Here, short_take
 from kinefilter import CleanConfig, Export
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch import run
-from kinefilter.pipeline.batch.local import LocalStore
 from kinefilter.pipeline.batch.plan import Job, plan_jobs
 from kinefilter.pipeline.batch.sources import find_sources
-from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.commands.given import given_options
+from kinefilter.pipeline.batch.store import store_at
+from kinefilter.pipeline.cli import given_options, main
 from kinefilter.pipeline.config_files import overlaid, parse_settings, read_settings
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
 from kinefilter.pipeline.settings import Settings, fingerprint
@@ -86,7 +85,7 @@ def _jobs(root: Path, given: frozenset[str] = frozenset()) -> dict[str, Job]:
     sources = find_sources([str(root)], str(root / "out"))
     own = Settings(CleanConfig(seed=9) if given else CleanConfig())
     files = [read_settings(root / "all.toml")]
-    out = LocalStore(str(root / "out"))
+    out = store_at(str(root / "out"))
     jobs = plan_jobs(sources, out, own, ".bvh", files=files, given=given)
     return {job.source.take: job for job in jobs}
 
@@ -182,7 +181,7 @@ def test_clean_takes_a_file_of_settings_and_options_overrule_it(tmp_path: Path) 
 def test_batch_lets_options_overrule_every_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run, "_crew", Here)
+    monkeypatch.setattr(run, "open_crew", Here)
     takes, out = tmp_path / "takes", tmp_path / "clips"
     for name in ("a", "b"):
         (takes / name).mkdir(parents=True)

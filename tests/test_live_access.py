@@ -24,14 +24,14 @@ from websockets.exceptions import InvalidStatus
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.live import (
+    AccessConfig,
     LiveConfig,
-    OpenConfig,
     Session,
     format_frame,
     open_sender,
 )
-from kinefilter.pipeline.live.access import Access
-from kinefilter.pipeline.live.limits import MOST_CONNECTIONS
+from kinefilter.pipeline.live.endpoints import Access
+from kinefilter.pipeline.live.sockets import MOST_CONNECTIONS
 from kinefilter.pipeline.live.tally import Event
 
 
@@ -52,7 +52,7 @@ def test_connections_are_as_many_as_allowed() -> None:
 
 
 def test_pages_of_other_sites_are_refused_and_those_of_this_machine_are_not() -> None:
-    access = OpenConfig(origin=("https://studio.example",))
+    access = AccessConfig(origin=("https://studio.example",))
 
     async def session() -> None:
         async with running(config(source=WS), access) as (_, places):
@@ -70,7 +70,7 @@ def test_pages_of_other_sites_are_refused_and_those_of_this_machine_are_not() ->
 def test_where_others_may_connect_a_token_is_needed(tmp_path: Path) -> None:
     token = "0123456789abcdef"
     (tmp_path / "token").write_text(f"{token}\n", encoding="utf-8")
-    access = OpenConfig(bind="127.0.0.1", token_file=tmp_path / "token")
+    access = AccessConfig(bind="127.0.0.1", token_file=tmp_path / "token")
     bearer = {"Authorization": f"Bearer {token}"}
 
     async def session() -> None:
@@ -96,24 +96,24 @@ def test_where_others_may_connect_a_token_is_needed(tmp_path: Path) -> None:
 
 def test_a_new_token_is_made_where_others_may_connect_and_none_was_given() -> None:
     tokens = [
-        Session(config(source=WS), OpenConfig(bind="0.0.0.0")).ends.access.token
+        Session(config(source=WS), AccessConfig(bind="0.0.0.0")).endpoints.access.token
         for _ in range(2)
     ]
     assert all(token is not None and len(token) >= 32 for token in tokens)
     assert tokens[0] != tokens[1]
-    assert Session(config(source=WS)).ends.access.token is None
+    assert Session(config(source=WS)).endpoints.access.token is None
 
 
 def test_tokens_too_short_to_hold_are_refused(tmp_path: Path) -> None:
     for text in ("", "secret", "a b " * 10, "é" * 20):
         (tmp_path / "token").write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match="expected a token"):
-            Session(config(), OpenConfig(token_file=tmp_path / "token"))
+            Session(config(), AccessConfig(token_file=tmp_path / "token"))
 
 
 def test_with_a_certificate_connections_are_encrypted(tmp_path: Path) -> None:
     files = _certificate(tmp_path)
-    access = OpenConfig(certificate=files[0], key=files[1])
+    access = AccessConfig(certificate=files[0], key=files[1])
 
     async def session() -> None:
         async with running(config(source=WS), access) as (_, (source, out)):
@@ -151,7 +151,7 @@ def test_what_is_no_certificate_is_refused(tmp_path: Path) -> None:
     (tmp_path / "c.pem").write_text("nothing", encoding="utf-8")
     for path in (tmp_path / "c.pem", tmp_path / "absent.pem"):
         with pytest.raises(InputError, match="PEM"):
-            Session(config(), OpenConfig(certificate=path))
+            Session(config(), AccessConfig(certificate=path))
 
 
 @pytest.mark.parametrize(

@@ -22,12 +22,12 @@ from live_session import PATIENCE, SAMPLE, Sender, sample_frame
 
 from kinefilter import read_take
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.commands import Live, Replay
-from kinefilter.pipeline.commands.live_status import status, summary
-from kinefilter.pipeline.commands.signals import stopped_by_signals
+from kinefilter.pipeline.commands.live import Live, status, summary
+from kinefilter.pipeline.commands.replay import Replay
+from kinefilter.pipeline.commands.terminal import stopped_by_signals
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.live import LiveConfig, OpenConfig, Session, format_frame
-from kinefilter.pipeline.live.addresses import Address
+from kinefilter.pipeline.live import AccessConfig, LiveConfig, Session, format_frame
+from kinefilter.pipeline.live.endpoints import Address
 from kinefilter.pipeline.live.messages import Reason
 from kinefilter.pipeline.live.tally import Event
 
@@ -135,7 +135,7 @@ def test_the_commands_of_the_readme_are_possible() -> None:
     (replay,) = map(shlex.split, re.findall(r"^kinefilter replay .*$", readme, re.M))
     following = tyro.cli(Live, args=live[2:])
     session = Session(replace(following.config, record=None), following.access)
-    ends = session.ends
+    ends = session.endpoints
     schemes = [place.scheme for place in (ends.source, *ends.targets)]
     assert schemes == ["udp", "vmc", "ws"]
     sending = tyro.cli(Replay, args=replay[2:])
@@ -163,14 +163,15 @@ def test_a_token_is_printed_where_nobody_knows_it_yet(
 ) -> None:
     secret = tmp_path / "token"
     secret.write_text("0123456789abcdef", encoding="utf-8")
-    access = OpenConfig(bind, secret if given else None)
+    access = AccessConfig(bind, secret if given else None)
     live = Live(LiveConfig("udp://127.0.0.1:1", (out,)), access)
     session = Session(live.config, live.access)
-    live._tell(session, [session.ends.source, *session.ends.targets])
+    ends = session.endpoints
+    live._print_places(session, [ends.source, *ends.targets])
     said = capsys.readouterr().err
     assert ("\ntoken " in said) is told
     assert "0123456789abcdef" not in said
-    assert ("who is on the network" in said) is warned
+    assert ("anybody on the network" in said) is warned
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
@@ -196,7 +197,12 @@ def test_status_and_summary_tell_what_happened() -> None:
     session.tally.count(Event.POSES)
     session.tally.latency.add(0.0042)
     line = status(session)
-    for words in ("1 there", "measuring 1", "1 frames in", "4.2 ms", "1 malformed"):
+    for words in (
+        "1 person, measuring 1",
+        "1 frame in, 1 pose out",
+        "4.2 ms",
+        "1 malformed",
+    ):
         assert words in line
     table = summary(session.tally)
     cells = [str(cell) for column in table.columns for cell in column.cells]

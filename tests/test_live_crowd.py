@@ -14,20 +14,19 @@ from live_session import SAMPLE, sample_frame
 
 from kinefilter import read_take
 from kinefilter.characters import KINECT_V1, InputError
+from kinefilter.pipeline.live import LiveConfig
 from kinefilter.pipeline.live import recorder as recording
 from kinefilter.pipeline.live.crowd import Crowd
-from kinefilter.pipeline.live.person import Person, Stature
+from kinefilter.pipeline.live.person import Person
 from kinefilter.pipeline.live.recorder import Recorder
 from kinefilter.pipeline.live.tally import Event, Latency, Tally
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.retarget import measured_body
 
-KNOWN = Stature(KINECT_V1, 1.8)
-
 
 def crowd(most: int = 6) -> tuple[Crowd, Tally]:
     tally = Tally()
-    return Crowd(KNOWN, most, tally), tally
+    return Crowd(most, tally), tally
 
 
 def test_the_newest_frame_wins_and_older_ones_are_counted() -> None:
@@ -77,7 +76,7 @@ def test_a_clock_that_begins_anew_is_no_late_frame_even_if_it_was_not_posed() ->
         people.arrive(sample_frame(0, time=time), 0.0)
     turn = people.next()
     assert turn is not None
-    assert turn[1].anew
+    assert turn[1].restarted
     assert tally.events[Event.RESTARTED] == 1
     assert tally.events[Event.LATE] == 0
 
@@ -86,8 +85,8 @@ def test_who_is_unseen_for_two_seconds_rests_and_the_number_is_used_again() -> N
     people, tally = crowd()
     people.arrive(sample_frame(0, "a", "b"), 10.0)
     people.arrive(sample_frame(1, "b"), 11.5)
-    assert people.rest(11.9) == []
-    (gone,) = people.rest(12.1)
+    assert people.drop_gone(11.9) == []
+    (gone,) = people.drop_gone(12.1)
     assert (gone.id, gone.slot) == ("a", 0)
     people.arrive(sample_frame(2, "c", "b"), 12.2)
     turns = {}
@@ -106,7 +105,7 @@ def test_a_frame_without_a_joint_keeps_nobody_here() -> None:
     unseen = sample_frame(1)
     unseen.bodies[0].state[:] = 0
     people.arrive(unseen, 1.9)
-    assert len(people.rest(2.1)) == 1
+    assert len(people.drop_gone(2.1)) == 1
     assert tally.events[Event.UNSEEN] == 1
 
 
@@ -119,7 +118,7 @@ def test_there_is_room_for_as_many_as_allowed_and_ids_do_not_pile_up() -> None:
 
 
 def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> None:
-    person = Person(Stature(KINECT_V1))
+    person = Person(LiveConfig("-", ("-",), skeleton="kinect_v1"))
     poses = []
     for row in range(60):
         (seen,) = sample_frame(row).bodies
@@ -136,7 +135,7 @@ def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> N
 
 
 def test_who_is_half_hidden_is_measured_after_three_seconds_all_the_same() -> None:
-    person = Person(Stature(KINECT_V1))
+    person = Person(LiveConfig("-", ("-",), skeleton="kinect_v1"))
     legs = [
         KINECT_V1.index(f"{j}{s}")
         for j in ("Knee", "Ankle", "Foot", "Hip")
@@ -198,7 +197,7 @@ def test_what_a_kill_leaves_is_a_take_and_is_not_overwritten(tmp_path: Path) -> 
     recorder.flush()
     part = tmp_path / "take.1.part.csv"
     assert len(read_take(part)) == 30
-    with pytest.raises(InputError, match=r"take\.1\.part\.csv: is there already"):
+    with pytest.raises(InputError, match=r"take\.1\.part\.csv: exists already"):
         Recorder(tmp_path / "take.csv", KINECT_V1, Tally())
 
 

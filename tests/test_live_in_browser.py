@@ -14,7 +14,7 @@ import pytest
 from browser import Browser
 from live_session import SAMPLE, WS, Sender, config, running, sample_frame
 
-from kinefilter.pipeline.live import OpenConfig
+from kinefilter.pipeline.live import AccessConfig
 
 _TOKEN = "0123456789abcdef"
 _THREE_LINES = """
@@ -68,7 +68,7 @@ def test_a_page_of_this_machine_draws_poses_and_a_file_from_anywhere_does_not(
     path, served = page
 
     async def session() -> None:
-        access = OpenConfig(token_file=tmp_path / "token")
+        access = AccessConfig(token_file=tmp_path / "token")
         async with running(config(WS), access) as (_, (source, out)):
             sender = Sender(source)
             browser.open(path)

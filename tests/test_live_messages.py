@@ -12,14 +12,16 @@ from hypothesis import strategies as st
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
 from kinefilter.pipeline.live import Frame, SeenBody, format_frame, parse_frame
-from kinefilter.pipeline.live.addresses import (
+from kinefilter.pipeline.live.crowd import Stamps
+from kinefilter.pipeline.live.endpoints import (
     Address,
     listening_host,
     read_address,
 )
-from kinefilter.pipeline.live.limits import MOST_CONNECTIONS, Peers, Rate
 from kinefilter.pipeline.live.messages import MalformedError, Reason
-from kinefilter.pipeline.live.stamps import Arrival, Stamps
+from kinefilter.pipeline.live.sockets import MOST_CONNECTIONS
+from kinefilter.pipeline.live.sources import Peers, Rate
+from kinefilter.pipeline.live.tally import Event
 from kinefilter.pipeline.loopback import is_loopback
 
 STATES = [int(state) for state in State]
@@ -145,13 +147,13 @@ def test_silent_senders_make_room_for_others() -> None:
 
 def test_time_stamps_tell_late_repeated_missing_and_new_clocks() -> None:
     stamps = Stamps()
-    assert all(stamps.arrive(k / 30.0) == (Arrival.NEXT, 0) for k in range(30))
-    assert stamps.arrive(29 / 30.0) == (Arrival.REPEATED, 0)
-    assert stamps.arrive(27 / 30.0) == (Arrival.LATE, 0)
-    assert stamps.arrive(33 / 30.0) == (Arrival.NEXT, 3)
-    assert stamps.arrive(100.0) == (Arrival.NEXT, 0)
-    assert stamps.arrive(0.0) == (Arrival.ANEW, 0)
-    assert stamps.arrive(1 / 30.0) == (Arrival.NEXT, 0)
+    assert all(stamps.arrive(k / 30.0) == (None, 0) for k in range(30))
+    assert stamps.arrive(29 / 30.0) == (Event.REPEATED, 0)
+    assert stamps.arrive(27 / 30.0) == (Event.LATE, 0)
+    assert stamps.arrive(33 / 30.0) == (None, 3)
+    assert stamps.arrive(100.0) == (None, 0)
+    assert stamps.arrive(0.0) == (Event.RESTARTED, 0)
+    assert stamps.arrive(1 / 30.0) == (None, 0)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,15 @@ import pytest
 from hostile_messages import hostile_messages
 from live_session import PATIENCE, SAMPLE, config, sample_frame
 
-from kinefilter.pipeline.live import Session, format_frame, open_sender, replay, sources
-from kinefilter.pipeline.live import printer as printing
-from kinefilter.pipeline.live.addresses import Address
+from kinefilter.pipeline.live import (
+    Session,
+    format_frame,
+    open_sender,
+    replay,
+    sinks,
+    sources,
+)
+from kinefilter.pipeline.live.endpoints import Address
 from kinefilter.pipeline.live.tally import Event
 
 
@@ -27,7 +33,7 @@ class Pipes:
         self._input, self._fed = os.pipe()
         self._out, self.output = os.pipe()
         monkeypatch.setattr(sources, "_STDIN", self._input)
-        monkeypatch.setattr(printing, "_STDOUT", self.output)
+        monkeypatch.setattr(sinks, "_STDOUT", self.output)
         self._threads = [threading.Thread(target=w) for w in (self._feed, self._drain)]
 
     def _feed(self) -> None:
@@ -92,7 +98,7 @@ def test_a_replay_writes_a_line_a_frame_and_waits_for_the_reader(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out, into = os.pipe()
-    monkeypatch.setattr(printing, "_STDOUT", into)
+    monkeypatch.setattr(sinks, "_STDOUT", into)
     read = io.BytesIO()
 
     def drain() -> None:

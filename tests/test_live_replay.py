@@ -23,7 +23,7 @@ from kinefilter.pipeline.live import (
     open_sender,
     replay,
 )
-from kinefilter.pipeline.live.addresses import read_address
+from kinefilter.pipeline.live.endpoints import read_address
 from kinefilter.pipeline.live.playback import frames_of
 
 

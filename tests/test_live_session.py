@@ -27,18 +27,13 @@ from websockets.exceptions import ConnectionClosed
 
 from kinefilter import Avatar, read_take
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline.live import broadcast as broadcasting
-from kinefilter.pipeline.live import (
-    format_frame,
-)
-from kinefilter.pipeline.live.access import Access
-from kinefilter.pipeline.live.addresses import Address
-from kinefilter.pipeline.live.broadcast import Broadcast
-from kinefilter.pipeline.live.limits import MOST_CONNECTIONS
+from kinefilter.pipeline.live import format_frame, sinks
+from kinefilter.pipeline.live.endpoints import Access, Address
 from kinefilter.pipeline.live.messages import Reason
+from kinefilter.pipeline.live.sinks import Broadcast
+from kinefilter.pipeline.live.sockets import MOST_CONNECTIONS, open_server
 from kinefilter.pipeline.live.sources import Intake, Receiver
 from kinefilter.pipeline.live.tally import Event, Tally
-from kinefilter.pipeline.live.websocket import open_server
 
 
 def test_poses_are_those_of_an_avatar_given_the_same_frames() -> None:
@@ -186,7 +181,7 @@ def test_a_flood_of_datagrams_is_cut_for_each_sender() -> None:
 def test_who_never_reads_loses_lines_is_let_go_and_costs_others_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(broadcasting, "_DEAD", 0.2)
+    monkeypatch.setattr(sinks, "_DEAD", 0.2)
 
     async def session() -> None:
         tally, skeleton = Tally(), KINECT_V1
@@ -200,7 +195,7 @@ def test_who_never_reads_loses_lines_is_let_go_and_costs_others_nothing(
                 await asyncio.get_running_loop().sock_recv(lazy, 1)  # it is there
                 for n in itertools.count():
                     line = json.dumps([n, "x" * 50_000])
-                    lines.give(line)
+                    lines.put(line)
                     assert await stream.recv() == line
                     most = max(most, *(len(r.lines) for r in lines.readers))
                     if len(lines.readers) == 1:

@@ -8,8 +8,8 @@ the number of takes. ``tests/batch_figures.py`` measures this;
 the store, and the one process that plans the takes and writes the manifest.
 """
 
-from .row import ClipRow, Row
-from .run import Outcome, Standing, clean_files
+from .manifest import ClipRow, Row
+from .run import JobProgress, Outcome, clean_files
 from .summary import as_tables
 
-__all__ = ["ClipRow", "Outcome", "Row", "Standing", "as_tables", "clean_files"]
+__all__ = ["ClipRow", "JobProgress", "Outcome", "Row", "as_tables", "clean_files"]

@@ -1,145 +1,164 @@
-"""Who does the jobs: processes of this machine, or the workers of a Dask cluster."""
+"""Who does the jobs: processes of this machine, or the workers of a Dask cluster.
+
+Workers of a cluster may come and go. Whoever reaches a Dask scheduler can run code on
+its workers: keep it in a network of your own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from abc import abstractmethod
 from concurrent.futures import (
     FIRST_COMPLETED,
     CancelledError,
     Future,
-    ProcessPoolExecutor,
     ThreadPoolExecutor,
     wait,
 )
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.workers import one_thread, workers
+from kinefilter.pipeline.extras import require
+from kinefilter.pipeline.workers import workers
 
+from .manifest import Row
 from .plan import Job
-from .row import Row
 from .task import clean_file
 
+_SCHEDULED = 1000  # jobs that the scheduler has at a time, for workers without one
+_CONNECTED_IN = "10s"  # in which the scheduler has to answer
+_LOOK = 2.0  # s between looks at whether there are workers
 
-class Crew(Protocol):
+
+class Crew(AbstractContextManager["Crew"]):
     """Who does the jobs; a context that ends them."""
 
-    room: int
-    """How many jobs they take at once."""
+    room: int  # how many jobs they take at once
 
-    @property
-    def idle(self) -> bool:
-        """Whether nobody is there."""
+    def is_idle(self) -> bool:
+        """Tell whether there are no workers."""
+        return False
 
+    @abstractmethod
     def submit(self, job: Job) -> None:
         """Give them a job."""
 
+    @abstractmethod
     def finished(self) -> list[tuple[Job, Row | None]]:
-        """Wait for jobs; return those done. None: the process died over it.
+        """Wait for jobs; return those done. None: its process died.
 
-        Where nobody is there it does not wait for long.
+        Without workers it does not wait for long.
         """
 
 
-class _Worker:
-    """A process of its own, so that its death shows whose job it was."""
+def open_crew(scheduler: str | None, jobs: int) -> Crew:
+    """Return the workers of a Dask scheduler, or processes of this machine.
 
-    def __init__(self) -> None:
-        self._context: AbstractContextManager[ProcessPoolExecutor] = workers(1)
-        self._pool = self._context.__enter__()
-
-    def submit(self, job: Job) -> Future[Row]:
-        return self._pool.submit(clean_file, job)
-
-    def end(self, *error: Any) -> None:
-        """End the process; with an error it gives up what it is at."""
-        self._context.__exit__(*(error or (None, None, None)))
+    Raises:
+        InputError: No scheduler answers at the address, or Dask is not installed.
+    """
+    return _Processes(jobs) if scheduler is None else _Cluster(scheduler)
 
 
-class Processes:
-    """Processes of this machine, each with one thread of linear algebra."""
-
-    idle = False
+class _Processes(Crew):
+    """Pools of one process each, which tells whose job killed it."""
 
     def __init__(self, count: int) -> None:
         self.room = count
-        self._running: dict[Future[Row], tuple[Job, _Worker]] = {}
-        self._resting: list[_Worker] = []
-        self._stack = ExitStack()
+        self._running: dict[Future[Row], tuple[Job, _Pool]] = {}
+        self._resting: list[_Pool] = []
 
-    def __enter__(self) -> Self:
-        self._stack.enter_context(one_thread())
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        crew = [worker for _, worker in self._running.values()] + self._resting
-        with self._stack, ThreadPoolExecutor(max(1, len(crew))) as ending:
-            # All at once: each finishes or gives up what it is at.
-            for worker in crew:
-                ending.submit(worker.end, kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        pools = [pool for _, pool in self._running.values()] + self._resting
+        with ThreadPoolExecutor(max(1, len(pools))) as ending:
+            # All at once: each finishes its take, or gives it up after an error.
+            for pool in pools:
+                ending.submit(pool.__exit__, *error)
 
     def submit(self, job: Job) -> None:
-        """Give a job to a process that rests, or to a new one."""
-        worker = self._resting.pop() if self._resting else _Worker()
-        self._running[worker.submit(job)] = job, worker
+        pool = self._resting.pop() if self._resting else _Pool()
+        self._running[pool.executor.submit(clean_file, job)] = job, pool
 
     def finished(self) -> list[tuple[Job, Row | None]]:
-        """Wait for jobs; return those done."""
-        done = wait(self._running, return_when=FIRST_COMPLETED).done
         results = []
-        for future in done:
-            job, worker = self._running.pop(future)
-            row = finished_row(future, job, (BrokenProcessPool,))
+        for future in wait(self._running, return_when=FIRST_COMPLETED).done:
+            job, pool = self._running.pop(future)
+            row = _row_of(future, job, BrokenProcessPool)
             if row is None:
-                worker.end()
+                pool.close()
             else:
-                self._resting.append(worker)
+                self._resting.append(pool)
             results.append((job, row))
         return results
 
 
-def finished_row(
-    future: Future[Row], job: Job, deaths: Sequence[type[BaseException]]
-) -> Row | None:
-    """Return the row of a job that is done; None where its process died.
+class _Pool(ExitStack):
+    executor: ProcessPoolExecutor
 
-    Args:
-        future: What is done.
-        job: The job.
-        deaths: Errors by which a process's death is told.
+    def __init__(self) -> None:
+        super().__init__()
+        self.executor = self.enter_context(workers(1))
 
-    Raises:
-        InputError: Nobody works any more.
+
+class _Cluster(Crew):
+    """The workers of a Dask scheduler.
+
+    A job whose worker dies goes to another, as often as the cluster's setting
+    ``distributed.scheduler.allowed-failures`` allows.
     """
+
+    room = _SCHEDULED
+
+    def __init__(self, address: str) -> None:
+        require("distributed", "--scheduler", "cluster")
+        import distributed
+
+        # Its log of a scheduler that goes away is one line of ours, see ``_row_of``.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+        try:
+            client: Any = distributed.Client
+            self._client = client(address, timeout=_CONNECTED_IN)
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"--scheduler {address}: nobody answers ({error}); start one with "
+                "'dask scheduler'"
+            ) from None
+        self._pool = self._client.get_executor(pure=False)
+        self._running: dict[Future[Row], Job] = {}
+
+    def __exit__(self, *_: object) -> None:
+        for future in self._running:
+            future.cancel()
+        self._client.close()
+
+    def is_idle(self) -> bool:
+        try:
+            return not self._client.nthreads()
+        except OSError:  # the scheduler is gone, as its jobs will tell
+            return False
+
+    def submit(self, job: Job) -> None:
+        self._running[self._pool.submit(clean_file, job)] = job
+
+    def finished(self) -> list[tuple[Job, Row | None]]:
+        from distributed.scheduler import KilledWorker
+
+        done = wait(self._running, _LOOK, return_when=FIRST_COMPLETED).done
+        jobs = [(future, self._running.pop(future)) for future in done]
+        return [(job, _row_of(future, job, KilledWorker)) for future, job in jobs]
+
+
+def _row_of(future: Future[Row], job: Job, death: type[BaseException]) -> Row | None:
+    """Return the row of a job that is done; None if it raised that its process died."""
     try:
         return future.result()
     except CancelledError:
         raise InputError(
-            "the cluster has gone; start it, and the same command goes on"
+            "the cluster is gone; start it again, and the same command goes on"
         ) from None
-    except tuple(deaths):
+    except death:
         return None
     except Exception as error:  # such as a worker that has another kinefilter
-        return failed_row(job, f"no worker could do it ({error})")
-
-
-def failed_row(job: Job, error: str) -> Row:
-    """Return the row of a job that nobody could finish."""
-    return Row(
-        take=job.source.take,
-        status="failed",
-        output=job.output,
-        stamp=job.source.file.stamp,
-        sha256="",
-        settings=job.fingerprint,
-        seconds=0.0,
-        error=error,
-    )
+        return job.row("failed", error=f"no worker could clean it ({error})")

@@ -1,7 +1,11 @@
-"""What a run has done: a line a take, never changed once it is there.
+"""What became of each take: a line of the manifest, never changed once written.
 
 The last line of a take is the one that counts. A run that is killed loses at most the
-lines that it was writing; the next one drops what is torn and does those takes again.
+lines that it was writing; the next run drops what is torn and cleans those takes again.
+In a folder the lines are in one file. In a store, where nothing can be appended, they
+are in parts of at most a thousand lines; the last part is rewritten with every row
+until it is full. Every run has parts of its own, so that two runs at once, which should
+not happen, at least lose nothing.
 """
 
 from __future__ import annotations
@@ -9,38 +13,102 @@ from __future__ import annotations
 import csv
 import fcntl
 import io
+import json
 import os
+import time
+import uuid
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Protocol
+from typing import Literal
 
 from kinefilter.characters import InputError
 
-from .local import LocalStore
-from .remote_manifest import PartedManifest
-from .row import ClipRow, Row, parse_rows
-from .store import Store
+from .store import Store, store_at
 
-LINES = "manifest.jsonl"
-"""Name of the file of lines, which a resumed run reads; a URL has ``PARTS``."""
-CSV = "manifest.csv"
-"""Name of the table for people, written when a run ends."""
-
-_CLIP_COLUMNS = tuple(
-    field.name for field in fields(ClipRow) if field.name not in ("stamp", "sha256")
-)
+_LINES = "manifest.jsonl"  # at a URL, files in the folder _PARTS
+_PARTS = "manifest"
+_CSV = "manifest.csv"
+_FULL = 1000  # rows of a part: under a megabyte
 
 
-class Manifest(Protocol):
-    """The lines of one output folder."""
+Status = Literal["done", "failed", "no take"]
+"""What became of a file; of a take that failed at least one clip is missing."""
 
-    rows: dict[str, Row]
-    """The last row of each take."""
+
+@dataclass(frozen=True, slots=True)
+class ClipRow:
+    """A clip of one person, and its main figures; None where nothing was measured."""
+
+    output: str  # path below the output folder, split by /
+    stamp: str  # size and time of the file when it was written
+    sha256: str
+    body: int  # which person of the take, counted from 1
+    frames: int
+    motion_seconds: float
+    jitter_raw: float  # of the take [m/s^3], see Quality
+    jitter: float  # of the clip [m/s^3]
+    skate_mm_per_frame: float | None  # how far feet slide on the floor, mean
+    external_force_body_weights: float | None  # beyond what a floor could bear, mean
+    share_outside_database: float | None  # of frames; the database lacks their posture
+    failures: int  # of the tracker, gross ones
+    notes: tuple[str, ...]  # what the user should know
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A file that was looked at."""
+
+    take: str  # its name, see Source
+    status: Status
+    output: str  # the clip's path in the output folder, without a person's number
+    stamp: str  # size and time of the take's file when it was read
+    sha256: str = ""  # of the take's file; empty if it could not be read
+    settings: str = ""  # their fingerprint
+    seconds: float = 0.0  # that it took
+    clips: tuple[ClipRow, ...] = ()  # one per person
+    error: str = ""  # why a clip is missing
+
+    def as_json(self) -> str:
+        """Return the row as a line, without a line end."""
+        return json.dumps(asdict(self), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, line: str) -> Row:
+        """Return the row of a line.
+
+        Raises:
+            ValueError: The line is damaged, or of another version.
+        """
+        values = json.loads(line)
+        try:
+            clips = tuple(
+                ClipRow(**{**clip, "notes": tuple(clip["notes"])})
+                for clip in values.pop("clips")
+            )
+            return cls(**values, clips=clips)
+        except (TypeError, KeyError, AttributeError) as error:
+            raise ValueError(f"not a row of a manifest: {error}") from None
+
+
+class Manifest(ABC):
+    """The rows of one output folder."""
+
+    rows: dict[str, Row]  # the last of each take
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Add rows; they are on the disk when this returns."""
+        """Add rows; they are on the disk when this returns.
+
+        Raises:
+            InputError: They cannot be written.
+        """
+        self._write([row.as_json() + "\n" for row in rows])
+        self.rows.update((row.take, row) for row in rows)
+
+    @abstractmethod
+    def _write(self, lines: Sequence[str]) -> None: ...
 
 
 @contextmanager
@@ -51,17 +119,10 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
         InputError: Another run writes there, nothing can be written, or a line that is
             not the last is damaged.
     """
-    if isinstance(store, LocalStore):
-        with _opened(store) as file:
-            yield _Appended(file, store.path(LINES))
-    else:
-        yield PartedManifest(store)
-
-
-@contextmanager
-def _opened(store: LocalStore) -> Iterator[io.FileIO]:
-    """Yield the file of lines, which this process alone writes."""
-    path = Path(store.path(LINES))
+    if not store.is_local:
+        yield _InParts(store)
+        return
+    path = Path(store.path(_LINES))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+")
@@ -71,46 +132,90 @@ def _opened(store: LocalStore) -> Iterator[io.FileIO]:
         ) from error
     with file:
         try:
-            # The system lets go of it when the process ends, however it does.
+            # The system releases the lock when the process ends, however it ends.
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise InputError(
                 f"{store.root}: another run writes there; wait for it, or write "
                 "elsewhere"
             ) from None
-        yield file
+        yield _InFile(file, path)
 
 
-class _Appended:
-    """Lines at the end of a local file."""
+class _InFile(Manifest):
+    """Lines of a local file, which this process alone writes."""
 
-    def __init__(self, file: io.FileIO, path: str) -> None:
-        data = file.readall()
-        lines, self._length = parse_rows(data, path)
+    def __init__(self, file: io.FileIO, path: Path) -> None:
+        rows, self._length = parse_rows(file.readall(), str(path))
         file.truncate(self._length)
         self._file, self._path = file, path
-        self.rows = {row.take: row for row in lines}
+        self.rows = {row.take: row for row in rows}
 
-    def append(self, rows: Sequence[Row]) -> None:
-        data = memoryview("".join(row.as_json() + "\n" for row in rows).encode())
+    def _write(self, lines: Sequence[str]) -> None:
+        data = memoryview("".join(lines).encode())
         try:
             self._file.seek(self._length)
-            _write_all(self._file, data)
+            while data:  # the system may take a part of it at a time
+                data = data[self._file.write(data) or 0 :]
             os.fsync(self._file.fileno())
         except OSError as error:
-            self._file.truncate(self._length)  # takes no room, unlike half a line
+            self._file.truncate(self._length)  # needs no room, unlike half a line
             raise InputError(
                 f"{self._path}: cannot be written ({error.strerror}); make room, and "
                 "the same command goes on"
             ) from error
         self._length = self._file.tell()
-        self.rows.update((row.take, row) for row in rows)
 
 
-def _write_all(file: io.FileIO, data: memoryview) -> None:
-    """Write bytes, however many of them the system takes at a time."""
-    while data:
-        data = data[file.write(data) or 0 :]
+class _InParts(Manifest):
+    """Lines of several files in a store."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store_at(f"{store.root}/{_PARTS}")
+        self._lines: list[str] = []
+        self._full = 0
+        # Parts are read in the order of their names: a later run's rows count.
+        self._run = f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
+        self.rows: dict[str, Row] = {}
+        for name in sorted(file.name for file in self._store.files()):
+            with self._store.reading(name) as path:
+                rows, _ = parse_rows(path.read_bytes(), self._store.path(name))
+            self.rows |= {row.take: row for row in rows}
+
+    def _write(self, lines: Sequence[str]) -> None:
+        self._lines += lines
+        name = f"{self._run}-{self._full:06d}.jsonl"
+        self._store.put(name, "".join(self._lines).encode())
+        if len(self._lines) >= _FULL:
+            self._full, self._lines = self._full + 1, []
+
+
+def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
+    """Return the rows of a manifest, and how many bytes are whole lines.
+
+    A last line that is torn is dropped: the process that wrote it was killed.
+
+    Raises:
+        InputError: Another line is damaged.
+    """
+    rows = []
+    start = 0
+    for number, line in enumerate(data.splitlines(keepends=True), start=1):
+        end = start + len(line)
+        try:
+            row = Row.from_json(line.decode())
+        except ValueError as error:
+            if end == len(data):
+                break
+            raise InputError(
+                f"{name}: line {number} is damaged ({error}); delete it, and its take "
+                "is cleaned again"
+            ) from None
+        if not line.endswith(b"\n"):
+            break
+        rows.append(row)
+        start = end
+    return rows, start
 
 
 def write_csv(rows: Iterable[Row], store: Store) -> None:
@@ -119,22 +224,18 @@ def write_csv(rows: Iterable[Row], store: Store) -> None:
     Raises:
         InputError: It cannot be written.
     """
+    columns = [f.name for f in fields(ClipRow) if f.name not in ("stamp", "sha256")]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(("take", "status", *_CLIP_COLUMNS, "seconds", "error"))
+    table.writerow(("take", "status", *columns, "seconds", "error"))
     for row in sorted(rows, key=lambda row: row.take):
         if row.status == "no take":
             continue
-        clips = [_cells(clip) for clip in row.clips] or [[""] * len(_CLIP_COLUMNS)]
-        for cells in clips:
-            taken = f"{row.seconds:.3f}"
-            table.writerow((row.take, row.status, *cells, taken, row.error))
-    store.put(CSV, text.getvalue().encode())
-
-
-def _cells(clip: ClipRow) -> list[str]:
-    values = (getattr(clip, column) for column in _CLIP_COLUMNS)
-    return [_cell(value) for value in values]
+        clips = [[_cell(getattr(clip, name)) for name in columns] for clip in row.clips]
+        for cells in clips or [[""] * len(columns)]:
+            seconds = f"{row.seconds:.3f}"
+            table.writerow((row.take, row.status, *cells, seconds, row.error))
+    store.put(_CSV, text.getvalue().encode())
 
 
 def _cell(value: object) -> str:

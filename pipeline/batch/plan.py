@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config_files import (
@@ -18,36 +19,53 @@ from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import LARGEST_TOML, read_limited
 from kinefilter.pipeline.settings import Settings, fingerprint
 
-from .contacts import check_contacts
-from .local import LocalStore
-from .naming import clip_names
-from .row import Row
-from .sources import Source
-from .store import Found, Store, real
+from .manifest import Row, Status
+from .sources import Source, clip_names
+from .store import Store, StoredFile, canonical
 
-_ZIPPED = 4  # times as long as its file is what was zipped: numbers give 2 to 10
+_ZIPPED = 4  # size of text over that of its gzip file: numbers give 2 to 10
 
 
 @dataclass(frozen=True)
 class Job:
-    """A take to clean; goes to other processes as it is."""
+    """A take to clean; can be sent to other processes."""
 
     source: Source
-    """The take's file."""
-    store: Store
-    """Where the clip goes."""
-    output: str
-    """Its path there, without a person's number."""
+    store: Store  # where the clip is written
+    output: str  # the clip's path there, without a person's number
     settings: Settings
-    """What is done."""
-    fingerprint: str
-    """A hash of that."""
+    fingerprint: str  # of the settings
 
     @property
     def size(self) -> int:
-        """About how many bytes of text the take has, for how long it will take."""
+        """About how many bytes of text the take has, to estimate its duration."""
         file = self.source.file
         return file.size * (_ZIPPED if file.name.lower().endswith(".gz") else 1) + 1
+
+    def row(self, status: Status, **known: Any) -> Row:
+        """Return what became of the take."""
+        known |= {"settings": self.fingerprint}
+        source = self.source
+        return Row(source.take, status, self.output, source.file.stamp, **known)
+
+    def is_done(self, row: Row, written: Mapping[str, StoredFile]) -> bool:
+        """Tell whether an earlier run did this job, and its clips are still there.
+
+        A file is the same if size and time are, or else if its bytes are. So nothing is
+        read twice, and a copied folder is not cleaned again.
+        """
+        if row.status == "failed" or row.settings != self.fingerprint:
+            return False
+        source, file = self.source.store, self.source.file
+        same = file.stamp == row.stamp or source.sha256(file.name) == row.sha256
+        return (same and row.output == self.output) and all(
+            (found := written.get(clip.output)) is not None
+            and (
+                found.stamp == clip.stamp
+                or self.store.sha256(found.name) == clip.sha256
+            )
+            for clip in row.clips
+        )
 
 
 def plan_jobs(
@@ -62,120 +80,104 @@ def plan_jobs(
     """Return a job for every file, the longest first.
 
     Settings of ``kinefilter.toml`` in a take's folder, and in those above it up to the
-    one that was searched, are stronger than ``files``; the nearest is the strongest.
+    one that was searched, override ``files``; the nearest overrides the others.
 
     Args:
         sources: Files to look at.
-        store: Where clips go.
-        settings: What holds where no file says anything.
+        store: Where clips are written.
+        settings: Values that hold where no file sets others.
         suffix: Extension of the clips, such as ``.usdc``.
-        files: Files of settings for all takes, the strongest last.
-        given: Names of settings that no file may change, as the user gave them.
+        files: Files of settings for all takes; later ones override earlier ones.
+        given: Names of settings that the user gave, which no file may change.
 
     Raises:
         InputError: A file of settings is wrong, contacts of one take are given to
             several, or a clip would overwrite a take.
     """
-    folders = _Folders(overlaid(settings, files, given), given, suffix, store)
-    chosen = [folders.settings_of(source) for source in sources]
-    check_contacts(
-        (source, settings)
-        for source, (settings, _) in zip(sources, chosen, strict=True)
-    )
-    several = any(settings.body == "all" for settings, _ in chosen)
-    takes = [source.take for source in sources]
-    names = clip_names(takes, suffix, several=several)
-    jobs = [
-        Job(source, store, name, *own)
-        for source, name, own in zip(sources, names, chosen, strict=True)
-    ]
-    _keep_takes(jobs, store)
-    return sorted(jobs, key=lambda job: (-job.size, job.source.take))
+    known: dict[tuple[str, str], Settings] = {}
 
-
-class _Folders:
-    """The settings of folders, each read once."""
-
-    def __init__(
-        self, settings: Settings, given: Collection[str], suffix: str, out: Store
-    ) -> None:
-        self._settings, self._given = settings, given
-        self._suffix, self._out = suffix, out
-        self._known: dict[tuple[str, str], Settings] = {}
-        self._checked: dict[Settings, str] = {}
-
-    def settings_of(self, source: Source) -> tuple[Settings, str]:
-        """Return settings and their fingerprint."""
-        folder = PurePosixPath(source.file.name).parent
-        settings = self._inherited(source.store, folder)
-        if settings not in self._checked:
-            _check(settings, self._out, self._suffix)
-            self._checked[settings] = fingerprint(settings, self._suffix)
-        return settings, self._checked[settings]
-
-    def _inherited(self, store: Store, folder: PurePosixPath) -> Settings:
+    def settings_of(store: Store, folder: PurePosixPath) -> Settings:
         key = store.root, str(folder)
-        if key not in self._known:
-            above = self._settings
-            if folder != folder.parent:
-                above = self._inherited(store, folder.parent)
-            file = _settings_file(store, str(folder / FOLDER_FILE))
-            own = [] if file is None else [file]
-            self._known[key] = overlaid(above, own, self._given)
-        return self._known[key]
+        if key not in known:
+            top = folder == folder.parent
+            above = start if top else settings_of(store, folder.parent)
+            own = _settings_files(store, str(folder / FOLDER_FILE))
+            known[key] = overlaid(above, own, given)
+        return known[key]
 
-
-def _settings_file(store: Store, name: str) -> SettingsFile | None:
-    if store.found(name) is None:
-        return None
-    with store.reading(name) as path:
-        text = read_limited(path, LARGEST_TOML)
-    folder = Path(store.path(name)).parent if isinstance(store, LocalStore) else None
-    return parse_settings(text, store.path(name), folder)
-
-
-def _check(settings: Settings, out: Store, suffix: str) -> None:
-    """Raise what every take of a folder would fail by."""
-    where = Path(tempfile.gettempdir()) / f"clip{suffix}"
-    check_writable(where, settings.export)
-    layer = settings.export.character
-    if layer is not None and not (layer.is_file() and isinstance(out, LocalStore)):
-        raise InputError(
-            f"--character {layer}: many clips can only refer to a layer of this "
-            "machine that is there; write it with 'kinefilter clean --character'"
-        )
-
-
-def _keep_takes(jobs: Sequence[Job], store: Store) -> None:
-    """Raise an InputError if a clip would overwrite a take."""
-    takes, root = {job.source.place for job in jobs}, real(store.root)
+    start = overlaid(settings, files, given)
+    folders = [PurePosixPath(source.file.name).parent for source in sources]
+    chosen = [
+        settings_of(source.store, folder)
+        for source, folder in zip(sources, folders, strict=True)
+    ]
+    fingerprints = {}
+    for one in dict.fromkeys(chosen):
+        _check(one, store, suffix)
+        fingerprints[one] = fingerprint(one, suffix)
+    _check_contacts(zip(sources, chosen, strict=True))
+    several = any(one.body == "all" for one in chosen)
+    names = clip_names([source.take for source in sources], suffix, several=several)
+    jobs = [
+        Job(source, store, name, one, fingerprints[one])
+        for source, name, one in zip(sources, names, chosen, strict=True)
+    ]
+    takes, root = {source.place for source in sources}, canonical(store.root)
     for job in jobs:
         if f"{root}/{job.output}" in takes:
             raise InputError(
-                f"{job.store.path(job.output)}: would overwrite a take; write into "
-                "another folder"
+                f"{store.path(job.output)}: would overwrite a take; write into another "
+                "folder"
             )
+    return sorted(jobs, key=lambda job: (-job.size, job.source.take))
 
 
-def is_done(job: Job, row: Row | None, written: Mapping[str, Found]) -> bool:
-    """Tell whether a job was done by an earlier run, and what it wrote is there.
+def _settings_files(store: Store, name: str) -> list[SettingsFile]:
+    """Return the file of settings of that name, if it is there."""
+    if store.find(name) is None:
+        return []
+    with store.reading(name) as path:
+        text = read_limited(path, LARGEST_TOML)
+    folder = Path(store.path(name)).parent if store.is_local else None
+    return [parse_settings(text, store.path(name), folder)]
 
-    A file is the same if size and time are, and otherwise if its bytes are: so that
-    nothing is read twice, and a copied folder is not cleaned again.
 
-    Args:
-        job: What there is to do.
-        row: The last row of its take.
-        written: What is in the output folder, by name.
-    """
-    if row is None or row.status == "failed" or row.settings != job.fingerprint:
+def _check(settings: Settings, out: Store, suffix: str) -> None:
+    """Raise an InputError that every take with these settings would raise."""
+    where = Path(tempfile.gettempdir()) / f"clip{suffix}"
+    check_writable(where, settings.export)
+    layer = settings.export.character
+    if layer is not None and not (layer.is_file() and out.is_local):
+        raise InputError(
+            f"--character {layer}: the clips of a batch can only refer to a layer that "
+            "exists on this machine; write it with 'kinefilter clean --character'"
+        )
+
+
+def _check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
+    """Raise an InputError if a file of contacts would be used for several people."""
+    takes: dict[Path, str] = {}
+    for source, settings in planned:
+        file = settings.config.contacts
+        if file is None or not _is_take(source, settings):
+            continue
+        if settings.body == "all":
+            raise InputError(
+                f"--contacts {file}: is for one person; choose the person with --body"
+            )
+        if file in takes:
+            raise InputError(
+                f"--contacts {file}: is for one take, not for both {takes[file]} and "
+                f"{source.take}; put that take in a folder of its own, with a "
+                "kinefilter.toml that sets it, or use 'kinefilter clean'"
+            )
+        takes[file] = source.take
+
+
+def _is_take(source: Source, settings: Settings) -> bool:
+    """Tell takes from other files; a file that cannot be read fails in its own job."""
+    try:
+        with source.store.reading(source.file.name) as path:
+            return source.is_take(path, settings.format)
+    except InputError:
         return False
-    source = job.source
-    same = source.file.stamp == row.stamp or (
-        source.store.sha256(source.file.name) == row.sha256
-    )
-    return (same and row.output == job.output) and all(
-        (file := written.get(clip.output)) is not None
-        and (file.stamp == clip.stamp or job.store.sha256(file.name) == clip.sha256)
-        for clip in row.clips
-    )

@@ -1,9 +1,10 @@
-"""Which files may be takes, each with a name of its own."""
+"""Which files may be takes, each under a name of its own, and how clips are named."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -11,143 +12,157 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats.takes import claims_take
 
-from .naming import apart
-from .places import kind_of, store_at
-from .store import Found, Store, is_url, real
+from .store import Store, StoredFile, canonical, is_folder, is_url, store_at
 
 _TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh")
 """Extensions of files that may be takes, zipped (``.gz``) or not."""
 _CERTAIN = (".skeleton", ".bvh")
-"""Those that nothing but takes has."""
+"""Extensions that only takes have."""
 
 
 @dataclass(frozen=True)
 class Source:
     """A file that may be a take."""
 
-    take: str
-    """Path below the folder that was searched, by which the manifest knows it."""
+    take: str  # its name in the manifest: the path below the folder that was searched
     store: Store
-    """What it lies in."""
-    place: str
-    """Its path without links, or its URL."""
-    file: Found
-    """Where in the store."""
-    named: bool
-    """The user named it, so it is a take."""
+    place: str  # its path without links, or its URL
+    file: StoredFile
+    named: bool  # by the user, this very file: then it is a take
+
+    def is_take(self, path: Path, layout: TakeFormat | None) -> bool:
+        """Tell a take, even a broken one, from other files.
+
+        Args:
+            path: Where the file, or a copy of it, can be read.
+            layout: The layout that the user gave for all files, if any.
+
+        Raises:
+            InputError: The file cannot be read.
+        """
+        name = self.file.name.lower().removesuffix(".gz")
+        certain = self.named or layout is not None or name.endswith(_CERTAIN)
+        return certain or claims_take(path)
 
 
 def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
-    """Return the files to look at, of any place those with extensions of takes.
+    """Return the named files, and those in folders with an extension of takes.
 
-    A file that is found twice counts once. Of several inputs each folder's takes have
-    its name in front of theirs.
-
-    Args:
-        inputs: Files and folders, paths or URLs.
-        out: Folder to write to, which is not searched.
+    A file that is found twice counts once. With several inputs, the takes of a folder
+    are prefixed with the folder's name.
 
     Raises:
-        InputError: An input is not there, nothing is in it, or it is ``out``.
+        InputError: An input does not exist or is ``out``, or nothing was found.
     """
-    sources: list[Source] = []
-    seen: set[str] = set()
-    names: Counter[str] = Counter()
+    sources: dict[str, Source] = {}
+    labels: Counter[str] = Counter()
     for place in inputs:
-        found = _in_folder(place, out) if _is_folder(place, out) else _alone(place)
-        label = _label(place, found, names) if len(inputs) > 1 else ""
+        found = _in_folder(place, out) if is_folder(place) else [_named_file(place)]
+        if len(inputs) > 1 and not (len(found) == 1 and found[0].named):
+            label = _label(place, labels)
+            found = [replace(one, take=f"{label}/{one.take}") for one in found]
         for source in found:
-            if source.place not in seen:
-                seen.add(source.place)
-                sources.append(_labeled(source, label))
+            sources.setdefault(source.place, source)
     if not sources:
         raise InputError(
             f"{', '.join(inputs)}: no file with an extension of takes ("
             f"{', '.join(_TAKES)}, or .gz of these); check the name"
         )
-    return _apart(sources)
-
-
-def is_take(source: Source, path: Path, layout: TakeFormat | None) -> bool:
-    """Tell a file that is a take, or a broken one, from others.
-
-    Args:
-        source: The file.
-        path: Where it, or a copy, can be read.
-        layout: That of all files, if the user said it.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
-    name = source.file.name.lower().removesuffix(".gz")
-    certain = source.named or layout is not None or name.endswith(_CERTAIN)
-    return certain or claims_take(path)
-
-
-def _is_folder(place: str, out: str) -> bool:
-    """Tell a folder from a file; raise where there is neither."""
-    kind = kind_of(place)
-    if kind is None:
-        raise InputError(f"{place}: there is no such file or folder; check the name")
-    if kind == "folder" and real(place) == real(out):
-        raise InputError(
-            f"{out}: is searched for takes itself; write into a folder of its own, "
-            "which may lie in it"
-        )
-    return kind == "folder"
-
-
-def _in_folder(place: str, out: str) -> list[Source]:
-    store, root = store_at(place), real(place)
-    # What is written is not searched, if it lies in what is.
-    written = f"{real(out)}/".removeprefix(f"{root}/")
+    names = unique_names(source.take for source in sources.values())
     return [
-        Source(file.name, store, f"{root}/{file.name}", file, named=False)
-        for file in _candidates(store)
-        if not file.name.startswith(written)
+        replace(source, take=name)
+        for source, name in zip(sources.values(), names, strict=True)
     ]
 
 
-def _candidates(store: Store) -> Iterator[Found]:
-    for file in store.files():
-        if PurePosixPath(file.name.lower().removesuffix(".gz")).suffix in _TAKES:
-            yield file
+def _in_folder(place: str, out: str) -> list[Source]:
+    store, root = store_at(place), canonical(place)
+    if root == canonical(out):
+        raise InputError(
+            f"{out}: is also searched for takes; write into another folder, which may "
+            "be inside it"
+        )
+    # If the output is inside the searched folder, it is left out.
+    written = f"{canonical(out)}/".removeprefix(f"{root}/")
+    return [
+        Source(file.name, store, f"{root}/{file.name}", file, named=False)
+        for file in store.files()
+        if file.name.lower().removesuffix(".gz").endswith(_TAKES)
+        and not file.name.startswith(written)
+    ]
 
 
-def _alone(place: str) -> list[Source]:
+def _named_file(place: str) -> Source:
     """Return a file that the user named, whatever its extension."""
     path = place if is_url(place) else str(Path(place).absolute())
     folder, _, name = path.rpartition("/")
     store = store_at(folder or "/")
-    file = store.found(name)
+    file = store.find(name)
     if file is None:
         raise InputError(f"{place}: there is no such file; check the name")
-    return [Source(name, store, real(place), file, named=True)]
+    return Source(name, store, canonical(place), file, named=True)
 
 
-def _label(place: str, found: Sequence[Source], names: Counter[str]) -> str:
-    """Return what comes in front of a folder's takes: its name, and perhaps a number.
-
-    Args:
-        place: The input.
-        found: What is in it.
-        names: How often each name has been given.
-    """
-    if len(found) == 1 and found[0].named:
-        return ""
+def _label(place: str, labels: Counter[str]) -> str:
+    """Return the prefix of a folder's takes: its name, numbered if it was given."""
     name = PurePosixPath(place).name
     if name in ("", ".."):
-        name = PurePosixPath(real(place)).name
-    names[name] += 1
-    return name if names[name] == 1 else f"{name}-{names[name]}"
+        name = PurePosixPath(canonical(place)).name
+    labels[name] += 1
+    return name if labels[name] == 1 else f"{name}-{labels[name]}"
 
 
-def _labeled(source: Source, label: str) -> Source:
-    return replace(source, take=f"{label}/{source.take}") if label else source
+def clip_names(
+    takes: Sequence[str], suffix: str, *, several: bool = False
+) -> list[str]:
+    """Return the path of each take's clip, no two the same.
+
+    ``walks/fast.csv.gz`` becomes ``walks/fast.usdc``. Takes that differ only in their
+    extension keep it: ``fast.csv.usdc`` and ``fast.bvh.usdc``. So a name depends on
+    which other takes there are, but not on their order.
+
+    Args:
+        takes: Paths of the takes, no two the same.
+        suffix: Extension of the clips, such as ``.usdc``.
+        several: Takes may give a clip for each of several people, see ``numbered``.
+    """
+    key = _without_number if several else str.casefold
+    names, longer = list[str](), [_stem(take) for take in takes]
+    while names != longer:
+        names, counts = longer, Counter(map(key, longer))
+        longer = [
+            take if counts[key(name)] > 1 else name
+            for take, name in zip(takes, names, strict=True)
+        ]
+    return [name + suffix for name in unique_names(names, str.casefold)]
 
 
-def _apart(sources: Sequence[Source]) -> list[Source]:
-    names = apart(source.take for source in sources)
-    return [
-        replace(source, take=name) for source, name in zip(sources, names, strict=True)
-    ]
+def unique_names(names: Iterable[str], key: Callable[[str], str] = str) -> list[str]:
+    """Return names, each but the first of those with the same key prefixed by a number.
+
+    Args:
+        names: Paths, split by ``/``; the number is put before the last part.
+        key: Names with the same key count as the same.
+    """
+    taken: set[str] = set()
+    unique = []
+    for name in names:
+        path, free, number = PurePosixPath(name), name, 1
+        while key(free) in taken:
+            number += 1
+            free = str(path.with_name(f"{number}-{path.name}"))
+        taken.add(key(free))
+        unique.append(free)
+    return unique
+
+
+def _without_number(name: str) -> str:
+    """Return a name without numbers at its end, which a person's number could match."""
+    return re.sub(r"(\.\d+)+$", "", name.casefold())
+
+
+def _stem(take: str) -> str:
+    path = PurePosixPath(take)
+    if path.suffix.lower() == ".gz":
+        path = path.with_suffix("")
+    return str(path.with_suffix(""))

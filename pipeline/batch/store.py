@@ -1,56 +1,197 @@
-"""What a place is where takes are and clips go."""
+"""Where takes are read and clips are written: a folder, or a URL that fsspec knows.
+
+fsspec (``s3://``, ``gs://``, ``file://`` and others) comes with the extra ``cluster``
+and is imported where it is used.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import AbstractContextManager
+import os
+import re
+import tempfile
+import uuid
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
+from pathlib import Path, PurePosixPath
+from typing import Any, ClassVar
+
+from kinefilter.characters import InputError
+from kinefilter.pipeline.extras import require
+from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.settings import hash_of
+
+# Names that ``atomic_path`` gives to temporary files: a dot and a random UUID.
+_TEMPORARY = re.compile(r"\.[0-9a-f]{12}4[0-9a-f]{3}[89ab][0-9a-f]{15}(\..*)?")
+_WHOLE_PUTS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"})
+"""Object stores: a file appears there whole or not at all, and renaming is a copy."""
+_TAGS = ("ETag", "etag", "md5", "mtime", "LastModified", "last_modified", "updated")
+"""Keys under which file systems report a file's last change, the most exact first."""
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class StoredFile:
     """A file in a store."""
 
-    name: str
-    """Path below the store's root, split by ``/``."""
-    size: int
-    """Bytes."""
-    stamp: str
-    """Changes whenever the file does: size, and time or tag of its last change."""
+    name: str  # path below the store's root, split by /
+    size: int  # bytes
+    stamp: str  # size, and time or tag of the last change: another whenever it changes
 
 
-class Store(Protocol):
-    """A folder with all that is below it; goes to other processes as it is."""
+@dataclass(frozen=True)
+class Store(ABC):
+    """A folder with all that is below it; can be sent to other processes."""
 
-    @property
-    def root(self) -> str:
-        """Where it is."""
+    root: str  # absolute path, or URL without a slash at its end
+    is_local: ClassVar[bool]
 
     def path(self, name: str) -> str:
-        """Return where a file is, for messages."""
+        """Return the path or URL of a file."""
+        return f"{self.root.rstrip('/')}/{name}"
 
-    def files(self) -> Iterator[Found]:
+    @abstractmethod
+    def files(self) -> Iterator[StoredFile]:
         """Yield what is below the root, hidden files and folders left out."""
 
-    def found(self, name: str) -> Found | None:
+    @abstractmethod
+    def find(self, name: str) -> StoredFile | None:
         """Return a file if it is there."""
 
-    def sha256(self, name: str) -> str:
-        """Return the hash of a file's bytes."""
-
+    @abstractmethod
     def reading(self, name: str) -> AbstractContextManager[Path]:
         """Yield a path of this machine to read a file from."""
 
+    @abstractmethod
     def writing(self, name: str) -> AbstractContextManager[Path]:
-        """Yield a path to write a file to, which appears whole or not at all.
+        """Yield a path of this machine to write a file to; folders are made.
 
-        Folders are made. The writer must not leave half a file under the path.
+        The writer must not leave half a file under the path.
         """
+
+    def sha256(self, name: str) -> str:
+        """Return the hash of a file's bytes."""
+        with self.reading(name) as path:
+            return hash_of(path)
 
     def put(self, name: str, data: bytes) -> None:
         """Write a file, whole or not at all."""
+        with self.writing(name) as path, atomic_path(path) as temporary:
+            temporary.write_bytes(data)
+
+
+class _LocalStore(Store):
+    """A folder of this machine, or one that it has mounted."""
+
+    is_local = True
+
+    def files(self) -> Iterator[StoredFile]:
+        for folder, folders, names in os.walk(self.root, onerror=_raise_unreadable):
+            folders[:] = sorted(name for name in folders if name[0] != ".")
+            inside = Path(folder).relative_to(self.root)
+            for name in sorted(names):
+                file = self.find((inside / name).as_posix())
+                if name[0] != "." and file is not None:
+                    yield file
+
+    def find(self, name: str) -> StoredFile | None:
+        try:
+            stat = Path(self.root, name).stat()
+        except OSError:
+            return None
+        return StoredFile(name, stat.st_size, f"{stat.st_size}-{stat.st_mtime_ns}")
+
+    @contextmanager
+    def reading(self, name: str) -> Iterator[Path]:
+        yield Path(self.root, name)
+
+    @contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
+        path = Path(self.root, name)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
+            ) from error
+        yield path
+
+
+class _RemoteStore(Store):
+    """A folder of a file system that fsspec knows."""
+
+    is_local = False
+
+    def files(self) -> Iterator[StoredFile]:
+        system, root = _file_system(self.root)
+        with _as_input_error(self.root):
+            # Folder by folder: a listing of everything may not fit into memory.
+            for folder, folders, files in system.walk(root, detail=True):
+                for name in [name for name in folders if name[0] == "."]:
+                    del folders[name]
+                inside = PurePosixPath(str(folder).removeprefix(root).strip("/"))
+                for name in sorted(files):
+                    if name[0] != ".":
+                        yield _stored_file((inside / name).as_posix(), files[name])
+
+    def find(self, name: str) -> StoredFile | None:
+        system, root = _file_system(self.root)
+        with _as_input_error(self.path(name)):
+            try:
+                return _stored_file(name, system.info(f"{root}/{name}"))
+            except FileNotFoundError:
+                return None
+
+    @contextmanager
+    def reading(self, name: str) -> Iterator[Path]:
+        """Yield a local copy of a file."""
+        system, root = _file_system(self.root)
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder) / PurePosixPath(name).name
+            with _as_input_error(self.path(name)):
+                system.get_file(f"{root}/{name}", str(copy))
+            yield copy
+
+    @contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
+        """Yield a local path; the file written there is then uploaded."""
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder) / PurePosixPath(name).name
+            yield copy
+            with _as_input_error(self.path(name)):
+                self._upload(copy, name)
+
+    def _upload(self, copy: Path, name: str) -> None:
+        system, root = _file_system(self.root)
+        target = f"{root}/{name}"
+        if self.root.partition("://")[0] in _WHOLE_PUTS:
+            system.put_file(str(copy), target)
+            return
+        parent, _, last = target.rpartition("/")
+        temporary = f"{parent}/.{uuid.uuid4().hex}.{last}"
+        system.makedirs(parent, exist_ok=True)
+        try:
+            system.put_file(str(copy), temporary)
+            system.mv(temporary, target)
+        except BaseException:
+            if system.exists(temporary):
+                system.rm_file(temporary)
+            raise
+
+
+def remove_unfinished(store: Store) -> None:
+    """Remove temporary files that killed processes left in a local store."""
+    for folder, _, names in os.walk(store.root) if store.is_local else ():
+        for name in names:
+            if _TEMPORARY.fullmatch(name):
+                Path(folder, name).unlink(missing_ok=True)
+
+
+def store_at(place: str) -> Store:
+    """Return the store whose root is a path or URL."""
+    if is_url(place):
+        return _RemoteStore(place.rstrip("/"))
+    return _LocalStore(str(Path(place).absolute()))
 
 
 def is_url(place: str) -> bool:
@@ -58,6 +199,70 @@ def is_url(place: str) -> bool:
     return "://" in place
 
 
-def real(place: str) -> str:
+def is_folder(place: str) -> bool:
+    """Tell a folder from a file.
+
+    Raises:
+        InputError: Neither is there, or the URL cannot be reached.
+    """
+    if is_url(place):
+        system, path = _file_system(place)
+        with _as_input_error(place):
+            folder = system.isdir(path)
+            file = not folder and system.isfile(path)
+    else:
+        folder, file = Path(place).is_dir(), Path(place).is_file()
+    if not folder and not file:
+        raise InputError(f"{place}: there is no such file or folder; check the name")
+    return bool(folder)
+
+
+def canonical(place: str) -> str:
     """Return a path without links, or a URL as it is, without a slash at the end."""
     return place.rstrip("/") if is_url(place) else str(Path(place).resolve())
+
+
+def _raise_unreadable(error: OSError) -> None:
+    raise InputError(
+        f"{error.filename}: cannot be searched ({error.strerror}); check its "
+        "permissions"
+    ) from error
+
+
+def _file_system(url: str) -> tuple[Any, str]:
+    """Return the file system of a URL, and the path in it.
+
+    Raises:
+        InputError: The protocol is unknown or needs a package that is not installed.
+    """
+    require("fsspec", f"the URL {url}", "cluster")
+    from fsspec.core import url_to_fs
+
+    try:
+        system, root = url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        # fsspec names the package: "Install s3fs to access S3".
+        raise InputError(f"{url}: cannot be reached ({error})") from None
+    return system, str(root).rstrip("/")
+
+
+@contextmanager
+def _as_input_error(url: str) -> Iterator[None]:
+    """Turn whatever a file system raises into an InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # every protocol has errors of its own
+        raise InputError(
+            f"{url}: the store refused ({type(error).__name__}: {error}); check the "
+            "address and your permissions"
+        ) from error
+
+
+def _stored_file(name: str, info: Mapping[str, Any]) -> StoredFile:
+    # Without a tag the stamp never matches, so that the file's content decides.
+    tags = (str(info[key]) for key in _TAGS if info.get(key) is not None)
+    tag = next(tags, "") or uuid.uuid4().hex
+    size = int(info.get("size") or 0)
+    return StoredFile(name, size, f"{size}-{tag}")

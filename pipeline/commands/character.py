@@ -8,9 +8,9 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, InputError, standard_body
+from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, standard_body
 
-from .terminal import Skeletons, keep, out
+from .terminal import Skeletons, check_output, keep, out
 
 
 @dataclass(frozen=True)
@@ -20,23 +20,21 @@ class Character:
     out: Annotated[Path, arg(aliases=["-o"])]
     """File to write (.xml)."""
     height: float = STANDARD_HEIGHT
-    """Stature [m]."""
+    """Body height [m]."""
     mass: float | None = None
-    """Body mass [kg]; default: from the stature."""
+    """Body mass [kg]; default: estimated from the height."""
     skeleton: Skeletons = "kinect_v2"
-    """Whose joints it has."""
+    """Skeleton whose joints the character has."""
     scene: str = "basic"
-    """What is around it: a scene (an unknown name lists them), or an MJCF file
+    """Surroundings: a scene (an unknown name lists the scenes), or an MJCF file
     (.xml)."""
 
     def run(self) -> int:
         """Write the character."""
-        from kinefilter.pipeline.formats import atomic_path, check_folder
+        from kinefilter.pipeline.formats import atomic_path
         from kinefilter.scenes import scene_xml
 
-        if self.out.suffix != ".xml":
-            raise InputError(f"{self.out}: expected a name that ends in .xml")
-        check_folder(self.out)
+        check_output(self.out, ".xml")
         keep(self.out, Path(self.scene))
         body = standard_body(
             SKELETONS[self.skeleton], height=self.height, mass=self.mass

@@ -35,43 +35,42 @@ class Clean:
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
     body: int | Literal["all"] | None = None
-    """Which person, counted from 1 as they appear, or all: a clip each, clip.1.usda,
-    clip.2.usda and so on; default: who is seen in most frames."""
+    """Which person, counted from 1 in order of appearance, or all: a clip each,
+    clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
     save_contacts: Path | None = None
-    """Write when which foot stands as a table (CSV), to edit and to use again."""
+    """Also write when which foot stands as a table (CSV), to edit and to use again."""
     report: Path | None = None
-    """Write a web page that shows clip and take side by side, .html."""
+    """Also write a web page that shows clip and take side by side, .html."""
     json: Path | None = None
-    """Write the printed figures to this file too."""
+    """Also write the printed figures to this file."""
     config_file: Annotated[Path | None, arg(name="config")] = None
-    """TOML file of options such as cutoff = 4.0; options given here are stronger."""
+    """TOML file of options such as cutoff = 4.0; options given here override it."""
     given: Suppress[frozenset[str]] = frozenset()
 
     def run(self) -> int:
-        """Clean, write, print."""
-        if self.config_file is not None:
-            return self._as_in(self.config_file)._run()
-        return self._run()
+        """Clean the take, write the clip, and print its figures."""
+        from kinefilter.pipeline.config_files import overlaid, read_settings
 
-    def _run(self) -> int:
-        from kinefilter.pipeline.formats import check_folder, check_writable
+        settings = Settings(self.config, self.export, self.format, self.body)
+        if self.config_file is None:
+            return self._run(settings)
+        settings = overlaid(settings, [read_settings(self.config_file)], self.given)
+        chosen = replace(
+            self,
+            config=settings.config,
+            export=settings.export,
+            format=settings.format,
+            body=settings.body,
+        )
+        return chosen._run(settings)
+
+    def _run(self, settings: Settings) -> int:
         from kinefilter.pipeline.formats.recording import numbered
         from kinefilter.pipeline.formats.takes import read_recording
-        from kinefilter.pipeline.look import check_report
         from kinefilter.pipeline.summary import as_json
 
-        check_writable(self.out, self.export)
-        used = (self.take, self.config_file, *self._settings.files)
-        keep(self.out, *used)
-        if self.json is not None:
-            check_folder(self.json)
-            keep(self.json, *used, self.out)
-        if self.save_contacts is not None:
-            check_folder(self.save_contacts)
-            keep(self.save_contacts, *used, self.out, self.json)
-        if self.report is not None:
-            check_report(self.report)
-            keep(self.report, *used, self.out, self.json, self.save_contacts)
+        used = [self.take, self.config_file, *settings.files]
+        self._check(used)
         recording = read_recording(self.take, format=self.format)
         several = len(recording.takes) > 1 and self.body == "all"
         for body in recording.numbers(self.body) if several else ():
@@ -80,42 +79,46 @@ class Clean:
                     keep(numbered(written, body), *used, self.json)
         results = self._cleaned(recording)
         for body, result in results.items():
-            self._write(result, body if several else None)
-            if self.report is not None:
-                path = numbered(self.report, body if several else None)
-                _report(result, recording.take(body), path)
+            self._write(result, recording.take(body), body if several else None)
         if self.json is not None:
             figures = {body: as_json(result) for body, result in results.items()}
             only = next(iter(figures.values()))
             write_json({"bodies": figures} if several else only, self.json)
-        for note in (*recording.notes, *self._others(recording)):
+        for note in recording.notes:
             out.print(note)
-        return 1 if several and len(results) < len(recording.takes) else 0
+        count = len(recording.takes)
+        if count > 1 and self.body is None:
+            out.print(
+                f"body {recording.main + 1} of {count}, seen in most frames; --body 1 "
+                f"to {count} cleans another, --body all cleans each"
+            )
+        return 1 if several and len(results) < count else 0
 
-    def _as_in(self, file: Path) -> Clean:
-        """Return the command with what a file says where no option does."""
-        from kinefilter.pipeline.config_files import overlaid, read_settings
+    def _check(self, used: list[Path | None]) -> None:
+        """Raise an InputError for files that cannot be written or must be kept."""
+        from kinefilter.pipeline.formats import check_folder, check_writable
+        from kinefilter.pipeline.look import check_report
 
-        chosen = overlaid(self._settings, [read_settings(file)], self.given)
-        return replace(
-            self,
-            config=chosen.config,
-            export=chosen.export,
-            format=chosen.format,
-            body=chosen.body,
-        )
-
-    @property
-    def _settings(self) -> Settings:
-        return Settings(self.config, self.export, self.format, self.body)
+        check_writable(self.out, self.export)
+        written: list[Path | None] = []
+        for path, check in (
+            (self.out, check_folder),
+            (self.json, check_folder),
+            (self.save_contacts, check_folder),
+            (self.report, check_report),
+        ):
+            if path is not None:
+                check(path)
+                keep(path, *used, *written)
+            written.append(path)
 
     def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
-        """Return what became of each person asked for, by their number."""
+        """Return the result of each person asked for, by their number."""
         from kinefilter.pipeline.cleaner import clean
 
         numbers = recording.numbers(self.body)
         if self.config.contacts is not None and len(numbers) > 1:
-            raise InputError("--contacts is of one person; give --body their number")
+            raise InputError("--contacts is for one person; choose one with --body")
         results: dict[int, CleanResult] = {}
         for number in numbers:
             take = recording.take(number)
@@ -128,9 +131,10 @@ class Clean:
                 err.print(f"kinefilter: {error}; left out")
         return results
 
-    def _write(self, result: CleanResult, body: int | None) -> None:
+    def _write(self, result: CleanResult, take: Take, body: int | None) -> None:
         from kinefilter.pipeline.formats import write_clip, write_contacts
         from kinefilter.pipeline.formats.recording import numbered
+        from kinefilter.pipeline.look import compare, read_limits, write_report
         from kinefilter.pipeline.summary import as_tables
 
         path = numbered(self.out, body)
@@ -139,20 +143,7 @@ class Clean:
             write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))
         out.print(f"wrote {path}")
-
-    def _others(self, recording: Recording) -> list[str]:
-        """Return a note about people who were not asked for."""
-        count = len(recording.takes)
-        if count == 1 or self.body is not None:
-            return []
-        return [
-            f"body {recording.main + 1} of {count}, seen in most frames; --body 1 to "
-            f"{count} cleans another, --body all everyone"
-        ]
-
-
-def _report(result: CleanResult, take: Take, path: Path) -> None:
-    from kinefilter.pipeline.look import compare, read_limits, write_report
-
-    write_report(compare(result.clip, take), path, read_limits())
-    out.print(f"wrote {path}")
+        if self.report is not None:
+            path = numbered(self.report, body)
+            write_report(compare(result.clip, take), path, read_limits())
+            out.print(f"wrote {path}")

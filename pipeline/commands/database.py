@@ -11,7 +11,15 @@ from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from kinefilter.characters import SKELETONS, InputError
 
-from .terminal import Skeletons, clips_of, in_folders, keep, out, progress_bars
+from .terminal import (
+    Skeletons,
+    check_output,
+    clips_of,
+    in_folders,
+    keep,
+    out,
+    progress_bars,
+)
 
 _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".npz")
 
@@ -24,30 +32,27 @@ class DatabaseBuild:
     """Database to write (.npz)."""
     files: Positional[tuple[Path, ...]] = ()
     """Mocap: BVH (.gz too), AMC with its ASF, C3D of joint centers; or pairs files
-    (.npz), of which the mocap is taken. A folder stands for the files below it; they
-    may be larger than memory."""
+    (.npz), whose mocap is used. A folder stands for the files in it and in its folders;
+    they may be larger than memory."""
     skeleton: Skeletons = "kinect_v1"
-    """Skeleton of the takes that it is for."""
+    """Skeleton of the takes to be cleaned with it."""
     count: int = 2574
     """About how many postures to keep."""
     scripted: bool = False
-    """Build from scripted performances in place of files: the built-in database."""
+    """Build from scripted performances instead of files, like the built-in database."""
 
     def run(self) -> int:
-        """Build and write."""
+        """Build the database and write it."""
         from kinefilter.pipeline.database.build import (
             database_from_mocap,
             database_from_pairs,
         )
-        from kinefilter.pipeline.formats import check_folder
 
-        if self.out.suffix != ".npz":
-            raise InputError(f"{self.out}: a database is an .npz file; name it so")
+        check_output(self.out, ".npz")
         if self.count < 2:
-            raise InputError(f"--count {self.count}: a database needs two postures")
-        check_folder(self.out)
+            raise InputError(f"--count {self.count}: expected 2 postures or more")
         if bool(self.files) == self.scripted:
-            raise InputError("give mocap files or --scripted, one of the two")
+            raise InputError("give either mocap files or --scripted")
         files = in_folders(self.files, _MOCAP)
         keep(self.out, *files)
         skeleton = SKELETONS[self.skeleton]
@@ -73,13 +78,13 @@ class DatabaseBuild:
 
 @dataclass(frozen=True)
 class DatabaseInfo:
-    """Say what a motion database holds."""
+    """Print what a motion database contains."""
 
     file: Positional[Path]
     """Database (.npz)."""
 
     def run(self) -> int:
-        """Read and print."""
+        """Read the database and print its content."""
         from kinefilter.pipeline.database import PostureDatabase
 
         database = PostureDatabase.load(self.file)
@@ -91,7 +96,7 @@ class DatabaseInfo:
 
 @dataclass(frozen=True)
 class Database:
-    """Build motion databases, and look into them."""
+    """Build motion databases, and print what they contain."""
 
     command: OmitSubcommandPrefixes[
         Annotated[DatabaseBuild, subcommand("build")]

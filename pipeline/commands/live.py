@@ -2,40 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import OmitArgPrefixes
 
-from kinefilter.pipeline.live.config import LiveConfig, OpenConfig
+from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 
 from .terminal import err, write_json
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from kinefilter.pipeline.live import Session
-    from kinefilter.pipeline.live.addresses import Address
+    from kinefilter.pipeline.live.endpoints import Address
+    from kinefilter.pipeline.live.tally import Tally
+
+_REFRESH = 0.3  # s between two lines on a terminal
+_LOGGED = 60.0  # s between two lines where there is no terminal, as in a log file
 
 
 @dataclass(frozen=True)
 class Live:
     """Follow people frame by frame: for games, engines and browsers.
 
-    --out vmc://127.0.0.1:39539 moves a VMC receiver, the second person that on the next
-    port; --out ws://127.0.0.1:9001 sends poses to pages of this machine, which read
-    them by new WebSocket("ws://127.0.0.1:9001").onmessage = e => JSON.parse(e.data).
-    Each person is measured in the first second, or --height says it. The newest frame
-    wins; what is late, missing, malformed or dropped is counted. Needs pip install
-    "kinefilter[live]".
+    --out vmc://127.0.0.1:39539 moves a VMC receiver, and with the second person the
+    receiver on the next port; --out ws://127.0.0.1:9001 sends poses to pages of this
+    machine, which read them by new WebSocket("ws://127.0.0.1:9001").onmessage = e =>
+    JSON.parse(e.data). Each person is measured in the first second, unless --height is
+    given. The newest frame wins; late, missing, malformed and dropped frames are
+    counted. Needs pip install "kinefilter[live]".
     """
 
     config: OmitArgPrefixes[LiveConfig]
-    access: OmitArgPrefixes[OpenConfig]
+    access: OmitArgPrefixes[AccessConfig]
     json: Path | None = None
-    """Write the counts and latencies at the end to this file too."""
+    """Also write the counts and latencies at the end to this file."""
 
     def run(self) -> int:
-        """Follow until Ctrl-C, SIGTERM or the end of the input."""
+        """Follow people until Ctrl-C, SIGTERM or the end of the input."""
         import asyncio
 
         from kinefilter.pipeline.formats import check_folder
@@ -44,45 +52,111 @@ class Live:
         if self.json is not None:
             check_folder(self.json)
         session = Session(self.config, self.access)
-        asyncio.run(self._followed(session))
-        return self._ended(session)
-
-    async def _followed(self, session: Session) -> None:
-        import asyncio
-
-        from .live_status import shown
-        from .signals import stopped_by_signals
-
-        stop = asyncio.Event()
-        with stopped_by_signals(stop):
-            async with shown(session):
-                await session.run(stop, lambda places: self._tell(session, places))
-
-    def _tell(self, session: Session, places: list[Address]) -> None:
-        """Print where frames are expected and poses go, and a token that is new."""
-        from kinefilter.pipeline.loopback import is_loopback
-
-        source, *targets = places
-        err.print(f"from {source} to {', '.join(map(str, targets))}")
-        sockets = [place for place in places if place.scheme in ("ws", "wss")]
-        token = session.ends.access.token
-        if sockets and token is not None and self.access.token_file is None:
-            err.print(f"token {token}")
-        if any(p.scheme == "ws" and not is_loopback(p.host) for p in sockets):
-            err.print(
-                "without --certificate, who is on the network reads token and poses"
-            )
-
-    def _ended(self, session: Session) -> int:
-        """Print what happened and return the exit code."""
-        from .live_status import summary
-
+        asyncio.run(self._follow(session))
         err.print(summary(session.tally))
         for path in session.recorded:
             err.print(f"wrote {path}")
         if self.json is not None:
             write_json(session.tally.as_json(), self.json)
-        failure = session.recorder.failure if session.recorder is not None else None
-        if failure is not None:
-            err.print(f"kinefilter: {failure}")
-        return 0 if failure is None else 1
+        if session.recorder is None or session.recorder.failure is None:
+            return 0
+        err.print(f"kinefilter: {session.recorder.failure}")
+        return 1
+
+    async def _follow(self, session: Session) -> None:
+        import asyncio
+
+        from .terminal import stopped_by_signals
+
+        stop = asyncio.Event()
+        with stopped_by_signals(stop):
+            async with _shown(session):
+                await session.run(stop, lambda used: self._print_places(session, used))
+
+    def _print_places(self, session: Session, used: list[Address]) -> None:
+        """Print where frames are expected and poses go, and a token that is new."""
+        from kinefilter.pipeline.loopback import is_loopback
+
+        source, *targets = used
+        err.print(f"from {source} to {', '.join(map(str, targets))}")
+        sockets = [address for address in used if address.scheme in ("ws", "wss")]
+        token = session.endpoints.access.token
+        if sockets and token is not None and self.access.token_file is None:
+            err.print(f"token {token}")
+        if any(a.scheme == "ws" and not is_loopback(a.host) for a in sockets):
+            err.print(
+                "without --certificate, anybody on the network can read token and poses"
+            )
+
+
+@asynccontextmanager
+async def _shown(session: Session) -> AsyncIterator[None]:
+    """Show a line of the session's state for as long as it runs."""
+    import asyncio
+
+    from rich.live import Live as Display
+    from rich.text import Text
+
+    async def show() -> None:
+        with Display(console=err, auto_refresh=False, transient=True) as display:
+            while True:
+                line = Text(status(session), overflow="ellipsis")
+                display.update(line, refresh=True)
+                await asyncio.sleep(_REFRESH)
+
+    async def log() -> None:
+        while True:
+            await asyncio.sleep(_LOGGED)
+            err.print(status(session))
+
+    task = asyncio.ensure_future(show() if err.is_terminal else log())
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+def status(session: Session) -> str:
+    """Return one line of how the session goes."""
+    from kinefilter.pipeline.live.tally import Event
+
+    tally, crowd = session.tally, session.crowd
+    events = tally.events
+    frames, poses = events[Event.FRAMES], events[Event.POSES]
+    parts = [
+        f"{len(crowd)} {'person' if len(crowd) == 1 else 'people'}"
+        + (f", measuring {crowd.measuring}" if crowd.measuring else ""),
+        f"{frames} frame{'s' * (frames != 1)} in",
+        f"{poses} pose{'s' * (poses != 1)} out",
+    ]
+    if poses:
+        half, most = tally.latency.recent(0.5), tally.latency.recent(0.99)
+        parts.append(f"{half * 1e3:.1f} ms (99 %: {most * 1e3:.1f})")
+    noted = (Event.DROPPED, Event.LATE, Event.REPEATED, Event.MISSING, Event.SLOW)
+    parts += [f"{events[event]} {event}" for event in noted if events[event]]
+    if tally.malformed:
+        parts.append(f"{tally.malformed.total()} malformed")
+    if session.recorder is not None and session.recorder.failure is not None:
+        parts.append("recording ended")
+    return ", ".join(parts)
+
+
+def summary(tally: Tally) -> Table:
+    """Return a table of what happened, without counts of zero."""
+    from rich.table import Table
+
+    from kinefilter.pipeline.live.tally import Event
+
+    table = Table(show_header=False, box=None)
+    for event in Event:
+        if event in (Event.FRAMES, Event.POSES) or tally.events[event]:
+            table.add_row(str(event), str(tally.events[event]))
+    for reason, count in sorted(tally.malformed.items()):
+        table.add_row(f"malformed: {reason}", str(count))
+    if tally.events[Event.POSES]:
+        latency = tally.latency
+        values = (latency.quantile(0.5), latency.quantile(0.99), latency.most)
+        cells = " / ".join(f"{value * 1e3:.1f}" for value in values)
+        table.add_row("ms from frame to pose: half, 99 %, most", cells)
+    return table

@@ -14,7 +14,7 @@ from .terminal import err
 
 if TYPE_CHECKING:
     from kinefilter.characters import Take
-    from kinefilter.pipeline.live.addresses import Address
+    from kinefilter.pipeline.live.endpoints import Address
 
 
 @dataclass(frozen=True)
@@ -24,16 +24,16 @@ class Replay:
     take: Positional[Path]
     """Recording in any of the formats of --format; .gz too."""
     out: Annotated[str, arg(metavar="ADDRESS")]
-    """udp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT, or - for the standard
-    output."""
+    """Where to send frames: udp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT, or - for
+    the standard output."""
     speed: float = 1.0
-    """How many times as fast as it was recorded."""
+    """Speed relative to that of the recording."""
     loop: bool = False
     """Begin again at the end."""
     token_file: Path | None = None
-    """File with the token that the WebSocket asks for."""
+    """File with the token that the WebSocket server asks for."""
     certificate: Path | None = None
-    """Certificate (PEM) that wss trusts beside the system's."""
+    """Certificate (PEM) to trust for wss, besides those of the system."""
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
 
@@ -42,12 +42,13 @@ class Replay:
         import asyncio
 
         from kinefilter.pipeline.formats.takes import read_recording
-        from kinefilter.pipeline.live.addresses import read_address
+        from kinefilter.pipeline.live.endpoints import read_address
 
         address = read_address(self.out, ("udp", "ws", "wss", "-"))
         takes = read_recording(self.take, format=self.format).takes
         sent = asyncio.run(self._sent(takes, address))
-        err.print(f"sent {sent} frames of {takes[0].skeleton.name}")
+        frames = f"{sent} frame{'s' * (sent != 1)}"
+        err.print(f"sent {frames} of {takes[0].skeleton.name}")
         return 0
 
     async def _sent(self, takes: tuple[Take, ...], address: Address) -> int:
@@ -55,7 +56,7 @@ class Replay:
 
         from kinefilter.pipeline.live import open_sender, replay
 
-        from .signals import stopped_by_signals
+        from .terminal import stopped_by_signals
 
         stop = asyncio.Event()
         with stopped_by_signals(stop):

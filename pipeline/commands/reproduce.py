@@ -16,40 +16,40 @@ from .terminal import out, progress_bars
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Measure again what README and the papers say: a table and a plot a study.
+    """Measure again what README and the papers say: a table and a plot per study.
 
     Studies of takes and of marker mocap: cleaned-takes, marker-mocap, untrained,
     methods-new-people, methods-known-people, failures, reliability; of speed: speed,
     million-postures; of the papers, on simulated takes: shum-table-3, shum-table-4,
     shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5, chiang-figure-5.
 
-    With --all every study and picture is made, and every figure of README compared with
-    what was found, in some forty minutes on two cores; exit code 1 if one does not
-    hold. The same command again makes only what is missing, or what other code or
-    recordings made. Needs pip install "kinefilter[reproduce]"; for the moving picture
-    OpenGL, for pictures of pages viser, Chromium and a checkout.
+    With --all every study and picture is made, and every figure of README is compared
+    with the result, in some forty minutes on two cores; the exit code is 1 if one does
+    not hold. The same command again makes only what is missing, or what was made by
+    other code or from other recordings. Needs pip install "kinefilter[reproduce]"; the
+    moving picture needs OpenGL, pictures of pages need viser, Chromium and a checkout.
     """
 
     studies: Positional[tuple[str, ...]] = ()
     """Names of studies."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """Folder to write STUDY.csv and STUDY.png into; made if it is missing."""
+    """Folder for STUDY.csv and STUDY.png; made if it is missing."""
     all: Path | None = None
-    """Make everything in this folder, and claims.csv: what README says, and what was
+    """Make everything in this folder, and claims.csv: figures of README beside those
     measured."""
     data: Path | None = None
-    """Folder of recordings; default: ../shared/data, if it is there: takes in
+    """Folder of recordings; default: ../shared/data, if it exists: takes in
     takes/*/*.csv or .csv.gz, of which *_failure have gross failures and those in
-    precog16 are punches and kicks, and pairs (as of 'simulate --pairs') of one person
-    each in ui-prmd/s*.npz, their clips named m01_... by the movement. Without any,
-    people are simulated, and what only recordings tell is not measured."""
+    precog16 are punches and kicks, and pairs (like those of 'simulate --pairs') of one
+    person each in ui-prmd/s*.npz, their clips named m01_... by the movement. Without
+    recordings, people are simulated, and what needs recordings is not measured."""
     seed: int = 0
-    """Draws simulated people, performances and the sensor's errors."""
+    """Seed of simulated people, performances and the sensor's errors."""
     quick: bool = False
-    """Take a small part of everything, to see how it works; figures mean little."""
+    """Use a small part of everything, as a trial; the figures mean little."""
 
     def run(self) -> int:
-        """Study, write, print."""
+        """Run the studies, write and print their results."""
         from kinefilter.pipeline.lab.studies import (
             STUDIES,
             check_drawing,
@@ -58,8 +58,11 @@ class Reproduce:
             recordings_folder,
         )
 
-        folder = self._folder()
-        names = tuple(STUDIES) if self.all is not None else self.studies
+        given = (bool(self.studies), self.out is not None, self.all is not None)
+        folder = self.out or self.all
+        if folder is None or given not in ((True, True, False), (False, False, True)):
+            raise InputError("give either studies and -o FOLDER, or --all FOLDER alone")
+        names = self.studies if self.all is None else tuple(STUDIES)
         check_names(names)
         check_drawing()
         check_studies_folder(folder)
@@ -67,18 +70,8 @@ class Reproduce:
         self._study(names, folder, data)
         return 0 if self.all is None else self._judge(folder, data)
 
-    def _folder(self) -> Path:
-        """Return where to write."""
-        if self.all is not None:
-            if self.studies or self.out is not None:
-                raise InputError("give --all FOLDER alone, or studies and -o FOLDER")
-            return self.all
-        if not self.studies or self.out is None:
-            raise InputError("give studies and -o FOLDER, or --all FOLDER")
-        return self.out
-
     def _study(self, names: Sequence[str], folder: Path, data: Path | None) -> None:
-        """Run studies, write and print them."""
+        """Run studies, and write and print their results."""
         from kinefilter.pipeline.lab.studies import (
             as_table,
             made,
@@ -105,7 +98,7 @@ class Reproduce:
             out.print(f"wrote {' and '.join(map(str, written))}\n")
 
     def _judge(self, folder: Path, data: Path | None) -> int:
-        """Make the pictures, compare the claims; return the exit code."""
+        """Make the pictures, check the claims; return the exit code."""
         from kinefilter.pipeline.lab.studies import make_pictures, verdicts
 
         with progress_bars() as progress:

@@ -8,18 +8,18 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from kinefilter.characters import InputError, State
+from kinefilter.characters import State
 
-from .terminal import Skeletons, keep, out
+from .terminal import Skeletons, check_output, keep, out
 
 
 @dataclass(frozen=True)
 class Simulate:
-    """Let a virtual Kinect record a scripted motion, of which the truth is known."""
+    """Let a virtual Kinect record a scripted motion, so that the truth is known."""
 
     scene: Positional[str]
-    """What is around the person: a scene (an unknown name lists them), or an MJCF file
-    (.xml)."""
+    """Surroundings of the person: a scene (an unknown name lists the scenes), or an
+    MJCF file (.xml)."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Take to write (.csv)."""
     motion: str | None = None
@@ -28,19 +28,19 @@ class Simulate:
     deep_squat, inline_lunge, hurdle_step, sit_to_stand and leg_raise are exercises,
     often done wrong. Who walks, runs, marches or carries stays in the sensor's view."""
     sensor: Literal["v1", "v2", "azure"] = "v2"
-    """Which Kinect looks."""
+    """Which Kinect records."""
     skeleton: Skeletons | None = None
     """Skeleton of the take; default: the sensor's."""
     seed: int = 0
-    """Draws the person, the performance and the errors: same seed, same bytes."""
+    """Seed of person, performance and errors: same seed, same bytes."""
     truth: Path | None = None
-    """Write what really happened to this file too (.csv)."""
+    """Also write the true motion to this file (.csv)."""
     pairs: Path | None = None
-    """Write take and truth as a pairs file too (.npz), to train and evaluate with."""
+    """Also write take and truth as a pairs file (.npz), to train and evaluate with."""
 
     def run(self) -> int:
-        """Simulate and write."""
-        from kinefilter.pipeline.formats import check_folder, write_take_csv
+        """Simulate the take and write it."""
+        from kinefilter.pipeline.formats import write_take_csv
         from kinefilter.pipeline.lab.simulate import (
             motion_for,
             simulate,
@@ -48,15 +48,9 @@ class Simulate:
             write_pairs,
         )
 
-        for path, suffix in (
-            (self.out, ".csv"),
-            (self.truth, ".csv"),
-            (self.pairs, ".npz"),
-        ):
-            if path is not None and path.suffix != suffix:
-                raise InputError(f"{path}: expected a name that ends in {suffix}")
-            if path is not None:
-                check_folder(path)
+        check_output(self.out, ".csv")
+        check_output(self.truth, ".csv")
+        check_output(self.pairs, ".npz")
         keep(self.out, self.truth, self.pairs)
         pair = simulate(
             self.scene,
@@ -72,5 +66,6 @@ class Simulate:
         if self.pairs is not None:
             write_pairs([pair], self.pairs)
         tracked = (pair.take.state == State.TRACKED).mean()
-        out.print(f"wrote {self.out}: {len(pair.take)} frames, {tracked:.0%} tracked")
+        frames = f"{len(pair.take)} frame{'s' * (len(pair.take) != 1)}"
+        out.print(f"wrote {self.out}: {frames}, {tracked:.0%} tracked")
         return 0

@@ -1,20 +1,25 @@
-"""What the commands share: consoles, progress bars, and files that must not be lost."""
+"""What commands share: consoles, progress bars, signals, files not to overwrite."""
 
 from __future__ import annotations
 
 import json
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from rich import progress as rich_progress
 from rich.console import Console
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.progress import Progress, over
 
 if TYPE_CHECKING:
+    import asyncio
+
+    from rich.progress import Progress as RichProgress
+
     from kinefilter.pipeline.pairs import PairedTake
 
 # Names of files are printed as they are, whatever brackets and colons they hold.
@@ -22,6 +27,8 @@ out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
 err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 Skeletons = Literal["kinect_v1", "kinect_v2"]
+
+_ENDS = [s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP")]
 
 
 def keep(written: Path, *others: Path | None) -> None:
@@ -33,18 +40,39 @@ def keep(written: Path, *others: Path | None) -> None:
             )
 
 
+def progress_display(*, counted: bool = True) -> RichProgress:
+    """Return bars for a terminal, nothing elsewhere.
+
+    Args:
+        counted: Show how many steps are done, instead of the percentage.
+    """
+    from rich import progress  # takes long to load
+
+    return progress.Progress(
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn() if counted else progress.TaskProgressColumn(),
+        progress.TimeRemainingColumn(),
+        console=err,
+        transient=True,
+        disable=not err.is_terminal,
+    )
+
+
+def check_output(path: Path | None, suffix: str) -> None:
+    """Raise an InputError if a file to write has another suffix, or no folder."""
+    from kinefilter.pipeline.formats import check_folder
+
+    if path is not None and path.suffix != suffix:
+        raise InputError(f"{path}: expected a name that ends in {suffix}")
+    if path is not None:
+        check_folder(path)
+
+
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
     """Yield what shows on the terminal how far long work is."""
-    columns = (
-        rich_progress.TextColumn("{task.description}"),
-        rich_progress.BarColumn(),
-        rich_progress.MofNCompleteColumn(),
-        rich_progress.TimeRemainingColumn(),
-    )
-    with rich_progress.Progress(
-        *columns, console=err, transient=True, disable=not err.is_terminal
-    ) as bars:
+    with progress_display() as bars:
         yield lambda stage, count: bars.track(range(count), count, description=stage)
 
 
@@ -57,10 +85,10 @@ def clips_of(files: Sequence[Path], progress: Progress) -> Iterator[PairedTake]:
 
 
 def in_folders(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
-    """Return files as they are, and for a folder those below it that end as one says.
+    """Return files as they are, and for a folder the files below it with a suffix.
 
     Raises:
-        InputError: A folder holds none.
+        InputError: A folder holds no such file.
     """
     found: list[Path] = []
     for path in paths:
@@ -73,7 +101,7 @@ def in_folders(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
             if file.name.lower().endswith(tuple(suffixes)) and file.is_file()
         )
         if not inside:
-            raise InputError(f"{path}: no {', '.join(suffixes)} in this folder")
+            raise InputError(f"{path}: no {', '.join(suffixes)} file in this folder")
         found += inside
     return found
 
@@ -85,3 +113,34 @@ def write_json(figures: object, path: Path) -> None:
     with atomic_path(path) as temporary:
         text = json.dumps(figures, indent=2, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
+
+
+@contextmanager
+def ended_gently() -> Iterator[None]:
+    """Treat a request to end, as batch systems send it, like Ctrl-C."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may say what a signal does
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def stopped_by_signals(stop: asyncio.Event) -> Iterator[None]:
+    """Set an event when the process is asked to end."""
+    import asyncio  # takes long to load, and few commands need it
+
+    loop = asyncio.get_running_loop()
+
+    def asked(*_: object) -> None:
+        loop.call_soon_threadsafe(stop.set)
+
+    before = {number: signal.signal(number, asked) for number in _ENDS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

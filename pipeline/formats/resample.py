@@ -47,7 +47,7 @@ def resampled(clip: Clip, fps: float) -> Clip:
         start = values[before]
         moved = start + part * (values[after] - start)
         # A frame that is there already is kept as it is, also beside a missing one.
-        return np.where(part == 0.0, start, moved)
+        return np.asarray(np.where(part == 0.0, start, moved))
 
     def arc(rotations: Array) -> Array:
         part = share.reshape(-1, *[1] * (rotations.ndim - 2))

@@ -1,7 +1,7 @@
 """Streams of frames in, poses out: to engines by VMC, to browsers by WebSocket.
 
-``tests/live_figures.py`` measures latency and memory, with one or many people, readers
-that are slow and senders of nonsense.
+``tests/live_figures.py`` measures latency and memory, with one or many people, slow
+readers and senders of nonsense.
 """
 
 from __future__ import annotations
@@ -9,18 +9,17 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .config import LiveConfig, OpenConfig
+from .config import AccessConfig, LiveConfig
 
 if TYPE_CHECKING:
     from .messages import Frame, SeenBody, format_frame, parse_frame
-    from .playback import replay
-    from .senders import open_sender
+    from .playback import open_sender, replay
     from .session import Session
 
 __all__ = [
+    "AccessConfig",
     "Frame",
     "LiveConfig",
-    "OpenConfig",
     "SeenBody",
     "Session",
     "format_frame",
@@ -29,20 +28,11 @@ __all__ = [
     "replay",
 ]
 
-_MODULES = {
-    "Frame": "messages",
-    "SeenBody": "messages",
-    "Session": "session",
-    "format_frame": "messages",
-    "open_sender": "senders",
-    "parse_frame": "messages",
-    "replay": "playback",
-}
-
 
 def __getattr__(name: str) -> Any:
-    """Return what loads MuJoCo or asyncio only when it is asked for."""
-    if name not in _MODULES:
+    """Load MuJoCo and asyncio only when a name that needs them is asked for."""
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(f".{_MODULES[name]}", __name__)
+    files = {"Session": "session", "open_sender": "playback", "replay": "playback"}
+    module = importlib.import_module(f".{files.get(name, 'messages')}", __name__)
     return getattr(module, name)

@@ -11,26 +11,28 @@ from tyro.conf import UseAppendAction, arg
 
 from kinefilter.characters import InputError
 
-from .limits import MOST_BODIES
+MOST_BODIES = 6
+"""People at once: as many as a Kinect v2 sees."""
 
 
 @dataclass(frozen=True)
-class OpenConfig:
+class AccessConfig:
     """Who may connect."""
 
     bind: str | None = None
     """Listen on this address of the machine instead of on loopback, so that others can
     connect. WebSockets then ask for a token."""
     token_file: Path | None = None
-    """File with the token that WebSockets ask for: as Authorization: Bearer, or as
-    ?token= of the address; default: with --bind a new one, which is printed."""
+    """File with the token that clients of WebSockets have to send, as Authorization:
+    Bearer or as ?token= of the address; default: with --bind a new one, which is
+    printed."""
     certificate: Path | None = None
     """Certificate chain (PEM) of encrypted WebSockets (wss)."""
     key: Path | None = None
     """The certificate's private key (PEM); default: in the same file."""
     origin: UseAppendAction[tuple[str, ...]] = ()
-    """Let pages of this origin connect, such as https://studio.example, beside those of
-    this machine; may be given several times."""
+    """Also let pages of this origin connect, such as https://studio.example, not only
+    those of this machine; may be given several times."""
 
 
 @dataclass(frozen=True)
@@ -38,27 +40,28 @@ class LiveConfig:
     """Where frames come from, who is in them, and where poses go."""
 
     source: Annotated[str, arg(name="in", metavar="ADDRESS")]
-    """udp://HOST:PORT, ws://HOST:PORT or wss://HOST:PORT, on which senders are waited
-    for, or - for the standard input."""
+    """Where to listen for frames: udp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT, or
+    - for the standard input."""
     out: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="ADDRESS")]]
-    """vmc://HOST:PORT, an engine, ws://HOST:PORT or wss://HOST:PORT, on which browsers
-    are waited for, or - for the standard output; may be given several times."""
+    """Where to send poses: vmc://HOST:PORT for an engine, ws://HOST:PORT or
+    wss://HOST:PORT to listen for browsers, or - for the standard output; may be given
+    several times."""
     record: Path | None = None
-    """Write the raw frames to this take (.csv) too; of several bodies take.1.csv,
+    """Also write the raw frames to this take (.csv); for several bodies to take.1.csv,
     take.2.csv and so on."""
     skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
     """The joints of the frames."""
     scene: str | None = None
-    """What is around each person, alone: a scene (an unknown name lists them), or an
-    MJCF file (.xml); default: the floor alone."""
+    """Surroundings of each person, who is alone in them: a scene (an unknown name lists
+    the scenes), or an MJCF file (.xml); default: only the floor."""
     height: float | None = None
-    """Stature of everybody [m]; default: each is measured in the first second."""
+    """Height of every person [m]; default: each is measured in the first second."""
     mass: float | None = None
-    """Mass of everybody [kg]; default: from the stature."""
+    """Mass of every person [kg]; default: estimated from the height."""
     floor: float | None = None
     """Height of the floor in the sensor's frame [m]; default: under the feet."""
     bodies: int = MOST_BODIES
-    """People that are followed at once."""
+    """How many people are followed at once."""
 
     def __post_init__(self) -> None:
         if self.floor is not None and not isfinite(self.floor):

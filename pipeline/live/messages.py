@@ -1,6 +1,6 @@
-"""Frames as messages, a line of JSON each.
+"""Frames that come in and poses that go out, as messages: a line of JSON each.
 
-For example::
+A frame, for example::
 
     {"time": 12.034, "bodies": [{"id": "1", "joints": {
         "SpineBase": [0.11, -0.24, 2.31, 2], "SpineMid": [0.12, 0.05, 2.3], ...}}]}
@@ -10,26 +10,48 @@ and its state (0 not tracked, 1 inferred, 2 tracked), which may be left out. Joi
 are not seen are left out, null, or at the origin. Instead of by name, ``joints`` may
 list all of the skeleton in the SDK's order: ``[[x, y, z, state], null, ...]``. An
 ``id`` is a text of up to 32 characters or a whole number, and means the same person
-whoever sends it. Who is alone may be written short: ``{"time": 12.034, "joints":
+from every sender. A single person may be written short: ``{"time": 12.034, "joints":
 ...}``, and is body 1.
+
+Poses begin with a line that says what the others mean::
+
+    {"skeleton": "kinect_v2", "joints": ["SpineBase", ...], "parents": [-1, ...]}
+
+Then comes a line a pose: ``time`` is the stamp of its frame [s] and ``body`` the
+sender's id; ``root`` is the position of the root joint and ``positions`` those of all
+joints, in that order [m], world frame: right-handed, y up, floor at y = 0.
+``rotations`` are world rotations wxyz of the segment that ends at each joint, identity
+in T-pose facing +z. ``stands`` says whether the left and the right foot stand,
+``external_force`` the force that neither muscles nor floor give [body weights],
+``latency`` how long the frame has been here [ms]. When a person is gone, one line says
+so: ``{"body": "1", "gone": true}``.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import KinefilterError, Skeleton, State
+from kinefilter.characters import Body, KinefilterError, Skeleton, State
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.recording import missing_marked
 
-from .limits import LARGEST_MESSAGE, MOST_BODIES
+from .config import MOST_BODIES
+
+if TYPE_CHECKING:
+    from kinefilter.pipeline.avatar import Pose
+
+LARGEST_MESSAGE = 2**15
+"""Bytes of a message: twice those of six bodies of 25 joints with all their digits, and
+less than a datagram holds."""
+States = NDArray[np.uint8]
 
 _FARTHEST = 100.0  # m: no sensor of people sees that far
 _LATEST = 1e12  # s: clocks count from 1970, in seconds
@@ -53,7 +75,7 @@ class Reason(StrEnum):
 
 
 class MalformedError(KinefilterError):
-    """A message is no frame; it is counted and left out."""
+    """A message is not a frame; it is counted and left out."""
 
     def __init__(self, reason: Reason) -> None:
         super().__init__(reason.value)
@@ -64,16 +86,13 @@ class MalformedError(KinefilterError):
 class SeenBody:
     """A person in a frame."""
 
-    id: str
-    """What the sender calls the person."""
-    positions: Array
-    """Joint positions [m], sensor frame with y up, NaN where missing, shape (J, 3)."""
-    state: NDArray[np.uint8]
-    """Tracking states (State), shape (J,)."""
+    id: str  # the sender's name for the person
+    positions: Array  # of joints [m], sensor frame, y up, NaN where missing, (J, 3)
+    state: States  # tracking states (State), shape (J,)
 
     @property
     def is_seen(self) -> bool:
-        """Whether any joint of the person is."""
+        """Whether any joint of the person is seen."""
         return bool((self.state > State.NOT_TRACKED).any())
 
 
@@ -81,21 +100,35 @@ class SeenBody:
 class Frame:
     """What a sensor saw at one time."""
 
-    time: float
-    """The sensor's time stamp [s]."""
-    bodies: tuple[SeenBody, ...]
-    """The people, each id once."""
+    time: float  # the sensor's stamp [s]
+    bodies: tuple[SeenBody, ...]  # each id once
+
+
+@dataclass(frozen=True, eq=False)
+class LivePose:
+    """The character of one person after a frame."""
+
+    id: str  # the sender's name for the person
+    slot: int  # the lowest number, from 0, that was free when the person came
+    time: float  # the frame's stamp [s]
+    body: Body
+    pose: Pose
+    latency: float  # time since the frame came in [s]
+
+
+def stacked(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, States]:
+    """Return stamps [s], positions [m] and states of one person's frames."""
+    return (
+        np.array([time for time, _ in frames]),
+        np.array([seen.positions for _, seen in frames]),
+        np.array([seen.state for _, seen in frames]),
+    )
 
 
 def parse_frame(
     message: str | bytes, skeleton: Skeleton, most_bodies: int = MOST_BODIES
 ) -> Frame:
     """Return the frame that a message holds.
-
-    Args:
-        message: A line of JSON, as above.
-        skeleton: The joints that there are.
-        most_bodies: How many people a frame may hold.
 
     Raises:
         MalformedError: The message is anything else.
@@ -188,12 +221,45 @@ def format_frame(frame: Frame) -> str:
         {"id": body.id, "joints": _joints(body.positions, body.state)}
         for body in frame.bodies
     ]
-    return json.dumps({"time": frame.time, "bodies": bodies}, separators=(",", ":"))
+    return _line({"time": frame.time, "bodies": bodies})
 
 
-def _joints(positions: Array, state: NDArray[np.uint8]) -> list[list[float] | None]:
+def _joints(positions: Array, state: States) -> list[list[float] | None]:
     places = np.round(positions, _DECIMALS).tolist()
     return [
         None if place[0] != place[0] else [*place, rank]
         for place, rank in zip(places, state.tolist(), strict=True)
     ]
+
+
+def skeleton_line(skeleton: Skeleton) -> str:
+    """Return the line that names the joints."""
+    names = {"skeleton": skeleton.name, "joints": skeleton.joints}
+    return _line({**names, "parents": skeleton.parents})
+
+
+def pose_line(live: LivePose) -> str:
+    """Return the line of a pose."""
+    pose = live.pose
+    positions = pose.positions.round(_DECIMALS).tolist()
+    return _line(
+        {
+            "time": live.time,
+            "body": live.id,
+            "root": positions[live.body.skeleton.root],
+            "positions": positions,
+            "rotations": pose.rotations.round(_DECIMALS).tolist(),
+            "stands": pose.stands.tolist(),
+            "external_force": round(pose.external_force, 3),
+            "latency": round(live.latency * 1e3, 2),
+        }
+    )
+
+
+def gone_line(body: str) -> str:
+    """Return the line that says that a person is gone."""
+    return _line({"body": body, "gone": True})
+
+
+def _line(data: dict[str, Any]) -> str:
+    return json.dumps(data, separators=(",", ":"), allow_nan=False)

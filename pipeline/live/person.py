@@ -2,46 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Skeleton, State, Take, standard_body
+from kinefilter.characters import Body, State, Take, skeleton_named, standard_body
 from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.retarget import measured_body
 
-from .messages import SeenBody
+from .config import LiveConfig
+from .messages import SeenBody, stacked
 
 _MEASURED_FOR = 1.0
 """Time [s] that a person is measured for. In recorded takes segment lengths are then on
 average 7 mm from those of the whole take, after 3 s 5 mm."""
 _ENOUGH = 15  # good frames in it
-_LONGEST = 3.0  # s; whoever is half hidden for that long is measured as they are
+_LONGEST = 3.0  # s; a person half hidden for that long is measured all the same
 _MOST_FRAMES = 120  # kept meanwhile, whatever the rate
 _WELL_SEEN = 0.8  # share of joints tracked in a good frame. A guess.
 
 
-@dataclass(frozen=True)
-class Stature:
-    """What is known of people before they come."""
-
-    skeleton: Skeleton
-    """The joints that the sensor sees."""
-    height: float | None = None
-    """Stature [m]; None: each is measured."""
-    mass: float | None = None
-    """Body mass [kg]; None: from the stature."""
-    scene: str | Path | None = None
-    """What each is in, alone: a scene or an MJCF file."""
-    floor: float | None = None
-    """Height of the floor in the sensor's frame [m]; None: under the feet."""
-
-    def avatar(self, body: Body) -> Avatar:
-        """Return the character of a body."""
-        return Avatar(body, self.scene, floor=self.floor)
+def make_avatar(body: Body, config: LiveConfig) -> Avatar:
+    """Return the character of a person's body."""
+    return Avatar(body, config.scene, floor=config.floor)
 
 
 class Person:
@@ -50,20 +33,16 @@ class Person:
     With a height the standard body of that height is followed from the first frame.
     Without, the person's segments are measured in the first second or so, and poses
     begin after it.
-
-    Args:
-        stature: What is known of the person.
     """
 
-    def __init__(self, stature: Stature) -> None:
-        self._stature = stature
+    def __init__(self, config: LiveConfig) -> None:
+        self._config, self._skeleton = config, skeleton_named(config.skeleton)
         self._avatar: Avatar | None = None
         self._frames: list[tuple[float, SeenBody]] = []
-        if stature.height is not None:
-            body = standard_body(
-                stature.skeleton, height=stature.height, mass=stature.mass
-            )
-            self._avatar = stature.avatar(body)
+        if config.height is not None:
+            height, mass = config.height, config.mass
+            body = standard_body(self._skeleton, height=height, mass=mass)
+            self._avatar = make_avatar(body, config)
 
     @property
     def body(self) -> Body | None:
@@ -71,7 +50,7 @@ class Person:
         return None if self._avatar is None else self._avatar.body
 
     def start(self) -> None:
-        """Begin anew: the clock does."""
+        """Start over, as the sender's clock does."""
         self._frames.clear()
         if self._avatar is not None:
             self._avatar.start()
@@ -99,28 +78,18 @@ class Person:
         return None
 
     def _measure(self, frames: list[tuple[float, SeenBody]]) -> None:
-        take = _take(frames, self._stature.skeleton)
+        take = Take(*stacked(frames), self._skeleton, "live")
         reference = measure_reference(take)
         body = measured_body(
             take.skeleton,
             reference.lengths,
             reference.directions,
-            mass=self._stature.mass,
+            mass=self._config.mass,
         )
-        self._avatar = self._stature.avatar(body)
+        self._avatar = make_avatar(body, self._config)
         self._frames.clear()
 
 
 def _well_seen(seen: SeenBody) -> bool:
     tracked: NDArray[np.bool_] = seen.state == State.TRACKED
     return bool(tracked.mean() >= _WELL_SEEN)
-
-
-def _take(frames: list[tuple[float, SeenBody]], skeleton: Skeleton) -> Take:
-    return Take(
-        np.array([time for time, _ in frames]),
-        np.array([seen.positions for _, seen in frames]),
-        np.array([seen.state for _, seen in frames]),
-        skeleton,
-        "live",
-    )

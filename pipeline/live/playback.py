@@ -1,26 +1,168 @@
-"""A recorded take sent as a sensor would send it, at its own time stamps."""
+"""A recorded take sent as a sensor would send it, at its own time stamps.
+
+It goes out as datagrams, through a WebSocket, or to the standard output.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Sequence
+import ssl
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager
+from http import HTTPStatus
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from kinefilter.characters import InputError, Take
+from kinefilter.pipeline.extras import require
 
+from .endpoints import STANDARD, Address, read_token
 from .messages import Frame, SeenBody, format_frame
-from .senders import Sender
+from .sinks import write_out
+from .sockets import Datagrams, open_datagrams
+
+if TYPE_CHECKING:
+    from websockets.asyncio.client import ClientConnection
+
+_SOONEST, _LATEST = 0.2, 5.0  # s between attempts to connect, doubled every time
+_PATIENCE = 5.0  # s for a connection
+
+
+class Sender(Protocol):
+    """Where frames go."""
+
+    async def send(self, line: str) -> bool:
+        """Send a frame; tell whether it may have arrived."""
+
+
+@asynccontextmanager
+async def open_sender(
+    address: Address,
+    *,
+    token_file: Path | None = None,
+    certificate: Path | None = None,
+) -> AsyncIterator[Sender]:
+    """Yield what sends frames to an address.
+
+    Raises:
+        InputError: The host is not known, or a file is wrong.
+    """
+    if address.scheme == STANDARD:
+        yield _Printed()
+    elif address.scheme == "udp":
+        with open_datagrams(address) as out:
+            yield _ToPort(out)
+    else:
+        require("websockets", "a WebSocket", "live")
+        token = None if token_file is None else read_token(token_file)
+        tls = _trusted(certificate) if address.scheme == "wss" else None
+        connection = _Connection(address, token, tls)
+        keeping = asyncio.ensure_future(connection.keep())
+        try:
+            await connection.tried.wait()
+            if connection.refused:
+                raise InputError(
+                    f"{address}: refused; give --token-file with the token of the "
+                    "receiver"
+                )
+            yield connection
+        finally:
+            keeping.cancel()
+            await asyncio.gather(keeping, return_exceptions=True)
+
+
+class _Printed:
+    async def send(self, line: str) -> bool:
+        try:
+            await asyncio.to_thread(write_out, f"{line}\n".encode())
+        except BrokenPipeError:
+            raise InputError("-: the program that read the output has ended") from None
+        return True
+
+
+class _ToPort:
+    def __init__(self, out: Datagrams) -> None:
+        self._out = out
+
+    async def send(self, line: str) -> bool:
+        return self._out(line.encode(), 0)
+
+
+class _Connection:
+    """A connection that is made again whenever it is lost."""
+
+    def __init__(
+        self, address: Address, token: str | None, tls: ssl.SSLContext | None
+    ) -> None:
+        self._address, self._token, self._tls = address, token, tls
+        self._open: ClientConnection | None = None
+        self.tried = asyncio.Event()  # the first attempt to connect is over
+        self.refused = False  # the other side asks for another token
+
+    async def keep(self) -> None:
+        from websockets.asyncio.client import connect
+        from websockets.exceptions import InvalidStatus, WebSocketException
+
+        headers = {}
+        if self._token is not None:
+            headers["Authorization"] = f"Bearer {self._token}"
+        pause = _SOONEST
+        while True:
+            try:
+                async with connect(
+                    str(self._address),
+                    additional_headers=headers,
+                    ssl=self._tls,
+                    open_timeout=_PATIENCE,
+                    compression=None,
+                    proxy=None,
+                ) as connection:
+                    self._open, pause = connection, _SOONEST
+                    self.tried.set()
+                    await connection.wait_closed()
+            except InvalidStatus as error:
+                self.refused = error.response.status_code == HTTPStatus.UNAUTHORIZED
+            except (OSError, WebSocketException):
+                pass  # no server is there, or not yet
+            self._open = None
+            self.tried.set()
+            await asyncio.sleep(pause)
+            pause = min(2.0 * pause, _LATEST)
+
+    async def send(self, line: str) -> bool:
+        from websockets.exceptions import ConnectionClosed
+
+        if self._open is None:
+            return False
+        try:
+            await self._open.send(line)
+        except ConnectionClosed:
+            return False
+        return True
+
+
+def _trusted(certificate: Path | None) -> ssl.SSLContext:
+    try:
+        context = ssl.create_default_context()
+        if certificate is not None:
+            context.load_verify_locations(certificate)
+    except (ssl.SSLError, OSError) as error:
+        raise InputError(
+            f"{certificate}: not a certificate ({error.strerror}); expected a PEM file"
+        ) from None
+    return context
 
 
 def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
     """Yield the frames of a recording, those of one stamp together.
 
-    People in whom no joint is seen are left out.
+    People of whom no joint is seen are left out.
 
     Args:
         takes: The people of one recording, who become bodies 1, 2 and so on.
-        loop: Whether to begin again at the end, time going on.
+        loop: Whether to begin again at the end; time goes on.
     """
     time = np.unique(np.concatenate([take.time for take in takes]))
     rows = [np.searchsorted(take.time, time) for take in takes]
@@ -54,18 +196,11 @@ async def replay(
 ) -> int:
     """Send a recording's frames when they are due, until it ends or is stopped.
 
-    Args:
-        takes: The people of one recording.
-        sender: Where frames go.
-        stop: Set by whoever wants it to end.
-        speed: How many times as fast as it was recorded.
-        loop: Whether to begin again at the end.
-
     Returns:
         How many frames were sent.
 
     Raises:
-        InputError: The speed is none.
+        InputError: The speed is not a positive number.
     """
     if not 0.0 < speed < np.inf:
         raise InputError(f"--speed {speed:g}: expected a number over 0, such as 2")

@@ -1,4 +1,4 @@
-"""The raw frames as takes, a file a body, which ``clean`` reads."""
+"""The raw frames as takes that ``clean`` reads, one file per body."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.pipeline.formats.files import check_folder
+from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.sheets import take_header, take_rows
 
-from .messages import SeenBody
+from .messages import SeenBody, stacked
 from .tally import Event, Tally
 
 _MOST_FILES = 64  # bodies in one recording
@@ -29,27 +28,21 @@ class _Part:
 
     path: Path
     file: BinaryIO
-    last: float
-    """The last frame's stamp [s]."""
+    last: float  # the last frame's stamp [s]
     frames: int = 0
     waiting: list[tuple[float, SeenBody]] = field(default_factory=list)
 
 
 class Recorder:
-    """Writes frames once a second into parts beside the file, named at the end.
+    """Writes frames into parts beside the file, which get their final names at the end.
 
-    Parts are called ``take.1.part.csv``. They hold whole rows only, so that one of a
-    session that was killed is a take that lacks its last second. At the end they become
-    ``take.csv``, or of several bodies ``take.1.csv``, ``take.2.csv`` and so on as they
-    appeared.
-
-    Args:
-        path: The recording (.csv).
-        skeleton: The joints.
-        tally: What counts frames that are not recorded.
+    Parts are called ``take.1.part.csv``. They hold whole rows only, so that the part of
+    a session that was killed is a take that lacks its last second. At the end they
+    become ``take.csv``, or for several bodies ``take.1.csv``, ``take.2.csv`` and so on
+    in order of appearance.
 
     Raises:
-        InputError: It cannot be written there, or a recording of that name is there.
+        InputError: It cannot be written there, or a recording of that name exists.
     """
 
     def __init__(self, path: Path, skeleton: Skeleton, tally: Tally) -> None:
@@ -60,7 +53,7 @@ class Recorder:
         there += sorted(path.parent.glob(f"{glob.escape(path.stem)}.*.csv"))
         if there:
             raise InputError(
-                f"{there[0]}: is there already, and nobody performs twice the same; "
+                f"{there[0]}: exists already, and a recording is never overwritten; "
                 "give another name, or move it away"
             )
         self._path, self._skeleton, self._tally = path, skeleton, tally
@@ -72,12 +65,7 @@ class Recorder:
         """Why nothing more can be written; None while it can."""
 
     def add(self, time: float, seen: SeenBody) -> None:
-        """Keep a frame for the next ``flush``.
-
-        Args:
-            time: Its stamp [s].
-            seen: What the sensor sees of one person.
-        """
+        """Keep a person's frame with the stamp ``time`` [s] for the next ``flush``."""
         part = self._part(time, seen)
         if part is None or self._waiting >= _MOST_WAITING:
             self._tally.count(Event.UNRECORDED)
@@ -88,7 +76,7 @@ class Recorder:
             self._waiting += 1
 
     def flush(self) -> None:
-        """Write what came since the last time; any thread may, others wait for it."""
+        """Write what came since the last time; threads that call it take turns."""
         with self._writing:
             for part in list(self._parts):
                 with self._lock:
@@ -99,15 +87,13 @@ class Recorder:
                     self._waiting -= len(rows)
 
     def finish(self) -> list[Path]:
-        """Write all, after whoever still does, name the files, and return them."""
+        """Write the rest after any flush under way, name the files, return them."""
         self.flush()
-        kept = [part for part in self._parts if part.frames >= _LEAST]
-        names = [self._path]
-        if len(kept) > 1:
-            stem = self._path.stem
-            numbers = range(1, len(kept) + 1)
-            names = [self._path.with_name(f"{stem}.{n}.csv") for n in numbers]
-        places = dict(zip((part.path for part in kept), names, strict=False))
+        kept = [part.path for part in self._parts if part.frames >= _LEAST]
+        places = {
+            path: numbered(self._path, n if len(kept) > 1 else None)
+            for n, path in enumerate(kept, 1)
+        }
         for part in self._parts:
             try:
                 _close(part, places.get(part.path))
@@ -123,36 +109,25 @@ class Recorder:
         part = self._current.get(seen.id)
         if self.failure is not None:
             return None
-        if part is None or time < part.last:
-            part = self._begun(time)
-            if part is not None:
-                self._current[seen.id] = part
-        return part
-
-    def _begun(self, time: float) -> _Part | None:
-        """Return a new file with the names of the columns, if there may be more."""
+        if part is not None and time >= part.last:
+            return part
         number = len(self._parts) + 1
         if number > _MOST_FILES:
             return None
         path = self._path.with_name(f"{self._path.stem}.{number}.part.csv")
         try:
-            file = path.open("xb", buffering=0)
-            part = _Part(path, file, time)
+            part = _Part(path, path.open("xb", buffering=0), time)
             self._parts.append(part)
-            _write_whole(file, take_header(self._skeleton).encode())
+            _write_whole(part.file, take_header(self._skeleton).encode())
         except OSError as error:
             self._fail(path, error)
             return None
+        self._current[seen.id] = part
         return part
 
     def _write(self, part: _Part, rows: list[tuple[float, SeenBody]]) -> None:
-        text = take_rows(
-            np.array([time for time, _ in rows]),
-            np.array([seen.positions for _, seen in rows]),
-            np.array([seen.state for _, seen in rows]),
-        )
         try:
-            _write_whole(part.file, text.encode())
+            _write_whole(part.file, take_rows(*stacked(rows)).encode())
         except OSError as error:
             self._fail(part.path, error)
         else:

@@ -1,4 +1,4 @@
-"""A live session: frames in, poses out, until it is told to stop."""
+"""A live session: frames in, poses out, until it is stopped."""
 
 from __future__ import annotations
 
@@ -16,19 +16,17 @@ from kinefilter.characters import (
     standard_body,
 )
 
-from .addresses import Address
-from .config import LiveConfig, OpenConfig
+from .config import AccessConfig, LiveConfig
 from .crowd import Crowd, Presence, Waiting
-from .ends import find_ends
-from .messages import MalformedError, parse_frame
-from .person import Person, Stature
-from .poses import LivePose
+from .endpoints import Address, find_endpoints
+from .messages import LivePose, MalformedError, parse_frame
+from .person import Person, make_avatar
 from .recorder import Recorder
 from .sinks import Sink, open_sink
 from .sources import Intake, open_source
 from .tally import Event, Tally
 
-_TICK = 0.25  # s between looks at who is gone
+_TICK = 0.25  # s between checks of who is gone
 _FLUSH = 1.0  # s between writes of the recording: what a kill may cost
 _WARM_UP = 10  # frames; the first of a process take a hundred times as long
 _MOST_BODIES = 32
@@ -42,33 +40,19 @@ class Session:
     some milliseconds. Between two poses all frames that came are taken in; while poses
     are late, the newest frame of each person waits and older ones are dropped.
 
-    Args:
-        config: Where frames come from, who is in them, and where poses go.
-        open_config: Who may connect.
-
     Raises:
         InputError: The configuration is wrong, or a package is not installed.
     """
 
-    def __init__(
-        self, config: LiveConfig, open_config: OpenConfig | None = None
-    ) -> None:
+    def __init__(self, config: LiveConfig, access: AccessConfig | None = None) -> None:
         self.tally = Tally()
         self.recorded: list[Path] = []
         """Files of the recording, once it is finished."""
-        self.ends = find_ends(config, open_config or OpenConfig())
+        self.endpoints = find_endpoints(config, access or AccessConfig())
         if not 1 <= config.bodies <= _MOST_BODIES:
             raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
-        self._skeleton = skeleton_named(config.skeleton)
-        self._bodies = config.bodies
-        self._stature = Stature(
-            self._skeleton,
-            config.height,
-            config.mass,
-            config.scene,
-            config.floor,
-        )
-        self.crowd = Crowd(self._stature, config.bodies, self.tally)
+        self._config, self._skeleton = config, skeleton_named(config.skeleton)
+        self.crowd = Crowd(config.bodies, self.tally)
         self.recorder: Recorder | None = None
         if config.record is not None:
             self.recorder = Recorder(config.record, self._skeleton, self.tally)
@@ -81,11 +65,11 @@ class Session:
         stop: asyncio.Event,
         started: Callable[[list[Address]], None] = lambda _: None,
     ) -> None:
-        """Follow until it is told to stop or the input ends; finish the recording.
+        """Follow people until told to stop or the input ends; finish the recording.
 
         Args:
-            stop: Set by whoever wants the session to end.
-            started: Told the addresses in use, of the input, then of the outputs.
+            stop: Ends the session when it is set.
+            started: Called with the addresses in use, of the input, then the outputs.
 
         Raises:
             InputError: A port is taken, or a host not known.
@@ -105,8 +89,8 @@ class Session:
         stop: asyncio.Event,
         started: Callable[[list[Address]], None],
     ) -> None:
-        access, used = self.ends.access, []
-        for target in self.ends.targets:
+        access, used = self.endpoints.access, []
+        for target in self.endpoints.targets:
             sink, place = await stack.enter_async_context(
                 open_sink(target, access, self._skeleton, self.tally, stop.set)
             )
@@ -118,7 +102,7 @@ class Session:
             for work in (self._pump(), self._tick(), self._record(), stop.wait())
         ]
         try:
-            async with open_source(self.ends.source, access, intake) as place:
+            async with open_source(self.endpoints.source, access, intake) as place:
                 started([place, *used])
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in tasks:
@@ -131,9 +115,9 @@ class Session:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     def receive(self, message: bytes | str) -> None:
-        """Take in a message; what is no frame is counted."""
+        """Take in a message; one that is not a frame is counted."""
         try:
-            frame = parse_frame(message, self._skeleton, self._bodies)
+            frame = parse_frame(message, self._skeleton, self._config.bodies)
         except MalformedError as error:
             self.tally.malformed[error.reason] += 1
             return
@@ -149,7 +133,7 @@ class Session:
             await sink.flushed()
 
     async def _pump(self) -> None:
-        """Make the pose of whoever's frame has waited longest, again and again."""
+        """Make poses, always of the person who has waited longest."""
         while True:
             await self._came.wait()
             self._came.clear()
@@ -159,7 +143,7 @@ class Session:
             self._idle.set()
 
     async def _take_in(self) -> None:
-        """Let poses go, and frames come that arrived during the last pose."""
+        """Send poses, and take in frames that arrived during the last pose."""
         quiet = 0
         while quiet < _QUIET:
             self._came.clear()
@@ -167,17 +151,17 @@ class Session:
             quiet = 0 if self._came.is_set() else quiet + 1
 
     def _pose(self, presence: Presence, waiting: Waiting) -> None:
-        """Make somebody's pose and send it."""
+        """Make a person's pose and send it."""
         if presence.person is None:
-            presence.person = Person(self._stature)
+            presence.person = Person(self._config)
         person = presence.person
-        if waiting.anew:
+        if waiting.restarted:
             person.start()
         try:
             pose = person.step(waiting.seen, waiting.time)
         except (InputError, ArithmeticError, ValueError):
-            # Measured as no human is, or beyond what numbers hold: one person's
-            # frames must not end the session of the others.
+            # Measures of no human, or an overflow: one person's frames must not end
+            # the session of the others.
             presence.person = None
             self.tally.count(Event.FAILED)
             return
@@ -200,7 +184,7 @@ class Session:
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(_TICK)
-            for gone in self.crowd.rest(time.perf_counter()):
+            for gone in self.crowd.drop_gone(time.perf_counter()):
                 for sink in self._sinks:
                     sink.gone(gone.id, gone.slot)
 
@@ -211,11 +195,11 @@ class Session:
                 await asyncio.to_thread(self.recorder.flush)
 
     def _warm_up(self) -> None:
-        """Load what the first pose needs; what is there then is no garbage."""
-        height, mass = self._stature.height, self._stature.mass
+        """Load what the first pose needs, and exempt it from garbage collection."""
+        height, mass = self._config.height, self._config.mass
         height = STANDARD_HEIGHT if height is None else height
         body = standard_body(self._skeleton, height=height, mass=mass)
-        avatar = self._stature.avatar(body)
+        avatar = make_avatar(body, self._config)
         for k in range(_WARM_UP):
             avatar.step(body.rest_positions, k / 30.0)
         gc.collect()

@@ -6,40 +6,73 @@ import asyncio
 import os
 import threading
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable
 from concurrent.futures import CancelledError
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from kinefilter.characters import InputError
-
-from .access import Access
-from .addresses import STANDARD, Address
-from .limits import LARGEST_MESSAGE, Peers, Rate
-from .messages import Reason
+from .endpoints import STANDARD, Access, Address
+from .messages import LARGEST_MESSAGE, Reason
+from .sockets import MOST_CONNECTIONS, cannot_listen, open_server
 from .tally import Event, Tally
-from .websocket import open_server
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
 _STDIN = 0
 _CHUNK = 2**16  # bytes
+_RATE = 240.0  # messages a second from one sender: eight times a Kinect's
+_BURST = 60.0  # messages that may come at once after a pause
+_FORGOTTEN = 10.0  # s after which a silent sender of datagrams makes room
 
 
 @dataclass(frozen=True)
 class Intake:
     """What is done with messages."""
 
-    receive: Callable[[bytes | str], None]
-    """Takes a message."""
-    done: Callable[[], Awaitable[None]]
-    """Waits until all that was taken has its pose."""
-    ended: Callable[[], None]
-    """Told when nothing more can come."""
-    tally: Tally
-    """What counts messages that are not taken."""
+    receive: Callable[[bytes | str], None]  # takes a message
+    done: Callable[[], Awaitable[None]]  # waits until all that was taken has its pose
+    ended: Callable[[], None]  # called when nothing more can come
+    tally: Tally  # counts messages that are not taken
+
+
+class Rate:
+    """Lets one sender's messages pass, up to a number a second.
+
+    Args:
+        now: The time [s], of any clock that does not go back.
+    """
+
+    def __init__(self, now: float) -> None:
+        self._left, self.heard = _BURST, now
+
+    def allows(self, now: float) -> bool:
+        """Tell whether a message that comes now [s] may pass."""
+        self._left = min(_BURST, self._left + (now - self.heard) * _RATE)
+        self.heard = now
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+class Peers:
+    """The senders of datagrams, which never close a connection."""
+
+    def __init__(self) -> None:
+        self._rates: dict[Hashable, Rate] = {}
+
+    def rate(self, peer: Hashable, now: float) -> Rate | None:
+        """Return a sender's rate, or None where there are too many senders."""
+        rates = self._rates
+        if peer not in rates and len(rates) >= MOST_CONNECTIONS:
+            silent = [p for p, rate in rates.items() if now - rate.heard >= _FORGOTTEN]
+            for one in silent:
+                del rates[one]
+            if not silent:
+                return None
+        return rates.setdefault(peer, Rate(now))
 
 
 @asynccontextmanager
@@ -48,24 +81,30 @@ async def open_source(
 ) -> AsyncIterator[Address]:
     """Hand over the messages that come to an address; yields the address in use.
 
-    Args:
-        address: Of the scheme udp, ws, wss or ``-``; port 0 takes a free one.
-        access: Who may connect by WebSocket.
-        intake: What is done with messages.
-
     Raises:
-        InputError: The port is taken or the host not ours.
+        InputError: The port is taken or the host is not of this machine.
     """
     if address.scheme == STANDARD:
-        _Stdin(intake).start()
+        # A daemon: a read of a pipe that stays empty never ends.
+        reader = _Stdin(intake)
+        threading.Thread(target=reader.read, daemon=True).start()
         yield address
     elif address.scheme == "udp":
-        async with _datagrams(address, intake) as actual:
-            yield actual
+        loop = asyncio.get_running_loop()
+        try:
+            transport, _ = await loop.create_datagram_endpoint(
+                lambda: Receiver(intake), local_addr=(address.host, address.port)
+            )
+        except OSError as error:
+            raise cannot_listen(address, error) from None
+        try:
+            port = int(transport.get_extra_info("sockname")[1])
+            yield Address("udp", address.host, port)
+        finally:
+            transport.close()
     else:
-        handler = _handler(intake)
         async with open_server(
-            handler, address, access, intake.tally, largest=LARGEST_MESSAGE
+            _handler(intake), address, access, intake.tally, largest=LARGEST_MESSAGE
         ) as actual:
             yield actual
 
@@ -86,25 +125,6 @@ class Receiver(asyncio.DatagramProtocol):
             self._intake.tally.count(Event.TOO_FAST)
         else:
             self._intake.receive(data)
-
-
-@asynccontextmanager
-async def _datagrams(address: Address, intake: Intake) -> AsyncIterator[Address]:
-    loop = asyncio.get_running_loop()
-    try:
-        transport, _ = await loop.create_datagram_endpoint(
-            lambda: Receiver(intake), local_addr=(address.host, address.port)
-        )
-    except OSError as error:
-        raise InputError(
-            f"{address}: cannot listen there ({error.strerror or error}); "
-            "choose another port or address"
-        ) from None
-    try:
-        port = int(transport.get_extra_info("sockname")[1])
-        yield Address("udp", address.host, port)
-    finally:
-        transport.close()
 
 
 def _handler(intake: Intake) -> Callable[[ServerConnection], Awaitable[None]]:
@@ -131,34 +151,27 @@ def _handler(intake: Intake) -> Callable[[ServerConnection], Awaitable[None]]:
 class _Stdin:
     """Lines of the standard input, each of which waits for the poses of the last.
 
-    Whoever writes into a pipe can wait, so no frame is dropped.
+    A program that writes into a pipe can wait, so no frame is dropped.
     """
 
     def __init__(self, intake: Intake) -> None:
         self._intake = intake
         self._loop = asyncio.get_running_loop()
 
-    def start(self) -> None:
-        # A daemon: nothing ends a read for which nobody writes.
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
+    def read(self) -> None:
         # From the descriptor: a buffer's lock would outlive the interpreter.
         rest, too_long = b"", False
         while chunk := os.read(_STDIN, _CHUNK):
             *lines, rest = (rest + chunk).split(b"\n")
             for line in lines:
-                if not self._take(b"" if too_long else line, too_long):
+                if not self._call(self._take(b"" if too_long else line, too_long)):
                     return
                 too_long = False
             if len(rest) > LARGEST_MESSAGE:
                 rest, too_long = b"", True
         if rest.strip() or too_long:
-            self._take(rest, too_long)
-        self._call(self._ended())
-
-    def _take(self, line: bytes, too_long: bool) -> bool:
-        return self._call(self._handed(line, too_long))
+            self._call(self._take(rest, too_long))
+        self._call(self._end())
 
     def _call(self, work: Any) -> bool:
         """Run something in the loop and wait for it; tell whether it could."""
@@ -169,12 +182,12 @@ class _Stdin:
             return False
         return True
 
-    async def _handed(self, line: bytes, too_long: bool) -> None:
+    async def _take(self, line: bytes, too_long: bool) -> None:
         if too_long:
             self._intake.tally.malformed[Reason.TOO_LONG] += 1
         elif line.strip():
             self._intake.receive(line)
             await self._intake.done()
 
-    async def _ended(self) -> None:
+    async def _end(self) -> None:
         self._intake.ended()

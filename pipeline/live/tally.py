@@ -12,11 +12,11 @@ from .messages import Reason
 
 _BIN = 1e-4  # s
 _BINS = 10_000  # a second; what took longer counts as that
-_RECENT = 300  # poses that the status line speaks of: ten seconds of one person
+_RECENT = 300  # poses of the status line: ten seconds of one person
 
 
 class Event(StrEnum):
-    """What can happen."""
+    """What is counted."""
 
     FRAMES = "frames in"
     POSES = "poses out"
@@ -24,21 +24,21 @@ class Event(StrEnum):
     LATE = "late"
     REPEATED = "repeated"
     MISSING = "missing"
-    RESTARTED = "clocks begun anew"
+    RESTARTED = "clocks restarted"
     UNSEEN = "without a joint"
     RESTED = "bodies gone"
-    CROWDED = "bodies too many"
+    CROWDED = "too many bodies"
     TOO_FAST = "faster than allowed"
     REFUSED = "connections refused"
     SLOW = "lost by slow readers"
     UNSENT = "not sent"
-    FAILED = "people measured or followed anew"
-    DIVERGED = "simulations begun anew"
+    FAILED = "people started over"
+    DIVERGED = "simulations reset"
     UNRECORDED = "not recorded"
 
 
 class Latency:
-    """How long poses took: a histogram of any number of them."""
+    """A histogram of how long poses took, however many there are."""
 
     def __init__(self) -> None:
         self._bins = np.zeros(_BINS + 1, dtype=np.int64)
@@ -52,14 +52,17 @@ class Latency:
         self.most = max(self.most, seconds)
 
     def quantile(self, share: float) -> float:
-        """Return the time [s] that a share of all stayed under, to 0.1 ms, or NaN."""
+        """Return the time [s] that a share of all poses took at most, or NaN.
+
+        It is exact to 0.1 ms.
+        """
         total = np.cumsum(self._bins)
         if not total[-1]:
             return float("nan")
         return float((np.searchsorted(total, share * total[-1]) + 1) * _BIN)
 
     def recent(self, share: float) -> float:
-        """Return the same of the last 300 [s]."""
+        """Return the same [s] of the last 300 poses."""
         if not self._recent:
             return float("nan")
         return float(np.quantile(np.array(self._recent), share))
@@ -84,9 +87,7 @@ class Tally:
         known = latency.most > 0.0
         return {
             **{event.name.lower(): self.events[event] for event in Event},
-            "malformed": {
-                reason.name.lower(): self.malformed[reason] for reason in Reason
-            },
+            "malformed": {r.name.lower(): self.malformed[r] for r in Reason},
             "latency_ms": {
                 "p50": latency.quantile(0.5) * 1e3 if known else None,
                 "p99": latency.quantile(0.99) * 1e3 if known else None,
