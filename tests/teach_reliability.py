@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinefilter.characters import SKELETONS
-from kinefilter.pipeline.lab.scorers.lessons import learned_weights
+from kinefilter.pipeline.lab.scorers.learned import learned_weights
 from kinefilter.pipeline.lab.simulate import furnished_pairs
 
 FOLDER = Path(__file__).parents[1] / "pipeline" / "lab" / "embedded"

@@ -13,6 +13,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab.studies import (
     STUDIES,
+    Options,
     claims,
     fingerprint,
     output,
@@ -112,7 +113,7 @@ def test_a_claim_is_judged_by_the_cell_of_its_study(
 def test_every_claim_has_its_cell_in_the_study() -> None:
     """Of those studies that are quick: a name that changed would be found late."""
     for name in ("shum-table-3", "cleaned-takes"):
-        study = reproduce(name, quick=True)
+        study = reproduce(name, Options(), quick=True)
         cells = {(row[0], column) for row in study.rows for column in study.columns}
         for claim in claims.read_claims():
             if claim.study == name:
@@ -126,7 +127,7 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
 ) -> None:
     made_of: list[str] = []
 
-    def measured(name: str, **_: object) -> Study:
+    def measured(name: str, *_: object, **__: object) -> Study:
         made_of.append(name)
         return Study("Made up", ("what", "cm"), (("one", 0.5),), (PANEL,))
 
@@ -194,7 +195,7 @@ def test_recordings_are_looked_for_where_they_are_kept(
     assert recordings_folder(None) is not None
     assert recordings_folder(tmp_path) == tmp_path
     with pytest.raises(InputError, match="recordings"):
-        reproduce("untrained", quick=True, data=tmp_path)
+        reproduce("untrained", Options(data=tmp_path), quick=True)
 
 
 def test_a_picture_that_cannot_be_made_is_told(

@@ -69,7 +69,7 @@ def test_a_missing_joint_costs_its_segments_alone() -> None:
 
 
 def test_postures_come_nearer_the_more_joints_are_given() -> None:
-    study = reproduce("shum-table-3", quick=True)
+    study = reproduce("shum-table-3", Options(), quick=True)
     foot_and_hand, hands, ends, middles, whole = (row[1] for row in study.rows)
     assert foot_and_hand > ends
     assert hands > ends > middles > whole > 0.0
@@ -78,7 +78,7 @@ def test_postures_come_nearer_the_more_joints_are_given() -> None:
 
 
 def test_more_sampling_lowers_the_energy_and_the_solver_is_below_all() -> None:
-    study = reproduce("shum-figure-8", quick=True)
+    study = reproduce("shum-figure-8", Options(), quick=True)
     for parameter in ("steps", "samples"):
         rows = [row for row in study.rows if row[0] == parameter]
         sampled = [row[3] for row in rows if row[2] == "stochastic"]

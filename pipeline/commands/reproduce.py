@@ -72,12 +72,16 @@ class Reproduce:
 
     def _study(self, name: str, folder: Path, data: Path | None) -> None:
         """Run a study, write and print it."""
-        from kinefilter.pipeline.lab.studies import as_table, reproduce, write_study
+        from kinefilter.pipeline.lab.studies import (
+            Options,
+            as_table,
+            reproduce,
+            write_study,
+        )
 
         with progress_bars() as progress:
-            study = reproduce(
-                name, seed=self.seed, quick=self.quick, data=data, progress=progress
-            )
+            options = Options(self.seed, data, progress)
+            study = reproduce(name, options, quick=self.quick)
         written = write_study(name, study, folder)
         out.print(as_table(study))
         out.print(f"wrote {' and '.join(map(str, written))}\n")

@@ -7,25 +7,14 @@ has what README says of them, and ``claims`` compares it with what was measured.
 """
 
 from . import claims
-from .catalog import (
-    STUDIES,
-    check_names,
-    fingerprint,
-    is_made,
-    note_made,
-    reproduce,
-)
-from .output import (
-    check_drawing,
-    check_studies_folder,
-    make_pictures,
-    write_study,
-)
-from .study import Study, as_table
+from .catalog import STUDIES, check_names, fingerprint, is_made, note_made, reproduce
+from .output import check_drawing, check_studies_folder, make_pictures, write_study
+from .study import Options, Study, as_table
 from .takes import recordings_folder
 
 __all__ = [
     "STUDIES",
+    "Options",
     "Study",
     "as_table",
     "check_drawing",

@@ -10,16 +10,10 @@ from typing import NamedTuple
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path
-from kinefilter.pipeline.progress import Progress, silent
 
 from .cleaned_takes import cleaned_takes, marker_mocap
 from .detection import failures, reliability
-from .learned_methods import (
-    chiang_figure_5,
-    liu_figure_3,
-    liu_figure_7,
-    liu_table_5,
-)
+from .learned_methods import chiang_figure_5, liu_figure_3, liu_figure_7, liu_table_5
 from .methods import methods_known_people, methods_new_people, untrained
 from .shum import shum_figure_8, shum_table_3, shum_table_4
 from .speed import million_postures, speed
@@ -27,7 +21,7 @@ from .study import Options, Study
 
 _FLOORS = ("characters", "retarget", "scenes", "pipeline")
 _SUFFIXES = (".py", ".toml", ".xml", ".npz", ".csv")
-_NOT_MEASURED = "claims.toml"  # judges what was measured, and measures nothing
+_EXCEPT = ("claims.toml",)  # which judges, and measures nothing
 
 
 class _Entry(NamedTuple):
@@ -65,43 +59,33 @@ def check_names(names: Sequence[str]) -> None:
             raise InputError(f"unknown study {name!r}; known: {', '.join(STUDIES)}")
 
 
-def reproduce(
-    name: str,
-    *,
-    seed: int = 0,
-    quick: bool = False,
-    data: Path | None = None,
-    progress: Progress = silent,
-) -> Study:
+def reproduce(name: str, options: Options, *, quick: bool = False) -> Study:
     """Run a study.
 
     Args:
         name: One of STUDIES.
-        seed: Draws simulated people, performances and the sensor's errors.
+        options: What every study is run with.
         quick: Take a small part of everything; the figures then mean little.
-        data: Folder of recordings; None: simulated takes only.
-        progress: Wraps the loops, for a progress bar.
 
     Raises:
         InputError: There is no such study, or no such recordings in the folder.
     """
     check_names([name])
     run, sizes = STUDIES[name]
-    return run(Options(seed, data, progress), **(sizes if quick else {}))
+    return run(options, **(sizes if quick else {}))
 
 
 def fingerprint(data: Path | None, *, seed: int, quick: bool) -> str:
-    """Return a hash of everything that the figures of a study come from.
+    """Return a hash of what figures come from: source of kinefilter, and recordings.
 
-    That is the whole source of kinefilter, and names, sizes and times of the
-    recordings. An interrupted run goes on with the studies that are missing or of
-    another fingerprint.
+    Recordings count by names, sizes and times. A run that was interrupted goes on with
+    the studies that are missing or of another fingerprint.
     """
     found = hashlib.sha256(f"{seed} {quick}".encode())
     for floor in _FLOORS:
         folder = Path(str(resources.files(f"kinefilter.{floor}")))
         for path in sorted(folder.rglob("*")):
-            if path.suffix in _SUFFIXES and path.name != _NOT_MEASURED:
+            if path.suffix in _SUFFIXES and path.name not in _EXCEPT:
                 found.update(str(path.relative_to(folder)).encode())
                 found.update(path.read_bytes())
     for path in sorted(data.rglob("*")) if data else ():

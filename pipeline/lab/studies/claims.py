@@ -29,18 +29,15 @@ _COLUMNS = ("claim", "README", "measured", "held")
 
 @dataclass(frozen=True)
 class Claim:
-    """One figure of README."""
+    """One figure of README, with what ``claims.toml`` says of it."""
 
     says: str
-    """What README's row begins with."""
     figure: str
-    """The figure as README prints it."""
+    """As README prints it."""
     study: str
-    """One of STUDIES."""
     row: str
-    """First cell of the study's row."""
+    """First cell of the row in the study's table."""
     column: str
-    """Name of the study's column."""
     direction: Literal["is", "at most", "at least"]
     """On which side of the figure the measured value may be."""
     within: float
@@ -58,11 +55,8 @@ class Claim:
     def holds(self, measured: float) -> bool:
         """Return whether a measured value is what README says."""
         away = measured - float(self.figure)
-        if self.direction == "at most":
-            return away <= self.within
-        if self.direction == "at least":
-            return away >= -self.within
-        return abs(away) <= self.within
+        beyond = {"is": abs(away), "at most": away, "at least": -away}
+        return beyond[self.direction] <= self.within
 
 
 def read_claims() -> list[Claim]:
@@ -95,9 +89,8 @@ class Verdict:
     measured: float | None
     """None: the study has no such figure."""
     held: bool | None
-    """None: not judged."""
+    """None: not judged, for the reason in ``note``."""
     note: str = ""
-    """Why it is not judged."""
 
     @property
     def words(self) -> str:
@@ -153,21 +146,20 @@ def _cells(path: Path) -> dict[tuple[str, str], str]:
 
 def write_verdicts(verdicts: Sequence[Verdict], folder: Path) -> Path:
     """Write ``claims.csv`` into a folder and return its path."""
+    rows = [
+        (*one.row, one.claim.direction, f"{one.claim.within:g}", one.claim.why)
+        for one in verdicts
+    ]
     path = folder / "claims.csv"
-    rows = [(*_COLUMNS, "direction", "within", "why")]
-    for verdict in verdicts:
-        claim = verdict.claim
-        rows.append((*verdict.row, claim.direction, f"{claim.within:g}", claim.why))
     with atomic_path(path) as temporary:
-        write_table(rows, temporary)
+        write_table([(*_COLUMNS, "direction", "within", "why"), *rows], temporary)
     return path
 
 
 def verdicts_table(verdicts: Sequence[Verdict]) -> Table:
     """Return the verdicts for a terminal."""
-    judged = [verdict for verdict in verdicts if verdict.held is not None]
-    held = sum(verdict.held is True for verdict in judged)
-    title = f"{held} of {len(judged)} claims of README held"
+    judged = [verdict.held for verdict in verdicts if verdict.held is not None]
+    title = f"{sum(judged)} of {len(judged)} claims of README held"
     if len(judged) < len(verdicts):
         title += f", {len(verdicts) - len(judged)} not judged"
     table = Table(*_COLUMNS, title=title, title_justify="left")

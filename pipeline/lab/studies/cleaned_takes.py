@@ -18,6 +18,7 @@ from .study import Cell, Options, Panel, Series, Study, series_of
 from .takes import clips_of, recorded_people, recorded_takes
 
 _SEED = 4000  # of the first simulated take, above all people of the database
+_DRAWN = ("feet slide, mm a frame", "jitter, share of raw")
 _LOW_IS_WORSE = (
     "amplitude, after over before physics",
     "peak hand speed, after over before physics",
@@ -67,10 +68,7 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
         title=f"{len(files)} recorded and {len(motions)} simulated takes, cleaned",
         columns=("figure", *ends),
         rows=rows,
-        panels=[
-            _sorted_takes(name, figures[name])
-            for name in ("feet slide, mm a frame", "jitter, share of raw")
-        ],
+        panels=[_sorted_takes(name, figures[name]) for name in _DRAWN],
         across=2,
     )
 
@@ -133,7 +131,7 @@ def marker_mocap(options: Options, *, movements: int = 10) -> Study:
     pairs = [
         pair
         for name in over(people, "people", options.progress)
-        for pair in clips_of(name, movements, options)[::_EVERY]
+        for pair in clips_of([name], movements, options)[::_EVERY]
     ]
     accuracy = Accuracy(pairs[0].take.skeleton)
     names = ("raw", *_CONFIGS, "mocap")
@@ -148,8 +146,8 @@ def marker_mocap(options: Options, *, movements: int = 10) -> Study:
             jitters[name].append(jitter(take.time, positions[:, accuracy.limbs]))
     mean_jitter = {name: float(np.mean(values)) for name, values in jitters.items()}
     rows: list[tuple[Cell, ...]] = []
-    for name in names:
-        found = tallies[name].summary()
+    for name, tally in tallies.items():
+        found = tally.summary()
         errors = (found["E"], found["E_std"], found["E_var"])
         rows.append((name, *errors, mean_jitter[name]))
     bars = series_of(rows[:-1], {"E": 1, "E_var": 3}, kind="bars")

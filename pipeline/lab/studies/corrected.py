@@ -13,11 +13,7 @@ from kinefilter.pipeline.training import PairedTake
 
 
 class StandardizedTake:
-    """A take on the standard body, and its truth.
-
-    Args:
-        pair: The take and its truth.
-    """
+    """A take on the standard body, and its truth."""
 
     def __init__(self, pair: PairedTake) -> None:
         self.pair = pair

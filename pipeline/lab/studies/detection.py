@@ -18,7 +18,6 @@ from .study import Cell, Options, Panel, Series, Study, series_of
 from .takes import CLASSES, clips_of, recorded_people, recorded_takes, study_takes
 
 _FAR, _VARYING = "over_10_cm", "varying_over_7_cm"
-
 _JOINTS = ("Elbow", "Wrist", "Knee", "Ankle")
 _FAR_OFF = 0.2  # m from the mocap
 _LASTING = 9  # frames, 0.3 s, that a joint is far off before its limb counts as lost
@@ -40,26 +39,18 @@ def reliability(options: Options, *, takes: int = 12, movements: int = 10) -> St
     recorded: dict[str, dict[str, float | None]] = {}
     if options.data is not None:
         people = over(recorded_people(options.data), "read", options.progress)
-        recorded = reliability_auc(
-            [pair for name in people for pair in clips_of(name, movements, options)]
-        )
+        recorded = reliability_auc(clips_of(people, movements, options))
+    recorded_columns = [f"recorded_{key}" for key in (_FAR, _VARYING)]
     rows: list[tuple[Cell, ...]] = []
+    bars = []
     for scoring in SCORERS:
         far = [area[scoring][_FAR] for area in areas]
+        bars.append(Series(scoring, [*groups], [one or 0.0 for one in far], "bars"))
         own = [recorded[scoring][key] if recorded else None for key in (_FAR, _VARYING)]
         rows.append((scoring, *far, areas[0][scoring][_VARYING], *own))
-    bars = [
-        Series(
-            str(row[0]), [*groups], [float(cell or 0.0) for cell in row[1:5]], "bars"
-        )
-        for row in rows
-    ]
     return Study(
         title="Joints over 10 cm off, found by their reliability (area under ROC)",
-        columns=(
-            *("scoring", *groups, _VARYING),
-            *(f"recorded_{key}" for key in (_FAR, _VARYING)),
-        ),
+        columns=("scoring", *groups, _VARYING, *recorded_columns),
         rows=rows,
         panels=[Panel("class of movement", "area under the ROC curve", bars)],
     )
@@ -78,26 +69,19 @@ def failures(options: Options, *, count: int = 1000, movements: int = 10) -> Stu
     quick = [file for file in files if file.parent.name == "precog16"][:count]
     found = [_kinds(read_take(file)) for file in over(failed, "failures", progress)]
     alarms = [_kinds(read_take(file)) for file in over(quick, "kicks", progress)]
-    near = [
-        _kinds(pair.take)
-        for name in over(recorded_people(options.data)[:count], "people", progress)
-        for pair in clips_of(name, movements, options)
-        if _near(pair)
-    ]
+    people = over(recorded_people(options.data)[:count], "people", progress)
+    clips = clips_of(people, movements, options)
+    leaping = {FailureKind.LEAPING}
     groups = {
         "recorded failures": [bool(kinds) for kinds in found],
-        "recorded failures, by leaps alone": [
-            kinds == {FailureKind.LEAPING} for kinds in found
-        ],
+        "recorded failures, by leaps alone": [kinds == leaping for kinds in found],
         "punches and kicks": [bool(kinds) for kinds in alarms],
-        "near the mocap": [bool(kinds) for kinds in near],
+        "near the mocap": [bool(_kinds(pair.take)) for pair in clips if _near(pair)],
     }
-    rows: list[tuple[Cell, ...]] = [
-        (name, len(told), sum(told), 100.0 * sum(told) / len(told))
-        if told
-        else (name, None, None, None)
-        for name, told in groups.items()
-    ]
+    rows: list[tuple[Cell, ...]] = []
+    for name, told in groups.items():
+        share = 100.0 * sum(told) / len(told) if told else None
+        rows.append((name, len(told) or None, sum(told) if told else None, share))
     names = [name.replace(", ", ",\n") for name in groups]
     bars = series_of(rows, {"found": 3}, x=names, kind="bars")
     return Study(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -12,7 +13,7 @@ from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
 from kinefilter.pipeline.progress import over
-from kinefilter.pipeline.training import PairedTake, TrainingSet, training_set
+from kinefilter.pipeline.training import TrainingSet, training_set
 
 from .corrected import StandardizedTake
 from .study import Cell, Options, Panel, Series, Study, series_of
@@ -28,8 +29,6 @@ _CHOSEN = (50, 9)  # S and L
 
 _WALKING = ("march",)  # on the spot: who walks leaves the sensor's view
 _WALKING_SAMPLES, _WALKING_KEPT = 1120, 681
-_WALKING_CLUSTERS, _WALKING_LARGEST = 16, 200  # so that no model is full
-_WALKING_BLENDED = 3
 _REDUNDANCIES = (0.0, 0.02, 0.1, 0.5)
 
 _TERMS: dict[str, tuple[dict[str, float], float]] = {
@@ -41,7 +40,6 @@ _TERMS: dict[str, tuple[dict[str, float], float]] = {
 """Weights that are changed to leave out terms, and the paper's errors [cm]."""
 
 _EXERCISE = ("push_down_pumping",)  # exercise 4, that of figure 5
-_SENSOR = "v1"  # a v2's thumbs leave too few frames with every joint reliable
 _CENTROIDS = (25, 50, 100, 200, 400, 800, 1600)  # Q
 _PAPER_CENTROIDS = 800
 _PAPER_RAW, _PAPER_ERROR = 8.38, 2.70  # cm, of exercise 4 at that Q (table 2)
@@ -52,14 +50,8 @@ class _Experiment:
 
     Methods are tested on people whom they have not met (``new people``), and on those
     whom they learned from, in other performances of the same motions (``known
-    people``). The papers say nothing of people who were held back.
-
-    Args:
-        options: What every study is run with.
-        motions: Out of MOTIONS.
-        learners: How many people there are to learn from.
-        share: How many of them there are to one of each group that is tested.
-        sensor: One of SENSORS.
+    people``). Of each group there is one for every ``share`` learners. The papers say
+    nothing of people who were held back.
     """
 
     def __init__(
@@ -71,35 +63,21 @@ class _Experiment:
         share: int,
         sensor: str = "v2",
     ) -> None:
-        first, new = (
-            first_person(options.seed, learners=True),
-            first_person(options.seed),
-        )
+        first, new = (first_person(options.seed, learners=who) for who in (True, False))
         testers, progress = max(learners // share, 1), options.progress
-
-        def record(first: int, count: int, *, again: bool = False) -> list[PairedTake]:
-            people = range(first, first + count)
-            return performed_by(
-                people, motions, sensor=sensor, again=again, progress=progress
-            )
-
-        taught = record(first, learners)
+        record = partial(
+            performed_by, motions=motions, sensor=sensor, progress=progress
+        )
+        taught = record(range(first, first + learners))
         self.training = training_set(over(taught, "standardize", progress))
-        groups = (record(new, testers), record(first, testers, again=True))
-        self._tests = [[StandardizedTake(pair) for pair in group] for group in groups]
-
-    @property
-    def frames(self) -> int:
-        """How many frames are tested."""
-        return sum(len(test.positions) for group in self._tests for test in group)
+        strangers = record(range(new, new + testers))
+        known = record(range(first, first + testers), again=True)
+        self.tests = [[*map(StandardizedTake, pairs)] for pairs in (strangers, known)]
 
     def errors(self, method: LearnedCorrector | None) -> tuple[float, float]:
         """Return the mean error on new and on known people [cm]; None: of raw takes."""
-        new, known = (
-            100.0
-            * np.nanmean(np.concatenate([test.distances(method) for test in group]))
-            for group in self._tests
-        )
+        distances = [[test.distances(method) for test in tests] for tests in self.tests]
+        new, known = (100.0 * np.nanmean(np.concatenate(part)) for part in distances)
         return float(new), float(known)
 
 
@@ -117,9 +95,9 @@ def liu_figure_3(options: Options, *, people: int = 8, values: int = 4) -> Study
     for redundancy in _REDUNDANCIES[:values]:
         method = LocalGP(
             training.skeleton,
-            clusters=_WALKING_CLUSTERS,
-            samples=_WALKING_LARGEST,
-            blended=_WALKING_BLENDED,
+            clusters=16,
+            samples=200,  # so many that no model is full
+            blended=3,
             redundancy=redundancy,
         )
         method = method.fit(training, progress=options.progress)
@@ -143,15 +121,9 @@ def liu_figure_3(options: Options, *, people: int = 8, values: int = 4) -> Study
 def _drawn(training: TrainingSet, count: int) -> TrainingSet:
     """Return some frames of a training set, drawn at random."""
     rows = np.random.default_rng(0).permutation(len(training))[:count]
-    lengths = training.lengths
-    return replace(
-        training,
-        positions=training.positions[rows],
-        rate=training.rate[rows],
-        truth=training.truth[rows],
-        first=np.ones(len(rows), dtype=bool),
-        lengths=None if lengths is None else lengths[rows],
-    )
+    names = ("positions", "rate", "truth", "lengths")
+    drawn = {name: getattr(training, name)[rows] for name in names}
+    return replace(training, first=np.ones(len(rows), dtype=bool), **drawn)
 
 
 def liu_figure_7(options: Options, *, people: int = 8, values: int = 4) -> Study:
@@ -219,9 +191,10 @@ def chiang_figure_5(options: Options, *, people: int = 40, values: int = 7) -> S
     has those of Q = 800. An eighth as many people are tested as perform for the method
     to learn; ``values`` of Q are tried, from the smallest.
     """
-    experiment = _Experiment(
-        options, _EXERCISE, learners=people, share=8, sensor=_SENSOR
-    )
+    # A v2's thumbs leave too few frames with every joint reliable.
+    experiment = _Experiment(options, _EXERCISE, learners=people, share=8, sensor="v1")
+    tests = [test for group in experiment.tests for test in group]
+    frames = sum(len(test.positions) for test in tests)
     new, known = experiment.errors(None)
     rows: list[tuple[Cell, ...]] = [("raw", new, known, None, _PAPER_RAW)]
     for count in over(_CENTROIDS[:values], "centroids", options.progress):
@@ -229,7 +202,7 @@ def chiang_figure_5(options: Options, *, people: int = 40, values: int = 7) -> S
         method.fit(experiment.training)
         start = perf_counter()
         errors = experiment.errors(method)
-        milliseconds = 1e3 * (perf_counter() - start) / experiment.frames
+        milliseconds = 1e3 * (perf_counter() - start) / frames
         paper = _PAPER_ERROR if count == _PAPER_CENTROIDS else None
         rows.append((count, *errors, milliseconds, paper))
     errors_of = [

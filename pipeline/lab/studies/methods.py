@@ -11,7 +11,6 @@ import numpy as np
 
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.progress import silent
-from kinefilter.pipeline.training import PairedTake
 from kinefilter.pipeline.workers import workers
 
 from .study import Cell, Options, Panel, Study, series_of
@@ -49,14 +48,10 @@ def methods_known_people(
     learn from repetitions 1 to 7 and are tested on 8 to 10; ``local-pca`` searches the
     built-in database. Otherwise like ``methods_new_people``.
     """
-    people = recorded_people(options.data)[:count]
+    people, progress = recorded_people(options.data)[:count], options.progress
+    clips = clips_of(people, movements, options)
     figures = evaluate(
-        _clips(people, movements, options),
-        [],
-        _METHODS,
-        protocol="repetitions",
-        ablation=True,
-        progress=options.progress,
+        clips, [], _METHODS, protocol="repetitions", ablation=True, progress=progress
     )
     title = "Methods on new repetitions of the people whom they learned from"
     return _study(title, _errors(figures))
@@ -80,11 +75,8 @@ def _person_by_person(
 ) -> dict[str, _People]:
     """Return the errors of methods, tested on one person after the other."""
     people = recorded_people(options.data)[:count]
-    # Other processes show no progress.
-    quiet = replace(options, progress=silent)
-    run = partial(
-        _on_person, people=people, movements=movements, options=quiet, trained=trained
-    )
+    quiet = replace(options, progress=silent)  # other processes show none
+    run = partial(_on_person, people, movements, quiet, trained)
     merged: dict[str, _People] = {}
     with workers() as pool:
         parts = pool.map(run, people)
@@ -95,18 +87,15 @@ def _person_by_person(
 
 
 def _on_person(
-    name: str, people: Sequence[str], movements: int, options: Options, trained: bool
+    people: Sequence[str], movements: int, options: Options, trained: bool, name: str
 ) -> dict[str, _People]:
     """Return the errors of methods on somebody; trained ones learn from the others."""
-    test = _clips([name], movements, options)
+    test = clips_of([name], movements, options)
     if not trained:
         return _errors(evaluate([], test, ("none", "default"), physics=True))
-    train = _clips([other for other in people if other != name], movements, options)
+    others = [other for other in people if other != name]
+    train = clips_of(others, movements, options)
     return _errors(evaluate(train, test, _METHODS, ablation=True, database="mocap"))
-
-
-def _clips(people: Sequence[str], movements: int, options: Options) -> list[PairedTake]:
-    return [pair for name in people for pair in clips_of(name, movements, options)]
 
 
 def _errors(figures: dict[str, Any]) -> dict[str, _People]:
@@ -114,12 +103,7 @@ def _errors(figures: dict[str, Any]) -> dict[str, _People]:
 
 
 def _study(title: str, errors: dict[str, _People]) -> Study:
-    """Return errors, their change against raw, and the change on the worst person.
-
-    Args:
-        title: Title of the study, but for the number of people.
-        errors: Of every method, ``raw`` among them.
-    """
+    """Return errors, their change against raw, and the change on the worst person."""
     raw = errors["raw"]
     rows: list[tuple[Cell, ...]] = []
     for method, found in errors.items():
@@ -132,12 +116,10 @@ def _study(title: str, errors: dict[str, _People]) -> Study:
         rows.append((method, *means, *changes, *worst))
     bars = series_of(rows, {"E": 1, "E_std": 2, "E_var": 3}, kind="bars")
     figures = ("cm", "change_percent", "worst_person_percent")
+    columns = [f"{key}_{figure}" for figure in figures for key in _ERRORS]
     return Study(
         title=f"{title}: {len(raw)} people",
-        columns=(
-            "method",
-            *(f"{key}_{figure}" for figure in figures for key in _ERRORS),
-        ),
+        columns=("method", *columns),
         rows=rows,
         panels=[Panel("method", "error, cm", bars)],
     )

@@ -107,7 +107,6 @@ def draw(study: Study, path: Path) -> None:
     for axis in axes[len(study.panels) :]:
         axis.set_visible(False)
     handles, labels = axes[0].get_legend_handles_labels()
-    # Below the panels, where it hides nothing.
     across = min(len(labels), _LEGEND)
     figure.legend(handles, labels, loc="outside lower center", ncols=across)
     figure.suptitle(study.title, fontsize="medium")
@@ -134,9 +133,7 @@ def _draw_panel(panel: Panel, axis: Axes) -> None:
         axis.set_yscale("log")
     elif panel.zero:
         axis.set_ylim(bottom=0.0)
-    axis.set_xlabel(panel.x_label)
-    axis.set_ylabel(panel.y_label)
-    axis.set_axisbelow(True)
+    axis.set(xlabel=panel.x_label, ylabel=panel.y_label, axisbelow=True)
     axis.grid(axis="y", alpha=0.3)
     axis.spines[["top", "right"]].set_visible(False)
 
@@ -159,10 +156,6 @@ def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]
 
     The animation needs OpenGL; pictures of pages need viser, Chromium and a script
     that only a checkout has.
-
-    Args:
-        folder: Where to write.
-        progress: Wraps the loop over the frames, for a progress bar.
     """
     path = folder / "raw_beside_cleaned.gif"
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.scenes.library import perform
 
 from .corrected import StandardizedTake, bone_errors
-from .study import Cell, Options, Panel, Study, series_of
+from .study import Cell, Kind, Options, Panel, Study, series_of
 from .takes import CLASSES, first_person, performed_by, study_takes
 
 _HANDS, _FEET = ("HandLeft", "HandRight"), ("FootLeft", "FootRight")
@@ -45,22 +46,15 @@ _PAPER_ERRORS = {"a": (9.59, 7.26), "b": (10.89, 7.44), "c": (12.41, 7.76)}
 
 _MOTIONS = ("cross_arms", "squat", "punch", "tai_chi", "wave")
 _FRAMES = 60  # of each take: 2 s
-_CHOSEN = {
-    "postures": 2574,
-    "neighbors": 30,
-    "dimensions": 20,
-    "steps": 20,
-    "samples": 100,
+_PARAMETERS: dict[str, tuple[int, Sequence[int]]] = {
+    "postures": (2574, (50, 200, 500, 1000, 2574, 5000, 10000)),
+    "neighbors": (30, (5, 10, 20, 30, 60, 120)),
+    "dimensions": (20, (2, 5, 10, 20, 29)),
+    "steps": (20, (1, 5, 10, 20, 40)),
+    "samples": (100, (5, 20, 50, 100, 200)),
 }
-"""The paper's parameters (table V)."""
-_VALUES: dict[str, tuple[int, ...]] = {
-    "postures": (50, 200, 500, 1000, 2574, 5000, 10000),
-    "neighbors": (5, 10, 20, 30, 60, 120),
-    "dimensions": (2, 5, 10, 20, 29),
-    "steps": (1, 5, 10, 20, 40),
-    "samples": (5, 20, 50, 100, 200),
-}
-"""The values that each is given; the figure has a column of panels for each."""
+"""The paper's choice (table V) and the values that are tried; the figure has a column
+of panels for each."""
 _OF_SAMPLING = ("steps", "samples")
 
 
@@ -138,10 +132,11 @@ def shum_table_4(options: Options, *, takes: int = 12) -> Study:
             errors.append(parts[:, ~np.isnan(parts[0])])
         means = 100.0 * np.concatenate(errors, axis=1).mean(axis=1)
         raw, still, moving = means.tolist()
+        cut = 100.0 * (1.0 - moving / raw)
         seconds = sum(float(pair.take.time[-1]) for pair in pairs)
         before, after = _PAPER_ERRORS[kind]
-        ours = (seconds, raw, still, moving, _cut(raw, moving))
-        rows.append((f"({kind})", *ours, before, after, _cut(before, after)))
+        ours = (seconds, raw, still, moving, cut)
+        rows.append((f"({kind})", *ours, before, after, 100.0 * (1.0 - after / before)))
     columns = {"raw": 2, "reconstructed": 4}
     papers = {"paper, raw": 6, "paper, reconstructed": 7}
     bars = series_of(rows, columns | papers, kind="bars")
@@ -154,11 +149,6 @@ def shum_table_4(options: Options, *, takes: int = 12) -> Study:
         rows=rows,
         panels=[Panel("class of movement", "error (eq. 18), cm", bars)],
     )
-
-
-def _cut(before: float, after: float) -> float:
-    """Return by how much an error fell [%]."""
-    return 100.0 * (1.0 - after / before)
 
 
 def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Study:
@@ -176,43 +166,35 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
         StandardizedTake(*performed_by([first + k], [motion], sensor="v1"))
         for k, motion in enumerate(_MOTIONS[:motions])
     ]
-    chosen = {name: _spread(choices, values) for name, choices in _VALUES.items()}
-    databases = _databases({*chosen["postures"], _CHOSEN["postures"]}, progress)
+    paper = {name: choice for name, (choice, _) in _PARAMETERS.items()}
+    tried = {name: _spread(all_, values) for name, (_, all_) in _PARAMETERS.items()}
+    databases = _databases({*tried["postures"], paper["postures"]}, progress)
 
     def measure(search: Search, **varied: int) -> tuple[float, float, float]:
-        settings = _CHOSEN | varied
-        method = LocalPCA(
-            databases[settings["postures"]],
-            neighbors=settings["neighbors"],
-            dimensions=settings["dimensions"],
-            search=search,
-            steps=settings["steps"],
-            samples=settings["samples"],
-        )
-        return _measure(method, takes)
+        settings: dict[str, Any] = paper | varied
+        database = databases[settings.pop("postures")]
+        return _measure(LocalPCA(database, search=search, **settings), takes)
 
     solved = measure("solver")
     rows: list[tuple[Cell, ...]] = []
-    for name, choices in chosen.items():
-        paper = _CHOSEN[name]
-        for value in over(choices, name, progress):
+    for name, tries in tried.items():
+        for value in over(tries, name, progress):
             sampled = measure("stochastic", **{name: value})
-            rows.append((name, value, "stochastic", *sampled, paper))
+            rows.append((name, value, "stochastic", *sampled, paper[name]))
             own = solved if name in _OF_SAMPLING else measure("solver", **{name: value})
-            rows.append((name, value, "solver", *own, paper))
+            rows.append((name, value, "solver", *own, paper[name]))
     figures = ("energy_m2", "error_cm", "ms")
+    labels = ("energy, m²", "error (eq. 18), cm", "ms a frame")
     return Study(
         title="Parameters of local PCA (Shum 2013, Table V and Figure 8)",
         columns=("parameter", "value", "search", *figures, "paper_chosen_value"),
         rows=rows,
         panels=[
             _panel(rows, name, 3 + k, label)
-            for k, label in enumerate(
-                ("energy, m²", "error (eq. 18), cm", "ms a frame")
-            )
-            for name in _VALUES
+            for k, label in enumerate(labels)
+            for name in _PARAMETERS
         ],
-        across=len(_VALUES),
+        across=len(_PARAMETERS),
     )
 
 
@@ -270,16 +252,10 @@ def _panel(
     rows: Sequence[tuple[Cell, ...]], name: str, column: int, label: str
 ) -> Panel:
     """Return a figure over the values of a parameter, of both searches."""
-    own = [row for row in rows if row[0] == name]
-    sampled = [row for row in own if row[2] == "stochastic"]
-    solved = [row for row in own if row[2] == "solver"]
-    lines = [
-        *series_of(sampled, {"stochastic": column}, x=1),
-        *series_of(
-            solved,
-            {"solver": column},
-            x=1,
-            kind="level" if name in _OF_SAMPLING else "line",
-        ),
-    ]
+    lines = []
+    for search in ("stochastic", "solver"):
+        own = [row for row in rows if (row[0], row[2]) == (name, search)]
+        level = search == "solver" and name in _OF_SAMPLING
+        kind: Kind = "level" if level else "line"
+        lines += series_of(own, {search: column}, x=1, kind=kind)
     return Panel(name, label, lines, log_x=True, zero=label.startswith("ms"))

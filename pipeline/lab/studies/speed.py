@@ -18,7 +18,7 @@ from kinefilter.pipeline.progress import Progress, over
 from kinefilter.pipeline.spool import Spool
 
 from .corrected import StandardizedTake
-from .study import Options, Panel, Series, Study, series_of
+from .study import Options, Panel, Study, series_of
 
 Postures = NDArray[np.float32]
 _Query = tuple[Array, Array]
@@ -45,14 +45,13 @@ def speed(options: Options, *, rounds: int = 3) -> Study:
     """
     found = [_figures() for _ in options.progress("time", rounds)]
     medians = {key: float(np.median([one[key] for one in found])) for key in found[0]}
-    times = [medians[f"{stage}, ms a frame"] for stage in _STAGES]
+    rows = [*medians.items()]
+    bars = series_of(rows[: len(_STAGES)], {"stages": 1}, x=_STAGES, kind="bars")
     return Study(
         title="Speed, frame by frame on one core",
         columns=("what", "value"),
-        rows=[*medians.items()],
-        panels=[
-            Panel("stage", "ms a frame", [Series("stages", _STAGES, times, "bars")])
-        ],
+        rows=rows,
+        panels=[Panel("stage", "ms a frame", bars)],
     )
 
 
@@ -94,8 +93,9 @@ def million_postures(
         theirs = _milliseconds(product, queries)
         share = _exact(index, part, queries)
         rows.append((len(part), *ours, *theirs, theirs[0] / ours[0], share))
-    labels = {"boxes": 1, "boxes, 99 %": 2, "product": 3, "product, 99 %": 4}
-    lines = series_of(rows, labels)
+    columns = {"boxes": 1, "boxes, 99 %": 2, "product": 3, "product, 99 %": 4}
+    lines = series_of(rows, columns)
+    panel = Panel("postures", "ms a query", lines, log_x=True, log_y=True)
     return Study(
         title="The nearest of many postures",
         columns=(
@@ -103,7 +103,7 @@ def million_postures(
             *("product_ms_of_99_percent", "times_faster", "exact_percent"),
         ),
         rows=rows,
-        panels=[Panel("postures", "ms a query", lines, log_x=True, log_y=True)],
+        panels=[panel],
     )
 
 

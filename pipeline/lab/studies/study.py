@@ -83,14 +83,10 @@ def series_of(
     x: int | Sequence[str] = 0,
     kind: Kind = "line",
 ) -> list[Series]:
-    """Return a series for each of some columns of a table.
+    """Return a series for each of some columns of a table, given by label and number.
 
-    Args:
-        rows: The table.
-        columns: Label of each series and the number of its column.
-        x: The column of the positions along the axis, numbers but for bars; or the
-            names of the groups of bars.
-        kind: How the series are drawn.
+    ``x`` is the column with the positions along the axis, names for bars; or the names
+    of the groups of bars themselves.
     """
 
     def numbers(column: int) -> list[float]:

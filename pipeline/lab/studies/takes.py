@@ -7,7 +7,7 @@ methods learn from within a study from seeds 500 higher than those.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -33,7 +33,6 @@ _LEARNERS = 500  # how much higher the seeds of those are whom methods learn fro
 _STAND_INS = 4  # people who are simulated in place of recorded ones
 _MOVEMENTS = ("squat", "side_lunge", "raise_arms")  # what they do, as in rehabilitation
 _REPETITIONS = 10  # of every movement, as in the recordings
-
 
 Setting = tuple[str, str, str]
 """What is recorded: one of SCENES, one of MOTIONS and one of SENSORS."""
@@ -68,26 +67,16 @@ the flip chart stands beside it with the right hand, as the chart does."""
 
 
 def first_person(seed: int, *, learners: bool = False) -> int:
-    """Return the seed of the first person of a study.
-
-    Args:
-        seed: Seed of the study.
-        learners: The people whom methods learn from, not those they are tested on.
-    """
+    """Return the seed of a study's first person, or of the first to learn from."""
     return _PEOPLE * (1 + seed) + (_LEARNERS if learners else 0)
 
 
 def study_takes(
     kind: MovementClass, options: Options, *, count: int = 12
 ) -> list[PairedTake]:
-    """Return the takes of a class, each of another person, and their truth.
+    """Return takes of a class, each of another person, and their truth.
 
-    The frame is the sensor's, the proportions are the person's own.
-
-    Args:
-        kind: Which class of movement.
-        options: What every study is run with.
-        count: How many takes; fewer than 12 are spread over the class.
+    The proportions are the person's own. Fewer than 12 takes are spread over the class.
     """
     settings = CLASSES[kind]
     first = first_person(options.seed) + len(settings) * list(CLASSES).index(kind)
@@ -106,15 +95,7 @@ def performed_by(
     again: bool = False,
     progress: Progress = silent,
 ) -> list[PairedTake]:
-    """Return every motion by every person on a bare floor, and the truth.
-
-    Args:
-        people: Seeds of the people.
-        motions: Out of MOTIONS.
-        sensor: One of SENSORS.
-        again: Other performances than without this.
-        progress: Wraps the loop over the takes, for a progress bar.
-    """
+    """Return each motion by each person on a bare floor; ``again``: performed anew."""
     acts = [(person, motion) for person in people for motion in motions]
     return [
         _recorded(("basic", motion, sensor), person + _AGAIN * again, person)
@@ -129,10 +110,7 @@ def _recorded(setting: Setting, seed: int, person: int) -> PairedTake:
 
 
 def recordings_folder(data: Path | None) -> Path | None:
-    """Return the folder of recordings, or None where there is none.
-
-    Args:
-        data: What was asked for; None: the usual place, if it exists.
+    """Return the folder that was asked for, else the usual one, or None without any.
 
     Raises:
         InputError: The folder that was asked for does not exist.
@@ -162,23 +140,26 @@ def recorded_people(data: Path | None) -> list[str]:
     return found
 
 
-def clips_of(name: str, movements: int, options: Options) -> list[PairedTake]:
-    """Return somebody's clips and their truth.
+def clips_of(
+    people: Iterable[str], movements: int, options: Options
+) -> list[PairedTake]:
+    """Return the clips of some of ``recorded_people``, of the first movements."""
+    clips: list[PairedTake] = []
+    for name in people:
+        if options.data is None:
+            clips += _simulated_clips(name, movements, options.seed)
+        else:
+            own = read_pairs(options.data / "ui-prmd" / f"{name}.npz")
+            known = sorted({pair.clip[:3] for pair in own})[:movements]
+            clips += [pair for pair in own if pair.clip[:3] in known]
+    return clips
 
-    Args:
-        name: Out of ``recorded_people``.
-        movements: How many of the movements, from the first.
-        options: Where the recordings are, or the seed of the stand-ins.
-    """
-    if options.data is not None:
-        clips = read_pairs(options.data / "ui-prmd" / f"{name}.npz")
-        known = sorted({pair.clip[:3] for pair in clips})[:movements]
-        return [pair for pair in clips if pair.clip[:3] in known]
+
+def _simulated_clips(name: str, movements: int, seed: int) -> Iterator[PairedTake]:
     k = recorded_people(None).index(name)
-    person, clips = first_person(options.seed) + k, []
+    person = first_person(seed) + k
     for n in range(len(_MOVEMENTS[:movements]) * _REPETITIONS):
         m, e = divmod(n, _REPETITIONS)
         pair = simulate("basic", _MOVEMENTS[m], seed=person + 100 * n, person=person)
         clip = f"m{m + 1:02d}_s{k + 1:02d}_e{e + 1:02d}"  # as the recorded ones
-        clips.append(replace(pair, subject=name, clip=clip))
-    return clips
+        yield replace(pair, subject=name, clip=clip)
