@@ -2,8 +2,8 @@
 
     python tests/teach_reliability.py
 
-Writes ``pipeline/embedded/*_doubt.npz``, in some five minutes, from simulated people
-who are in no study.
+Writes ``pipeline/lab/embedded/*_doubt.npz`` from simulated people who are in no study.
+Takes about five minutes.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinefilter.characters import SKELETONS
-from kinefilter.pipeline.lab.scorers.lessons import learned_weights
+from kinefilter.pipeline.lab.scorers.learned import learned_weights
 from kinefilter.pipeline.lab.simulate import furnished_pairs
 
-FOLDER = Path(__file__).parents[1] / "pipeline" / "embedded"
+FOLDER = Path(__file__).parents[1] / "pipeline" / "lab" / "embedded"
 
 
 def main() -> None:

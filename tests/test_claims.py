@@ -13,13 +13,14 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab.studies import (
     STUDIES,
+    Options,
     claims,
-    made,
-    pictures,
+    fingerprint,
+    output,
     recordings_folder,
     reproduce,
-    verdicts,
 )
+from kinefilter.pipeline.lab.studies.cleaned_takes import _LOW_IS_WORSE
 from kinefilter.pipeline.lab.studies.study import Panel, Series, Study
 
 ROOT = Path(__file__).parents[1]
@@ -97,26 +98,28 @@ def test_a_claim_is_judged_by_the_cell_of_its_study(
 ) -> None:
     recorded = claims.Claim(**{**vars(CLAIM), "row": "two", "recordings": True})
     absent = claims.Claim(**{**vars(CLAIM), "row": "three"})
-    monkeypatch.setattr(verdicts, "read_claims", lambda: [CLAIM, recorded, absent])
+    monkeypatch.setattr(claims, "read_claims", lambda: [CLAIM, recorded, absent])
     (tmp_path / "small.csv").write_text("what,cm\none,0.503\ntwo,0.9\n", "utf-8")
-    one, two, three = verdicts.judge(tmp_path, recordings=True)
+    one, two, three = claims.judge(tmp_path, recordings=True)
     assert (one.measured, one.held, one.words) == (0.503, True, "yes")
     assert (two.measured, two.held, two.words) == (0.9, False, "no")
     assert (three.measured, three.held) == (None, False)
-    two = verdicts.judge(tmp_path, recordings=False)[1]
+    two = claims.judge(tmp_path, recordings=False)[1]
     assert (two.held, two.words) == (None, "not measured: no recordings")
-    quick = verdicts.judge(tmp_path, recordings=True, quick=True)
+    quick = claims.judge(tmp_path, recordings=True, quick=True)
     assert [verdict.held for verdict in quick] == [None, None, None]
 
 
 def test_every_claim_has_its_cell_in_the_study() -> None:
     """Of those studies that are quick: a name that changed would be found late."""
     for name in ("shum-table-3", "cleaned-takes"):
-        study = reproduce(name, quick=True)
+        study = reproduce(name, Options(), quick=True)
         cells = {(row[0], column) for row in study.rows for column in study.columns}
         for claim in claims.read_claims():
             if claim.study == name:
                 assert (claim.row, claim.column) in cells, claim.name
+        if name == "cleaned-takes":
+            assert set(_LOW_IS_WORSE) < {row for row, _ in cells}
 
 
 def test_all_says_which_claims_held_and_goes_on_where_it_ended(
@@ -124,16 +127,16 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
 ) -> None:
     made_of: list[str] = []
 
-    def measured(name: str, **_: object) -> Study:
+    def measured(name: str, *_: object, **__: object) -> Study:
         made_of.append(name)
-        return Study(name, "Made up", ("what", "cm"), (("one", 0.5),), (PANEL,))
+        return Study("Made up", ("what", "cm"), (("one", 0.5),), (PANEL,))
 
     studies = "kinefilter.pipeline.lab.studies"
     monkeypatch.setattr(f"{studies}.STUDIES", {"small": STUDIES["speed"]})
     monkeypatch.setattr(f"{studies}.check_names", lambda _: None)
     monkeypatch.setattr(f"{studies}.reproduce", measured)
     monkeypatch.setattr(f"{studies}.make_pictures", lambda *_, **__: iter(["drawn"]))
-    monkeypatch.setattr(verdicts, "read_claims", lambda: [CLAIM])
+    monkeypatch.setattr(claims, "read_claims", lambda: [CLAIM])
     arguments = ["reproduce", "--all", str(tmp_path / "all")]
     assert main(arguments) == 0
     assert "1 of 1 claims of README held" in capsys.readouterr().out
@@ -142,7 +145,7 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
     assert (row["README"], row["measured"], row["held"]) == ("0.50", "0.5", "yes")
     (tmp_path / "all" / "small.csv").write_text("what,cm\none,0.6\n", "utf-8")
     assert main(arguments) == 1  # taken as it is, and 0.6 is not 0.5
-    assert "is there already" in capsys.readouterr().out
+    assert "is up to date" in capsys.readouterr().out
     assert made_of == ["small"]
     assert main([*arguments, "--quick"]) == 0  # not of the same making
     assert "not judged" in capsys.readouterr().out
@@ -151,12 +154,12 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
 
 def test_the_fingerprint_changes_with_what_is_measured(tmp_path: Path) -> None:
     (tmp_path / "take.csv").write_text("1", "utf-8")
-    first = made.fingerprint(tmp_path, seed=0, quick=False)
-    assert made.fingerprint(tmp_path, seed=0, quick=False) == first
-    assert made.fingerprint(tmp_path, seed=1, quick=False) != first
-    assert made.fingerprint(tmp_path, seed=0, quick=True) != first
+    first = fingerprint(tmp_path, seed=0, quick=False)
+    assert fingerprint(tmp_path, seed=0, quick=False) == first
+    assert fingerprint(tmp_path, seed=1, quick=False) != first
+    assert fingerprint(tmp_path, seed=0, quick=True) != first
     (tmp_path / "take.csv").write_text("12", "utf-8")
-    assert made.fingerprint(tmp_path, seed=0, quick=False) != first
+    assert fingerprint(tmp_path, seed=0, quick=False) != first
 
 
 @pytest.mark.parametrize(
@@ -192,7 +195,7 @@ def test_recordings_are_looked_for_where_they_are_kept(
     assert recordings_folder(None) is not None
     assert recordings_folder(tmp_path) == tmp_path
     with pytest.raises(InputError, match="recordings"):
-        reproduce("untrained", quick=True, data=tmp_path)
+        reproduce("untrained", Options(data=tmp_path), quick=True)
 
 
 def test_a_picture_that_cannot_be_made_is_told(
@@ -201,9 +204,14 @@ def test_a_picture_that_cannot_be_made_is_told(
     def refuse(*_: object) -> None:
         raise InputError("no OpenGL")
 
-    monkeypatch.setattr(pictures, "_draw", refuse)
-    monkeypatch.setattr(pictures, "_PAGES", tmp_path / "pages.py")
-    told = list(pictures.make_pictures(tmp_path))
+    monkeypatch.setattr(output, "_animate", refuse)
+    monkeypatch.setattr(output, "_PAGES", tmp_path / "pages.py")
+    told = list(output.make_pictures(tmp_path))
     assert "no OpenGL" in told[0]
     assert [line.split()[0] for line in told] == ["not"] * len(told)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_script_that_pictures_pages_is_in_the_checkout() -> None:
+    assert ROOT / "tests" / "pictures" / "pages.py" == output._PAGES
+    assert output._PAGES.is_file()

@@ -9,11 +9,11 @@ import pytest
 from real_data import DATA, paired, recorded
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.lab.studies import recordings
-from kinefilter.pipeline.lab.studies.cleaned_takes import _FIGURES, _row
-from kinefilter.pipeline.lab.studies.failures import _near
+from kinefilter.pipeline.lab.studies import takes
+from kinefilter.pipeline.lab.studies.cleaned_takes import _mean_and_worst
+from kinefilter.pipeline.lab.studies.detection import _near
 from kinefilter.pipeline.lab.studies.methods import _study
-from kinefilter.pipeline.lab.studies.takes import study_takes
+from kinefilter.pipeline.lab.studies.study import Options
 
 WRIST = KINECT_V1.index("WristLeft")
 
@@ -22,7 +22,7 @@ WRIST = KINECT_V1.index("WristLeft")
 def test_a_clip_is_near_unless_a_joint_is_far_off_for_long(
     frames: int, off: float, near: int
 ) -> None:
-    (pair,) = study_takes("a", count=1)
+    (pair,) = takes.study_takes("a", Options(), count=1)
     away = pair.truth.copy()
     away[20 : 20 + frames, WRIST, 1] += off
     moved = replace(pair.take, positions=away + np.array([3.0, 0.0, 1.0]))
@@ -35,8 +35,8 @@ def test_errors_are_means_over_people_and_the_worst_person_counts_too() -> None:
 
     raw = {"one": errors(4.0), "two": errors(8.0)}
     found = {"one": errors(4.4), "two": errors(4.0)}
-    rows = _study("made", "Made up", {"raw": raw, "method": found}).rows
-    columns = _study("made", "Made up", {"raw": raw}).columns
+    rows = _study("Made up", {"raw": raw, "method": found}).rows
+    columns = _study("Made up", {"raw": raw}).columns
     row = dict(zip(columns, rows[1], strict=True))
     assert row["E_cm"] == pytest.approx(4.2)
     assert row["E_change_percent"] == pytest.approx(-30.0)
@@ -45,22 +45,22 @@ def test_errors_are_means_over_people_and_the_worst_person_counts_too() -> None:
 
 
 def test_the_worst_take_is_at_the_end_that_is_worse() -> None:
-    slide, kept = next(iter(_FIGURES)), "amplitude, after over before physics"
-    takes = [[0.1] * len(_FIGURES), [0.3] * len(_FIGURES), [np.nan] * len(_FIGURES)]
-    assert _row(slide, 0, [takes]) == (slide, pytest.approx(0.2), 0.3)
-    assert _row(kept, 7, [takes]) == (kept, pytest.approx(0.2), 0.1)
-    assert _row(slide, 0, [[]]) == (slide, None, None)
+    slide, kept = "feet slide, mm a frame", "amplitude, after over before physics"
+    takes = [0.1, 0.3, np.nan]
+    assert _mean_and_worst(slide, takes) == (pytest.approx(0.2), 0.3)
+    assert _mean_and_worst(kept, takes) == (pytest.approx(0.2), 0.1)
+    assert _mean_and_worst(slide, []) == (None, None)
 
 
 def test_who_stands_in_for_recorded_people_repeats_movements(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(recordings, "_REPETITIONS", 2)
-    first, second = recordings.people(None)[:2]
-    clips = recordings.person(None, first, 0, 1)
+    monkeypatch.setattr(takes, "_REPETITIONS", 2)
+    first, second = takes.recorded_people(None)[:2]
+    clips = takes.clips_of(first, 1, Options())
     assert [pair.clip for pair in clips] == ["m01_s01_e01", "m01_s01_e02"]
     assert {pair.subject for pair in clips} == {first}
-    again = recordings.person(None, first, 0, 1)[1]
+    again = takes.clips_of(first, 1, Options())[1]
     np.testing.assert_array_equal(again.take.positions, clips[1].take.positions)
     assert first != second
 
@@ -68,6 +68,6 @@ def test_who_stands_in_for_recorded_people_repeats_movements(
 @recorded
 @paired
 def test_the_first_movements_of_a_recorded_person_are_read() -> None:
-    clips = recordings.person(DATA, recordings.people(DATA)[0], 0, 1)
+    clips = takes.clips_of(takes.recorded_people(DATA)[0], 1, Options(data=DATA))
     assert {pair.clip[:3] for pair in clips} == {"m01"}
-    assert len(recordings.recorded_takes(DATA)) > 90
+    assert len(takes.recorded_takes(DATA)) > 90

@@ -28,9 +28,12 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.evaluate import reliability_auc
-from kinefilter.pipeline.lab.scorers.doubt import DoubtWeights
-from kinefilter.pipeline.lab.scorers.learned import TERMS, LearnedReliabilityScorer
-from kinefilter.pipeline.lab.scorers.lessons import learned_weights, untaught
+from kinefilter.pipeline.lab.scorers.learned import (
+    TERMS,
+    ClueWeights,
+    LearnedReliabilityScorer,
+    learned_weights,
+)
 from kinefilter.pipeline.lab.simulate import furnished_pairs, simulate
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import measure_reference
@@ -49,7 +52,7 @@ def performed(motion: str, skeleton: Skeleton = KINECT_V1, seed: int = 0) -> Tak
 
 
 def scorer_of(
-    take: Take, weights: DoubtWeights | None = None
+    take: Take, weights: ClueWeights | None = None
 ) -> LearnedReliabilityScorer:
     return LearnedReliabilityScorer(take.skeleton, average(take.skeleton), weights)
 
@@ -192,17 +195,17 @@ def test_a_posture_that_goes_with_errors_is_learned_for_both_sides() -> None:
     assert result.rate[:, KINECT_V1.index("KneeLeft")].min() > 0.99
 
 
-def test_who_was_taught_nothing_gives_even_odds() -> None:
+def test_without_training_the_odds_are_even() -> None:
     take = sample_take()
     present = ~np.isnan(take.positions[..., 0])
-    rate = scorer_of(take, untaught(KINECT_V1)).score(take).rate
+    rate = scorer_of(take, ClueWeights.even_odds(KINECT_V1)).score(take).rate
     np.testing.assert_array_equal(rate[present], 0.5)
 
 
 def test_weights_are_the_same_after_writing_and_reading(tmp_path: Path) -> None:
     weights = learned_weights([wrong_when_raised("wave", 0)])
     weights.save(tmp_path / "doubt.npz")
-    again = DoubtWeights.load(tmp_path / "doubt.npz", KINECT_V1)
+    again = ClueWeights.load(tmp_path / "doubt.npz", KINECT_V1)
     for one, other in (
         (weights.usual, again.usual),
         (weights.weights, again.weights),
@@ -215,10 +218,10 @@ def test_weights_are_the_same_after_writing_and_reading(tmp_path: Path) -> None:
 
 def test_weights_of_another_skeleton_or_none_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "doubt.npz"
-    untaught(KINECT_V1).save(path)
+    ClueWeights.even_odds(KINECT_V1).save(path)
     for file, skeleton in ((path, KINECT_V2), (tmp_path / "absent.npz", KINECT_V1)):
         with pytest.raises(InputError, match="no reliability weights"):
-            DoubtWeights.load(file, skeleton)
+            ClueWeights.load(file, skeleton)
 
 
 def test_lessons_hold_every_scene_and_nobody_of_a_study() -> None:

@@ -23,26 +23,25 @@ from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.lab.studies import (
     STUDIES,
     Study,
-    files,
+    output,
     reproduce,
     write_study,
 )
-from kinefilter.pipeline.lab.studies.bone_errors import bone_errors
-from kinefilter.pipeline.lab.studies.study import Panel, Series
-from kinefilter.pipeline.lab.studies.takes import CLASSES, people_of, study_takes
+from kinefilter.pipeline.lab.studies.corrected import bone_errors
+from kinefilter.pipeline.lab.studies.study import Options, Panel, Series
+from kinefilter.pipeline.lab.studies.takes import CLASSES, first_person, study_takes
 from kinefilter.scenes import load_scene
 from kinefilter.scenes.library import perform, prop_poses
 
 POSTURE = standard_body(KINECT_V1).rest_positions
 SMALL = Study(
-    name="small",
     title="Made up",
     columns=("what", "cm", "paper_cm"),
     rows=(("one", 1.25, None), ("two", 3, 4.5)),
     panels=(
         Panel("what", "cm", (Series("ours", ["one", "two"], [1.25, 3.0], "bars"),)),
         Panel("n", "cm", (Series("n", [1.0, 2.0], [3.0, 4.0]),), log_x=True),
-        Panel("n", "cm", (Series("level", (), [2.0], "level", paper=True),)),
+        Panel("n", "cm", (Series("paper", (), [2.0], "level"),)),
     ),
     across=2,
 )
@@ -70,7 +69,7 @@ def test_a_missing_joint_costs_its_segments_alone() -> None:
 
 
 def test_postures_come_nearer_the_more_joints_are_given() -> None:
-    study = reproduce("shum-table-3", quick=True)
+    study = reproduce("shum-table-3", Options(), quick=True)
     foot_and_hand, hands, ends, middles, whole = (row[1] for row in study.rows)
     assert foot_and_hand > ends
     assert hands > ends > middles > whole > 0.0
@@ -79,7 +78,7 @@ def test_postures_come_nearer_the_more_joints_are_given() -> None:
 
 
 def test_more_sampling_lowers_the_energy_and_the_solver_is_below_all() -> None:
-    study = reproduce("shum-figure-8", quick=True)
+    study = reproduce("shum-figure-8", Options(), quick=True)
     for parameter in ("steps", "samples"):
         rows = [row for row in study.rows if row[0] == parameter]
         sampled = [row[3] for row in rows if row[2] == "stochastic"]
@@ -89,32 +88,34 @@ def test_more_sampling_lowers_the_energy_and_the_solver_is_below_all() -> None:
 
 
 def test_what_was_recorded_is_wrong_and_the_truth_is_not() -> None:
-    (pair,) = study_takes("a", count=1)
+    (pair,) = study_takes("a", Options(), count=1)
     raw = bone_errors(pair.take.positions, pair.truth, pair.take.skeleton)
     assert 0.02 < np.nanmean(raw) < 0.2
     assert not bone_errors(pair.truth, pair.truth, pair.take.skeleton).any()
 
 
 def test_nobody_of_a_study_taught_the_database_or_another_class() -> None:
-    from kinefilter.pipeline.database import library
+    from kinefilter.pipeline.lab import scripted_database
 
     seen = [
-        int(pair.clip[-4:]) for kind in CLASSES for pair in study_takes(kind, count=2)
+        int(pair.clip[-4:])
+        for kind in CLASSES
+        for pair in study_takes(kind, Options(), count=2)
     ]
     assert len(set(seen)) == len(seen)
-    assert min(seen) >= library._PEOPLE
-    assert max(seen) < people_of(0, learners=True) < people_of(1)
+    assert min(seen) >= scripted_database._PEOPLE
+    assert max(seen) < first_person(0, learners=True) < first_person(1)
 
 
 def test_in_class_b_things_hide_the_body_and_nobody_moves_them() -> None:
-    first = people_of(0) + len(CLASSES["a"])
+    first = first_person(0) + len(CLASSES["a"])
     for k, (scene, motion, sensor) in enumerate(CLASSES["b"]):
         skeleton = SKELETONS[f"kinect_{sensor}"]
         body = random_body(skeleton, np.random.default_rng(first + k))
         poses = prop_poses(load_scene(scene), perform(motion, body, seed=first + k))
         for pose in poses.values():
             np.testing.assert_array_equal(pose, np.broadcast_to(pose[0], pose.shape))
-    for k, pair in zip((0, 4, 8), study_takes("b", count=3), strict=True):
+    for k, pair in zip((0, 4, 8), study_takes("b", Options(), count=3), strict=True):
         _, motion, sensor = CLASSES["b"][k]
         bare = simulate("basic", motion, sensor=sensor, seed=first + k)
         np.testing.assert_array_equal(pair.truth[:9], bare.truth[:9])
@@ -122,7 +123,7 @@ def test_in_class_b_things_hide_the_body_and_nobody_moves_them() -> None:
 
 
 def test_quick_studies_take_less_of_what_there_is() -> None:
-    for name, (run, quick, _) in STUDIES.items():
+    for name, (run, quick) in STUDIES.items():
         defaults = inspect.signature(run).parameters
         assert quick, name
         for parameter, size in quick.items():
@@ -130,7 +131,7 @@ def test_quick_studies_take_less_of_what_there_is() -> None:
 
 
 def test_a_study_becomes_a_table_and_a_plot(tmp_path: Path) -> None:
-    table, plot = write_study(SMALL, tmp_path / "new")
+    table, plot = write_study("small", SMALL, tmp_path / "new")
     with table.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
     assert rows == [[*SMALL.columns], ["one", "1.25", ""], ["two", "3", "4.5"]]
@@ -146,9 +147,9 @@ def test_an_interrupted_study_leaves_what_was_there(
         raise KeyboardInterrupt
 
     (tmp_path / "small.csv").write_text("old", encoding="utf-8")
-    monkeypatch.setattr(files, "draw", interrupted)
+    monkeypatch.setattr(output, "draw", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        write_study(SMALL, tmp_path)
+        write_study("small", SMALL, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["small.csv"]
     assert (tmp_path / "small.csv").read_text(encoding="utf-8") == "old"
 
@@ -178,7 +179,7 @@ def test_without_matplotlib_nothing_is_computed(
     assert main(["reproduce", "reliability", "-o", str(tmp_path / "s")]) == 2
     assert 'pip install "kinefilter[reproduce]"' in capsys.readouterr().err
     with pytest.raises(InputError, match="matplotlib"):
-        write_study(SMALL, tmp_path)
+        write_study("small", SMALL, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

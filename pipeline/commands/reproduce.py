@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -49,63 +48,53 @@ class Reproduce:
     """Use a small part of everything, as a trial; the figures mean little."""
 
     def run(self) -> int:
-        """Run the studies, write and print their results."""
-        from kinefilter.pipeline.lab.studies import (
-            STUDIES,
-            check_drawing,
-            check_names,
-            check_studies_folder,
-            recordings_folder,
-        )
+        """Study, write, print."""
+        from kinefilter.pipeline.lab import studies
 
-        given = (bool(self.studies), self.out is not None, self.all is not None)
-        folder = self.out or self.all
-        if folder is None or given not in ((True, True, False), (False, False, True)):
-            raise InputError("give either studies and -o FOLDER, or --all FOLDER alone")
-        names = self.studies if self.all is None else tuple(STUDIES)
-        check_names(names)
-        check_drawing()
-        check_studies_folder(folder)
-        data = recordings_folder(self.data)
-        self._study(names, folder, data)
+        if self.all is not None and (self.studies or self.out is not None):
+            raise InputError("give --all FOLDER alone, or studies and -o FOLDER")
+        folder = self.out if self.all is None else self.all
+        if folder is None or (self.all is None and not self.studies):
+            raise InputError("give studies and -o FOLDER, or --all FOLDER")
+        names = self.studies if self.all is None else tuple(studies.STUDIES)
+        studies.check_names(names)
+        studies.check_drawing()
+        studies.check_studies_folder(folder)
+        data = studies.recordings_folder(self.data)
+        stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
+        for name in names:
+            if self.all is not None and studies.is_made(name, folder, stamp):
+                out.print(f"{folder / name}.csv is up to date\n")
+            else:
+                self._study(name, folder, data)
+                studies.note_made(name, folder, stamp)
         return 0 if self.all is None else self._judge(folder, data)
 
-    def _study(self, names: Sequence[str], folder: Path, data: Path | None) -> None:
-        """Run studies, and write and print their results."""
+    def _study(self, name: str, folder: Path, data: Path | None) -> None:
+        """Run a study, write and print it."""
         from kinefilter.pipeline.lab.studies import (
+            Options,
             as_table,
-            made,
             reproduce,
             write_study,
         )
 
-        stamp = made.fingerprint(data, seed=self.seed, quick=self.quick)
-        for name in names:
-            if self.all is not None and made.is_made(name, folder, stamp):
-                out.print(f"{folder / name}.csv is there already\n")
-                continue
-            with progress_bars() as progress:
-                study = reproduce(
-                    name,
-                    seed=self.seed,
-                    quick=self.quick,
-                    data=data,
-                    progress=progress,
-                )
-            written = write_study(study, folder)
-            made.say_made(name, folder, stamp)
-            out.print(as_table(study))
-            out.print(f"wrote {' and '.join(map(str, written))}\n")
+        with progress_bars() as progress:
+            options = Options(self.seed, data, progress)
+            study = reproduce(name, options, quick=self.quick)
+        written = write_study(name, study, folder)
+        out.print(as_table(study))
+        out.print(f"wrote {' and '.join(map(str, written))}\n")
 
     def _judge(self, folder: Path, data: Path | None) -> int:
-        """Make the pictures, check the claims; return the exit code."""
-        from kinefilter.pipeline.lab.studies import make_pictures, verdicts
+        """Make the pictures, judge the claims; return the exit code."""
+        from kinefilter.pipeline.lab.studies import claims, make_pictures
 
         with progress_bars() as progress:
             for line in make_pictures(folder, progress=progress):
                 out.print(line)
-        found = verdicts.judge(folder, recordings=data is not None, quick=self.quick)
-        written = verdicts.write_verdicts(found, folder)
-        out.print(verdicts.verdicts_table(found))
+        found = claims.judge(folder, recordings=data is not None, quick=self.quick)
+        written = claims.write_verdicts(found, folder)
+        out.print(claims.verdicts_table(found))
         out.print(f"wrote {written}")
         return int(any(verdict.held is False for verdict in found))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -119,7 +120,8 @@ def _tested(
     progress: Progress,
 ) -> dict[str, Tally]:
     """Return what each method does on clips; many clips go to all cores."""
-    if len(pairs) * len(correctors) < _WORTH_PROCESSES:
+    alone = multiprocessing.parent_process() is None
+    if not alone or len(pairs) * len(correctors) < _WORTH_PROCESSES:
         return {
             name: _test(pairs, corrector, config, progress)
             for name, corrector in correctors.items()

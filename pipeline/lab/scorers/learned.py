@@ -1,28 +1,39 @@
-"""How far each joint of each frame can be trusted, as learned on simulated people.
+"""Reliability as learned from simulated people.
 
-Where in the body a Kinect puts a joint depends on the posture: a raised elbow is seen
-elsewhere than a hanging one, and always so, without any trembling and with segments
-that keep their lengths. What postures, noise, wrong lengths and lost tracking go with
-joints that are far off, a logistic regression for each kind of joint tells.
+Where in the body a Kinect puts a joint depends on the posture: a raised elbow is always
+seen elsewhere than a hanging one, without noise and with the right segment lengths. A
+logistic regression for each kind of joint tells from posture, noise, length errors and
+lost tracking how likely a joint is far off.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
+from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from kinefilter.characters import STANDARD_HEIGHT, Skeleton, State, Term
+from kinefilter.characters import STANDARD_HEIGHT, InputError, Skeleton, State, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.reliability.shum import Reference
+from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.formats.npz import read_arrays
+from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability.shum import Reference, measure_reference
 from kinefilter.retarget import measured_body
 
-from .doubt import DoubtWeights
 from .noise import MEMORY, NoiseReliabilityScorer
 
+FAR_OFF = 0.10
+"""Distance from the truth [m] over which a joint is far off, relative to the hips."""
+_EVERY = 4  # one frame in this many is learned from; its neighbors add little
+_PENALTY = 1.0  # inverse strength of the penalty on large weights
 _LEAST = np.array([[1e-4], [0.05], [3e-3]])
 """Added before the logarithm to noise [m], speed [m/s] and length errors [m]: below,
 differences mean nothing. Guesses."""
@@ -30,29 +41,74 @@ _DIRECTIONS = 9  # numbers that say where a joint is, and its segments' directio
 _FIRST, _SECOND = np.triu_indices(_DIRECTIONS)
 
 TERMS = np.array(
-    [
-        Term.BEHAVIOR,  # noise
-        Term.BEHAVIOR,  # speed
-        Term.KINEMATICS,  # wrong lengths
-        Term.TRACKING_STATE,  # share of the last frames in which it was not tracked
-        *[Term.POSTURE] * (_DIRECTIONS + len(_FIRST)),
-    ]
+    [Term.BEHAVIOR, Term.BEHAVIOR, Term.KINEMATICS, Term.TRACKING_STATE]
+    + [Term.POSTURE] * (_DIRECTIONS + len(_FIRST))
 )
-"""The reliability term to which each clue belongs, shape (C,)."""
+"""The reliability term to which each clue belongs, shape (C,): noise, speed, length
+errors, the share of recent frames in which it was not tracked, and posture."""
 _STARTS = np.flatnonzero(np.diff(TERMS, prepend=-1))  # of each term's clues
 _STATE = int(_STARTS[Term.TRACKING_STATE])
+_ARRAYS = ("usual", "weights", "intercepts")
+
+
+@dataclass(frozen=True, eq=False)
+class ClueWeights:
+    """The log odds that a joint is far off, as a sum over clues."""
+
+    skeleton: Skeleton
+    """The joints, in the order of the arrays."""
+    usual: Array
+    """Mean of each clue in training, which it is compared with, shape (J, C)."""
+    weights: Array
+    """Log odds for each unit of the clue, shape (J, C)."""
+    intercepts: Array
+    """Log odds where every clue is as usual, shape (J,)."""
+
+    @classmethod
+    def even_odds(cls, skeleton: Skeleton) -> Self:
+        """Return weights without any training: every joint has even odds."""
+        zeros = np.zeros((len(skeleton), len(TERMS)))
+        return cls(skeleton, zeros, zeros.copy(), zeros[:, 0].copy())
+
+    def save(self, path: Path) -> None:
+        """Write as npz, one row for each kind of joint."""
+        kinds, first = np.unique(_kinds(self.skeleton), return_index=True)
+        arrays = {key: getattr(self, key)[first].astype(np.float32) for key in _ARRAYS}
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, kinds=kinds, **arrays)
+
+    @classmethod
+    def load(cls, path: Path, skeleton: Skeleton) -> Self:
+        """Read what ``save`` wrote.
+
+        Raises:
+            InputError: The file is missing, damaged, or of another skeleton.
+        """
+        try:
+            file = read_arrays(path)
+            kinds = file["kinds"].tolist()
+            rows = [kinds.index(kind) for kind in _kinds(skeleton)]
+            return cls(skeleton, *(file[key][rows].astype(float) for key in _ARRAYS))
+        except (InputError, KeyError, ValueError, TypeError, IndexError):
+            raise InputError(
+                f"{path}: no reliability weights for {skeleton.name}; reinstall "
+                "kinefilter"
+            ) from None
+
+
+def _kinds(skeleton: Skeleton) -> list[str]:
+    """Return the joints' names without their side: both sides are of one kind."""
+    return [j.removesuffix("Left").removesuffix("Right") for j in skeleton.joints]
 
 
 class LearnedReliabilityScorer(NoiseReliabilityScorer):
-    """Scores one frame after the other; a whole take goes the same way.
+    """Scores one frame after the other; a whole take gives the same scores.
 
-    The rate is the probability that a joint is less than 10 cm off, its constant
-    misplacement included. It does not know in which direction: a posture of which the
-    sensor has a wrong idea lowers the rate for as long as it lasts. A joint that is
-    missing has none. The deciding term is that whose clues speak most against the
-    joint; Term.BEHAVIOR stands for noise and speed.
-
-    The rate of the geometry is that of a joint that was tracked all the time.
+    The rate is the probability that a joint is less than 10 cm off, its constant offset
+    included. A posture that the sensor misjudges lowers the rate as long as it lasts. A
+    missing joint has rate 0. The deciding term is that whose clues count most against
+    the joint; Term.BEHAVIOR stands for noise and speed. The rate of the geometry is
+    that of a joint that was always tracked.
 
     Args:
         skeleton: The joints.
@@ -64,12 +120,12 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         self,
         skeleton: Skeleton,
         reference: Reference,
-        weights: DoubtWeights | None = None,
+        weights: ClueWeights | None = None,
     ) -> None:
         body = measured_body(skeleton, reference.lengths, reference.directions)
         self._scale = STANDARD_HEIGHT / body.height
         self._rest = body.rest_positions - body.rest_positions[skeleton.root]
-        self._doubt = weights or _embedded_weights(skeleton)
+        self._learned = weights or _embedded_weights(skeleton)
         own = np.arange(len(skeleton))
         before = np.maximum(skeleton.parents, 0)
         after = [next(iter(skeleton.children[j]), j) for j in own]
@@ -89,36 +145,32 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         self._lost = np.zeros(len(self.skeleton))
 
     def step(
-        self,
-        positions: Array,
-        state: NDArray[np.uint8],
-        time: float | None = None,
+        self, positions: Array, state: NDArray[np.uint8], time: float | None = None
     ) -> tuple[Array, NDArray[np.uint8], Array]:
         """Score the next frame; see ``ReliabilityScorer.step``."""
-        told = self._doubt
-        parts = (self.clues(positions, state, time) - told.usual) * told.weights
-        doubt = np.add.reduceat(parts, _STARTS, axis=1)
-        total = doubt.sum(axis=1) + told.intercepts
-        unseen = told.weights[:, _STATE] * self._lost
-        rate, geometry = expit([-total, unseen - total])
-        term = doubt.argmax(axis=1).astype(np.uint8)
+        learned = self._learned
+        parts = (self.clues(positions, state, time) - learned.usual) * learned.weights
+        odds = np.add.reduceat(parts, _STARTS, axis=1)
+        total = odds.sum(axis=1) + learned.intercepts
+        by_state = learned.weights[:, _STATE] * self._lost
+        rate, geometry = expit([-total, by_state - total])
+        term = odds.argmax(axis=1).astype(np.uint8)
         missing = np.isnan(positions[:, 0])
-        if missing.any():
-            rate[missing] = geometry[missing] = 0.0
-            term[missing] = Term.TRACKING_STATE
+        rate[missing] = geometry[missing] = 0.0
+        term[missing] = Term.TRACKING_STATE
         return rate, term, geometry
 
     def clues(
         self, positions: Array, state: NDArray[np.uint8], time: float | None = None
     ) -> Array:
-        """Return what speaks for or against each joint of the next frame, (J, C).
+        """Return what counts for or against each joint of the next frame, (J, C).
 
-        Arguments are those of ``step``. Logarithms of noise, speed and length errors,
-        the share of lost frames, then the posture around the joint and its products.
+        Logarithms of noise, speed and length errors, the share of lost frames, then the
+        posture around the joint and its products. For arguments see ``step``.
         """
         elapsed = self._elapsed(time)
         share = 1.0 - np.exp(-elapsed / MEMORY)
-        noise, lengths = self._square_errors(positions, share)
+        noise, lengths = self._square_errors(positions, elapsed)
         missing = np.isnan(positions)
         lost = (state != State.TRACKED) | missing[:, 0]
         self._lost += (1.0 if self._relative is None else share) * (lost - self._lost)
@@ -133,42 +185,80 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
             self._speed += share * (way / max(elapsed, 1e-3) - self._speed)
         self._relative = relative
         errors = np.sqrt(np.maximum([noise, self._speed**2, lengths], 0.0))
-        around = self._around(relative)
-        return np.concatenate(
-            [
-                np.log(errors + _LEAST).T,
-                self._lost[:, None],
-                around,
-                around.take(_FIRST, axis=1) * around.take(_SECOND, axis=1),
-            ],
-            axis=1,
-        )
+        posture = self._around(relative)
+        products = posture.take(_FIRST, axis=1) * posture.take(_SECOND, axis=1)
+        logarithms = np.log(errors + _LEAST).T
+        return np.hstack([logarithms, self._lost[:, None], posture, products])
 
     def _around(self, posture: Array) -> Array:
         """Return where a joint and its two segments are, in the trunk's frame, (J, 9).
 
-        Positions [m] from the hips' middle, of a person of standard stature; directions
-        of the segment that ends at the joint and of the first that starts there. Of
-        joints on the right the mirror image.
+        Position [m] from the middle of the hips, for standard height; directions of the
+        segment to the joint and of the first from it. Joints on the right are mirrored.
         """
         left, right = self.skeleton.hips
         across = posture[left] - posture[right]
         spine = posture[self.skeleton.girdle] - posture[self.skeleton.root]
         ahead = _cross(across, spine)
         frame = _unit(np.array([across, _cross(ahead, across), ahead]))
-        parts = np.empty((3, *posture.shape))
-        parts[0] = self._scale * posture
-        parts[1:] = _unit(posture[self._ends] - posture[self._starts])
+        directions = _unit(posture[self._ends] - posture[self._starts])
+        parts = np.concatenate([self._scale * posture[None], directions])
         turned = (parts @ frame.T) * self._mirrored
         return turned.transpose(1, 0, 2).reshape(len(posture), _DIRECTIONS)
 
 
 @lru_cache(maxsize=4)
-def _embedded_weights(skeleton: Skeleton) -> DoubtWeights:
-    """Return what was learned on simulated people for a skeleton."""
+def _embedded_weights(skeleton: Skeleton) -> ClueWeights:
     folder = resources.files("kinefilter.pipeline.lab").joinpath("embedded")
     with resources.as_file(folder / f"{skeleton.name}_doubt.npz") as path:
-        return DoubtWeights.load(path, skeleton)
+        return ClueWeights.load(path, skeleton)
+
+
+def learned_weights(
+    pairs: Sequence[PairedTake], *, progress: Progress = silent
+) -> ClueWeights:
+    """Return weights learned from pairs of one skeleton.
+
+    Args:
+        pairs: Takes and their truth.
+        progress: Wraps the loop over the takes, for a progress bar.
+    """
+    from sklearn.linear_model import LogisticRegression
+
+    parts = [_clues_and_errors(pair) for pair in over(pairs, "look", progress)]
+    clues, far = map(np.concatenate, zip(*parts, strict=True))
+    learned = ClueWeights.even_odds(pairs[0].take.skeleton)
+    kinds = np.array(_kinds(learned.skeleton))
+    for kind in dict.fromkeys(kinds):
+        joints = np.flatnonzero(kinds == kind)
+        known = ~np.isnan(far[:, joints])
+        inputs, wrong = clues[:, joints][known], far[:, joints][known]
+        # Laplace's rule: the odds are even where nothing is known.
+        odds = (wrong.sum() + 1.0) / ((1.0 - wrong).sum() + 1.0)
+        learned.intercepts[joints] = np.log(odds)
+        if not 0.0 < wrong.sum() < len(wrong):
+            continue
+        mean, spread = inputs.mean(axis=0), inputs.std(axis=0)
+        spread = np.where(spread > 1e-6, spread, np.inf)
+        model = LogisticRegression(C=_PENALTY, max_iter=500)
+        model.fit((inputs - mean) / spread, wrong)
+        learned.usual[joints], learned.weights[joints] = mean, model.coef_[0] / spread
+        learned.intercepts[joints] = model.intercept_[0]
+    return learned
+
+
+def _clues_and_errors(pair: PairedTake) -> tuple[Array, Array]:
+    """Return clues (T, J, C) and whether joints are far off (T, J), NaN unknown."""
+    take, skeleton = pair.take, pair.take.skeleton
+    untrained = ClueWeights.even_odds(skeleton)
+    scorer = LearnedReliabilityScorer(skeleton, measure_reference(take), untrained)
+    frames = zip(take.positions, take.state, take.time, strict=True)
+    clues = [scorer.clues(p, state, float(time)) for p, state, time in frames]
+    away = take.positions - pair.truth
+    away = away - away[:, skeleton.hips].mean(axis=1, keepdims=True)
+    distance = np.linalg.norm(away, axis=2)
+    far = np.where(np.isnan(distance), np.nan, distance > FAR_OFF)
+    return np.array(clues[::_EVERY]), far[::_EVERY]
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -1,31 +1,31 @@
-"""What README and the papers say, measured again: a table and a plot a study.
+"""What README and the papers say, measured again: a table and a plot for each study.
 
-A study is a function of a seed and of sizes that returns a ``Study``; ``catalog`` has
-them by name. Those of the papers take simulated people. Those of README's figures take
-recordings where there are some (``recordings``), and simulated people elsewhere; what
-README says of them stands in ``claims.toml``, and ``verdicts`` compares it with what
-was found.
+A study is a function of ``Options`` and of sizes that returns a ``Study``; ``catalog``
+has them by name. Those of the papers take simulated people. Those of README's figures
+take recordings where there are some, and simulated people elsewhere; ``claims.toml``
+has what README says of them, and ``claims`` compares it with what was measured.
 """
 
-from . import made, verdicts
-from .catalog import STUDIES, check_names, reproduce
-from .drawing import check_drawing
-from .files import check_studies_folder, write_study
-from .pictures import make_pictures
-from .recordings import recordings_folder
-from .study import Study, as_table
+from . import claims
+from .catalog import STUDIES, check_names, fingerprint, is_made, note_made, reproduce
+from .output import check_drawing, check_studies_folder, make_pictures, write_study
+from .study import Options, Study, as_table
+from .takes import recordings_folder
 
 __all__ = [
     "STUDIES",
+    "Options",
     "Study",
     "as_table",
     "check_drawing",
     "check_names",
     "check_studies_folder",
-    "made",
+    "claims",
+    "fingerprint",
+    "is_made",
     "make_pictures",
+    "note_made",
     "recordings_folder",
     "reproduce",
-    "verdicts",
     "write_study",
 ]

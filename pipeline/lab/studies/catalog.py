@@ -1,26 +1,27 @@
-"""The studies by name, in full size and in small."""
+"""The studies by name, and which of them a folder already holds."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
+from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.formats import atomic_path
 
-from .chiang import chiang_figure_5
-from .cleaned_takes import cleaned_takes
-from .failures import failures
-from .liu import liu_figure_3, liu_figure_7, liu_table_5
-from .marker_mocap import marker_mocap
+from .cleaned_takes import cleaned_takes, marker_mocap
+from .detection import failures, reliability
+from .learned_methods import chiang_figure_5, liu_figure_3, liu_figure_7, liu_table_5
 from .methods import methods_known_people, methods_new_people, untrained
-from .million_postures import million_postures
-from .reliability import reliability
-from .shum_parameters import shum_figure_8
-from .shum_reconstruction import shum_table_3, shum_table_4
-from .speed import speed
-from .study import Study
+from .shum import shum_figure_8, shum_table_3, shum_table_4
+from .speed import million_postures, speed
+from .study import Options, Study
+
+_FLOORS = ("characters", "retarget", "scenes", "pipeline")
+_SUFFIXES = (".py", ".toml", ".xml", ".npz", ".csv")
+_EXCEPT = ("claims.toml",)  # which judges, and measures nothing
 
 
 class _Entry(NamedTuple):
@@ -28,22 +29,16 @@ class _Entry(NamedTuple):
 
     run: Callable[..., Study]
     quick: dict[str, int]
-    recorded: bool = False
-    """Whether it asks for recordings."""
 
 
 STUDIES: dict[str, _Entry] = {
-    "cleaned-takes": _Entry(cleaned_takes, {"count": 2}, recorded=True),
-    "marker-mocap": _Entry(marker_mocap, {"movements": 1}, recorded=True),
-    "untrained": _Entry(untrained, {"count": 2, "movements": 1}, recorded=True),
-    "methods-new-people": _Entry(
-        methods_new_people, {"count": 2, "movements": 1}, recorded=True
-    ),
-    "methods-known-people": _Entry(
-        methods_known_people, {"count": 1, "movements": 1}, recorded=True
-    ),
-    "failures": _Entry(failures, {"count": 2, "movements": 1}, recorded=True),
-    "reliability": _Entry(reliability, {"takes": 1, "movements": 1}, recorded=True),
+    "cleaned-takes": _Entry(cleaned_takes, {"count": 2}),
+    "marker-mocap": _Entry(marker_mocap, {"movements": 1}),
+    "untrained": _Entry(untrained, {"count": 2, "movements": 1}),
+    "methods-new-people": _Entry(methods_new_people, {"count": 2, "movements": 1}),
+    "methods-known-people": _Entry(methods_known_people, {"count": 1, "movements": 1}),
+    "failures": _Entry(failures, {"count": 2, "movements": 1}),
+    "reliability": _Entry(reliability, {"takes": 1, "movements": 1}),
     "speed": _Entry(speed, {"rounds": 1}),
     "million-postures": _Entry(million_postures, {"values": 2, "people": 1}),
     "shum-table-3": _Entry(shum_table_3, {"motions": 1}),
@@ -58,33 +53,54 @@ STUDIES: dict[str, _Entry] = {
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Raise an InputError if there is no study of one of the names."""
+    """Raise an InputError if one of the names is not that of a study."""
     for name in names:
         if name not in STUDIES:
             raise InputError(f"unknown study {name!r}; known: {', '.join(STUDIES)}")
 
 
-def reproduce(
-    name: str,
-    *,
-    seed: int = 0,
-    quick: bool = False,
-    data: Path | None = None,
-    progress: Progress = silent,
-) -> Study:
+def reproduce(name: str, options: Options, *, quick: bool = False) -> Study:
     """Run a study.
 
     Args:
         name: One of STUDIES.
-        seed: Draws people, performances and the sensor's errors.
+        options: What every study is run with.
         quick: Take a small part of everything; the figures then mean little.
-        data: Folder of recordings; None: simulated takes alone.
-        progress: Wraps the loops, for a progress bar.
 
     Raises:
         InputError: There is no such study, or no such recordings in the folder.
     """
     check_names([name])
-    run, sizes, recorded = STUDIES[name]
-    more: dict[str, Any] = {"data": data} if recorded else {}
-    return run(seed=seed, progress=progress, **(sizes if quick else {}), **more)
+    run, sizes = STUDIES[name]
+    return run(options, **(sizes if quick else {}))
+
+
+def fingerprint(data: Path | None, *, seed: int, quick: bool) -> str:
+    """Return a hash of what figures come from: source of kinefilter, and recordings.
+
+    Recordings count by names, sizes and times. A run that was interrupted goes on with
+    the studies that are missing or of another fingerprint.
+    """
+    found = hashlib.sha256(f"{seed} {quick}".encode())
+    for floor in _FLOORS:
+        folder = Path(str(resources.files(f"kinefilter.{floor}")))
+        for path in sorted(folder.rglob("*")):
+            if path.suffix in _SUFFIXES and path.name not in _EXCEPT:
+                found.update(str(path.relative_to(folder)).encode())
+                found.update(path.read_bytes())
+    for path in sorted(data.rglob("*")) if data else ():
+        status = path.stat()
+        found.update(f"{path} {status.st_size} {status.st_mtime_ns}".encode())
+    return found.hexdigest()
+
+
+def is_made(name: str, folder: Path, stamp: str) -> bool:
+    """Tell whether a folder holds a study's table of this fingerprint."""
+    noted, table = folder / f"{name}.made", folder / f"{name}.csv"
+    return table.is_file() and noted.is_file() and noted.read_text("utf-8") == stamp
+
+
+def note_made(name: str, folder: Path, stamp: str) -> None:
+    """Write down which fingerprint a study's table has."""
+    with atomic_path(folder / f"{name}.made") as temporary:
+        temporary.write_text(stamp, encoding="utf-8")

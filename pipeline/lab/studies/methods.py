@@ -2,201 +2,134 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from kinefilter.pipeline.lab.evaluate import evaluate
-from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.workers import workers
 
-from .recordings import people, person
-from .study import Cell, Panel, Series, Study
+from .study import Cell, Options, Panel, Study, series_of
+from .takes import clips_of, recorded_people
 
 _METHODS = (
     *("butterworth", "savgol", "one-euro", "kalman", "low-rank", "local-pca"),
     *("default", "exemplar", "full-gp", "local-gp", "clustered-gp", "best"),
 )
 _ERRORS = ("E", "E_std", "E_var")
-_Each = dict[str, dict[str, dict[str, float]]]  # method, person, error [cm]
-
-
-class _Clips(NamedTuple):
-    """Whose clips there are, and how many of them."""
-
-    data: Path | None
-    names: Sequence[str]
-    seed: int
-    movements: int
-
-    def read(self, names: Sequence[str]) -> list[PairedTake]:
-        """Return the clips of some of the people."""
-        found: list[PairedTake] = []
-        for name in names:
-            found += person(self.data, name, self.seed, self.movements)
-        return found
+_People = dict[str, dict[str, float]]
+"""Errors [cm] of a method by person and name of the error."""
 
 
 def methods_new_people(
-    *,
-    seed: int = 0,
-    count: int = 1000,
-    movements: int = 10,
-    data: Path | None = None,
-    progress: Progress = silent,
+    options: Options, *, count: int = 1000, movements: int = 10
 ) -> Study:
     """Test every method on each person, and let it learn from all the others.
 
     As ``kinefilter evaluate --train PEOPLE --ablation --mocap-database``: ``local-pca``
     searches the mocap of the others. Errors are means over frames and joints, then over
-    people. Without recordings simulated people stand in.
-
-    Args:
-        seed: Draws simulated people, performances and the sensor's errors.
-        count: How many people at most.
-        movements: How many of the movements, from the first.
-        data: Folder of recordings; None: simulated.
-        progress: Wraps the loops, for a progress bar.
+    people. Without recordings, simulated people stand in. At most ``count`` people take
+    part, with the first ``movements``.
     """
-    clips = _Clips(data, people(data)[:count], seed, movements)
-    each = _side_by_side(partial(_new_person, clips), clips.names, progress)
-    title = "Methods on people whom they did not learn from"
-    return _study("methods-new-people", title, each)
+    found = _person_by_person(options, count, movements, trained=True)
+    return _study("Methods on people whom they did not learn from", found)
 
 
 def methods_known_people(
-    *,
-    seed: int = 0,
-    count: int = 1000,
-    movements: int = 10,
-    data: Path | None = None,
-    progress: Progress = silent,
+    options: Options, *, count: int = 1000, movements: int = 10
 ) -> Study:
     """Test every method on new repetitions of the people whom it learned from.
 
-    As ``kinefilter evaluate --train PEOPLE --ablation --protocol repetitions``: the
-    repetitions 1 to 7 teach, 8 to 10 test; ``local-pca`` searches the built-in
-    database. Otherwise like ``methods_new_people``.
-
-    Args:
-        seed: Draws simulated people, performances and the sensor's errors.
-        count: How many people at most.
-        movements: How many of the movements, from the first.
-        data: Folder of recordings; None: simulated.
-        progress: Wraps the loops, for a progress bar.
+    As ``kinefilter evaluate --train PEOPLE --ablation --protocol repetitions``: methods
+    learn from repetitions 1 to 7 and are tested on 8 to 10; ``local-pca`` searches the
+    built-in database. Otherwise like ``methods_new_people``.
     """
-    clips = _Clips(data, people(data)[:count], seed, movements)
+    people, progress = recorded_people(options.data)[:count], options.progress
+    clips = clips_of(people, movements, options)
     figures = evaluate(
-        clips.read(clips.names),
-        [],
-        _METHODS,
-        protocol="repetitions",
-        ablation=True,
-        progress=progress,
+        clips, [], _METHODS, protocol="repetitions", ablation=True, progress=progress
     )
     title = "Methods on new repetitions of the people whom they learned from"
-    return _study("methods-known-people", title, _each(figures))
+    return _study(title, _errors(figures))
 
 
-def untrained(
-    *,
-    seed: int = 0,
-    count: int = 1000,
-    movements: int = 10,
-    data: Path | None = None,
-    progress: Progress = silent,
-) -> Study:
-    """Test what ``clean`` does by itself, physics included, on everybody.
+def untrained(options: Options, *, count: int = 1000, movements: int = 10) -> Study:
+    """Test what ``clean`` does by default, physics included, on everybody.
 
     As ``kinefilter evaluate --test PEOPLE --methods none,default --physics``. The worst
-    person is the one whose error changes for the worse most, or falls least. No model
-    was trained on recordings; the virtual Kinect that the embedded offsets were learned
-    from was fitted to some of these people.
-
-    Args:
-        seed: Draws simulated people, performances and the sensor's errors.
-        count: How many people at most.
-        movements: How many of the movements, from the first.
-        data: Folder of recordings; None: simulated.
-        progress: Wraps the loops, for a progress bar.
+    person is the one whose error rises most or falls least. No model was trained on
+    recordings; but the virtual Kinect that the embedded offsets were learned from was
+    fitted to some of these people. Otherwise like ``methods_new_people``.
     """
-    clips = _Clips(data, people(data)[:count], seed, movements)
-    each = _side_by_side(partial(_untrained, clips), clips.names, progress)
+    found = _person_by_person(options, count, movements, trained=False)
     title = "The default, with no model trained on recordings, physics included"
-    return _study("untrained", title, each)
+    return _study(title, found)
 
 
-def _new_person(clips: _Clips, name: str) -> _Each:
-    others = [other for other in clips.names if other != name]
-    train, test = clips.read(others), clips.read([name])
-    return _each(evaluate(train, test, _METHODS, ablation=True, database="mocap"))
-
-
-def _untrained(clips: _Clips, name: str) -> _Each:
-    test = clips.read([name])
-    return _each(evaluate([], test, ("none", "default"), physics=True))
-
-
-def _each(figures: dict[str, Any]) -> _Each:
-    """Return the errors of every method on every person."""
-    return {
-        method: {
-            name: {key: float(errors[key]) for key in _ERRORS}
-            for name, errors in found["people"].items()
-        }
-        for method, found in figures["methods"].items()
-    }
-
-
-def _side_by_side(
-    run: Callable[[str], _Each], names: Sequence[str], progress: Progress
-) -> _Each:
-    """Run for every person on all cores, and put what comes together."""
-    merged: _Each = {}
+def _person_by_person(
+    options: Options, count: int, movements: int, *, trained: bool
+) -> dict[str, _People]:
+    """Return the errors of methods, tested on one person after the other."""
+    people = recorded_people(options.data)[:count]
+    quiet = replace(options, progress=silent)  # other processes show none
+    run = partial(_on_person, people, movements, quiet, trained)
+    merged: dict[str, _People] = {}
     with workers() as pool:
-        parts = pool.map(run, names)
-        for _ in progress("people", len(names)):
-            for method, each in next(parts).items():
-                merged.setdefault(method, {}).update(each)
+        parts = pool.map(run, people)
+        for _ in options.progress("people", len(people)):
+            for method, errors in next(parts).items():
+                merged.setdefault(method, {}).update(errors)
     return merged
 
 
-def _study(name: str, title: str, each: _Each) -> Study:
-    """Return errors, their change against raw, and that of the person it fits least."""
-    raw = each["raw"]
+def _on_person(
+    people: Sequence[str], movements: int, options: Options, trained: bool, name: str
+) -> dict[str, _People]:
+    """Return the errors of methods on somebody; trained ones learn from the others."""
+    test = clips_of([name], movements, options)
+    if not trained:
+        return _errors(evaluate([], test, ("none", "default"), physics=True))
+    others = [other for other in people if other != name]
+    train = clips_of(others, movements, options)
+    return _errors(evaluate(train, test, _METHODS, ablation=True, database="mocap"))
+
+
+def _errors(figures: dict[str, Any]) -> dict[str, _People]:
+    return {method: found["people"] for method, found in figures["methods"].items()}
+
+
+def _study(title: str, errors: dict[str, _People]) -> Study:
+    """Return errors, their change against raw, and the change on the worst person."""
+    raw = errors["raw"]
     rows: list[tuple[Cell, ...]] = []
-    for method, found in each.items():
-        changes = [
-            100.0 * (_mean(found, key) / _mean(raw, key) - 1.0) for key in _ERRORS
-        ]
+    for method, found in errors.items():
+        means = [_mean(found, key) for key in _ERRORS]
+        changes = [_change(_mean(found, key), _mean(raw, key)) for key in _ERRORS]
         worst = [
-            max(100.0 * (found[p][key] / raw[p][key] - 1.0) for p in found)
+            max(_change(found[person][key], raw[person][key]) for person in found)
             for key in _ERRORS
         ]
-        errors = [_mean(found, key) for key in _ERRORS]
-        rows.append((method, *errors, *changes, *worst))
-    series = tuple(
-        Series(key, list(each), [_mean(found, key) for found in each.values()], "bars")
-        for key in _ERRORS
-    )
+        rows.append((method, *means, *changes, *worst))
+    bars = series_of(rows, {"E": 1, "E_std": 2, "E_var": 3}, kind="bars")
+    figures = ("cm", "change_percent", "worst_person_percent")
+    columns = [f"{key}_{figure}" for figure in figures for key in _ERRORS]
     return Study(
-        name=name,
         title=f"{title}: {len(raw)} people",
-        columns=(
-            "method",
-            *(f"{key}_cm" for key in _ERRORS),
-            *(f"{key}_change_percent" for key in _ERRORS),
-            *(f"{key}_worst_person_percent" for key in _ERRORS),
-        ),
-        rows=tuple(rows),
-        panels=(Panel("method", "error, cm", series),),
+        columns=("method", *columns),
+        rows=rows,
+        panels=[Panel("method", "error, cm", bars)],
     )
 
 
-def _mean(found: dict[str, dict[str, float]], key: str) -> float:
+def _mean(found: _People, key: str) -> float:
     """Return an error's mean over people [cm]."""
     return float(np.mean([errors[key] for errors in found.values()]))
+
+
+def _change(error: float, before: float) -> float:
+    """Return the change of an error [%]."""
+    return 100.0 * (error / before - 1.0)

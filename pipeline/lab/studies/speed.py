@@ -1,57 +1,170 @@
-"""How long a frame takes, stage by stage: the figures of ``kinefilter bench``."""
+"""How long a frame takes, and the search for the nearest of a million postures."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
+from kinefilter.characters import KINECT_V1
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.database.posture_index import PostureIndex
 from kinefilter.pipeline.lab.bench import bench
-from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.lab.scripted_database import scripted_postures
+from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.progress import Progress, over
+from kinefilter.pipeline.spool import Spool
 
-from .study import Panel, Series, Study
+from .corrected import StandardizedTake
+from .study import Options, Panel, Study, series_of
+
+Postures = NDArray[np.float32]
+_Query = tuple[Array, Array]
+"""A posture [m], shape (J, 3), and the rates of its joints, shape (J,)."""
 
 _STAGES = ("reliability", "correct", "orientation", "physics", "total")
 
+_SIZES = (2_500, 10_000, 40_000, 160_000, 1_000_000)
+_PEOPLE = 78  # who perform a million postures
+_NEIGHBORS = 5  # as local PCA looks for
+_MOTIONS = ("walk", "punch", "squat", "tai_chi", "lift_box", "sit")
+_FIRST = 500  # seed of the people in the queries, above those in the database
+_EVERY = 7  # frames between queries
+_CHECKED = 10  # one in this many queries is compared with all postures
+_REPEATS = 3  # the fastest of which counts
 
-def speed(*, seed: int = 0, rounds: int = 3, progress: Progress = silent) -> Study:
+
+def speed(options: Options, *, rounds: int = 3) -> Study:
     """Time every stage on the sample take, frame by frame on one core.
 
-    Medians over the rounds; ratios are taken within a round, so that a machine which
-    is slower a minute later does not spoil them.
-
-    Args:
-        seed: Of no consequence: the take is always the same.
-        rounds: How many times everything is timed.
-        progress: Wraps the loop over the rounds, for a progress bar.
+    The figures are those of ``kinefilter bench``, medians over the ``rounds``. Ratios
+    are taken within a round, in case the machine is slower a minute later. The seed
+    changes nothing: the take is always the same.
     """
-    del seed
-    found = [_figures(bench()) for _ in progress("time", rounds)]
+    found = [_figures() for _ in options.progress("time", rounds)]
     medians = {key: float(np.median([one[key] for one in found])) for key in found[0]}
-    stages = [medians[f"{stage}, ms a frame"] for stage in _STAGES]
+    rows = [*medians.items()]
+    bars = series_of(rows[: len(_STAGES)], {"stages": 1}, x=_STAGES, kind="bars")
     return Study(
-        name="speed",
         title="Speed, frame by frame on one core",
         columns=("what", "value"),
-        rows=tuple(medians.items()),
-        panels=(
-            Panel("stage", "ms a frame", (Series("stages", _STAGES, stages, "bars"),)),
-        ),
+        rows=rows,
+        panels=[Panel("stage", "ms a frame", bars)],
     )
 
 
-def _figures(timed: dict[str, Any]) -> dict[str, float]:
+def _figures() -> dict[str, float]:
     """Return the figures of one round by what they are."""
+    timed = bench()
     stages, search, offline = timed["ms_per_frame"], timed["search"], timed["offline"]
     bare = timed["mj_step_ms_per_frame"]
+    lower = 100.0 * search["share_of_frames_lower_energy"]
     return {
         **{f"{stage}, ms a frame": stages[stage] for stage in _STAGES},
         "mj_step alone, ms a frame": bare,
         "physics over mj_step": stages["physics"] / bare,
         "all stages over mj_step": stages["total"] / bare,
         "sampling over solver": search["times_faster"],
-        "frames with lower energy than sampling, %": 100.0
-        * search["share_of_frames_lower_energy"],
+        "frames with lower energy than sampling, %": lower,
         "cores": offline["cores"],
         "whole takes, frames a second": offline["frames_per_second"],
     }
+
+
+def million_postures(
+    options: Options, *, values: int = 5, people: int = _PEOPLE
+) -> Study:
+    """Look for the nearest postures of frames of simulated Kinect takes.
+
+    Postures are those of scripted performances by ``people``, kept on disk as when a
+    database is built; takes are of other people. ``values`` of the sizes are searched,
+    from the smallest. Every tenth answer is compared with the distances of all postures
+    in double precision.
+    """
+    queries = _queries(_FIRST + options.seed)
+    postures = _postures(people, options.progress)
+    rows = []
+    for size in over(_SIZES[:values], "search", options.progress):
+        part = postures[:size]
+        index, product = PostureIndex(part), _product_search(part)
+        ours = _milliseconds(lambda q: index.nearest(*q, _NEIGHBORS), queries)  # noqa: B023
+        theirs = _milliseconds(product, queries)
+        share = _exact(index, part, queries)
+        rows.append((len(part), *ours, *theirs, theirs[0] / ours[0], share))
+    columns = {"boxes": 1, "boxes, 99 %": 2, "product": 3, "product, 99 %": 4}
+    lines = series_of(rows, columns)
+    panel = Panel("postures", "ms a query", lines, log_x=True, log_y=True)
+    return Study(
+        title="The nearest of many postures",
+        columns=(
+            *("postures", "median_ms", "ms_of_99_percent", "product_median_ms"),
+            *("product_ms_of_99_percent", "times_faster", "exact_percent"),
+        ),
+        rows=rows,
+        panels=[panel],
+    )
+
+
+def _postures(people: int, progress: Progress) -> Postures:
+    """Return the postures of a number of people, in random order, (N, J, 3) [m]."""
+    spool = Spool(np.float32)
+    for _, positions, _ in scripted_postures(KINECT_V1, progress, people=people):
+        spool.add(positions)
+    order = np.random.default_rng(0).permutation(len(spool))[: _SIZES[-1]]
+    return np.asarray(spool.array()[order])
+
+
+def _queries(first: int) -> list[_Query]:
+    """Return what a simulated Kinect v1 sees of people who are not in the database."""
+    found: list[_Query] = []
+    for k, motion in enumerate(_MOTIONS):
+        pair = simulate("basic", motion, sensor="v1", seed=first + k)
+        take = StandardizedTake(pair)
+        found += list(zip(take.positions, take.rate, strict=True))[::_EVERY]
+    return found
+
+
+def _product_search(postures: Postures) -> Callable[[_Query], NDArray[np.intp]]:
+    """Return a search of all postures: one matrix product, then the smallest."""
+    squares = np.sum(postures**2, axis=2)
+    flat = postures.reshape(len(postures), -1)
+    products = np.concatenate([squares, -2.0 * flat], axis=1)
+
+    def search(query: _Query) -> NDArray[np.intp]:
+        posture, rate = query
+        seen = np.where(rate[:, None] > 0.0, posture, 0.0)
+        weights = np.concatenate([rate, (rate[:, None] * seen).ravel()])
+        away = products @ weights.astype(np.float32)
+        return np.argpartition(away, _NEIGHBORS - 1)[:_NEIGHBORS]
+
+    return search
+
+
+def _milliseconds(
+    find: Callable[[_Query], object], queries: Sequence[_Query]
+) -> list[float]:
+    """Return the median and the 99th percentile of the queries' times [ms]."""
+    times = np.empty((_REPEATS, len(queries)))
+    for repeat in range(_REPEATS):
+        for k, query in enumerate(queries):
+            start = perf_counter()
+            find(query)
+            times[repeat, k] = perf_counter() - start
+    found: list[float] = np.percentile(times.min(axis=0) * 1e3, [50, 99]).tolist()
+    return found
+
+
+def _exact(index: PostureIndex, postures: Postures, queries: Sequence[_Query]) -> float:
+    """Return how many of the answers are right [%], of every tenth query."""
+    right = []
+    for posture, rate in queries[::_CHECKED]:
+        distances = np.zeros(len(postures))
+        for j in np.flatnonzero(rate):
+            away = postures[:, j] - posture[j]
+            distances += rate[j] * np.vecdot(away, away)
+        expected = np.sort(np.partition(distances, _NEIGHBORS)[:_NEIGHBORS])
+        found = index.nearest(posture, rate, _NEIGHBORS)[1]
+        right.append(np.allclose(found, expected, rtol=1e-12, atol=1e-12))
+    return 100.0 * float(np.mean(right))

@@ -1,15 +1,32 @@
-"""What a study found: a table and a plot."""
+"""What a study takes and what it returns: options in, a table and a plot out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from rich.table import Table
 
+from kinefilter.pipeline.progress import Progress, silent
+
 Cell = str | int | float | None
-"""Of a table; None is an empty cell."""
+"""A cell of a table; None is an empty one."""
+Kind = Literal["line", "bars", "level"]
+"""How a series is drawn; a level is a horizontal line across the whole panel."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What every study is run with."""
+
+    seed: int = 0
+    """Draws simulated people, performances and the sensor's errors."""
+    data: Path | None = None
+    """Folder of recordings; None: simulated takes only."""
+    progress: Progress = silent
+    """Wraps the loops, for a progress bar."""
 
 
 @dataclass(frozen=True)
@@ -17,15 +34,12 @@ class Series:
     """One line of a plot, or one color of bars."""
 
     label: str
-    """What the legend says."""
+    """What the legend says; figures of the paper begin with ``paper``."""
     x: Sequence[float] | Sequence[str]
-    """Places along the axis; for bars the names of the groups."""
+    """Positions along the axis; for bars, the names of the groups."""
     y: Sequence[float]
-    """Values; for a level a single one."""
-    kind: Literal["line", "bars", "level"] = "line"
-    """A level is a horizontal line through the whole panel."""
-    paper: bool = False
-    """The paper's own figures, not ours."""
+    """Values; a single one for a level."""
+    kind: Kind = "line"
 
 
 @dataclass(frozen=True)
@@ -36,49 +50,65 @@ class Panel:
     """What is varied, with its unit."""
     y_label: str
     """What is measured, with its unit."""
-    series: tuple[Series, ...]
+    series: Sequence[Series]
     """What is drawn."""
     log_x: bool = False
-    """The axis of what is varied is logarithmic."""
+    """Whether the x axis is logarithmic."""
     log_y: bool = False
-    """The axis of what is measured is logarithmic."""
+    """Whether the y axis is logarithmic."""
     zero: bool = True
-    """The axis of what is measured begins at 0, unless it is logarithmic."""
+    """Whether the y axis begins at 0, unless it is logarithmic."""
 
 
 @dataclass(frozen=True)
 class Study:
     """The result of one study."""
 
-    name: str
-    """As on the command line."""
     title: str
     """What was studied, and where the paper has it."""
-    columns: tuple[str, ...]
+    columns: Sequence[str]
     """Names of the columns; those of the paper's figures begin with ``paper``."""
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: Sequence[Sequence[Cell]]
     """The table."""
-    panels: tuple[Panel, ...]
+    panels: Sequence[Panel]
     """The plot, row by row."""
     across: int = 1
-    """Panels in a row of the plot."""
+    """Number of panels side by side."""
+
+
+def series_of(
+    rows: Sequence[Sequence[Cell]],
+    columns: Mapping[str, int],
+    *,
+    x: int | Sequence[str] = 0,
+    kind: Kind = "line",
+) -> list[Series]:
+    """Return a series for each of some columns of a table, given by label and number.
+
+    ``x`` is the column with the positions along the axis, names for bars; or the names
+    of the groups of bars themselves.
+    """
+
+    def numbers(column: int) -> list[float]:
+        return [float(row[column] or 0.0) for row in rows]
+
+    along: Sequence[float] | Sequence[str]
+    if isinstance(x, int):
+        along = [str(row[x]) for row in rows] if kind == "bars" else numbers(x)
+    else:
+        along = x
+    return [Series(label, along, numbers(k), kind) for label, k in columns.items()]
 
 
 def as_table(study: Study) -> Table:
-    """Return the study's table for a terminal."""
+    """Return the study's table for a terminal, numbers to four digits."""
     table = Table(title=study.title, title_justify="left")
     for k, column in enumerate(study.columns):
         numbers = any(isinstance(row[k], int | float) for row in study.rows)
-        # A word a line: a table of ten columns is to fit 80 characters.
+        # One word per line, so that ten columns fit into 80 characters.
         heading = column.replace("_", "\n").replace("percent", "%")
         table.add_column(heading, justify="right" if numbers else "left")
     for row in study.rows:
-        table.add_row(*(as_text(cell) for cell in row))
+        cells = (f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row)
+        table.add_row(*("" if cell is None else str(cell) for cell in cells))
     return table
-
-
-def as_text(cell: Cell) -> str:
-    """Return a cell's text for a terminal: four digits are enough."""
-    if cell is None:
-        return ""
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)

@@ -1,125 +1,90 @@
-"""The simulated takes of the studies: situations of Shum 2013's Table IV, and lessons.
+"""The takes of the studies: simulated people, and recordings where there are some.
 
-Nobody in them has taught anything: the built-in database draws its people from seeds
-under 10, takes that are tested on from seeds of 1000 and more, and pairs that methods
-learn from within a study from seeds 500 higher than those.
+The simulated people have taught nothing: the built-in database draws its people from
+seeds under 10, takes that are tested on from seeds of 1000 and more, and pairs that
+methods learn from within a study from seeds 500 higher than those.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from pathlib import Path
+from typing import Literal
 
+from kinefilter.characters import InputError
 from kinefilter.pipeline.lab.simulate import simulate
-from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.progress import Progress, over, silent
 
-Kind = Literal["a", "b", "c"]
+from .study import Options
+
+RECORDINGS = Path("../shared/data")
+"""Where recordings are expected; they are not part of kinefilter."""
+
+MovementClass = Literal["a", "b", "c"]
 """Classes of movement (Shum 2013, Table IV)."""
 
-_PEOPLE = 1000  # first seed of the people of a study; and between two studies' seeds
+_PEOPLE = 1000  # first seed of a study's people; also the distance between studies
 _AGAIN = 1_000_000  # what is added to a person's seed for another performance
-_LEARNERS = 500  # how much higher the seeds of the people are that methods learn from
+_LEARNERS = 500  # how much higher the seeds of those are whom methods learn from
+
+_STAND_INS = 4  # people who are simulated in place of recorded ones
+_MOVEMENTS = ("squat", "side_lunge", "raise_arms")  # what they do, as in rehabilitation
+_REPETITIONS = 10  # of every movement, as in the recordings
+
+Setting = tuple[str, str, str]
+"""What is recorded: one of SCENES, one of MOTIONS and one of SENSORS."""
 
 
-class Setting(NamedTuple):
-    """What is recorded."""
-
-    scene: str
-    """One of SCENES."""
-    motion: str
-    """One of MOTIONS."""
-    sensor: str
-    """One of SENSORS."""
+def _settings(listed: str) -> list[Setting]:
+    return [(s, m, v) for s, m, v in (one.split("/") for one in listed.split())]
 
 
-CLASSES: dict[Kind, tuple[Setting, ...]] = {
-    "a": (
-        Setting("basic", "cross_arms", "v1"),
-        Setting("basic", "cross_arms", "v2"),
-        Setting("basic", "turn", "v1"),
-        Setting("basic", "turn", "v2"),
-        Setting("basic", "squat", "v1"),
-        Setting("basic", "squat", "v2"),
-        Setting("basic", "tai_chi", "v1"),
-        Setting("basic", "tai_chi", "v2"),
-        Setting("basic", "wave", "v1"),
-        Setting("basic", "punch", "v2"),
-        Setting("basic", "march", "v1"),
-        Setting("basic", "bend", "v2"),
+CLASSES: dict[MovementClass, list[Setting]] = {
+    "a": _settings(
+        "basic/cross_arms/v1 basic/cross_arms/v2 basic/turn/v1 basic/turn/v2 "
+        "basic/squat/v1 basic/squat/v2 basic/tai_chi/v1 basic/tai_chi/v2 "
+        "basic/wave/v1 basic/punch/v2 basic/march/v1 basic/bend/v2"
     ),
-    "b": (
-        Setting("office", "wave", "v1"),
-        Setting("office", "talk", "v2"),
-        Setting("office", "cross_arms", "v1"),
-        Setting("office", "turn", "v2"),
-        Setting("flip_chart", "wave", "v1"),
-        Setting("flip_chart", "clasp_and_spread", "v2"),
-        Setting("flip_chart", "side_lunge", "v1"),
-        Setting("flip_chart", "side_lunge", "v2"),
-        Setting("box", "wave", "v1"),
-        Setting("box", "raise_arms", "v2"),
-        Setting("box", "turn", "v1"),
-        Setting("box", "turn", "v2"),
+    "b": _settings(
+        "office/wave/v1 office/talk/v2 office/cross_arms/v1 office/turn/v2 "
+        "flip_chart/wave/v1 flip_chart/clasp_and_spread/v2 flip_chart/side_lunge/v1 "
+        "flip_chart/side_lunge/v2 box/wave/v1 box/raise_arms/v2 box/turn/v1 box/turn/v2"
     ),
-    "c": (
-        Setting("box", "lift_box", "v1"),
-        Setting("flip_chart", "flip_chart", "v1"),
-        Setting("flip_chart", "flip_chart", "v2"),
-        Setting("box", "lift_box", "v2"),
-        Setting("basketball", "basketball", "v1"),
-        Setting("basketball", "basketball", "v2"),
-        Setting("chair", "chair", "v1"),
-        Setting("chair", "chair", "v2"),
-        Setting("chair", "sit_to_stand", "v1"),
-        Setting("office", "office", "v1"),
-        Setting("office", "office", "v2"),
-        Setting("office", "office", "v2"),
+    "c": _settings(
+        "box/lift_box/v1 flip_chart/flip_chart/v1 flip_chart/flip_chart/v2 "
+        "box/lift_box/v2 basketball/basketball/v1 basketball/basketball/v2 "
+        "chair/chair/v1 chair/chair/v2 chair/sit_to_stand/v1 "
+        "office/office/v1 office/office/v2 office/office/v2"
     ),
 }
-"""(a) self-occluded and un-occluded movements; (b) movements with a thing before the
-person that nobody touches: a desk, a flip chart, a box (a chair stands behind and hides
-nothing); (c) movements with a thing, hidden by it. Under seed 0 those who use the flip
-chart stand beside it with the right hand, as the chart does."""
+"""(a) self-occluded and un-occluded movements; (b) movements behind a thing that nobody
+touches: a desk, a flip chart, a box (the chair stands behind the person and hides
+nothing); (c) movements with a thing that hides the person. With seed 0, whoever uses
+the flip chart stands beside it with the right hand, as the chart does."""
 
 
-def people_of(seed: int, *, learners: bool = False) -> int:
-    """Return the seed of the first person of a study.
-
-    Args:
-        seed: Of the study.
-        learners: The people whom methods learn from, not those they are tested on.
-    """
+def first_person(seed: int, *, learners: bool = False) -> int:
+    """Return the seed of a study's first person, or of the first to learn from."""
     return _PEOPLE * (1 + seed) + (_LEARNERS if learners else 0)
 
 
 def study_takes(
-    kind: Kind, *, seed: int = 0, count: int = 12, progress: Progress = silent
+    kind: MovementClass, options: Options, *, count: int = 12
 ) -> list[PairedTake]:
-    """Return the takes of a class, each of another person, and their truth.
+    """Return takes of a class, each of another person, and their truth.
 
-    The frame is the sensor's, the proportions are the person's own.
-
-    Args:
-        kind: Which class of movement.
-        seed: Draws people, performances and the sensor's errors.
-        count: How many takes; fewer than 12 are spread over the class.
-        progress: Wraps the loop over the takes, for a progress bar.
+    The proportions are the person's own. Fewer than 12 takes are spread over the class.
     """
     settings = CLASSES[kind]
-    first = people_of(seed) + len(settings) * list(CLASSES).index(kind)
+    first = first_person(options.seed) + len(settings) * list(CLASSES).index(kind)
     chosen = [k * len(settings) // count for k in range(min(count, len(settings)))]
     return [
-        _recorded(settings[chosen[k]], first + chosen[k], first + chosen[k])
-        for k in progress(f"record ({kind})", len(chosen))
+        _recorded(settings[k], first + k, first + k)
+        for k in over(chosen, f"record ({kind})", options.progress)
     ]
-
-
-@lru_cache(maxsize=256)  # studies share takes: 0.4 s and 0.4 MB each
-def _recorded(setting: Setting, seed: int, person: int) -> PairedTake:
-    scene, motion, sensor = setting
-    return simulate(scene, motion, sensor=sensor, seed=seed, person=person)
 
 
 def performed_by(
@@ -130,18 +95,71 @@ def performed_by(
     again: bool = False,
     progress: Progress = silent,
 ) -> list[PairedTake]:
-    """Return every motion by every person on a bare floor, and the truth.
+    """Return each motion by each person on a bare floor; ``again``: performed anew."""
+    acts = [(person, motion) for person in people for motion in motions]
+    return [
+        _recorded(("basic", motion, sensor), person + _AGAIN * again, person)
+        for person, motion in over(acts, "record", progress)
+    ]
 
-    Args:
-        people: Seeds of the people.
-        motions: Out of MOTIONS.
-        sensor: One of SENSORS.
-        again: Other performances than without this.
-        progress: Wraps the loop over the takes, for a progress bar.
+
+@lru_cache(maxsize=256)  # studies share takes; each costs 0.4 s and 0.4 MB
+def _recorded(setting: Setting, seed: int, person: int) -> PairedTake:
+    scene, motion, sensor = setting
+    return simulate(scene, motion, sensor=sensor, seed=seed, person=person)
+
+
+def recordings_folder(data: Path | None) -> Path | None:
+    """Return the folder that was asked for, else the usual one, or None without any.
+
+    Raises:
+        InputError: The folder that was asked for does not exist.
     """
-    pairs = []
-    for k in progress("record", len(people) * len(motions)):
-        person, motion = people[k // len(motions)], motions[k % len(motions)]
-        setting, seed = Setting("basic", motion, sensor), person + _AGAIN * again
-        pairs.append(_recorded(setting, seed, person))
-    return pairs
+    if data is None:
+        return RECORDINGS if RECORDINGS.is_dir() else None
+    if not data.is_dir():
+        raise InputError(f"{data}: no such folder; give the folder of the recordings")
+    return data
+
+
+def recorded_takes(data: Path | None) -> list[Path]:
+    """Return the recorded takes, in order; none without recordings."""
+    if data is None:
+        return []
+    folder = data / "takes"
+    return sorted([*folder.glob("*/*.csv"), *folder.glob("*/*.csv.gz")])
+
+
+def recorded_people(data: Path | None) -> list[str]:
+    """Return who was recorded together with marker mocap, or their stand-ins."""
+    if data is None:
+        return [f"simulated {k + 1}" for k in range(_STAND_INS)]
+    found = sorted(path.stem for path in (data / "ui-prmd").glob("s*.npz"))
+    if not found:
+        raise InputError(f"{data}: no ui-prmd/s*.npz in this folder of recordings")
+    return found
+
+
+def clips_of(
+    people: Iterable[str], movements: int, options: Options
+) -> list[PairedTake]:
+    """Return the clips of some of ``recorded_people``, of the first movements."""
+    clips: list[PairedTake] = []
+    for name in people:
+        if options.data is None:
+            clips += _simulated_clips(name, movements, options.seed)
+        else:
+            own = read_pairs(options.data / "ui-prmd" / f"{name}.npz")
+            known = sorted({pair.clip[:3] for pair in own})[:movements]
+            clips += [pair for pair in own if pair.clip[:3] in known]
+    return clips
+
+
+def _simulated_clips(name: str, movements: int, seed: int) -> Iterator[PairedTake]:
+    k = recorded_people(None).index(name)
+    person = first_person(seed) + k
+    for n in range(len(_MOVEMENTS[:movements]) * _REPETITIONS):
+        m, e = divmod(n, _REPETITIONS)
+        pair = simulate("basic", _MOVEMENTS[m], seed=person + 100 * n, person=person)
+        clip = f"m{m + 1:02d}_s{k + 1:02d}_e{e + 1:02d}"  # as the recorded ones
+        yield replace(pair, subject=name, clip=clip)

@@ -1,0 +1,67 @@
+"""Takes as correction methods see them, what methods make of them, and its error."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.correct import Corrector
+from kinefilter.pipeline.lab.accuracy import Accuracy
+from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.stages import Correct
+from kinefilter.pipeline.training import observed
+from kinefilter.retarget import Standardizer
+
+
+class StandardizedTake:
+    """A take on the standard body, and its truth."""
+
+    def __init__(self, pair: PairedTake) -> None:
+        self.pair = pair
+        self._draft = observed(pair)
+        self.positions = self._draft.standard
+        """Joint positions [m] on the standard body, root at the origin, facing +z, NaN
+        where missing, shape (T, J, 3)."""
+        missing = np.isnan(self.positions[..., 0])
+        self.rate = np.where(missing, 0.0, self._draft.reliability)
+        """Reliability rate, 0 where missing, shape (T, J)."""
+
+    def undo(self, positions: Array) -> Array:
+        """Return standard postures (T, J, 3) on the person, in the sensor's frame."""
+        draft = self._draft
+        return Standardizer(draft.body).undo(positions, draft.heading)
+
+    def distances(self, method: Corrector | None) -> Array:
+        """Return distances of limb joints from the truth [m] (Liu eq. 23-25), (T, 12).
+
+        Relative to the middle of the hips, with the person's own segment lengths.
+
+        Args:
+            method: What corrects the take; None: the raw take.
+        """
+        positions = self.pair.take.positions
+        if method is not None:
+            cleaner = Cleaner().without("failures").until("correct")
+            correct = Correct(CleanConfig(), method)
+            positions = cleaner.replaced(correct).whole(self.pair.take).positions
+        accuracy = Accuracy(self.pair.take.skeleton)
+        return accuracy.distances(positions, self.pair.truth)
+
+
+def bone_errors(one: Array, other: Array, skeleton: Skeleton) -> Array:
+    """Return how far each part is off, relative to its parent [m], shape (T, S).
+
+    Shum 2013, eq. 18, is their mean over frames and parts. Where the whole body is does
+    not matter. NaN where a part or its parent is missing in either motion.
+
+    Args:
+        one: Joint positions [m], shape (T, J, 3).
+        other: Those of the same frames in the same orientation, shape (T, J, 3).
+        skeleton: The joints.
+    """
+    ends, starts = skeleton.segments, skeleton.segment_parents
+    away = one - other
+    return np.asarray(np.linalg.norm(away[:, ends] - away[:, starts], axis=2))

@@ -1,0 +1,194 @@
+"""What studies leave in a folder: tables as CSV, plots as PNG, README's pictures.
+
+Only this file uses matplotlib.
+"""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kinefilter import clean, read_take, write_clip
+from kinefilter.characters import InputError
+from kinefilter.pipeline.extras import require
+from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.pipeline.progress import Progress, silent
+
+from .study import Cell, Panel, Series, Study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Distinct for the color-blind, too (Okabe & Ito 2008); the paper's figures are gray.
+_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_PAPER = ("#BBBBBB", "#777777")
+_WIDTH, _HEIGHT = 4.4, 3.2  # of a panel, inches
+_BARS = 0.8  # width of a group of bars, as a share of the distance between groups
+_LEGEND = 5  # entries side by side
+_LEVEL_NAMES = 6  # names of groups that fit side by side
+
+_SIZE, _RATE = "480x270", 10.0  # of the animation: small enough to load quickly
+_TIMEOUT = 600.0  # s for a script, ten times what it needs. A guess.
+_PAGES = Path(__file__).parents[3] / "tests" / "pictures" / "pages.py"
+
+
+def check_studies_folder(folder: Path) -> None:
+    """Raise an InputError if studies cannot be written into a folder, new or not."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; give a folder to write to")
+    if not folder.exists() and not folder.parent.is_dir():
+        raise InputError(
+            f"{folder}: folder {folder.parent} does not exist; create it or write "
+            "elsewhere"
+        )
+
+
+def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
+    """Write ``NAME.csv`` and ``NAME.png`` into a folder, and return their paths.
+
+    Older files are replaced once both new ones are complete.
+
+    Raises:
+        InputError: The folder cannot be written to, or matplotlib is not installed.
+    """
+    check_studies_folder(folder)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"{folder}: cannot be created ({reason})") from error
+    table, plot = folder / f"{name}.csv", folder / f"{name}.png"
+    with atomic_path(table) as new_table, atomic_path(plot) as new_plot:
+        write_table([study.columns, *study.rows], new_table)
+        draw(study, new_plot)
+    return table, plot
+
+
+def write_table(rows: Iterable[Sequence[Cell]], path: Path) -> None:
+    """Write a CSV file, numbers to six digits."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(
+            [f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row]
+            for row in rows
+        )
+
+
+def check_drawing() -> None:
+    """Raise an InputError if matplotlib is not installed."""
+    require("matplotlib", "the plot of a study", "reproduce")
+
+
+def draw(study: Study, path: Path) -> None:
+    """Write the plot of a study as PNG.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    check_drawing()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = -(-len(study.panels) // study.across)
+    size = (max(study.across * _WIDTH, 6.4), rows * _HEIGHT + 0.4)
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, study.across, squeeze=False).ravel()
+    for panel, axis in zip(study.panels, axes, strict=False):
+        _draw_panel(panel, axis)
+    for axis in axes[len(study.panels) :]:
+        axis.set_visible(False)
+    handles, labels = axes[0].get_legend_handles_labels()
+    across = min(len(labels), _LEGEND)
+    figure.legend(handles, labels, loc="outside lower center", ncols=across)
+    figure.suptitle(study.title, fontsize="medium")
+    figure.savefig(path, dpi=120)
+
+
+def _draw_panel(panel: Panel, axis: Axes) -> None:
+    bars = [series for series in panel.series if series.kind == "bars"]
+    ours, papers = cycle(_COLORS), cycle(_PAPER)
+    for series in panel.series:
+        color = next(papers if series.label.startswith("paper") else ours)
+        if series.kind == "bars":
+            _draw_bars(axis, series, color, bars.index(series), len(bars))
+        elif series.kind == "level":
+            axis.axhline(series.y[0], color=color, linestyle="--", label=series.label)
+        else:
+            axis.plot(series.x, series.y, "o-", color=color, label=series.label, ms=4)
+    if panel.log_x:
+        values = [float(x) for x in panel.series[0].x]
+        axis.set_xscale("log")
+        axis.set_xticks(values, [f"{x:g}" for x in values])
+        axis.set_xticks([], minor=True)
+    if panel.log_y:
+        axis.set_yscale("log")
+    elif panel.zero:
+        axis.set_ylim(bottom=0.0)
+    axis.set(xlabel=panel.x_label, ylabel=panel.y_label, axisbelow=True)
+    axis.grid(axis="y", alpha=0.3)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> None:
+    """Draw bar number k of ``count`` in every group."""
+    places = np.arange(len(series.x), dtype=float)
+    width = _BARS / count
+    left = places + (k - (count - 1) / 2.0) * width
+    axis.bar(left, series.y, width, color=color, label=series.label)
+    axis.set_xticks(places, [str(name) for name in series.x])
+    if len(series.x) > _LEVEL_NAMES:
+        axis.tick_params("x", rotation=60.0)
+        for label in axis.get_xticklabels():
+            label.set_horizontalalignment("right")
+
+
+def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]:
+    """Make README's pictures in an existing folder, and yield what became of each.
+
+    The animation needs OpenGL; pictures of pages need viser, Chromium and a script
+    that only a checkout has.
+    """
+    path = folder / "raw_beside_cleaned.gif"
+    try:
+        _animate(path, progress)
+        yield f"wrote {path}"
+    except InputError as error:
+        yield f"not made: {path.name} ({error})"
+    yield _take_pictures_of_pages(folder)
+
+
+def _animate(path: Path, progress: Progress) -> None:
+    """Write an animation of the sample take, raw beside cleaned."""
+    from kinefilter.pipeline.look import Look, render_clips
+
+    sample = sample_path()
+    with tempfile.TemporaryDirectory() as folder:
+        clip = Path(folder) / "clip.npz"
+        write_clip(clean(read_take(sample)).clip, clip)
+        look = Look(size=_SIZE, fps=_RATE, compare=sample)
+        render_clips([clip], path, look, progress=progress)
+
+
+def _take_pictures_of_pages(folder: Path) -> str:
+    """Run the checkout's script that pictures pages, and return what became of it."""
+    failed = f"not made: the pictures of {_PAGES.name}"
+    if not _PAGES.is_file():
+        return f"{failed} (a script that only a checkout has)"
+    command = [sys.executable, str(_PAGES), str(folder)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        return f"{failed} (not done after {_TIMEOUT:g} s)"
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+        return f"{failed} ({reason})"
+    return f"{_PAGES.name}: wrote into {folder}"

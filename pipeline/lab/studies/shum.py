@@ -1,0 +1,261 @@
+"""Local PCA as in Shum 2013: tables III and IV, table V with figure 8."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from kinefilter import CleanConfig, clean
+from kinefilter.characters import KINECT_V1, random_body
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.correct import LocalPCA, Observation
+from kinefilter.pipeline.correct.local_pca import Search
+from kinefilter.pipeline.database import PostureDatabase, builtin_database
+from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.lab.scripted_database import scripted_postures
+from kinefilter.pipeline.progress import Progress, over
+from kinefilter.retarget import HeadingFrame, Standardizer
+from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.scenes.library import perform
+
+from .corrected import StandardizedTake, bone_errors
+from .study import Cell, Kind, Options, Panel, Study, series_of
+from .takes import CLASSES, first_person, performed_by, study_takes
+
+_HANDS, _FEET = ("HandLeft", "HandRight"), ("FootLeft", "FootRight")
+_MIDDLES = ("ElbowLeft", "ElbowRight", "KneeLeft", "KneeRight")
+_SETUPS: dict[str, tuple[Sequence[str], float]] = {
+    "(a) left hand, left foot": (("HandLeft", "FootLeft"), 6.38),
+    "(b) hands": (_HANDS, 5.60),
+    "(c) hands, feet": (_HANDS + _FEET, 4.52),
+    "(d) hands, feet, elbows, knees": (_HANDS + _FEET + _MIDDLES, 4.15),
+    "(e) all parts": (KINECT_V1.joints, 3.90),
+}
+"""Joints that are given, and the paper's difference [cm] (table III)."""
+_DATABASE_MOTIONS = (
+    *("walk", "run", "pick_up", "carry", "point"),
+    *("scratch", "punch", "kick", "swing", "dodge"),
+)
+"""The examples of the paper's own motion database (table I)."""
+
+_PAPER_ERRORS = {"a": (9.59, 7.26), "b": (10.89, 7.44), "c": (12.41, 7.76)}
+"""Raw and reconstructed [cm] (table IV)."""
+
+_MOTIONS = ("cross_arms", "squat", "punch", "tai_chi", "wave")
+_FRAMES = 60  # of each take: 2 s
+_PARAMETERS: dict[str, tuple[int, Sequence[int]]] = {
+    "postures": (2574, (50, 200, 500, 1000, 2574, 5000, 10000)),
+    "neighbors": (30, (5, 10, 20, 30, 60, 120)),
+    "dimensions": (20, (2, 5, 10, 20, 29)),
+    "steps": (20, (1, 5, 10, 20, 40)),
+    "samples": (100, (5, 20, 50, 100, 200)),
+}
+"""The paper's choice (table V) and the values that are tried; the figure has a column
+of panels for each."""
+_OF_SAMPLING = ("steps", "samples")
+
+
+def shum_table_3(options: Options, *, motions: int = 10) -> Study:
+    """Reconstruct whole postures from some of their joints, given without error.
+
+    The paper's figure is that of the posture of least energy in the natural posture
+    space (``difference_cm``), which moves the given joints too; the correction that is
+    shipped keeps them where they are (``joints_kept_cm``). Segment lengths are those of
+    the standard body on both sides; position and heading of the body are known in every
+    setup, as they are removed beforehand. Each of the ``motions`` is by another person.
+    """
+    database, first = builtin_database(KINECT_V1), first_person(options.seed)
+    names = enumerate(_DATABASE_MOTIONS[:motions])
+    acts = [_standard_postures(motion, first + k) for k, motion in names]
+    rows = []
+    for setup, (given, paper) in _SETUPS.items():
+        rate = np.isin(KINECT_V1.joints, given).astype(float)
+        errors = [
+            _reconstruction_errors(act, rate, LocalPCA(database))
+            for act in over(acts, f"from {len(given)} joints", options.progress)
+        ]
+        free, kept = (100.0 * np.concatenate(errors).mean(axis=0)).tolist()
+        rows.append((setup, free, kept, paper))
+    columns = {"posture space": 1, "given joints kept": 2, "paper": 3}
+    bars = series_of(rows, columns, x=[setup[:3] for setup in _SETUPS], kind="bars")
+    return Study(
+        title="Postures from some of their joints (Shum 2013, Table III)",
+        columns=("joints_given", "difference_cm", "joints_kept_cm", "paper_cm"),
+        rows=rows,
+        panels=[Panel("joints given", "difference (eq. 18), cm", bars)],
+    )
+
+
+def _standard_postures(motion: str, person: int) -> Array:
+    """Return a performance's postures on the standard body, without yaw, (T, J, 3)."""
+    body = random_body(KINECT_V1, np.random.default_rng(person))
+    positions = perform(motion, body, seed=person).positions
+    yaw = find_yaw(positions, np.ones(len(KINECT_V1)), KINECT_V1)
+    view = HeadingFrame(positions[:, KINECT_V1.root], yaw)
+    return Standardizer(body).standardize(positions, view)
+
+
+def _reconstruction_errors(postures: Array, rate: Array, method: LocalPCA) -> Array:
+    """Return eq. 18 of each frame [m], shape (T, 2).
+
+    First of the posture of least energy, then with the given joints where they were.
+    """
+    seen = np.where(rate[:, None] > 0.0, postures, np.nan)
+    method.start()
+    free = [method.synthesize(frame, rate)[0] for frame in seen]
+    method.start()
+    kept = [method.step(Observation(frame, rate, rate)).positions for frame in seen]
+    errors = [bone_errors(np.array(m), postures, KINECT_V1) for m in (free, kept)]
+    return np.stack([error.mean(axis=1) for error in errors], axis=1)
+
+
+def shum_table_4(options: Options, *, takes: int = 12) -> Study:
+    """Clean ``takes`` of each class of movement, and compare them with the truth.
+
+    As ``clean`` does it without options, in a take's own frame and with the person's
+    own lengths, as recorded and as cleaned; the truth has its own. Raw and
+    reconstructed motion are compared over the parts that raw has.
+    """
+    rows: list[tuple[Cell, ...]] = []
+    for kind in CLASSES:
+        pairs = study_takes(kind, options, count=takes)
+        errors = []
+        for pair in over(pairs, f"clean ({kind})", options.progress):
+            configs = [CleanConfig(physics=physics) for physics in (False, True)]
+            cleaned = [clean(pair.take, config).clip.positions for config in configs]
+            motions = [pair.take.positions, *cleaned]
+            skeleton = pair.take.skeleton
+            parts = np.array([bone_errors(m, pair.truth, skeleton) for m in motions])
+            errors.append(parts[:, ~np.isnan(parts[0])])
+        means = 100.0 * np.concatenate(errors, axis=1).mean(axis=1)
+        raw, still, moving = means.tolist()
+        cut = 100.0 * (1.0 - moving / raw)
+        seconds = sum(float(pair.take.time[-1]) for pair in pairs)
+        before, after = _PAPER_ERRORS[kind]
+        ours = (seconds, raw, still, moving, cut)
+        rows.append((f"({kind})", *ours, before, after, 100.0 * (1.0 - after / before)))
+    columns = {"raw": 2, "reconstructed": 4}
+    papers = {"paper, raw": 6, "paper, reconstructed": 7}
+    bars = series_of(rows, columns | papers, kind="bars")
+    return Study(
+        title="Takes cleaned, against the truth (Shum 2013, Table IV)",
+        columns=(
+            *("class", "time_s", "raw_cm", "no_physics_cm", "clean_cm", "cut_percent"),
+            *("paper_raw_cm", "paper_clean_cm", "paper_cut_percent"),
+        ),
+        rows=rows,
+        panels=[Panel("class of movement", "error (eq. 18), cm", bars)],
+    )
+
+
+def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Study:
+    """Vary one parameter after the other, the rest as in Table V.
+
+    The paper's search samples (``stochastic``); kinefilter's solver has no steps and no
+    samples to choose, and is a level there. Energy is that of the posture found (lower
+    is better; the paper plots a score, which rises), error is eq. 18 of that posture
+    alone, with the person's own lengths; time is that of neighbors, posture space and
+    search, the median over frames. At most ``values`` of each parameter are tried, on
+    ``motions`` takes of 2 s.
+    """
+    first, progress = first_person(options.seed), options.progress
+    takes = [
+        StandardizedTake(*performed_by([first + k], [motion], sensor="v1"))
+        for k, motion in enumerate(_MOTIONS[:motions])
+    ]
+    paper = {name: choice for name, (choice, _) in _PARAMETERS.items()}
+    tried = {name: _spread(all_, values) for name, (_, all_) in _PARAMETERS.items()}
+    databases = _databases({*tried["postures"], paper["postures"]}, progress)
+
+    def measure(search: Search, **varied: int) -> tuple[float, float, float]:
+        settings: dict[str, Any] = paper | varied
+        database = databases[settings.pop("postures")]
+        return _measure(LocalPCA(database, search=search, **settings), takes)
+
+    solved = measure("solver")
+    rows: list[tuple[Cell, ...]] = []
+    for name, tries in tried.items():
+        for value in over(tries, name, progress):
+            sampled = measure("stochastic", **{name: value})
+            rows.append((name, value, "stochastic", *sampled, paper[name]))
+            own = solved if name in _OF_SAMPLING else measure("solver", **{name: value})
+            rows.append((name, value, "solver", *own, paper[name]))
+    figures = ("energy_m2", "error_cm", "ms")
+    labels = ("energy, m²", "error (eq. 18), cm", "ms a frame")
+    return Study(
+        title="Parameters of local PCA (Shum 2013, Table V and Figure 8)",
+        columns=("parameter", "value", "search", *figures, "paper_chosen_value"),
+        rows=rows,
+        panels=[
+            _panel(rows, name, 3 + k, label)
+            for k, label in enumerate(labels)
+            for name in _PARAMETERS
+        ],
+        across=len(_PARAMETERS),
+    )
+
+
+def _spread(choices: Sequence[int], count: int) -> list[int]:
+    """Return some of the choices, the first among them."""
+    count = min(count, len(choices))
+    return [choices[k * len(choices) // count] for k in range(count)]
+
+
+def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase]:
+    """Return the scripted postures, filtered to about each of some sizes."""
+    shipped = builtin_database(KINECT_V1)
+    whole = _unfiltered(progress) if max(sizes) > len(shipped) else shipped
+    found = {}
+    for size in over(sorted(sizes), "filter", progress):
+        source = whole if size > len(shipped) else shipped
+        kept = filter_to_count(source.positions, size)
+        arrays = (source.positions[kept], source.rotations[kept], source.labels[kept])
+        found[size] = PostureDatabase(*arrays, KINECT_V1)
+    return found
+
+
+def _unfiltered(progress: Progress) -> PostureDatabase:
+    """Return every posture of the scripted performances."""
+    parts = scripted_postures(KINECT_V1, progress)
+    labels, postures, rotations = zip(*parts, strict=True)
+    return PostureDatabase(
+        np.concatenate(postures),
+        np.concatenate(rotations),
+        np.repeat(labels, [len(part) for part in postures]),
+        KINECT_V1,
+    )
+
+
+def _measure(
+    method: LocalPCA, takes: Sequence[StandardizedTake]
+) -> tuple[float, float, float]:
+    """Return energy [m^2], error [cm] and time a frame [ms]."""
+    energies, seconds, errors = [], [], []
+    for take in takes:
+        method.start()
+        made = take.positions.copy()
+        for k in range(min(_FRAMES, len(made))):
+            start = perf_counter()
+            made[k] = method.synthesize(take.positions[k], take.rate[k])[0]
+            seconds.append(perf_counter() - start)
+            energies.append(float(method.energy(made[k].reshape(1, -1))[0]))
+        back, truth = take.undo(made)[:_FRAMES], take.pair.truth[:_FRAMES]
+        errors.append(bone_errors(back, truth, KINECT_V1))
+    error = float(np.concatenate(errors).mean())
+    return float(np.mean(energies)), 100.0 * error, 1e3 * float(np.median(seconds))
+
+
+def _panel(
+    rows: Sequence[tuple[Cell, ...]], name: str, column: int, label: str
+) -> Panel:
+    """Return a figure over the values of a parameter, of both searches."""
+    lines = []
+    for search in ("stochastic", "solver"):
+        own = [row for row in rows if (row[0], row[2]) == (name, search)]
+        level = search == "solver" and name in _OF_SAMPLING
+        kind: Kind = "level" if level else "line"
+        lines += series_of(own, {search: column}, x=1, kind=kind)
+    return Panel(name, label, lines, log_x=True, zero=label.startswith("ms"))
