@@ -359,10 +359,22 @@ def _arguments(command: str) -> list[str]:
                 word = str(folder / word.removeprefix(prefix))
         if "*" in word:
             matches = sorted(Path(word).parent.glob(Path(word).name))
-            resolved += [str(p) for p in matches[:2]]
+            resolved += [str(_few_clips(p)) for p in matches[:2]]
         else:
             resolved.append(word)
     return resolved
+
+
+def _few_clips(path: Path) -> Path:
+    """Return a file as it is, of pairs one with a few of their clips in this folder."""
+    if path.suffix != ".npz":
+        return path
+    with np.load(path) as file:
+        arrays = dict(file)
+    for name in ("clip", "start", "stop"):
+        arrays[name] = arrays[name][::25]
+    np.savez_compressed(path.name, **arrays)
+    return Path(path.name)
 
 
 def test_the_readmes_python_runs(

@@ -34,10 +34,10 @@ from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.factory import default_corrector
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.lab.simulate import simulate, simulated_pairs
-from kinefilter.pipeline.methods import default_corrector
 from kinefilter.pipeline.models import load_model
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import MeasureCorrectedBody
