@@ -57,10 +57,10 @@ def test_who_stands_in_for_recorded_people_repeats_movements(
 ) -> None:
     monkeypatch.setattr(takes, "_REPETITIONS", 2)
     first, second = takes.recorded_people(None)[:2]
-    clips = takes.clips_of(first, 1, Options())
+    clips = takes.clips_of([first], 1, Options())
     assert [pair.clip for pair in clips] == ["m01_s01_e01", "m01_s01_e02"]
     assert {pair.subject for pair in clips} == {first}
-    again = takes.clips_of(first, 1, Options())[1]
+    again = takes.clips_of([first], 1, Options())[1]
     np.testing.assert_array_equal(again.take.positions, clips[1].take.positions)
     assert first != second
 
@@ -68,6 +68,6 @@ def test_who_stands_in_for_recorded_people_repeats_movements(
 @recorded
 @paired
 def test_the_first_movements_of_a_recorded_person_are_read() -> None:
-    clips = takes.clips_of(takes.recorded_people(DATA)[0], 1, Options(data=DATA))
+    clips = takes.clips_of(takes.recorded_people(DATA)[:1], 1, Options(data=DATA))
     assert {pair.clip[:3] for pair in clips} == {"m01"}
     assert len(takes.recorded_takes(DATA)) > 90

@@ -15,33 +15,33 @@ from .terminal import out, progress_bars
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Measure again what README and the papers say: a table and a plot per study.
+    """Measure again what README and the papers say: a table and a plot for each study.
 
     Studies of takes and of marker mocap: cleaned-takes, marker-mocap, untrained,
     methods-new-people, methods-known-people, failures, reliability; of speed: speed,
     million-postures; of the papers, on simulated takes: shum-table-3, shum-table-4,
     shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5, chiang-figure-5.
 
-    With --all every study and picture is made, and every figure of README is compared
-    with the result, in some forty minutes on two cores; the exit code is 1 if one does
-    not hold. The same command again makes only what is missing, or what was made by
-    other code or from other recordings. Needs pip install "kinefilter[reproduce]"; the
-    moving picture needs OpenGL, pictures of pages need viser, Chromium and a checkout.
+    With --all, every study and picture is made and every figure of README compared with
+    what was measured, in about forty minutes on two cores; the exit code is 1 if one
+    does not hold. The same command again makes only what is missing or was made with
+    other code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
+    needs OpenGL, pictures of pages need viser, Chromium and a checkout.
     """
 
     studies: Positional[tuple[str, ...]] = ()
     """Names of studies."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """Folder for STUDY.csv and STUDY.png; made if it is missing."""
+    """Folder to write STUDY.csv and STUDY.png into; created if it is missing."""
     all: Path | None = None
     """Make everything in this folder, and claims.csv: figures of README beside those
     measured."""
     data: Path | None = None
-    """Folder of recordings; default: ../shared/data, if it exists: takes in
-    takes/*/*.csv or .csv.gz, of which *_failure have gross failures and those in
-    precog16 are punches and kicks, and pairs (like those of 'simulate --pairs') of one
-    person each in ui-prmd/s*.npz, their clips named m01_... by the movement. Without
-    recordings, people are simulated, and what needs recordings is not measured."""
+    """Folder of recordings, by default ../shared/data if it exists. It holds takes in
+    takes/*/*.csv or .csv.gz, where *_failure have gross failures and those in precog16
+    are punches and kicks, and pairs (as 'simulate --pairs' writes), one person each,
+    in ui-prmd/s*.npz, their clips named m01_... by the movement. Without recordings,
+    people are simulated, and what needs recordings is not measured."""
     seed: int = 0
     """Seed of simulated people, performances and the sensor's errors."""
     quick: bool = False
