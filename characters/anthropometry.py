@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import InputError
 from .frozen import freeze, read_only
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton
@@ -46,64 +46,45 @@ _BUILD |= dict.fromkeys(("Elbow", "Wrist", "Knee", "Ankle"), 0.03)
 _MASS_INDEX = (23.5, 2.5)  # kg/m^2, mean and standard deviation, a guess of the slim
 
 # Segment -> (length as a fraction of stature, mass as a fraction of body mass, rest
-# direction). T-pose facing +z: left is +x. Trunk masses split de Leva's upper, middle
-# and lower part over the segments and the root, which share them.
-_Row = tuple[float, float, tuple[float, float, float]]
+# direction, how far [degrees] it turns against its parent from there at most, twist
+# included). T-pose facing +z: left is +x. Trunk masses split de Leva's upper, middle
+# and lower part over the segments and the root, which share them. Ranges are those of
+# motion (Norkin & White 2016, Measurement of Joint Motion, appendix B) from where the
+# T-pose has the joint, and room for where Kinect's joints lie in the body: in marker
+# mocap seen as Kinect joints, 1 % of the frames turn farther.
+_Row = tuple[float, float, tuple[float, float, float], float]
 _LIMBS: dict[str, _Row] = {
-    "Shoulder": (0.110, 0.0300, (1.0, 0.0, 0.0)),
-    "Elbow": (0.186, 0.0271, (1.0, 0.0, 0.0)),
-    "Wrist": (0.146, 0.0162, (1.0, 0.0, 0.0)),
-    "Hand": (0.046, 0.0061, (1.0, 0.0, 0.0)),
-    "Hip": (0.050, 0.0300, (1.0, 0.0, 0.0)),
-    "Knee": (0.245, 0.1416, (0.0, -1.0, 0.0)),
-    "Ankle": (0.246, 0.0433, (0.0, -1.0, 0.0)),
-    "Foot": (0.070, 0.0137, (0.0, -0.30, 0.954)),
+    "Shoulder": (0.110, 0.0300, (1.0, 0.0, 0.0), 50.0),
+    "Elbow": (0.186, 0.0271, (1.0, 0.0, 0.0), 160.0),
+    "Wrist": (0.146, 0.0162, (1.0, 0.0, 0.0), 165.0),
+    "Hand": (0.046, 0.0061, (1.0, 0.0, 0.0), 100.0),
+    "Hip": (0.050, 0.0300, (1.0, 0.0, 0.0), 60.0),
+    "Knee": (0.245, 0.1416, (0.0, -1.0, 0.0), 140.0),
+    "Ankle": (0.246, 0.0433, (0.0, -1.0, 0.0), 150.0),
+    "Foot": (0.070, 0.0137, (0.0, -0.30, 0.954), 80.0),
 }
 _V1_TRUNK: dict[str, _Row] = {
-    "Spine": (0.170, 0.1633, (0.0, 1.0, 0.0)),
-    "ShoulderCenter": (0.130, 0.0996, (0.0, 1.0, 0.0)),
-    "Head": (0.115, 0.0694, (0.0, 1.0, 0.0)),
+    "Spine": (0.170, 0.1633, (0.0, 1.0, 0.0), 80.0),
+    "ShoulderCenter": (0.130, 0.0996, (0.0, 1.0, 0.0), 45.0),
+    "Head": (0.115, 0.0694, (0.0, 1.0, 0.0), 75.0),
 }
 _V2_TRUNK: dict[str, _Row] = {
-    "SpineMid": (0.170, 0.1633, (0.0, 1.0, 0.0)),
-    "SpineShoulder": (0.130, 0.0996, (0.0, 1.0, 0.0)),
-    "Neck": (0.042, 0.0194, (0.0, 1.0, 0.0)),
-    "Head": (0.075, 0.0500, (0.0, 1.0, 0.0)),
+    "SpineMid": (0.170, 0.1633, (0.0, 1.0, 0.0), 50.0),
+    "SpineShoulder": (0.130, 0.0996, (0.0, 1.0, 0.0), 45.0),
+    "Neck": (0.042, 0.0194, (0.0, 1.0, 0.0), 45.0),
+    "Head": (0.075, 0.0500, (0.0, 1.0, 0.0), 75.0),
 }
 _V2_HANDS: dict[str, _Row] = {
-    "Hand": (0.046, 0.0041, (1.0, 0.0, 0.0)),
-    "HandTip": (0.040, 0.0010, (1.0, 0.0, 0.0)),
-    "Thumb": (0.030, 0.0010, (0.6, 0.0, 0.8)),
-}
-
-
-# How far [degrees] a segment turns against its parent from the T-pose at most, twist
-# included: range of motion (Norkin & White 2016, Measurement of Joint Motion, appendix
-# B) from where the T-pose has the joint, and room for where Kinect's joints lie in the
-# body: in marker mocap seen as Kinect joints, 1 % of the frames turn farther.
-_RANGES = {
-    "Spine": 80.0,
-    "SpineMid": 50.0,
-    "ShoulderCenter": 45.0,
-    "SpineShoulder": 45.0,
-    "Neck": 45.0,
-    "Head": 75.0,
-    "Shoulder": 50.0,
-    "Elbow": 160.0,
-    "Wrist": 165.0,
-    "Hand": 100.0,
-    "HandTip": 90.0,
-    "Thumb": 90.0,
-    "Hip": 60.0,
-    "Knee": 140.0,
-    "Ankle": 150.0,
-    "Foot": 80.0,
+    "Hand": (0.046, 0.0041, (1.0, 0.0, 0.0), 100.0),
+    "HandTip": (0.040, 0.0010, (1.0, 0.0, 0.0), 90.0),
+    "Thumb": (0.030, 0.0010, (0.6, 0.0, 0.8), 90.0),
 }
 
 
 def joint_range(name: str) -> float:
     """Return how far [rad] the segment that ends at a joint turns from the T-pose."""
-    return float(np.radians(_RANGES[name.removesuffix("Left").removesuffix("Right")]))
+    stem = name.removesuffix("Left").removesuffix("Right")
+    return float(np.radians((_V1_TRUNK | _V2_TRUNK | _LIMBS | _V2_HANDS)[stem][3]))
 
 
 def _table(skeleton: Skeleton) -> dict[str, _Row]:
@@ -114,9 +95,9 @@ def _table(skeleton: Skeleton) -> dict[str, _Row]:
     }
     trunk, limbs = trunks[skeleton.name]
     table = dict(trunk)
-    for limb, (length, mass, (x, y, z)) in limbs.items():
-        table[f"{limb}Left"] = (length, mass, (x, y, z))
-        table[f"{limb}Right"] = (length, mass, (-x, y, z))
+    for limb, (length, mass, (x, y, z), most) in limbs.items():
+        table[f"{limb}Left"] = (length, mass, (x, y, z), most)
+        table[f"{limb}Right"] = (length, mass, (-x, y, z), most)
     return table
 
 
@@ -156,9 +137,9 @@ class Body:
     """Stature [m]."""
     mass: float
     """Body mass [kg]."""
-    lengths: NDArray[np.float64]
+    lengths: Array
     """Length [m] of the segment that ends at each joint, shape (J,), root 0."""
-    directions: NDArray[np.float64]
+    directions: Array
     """Unit vector from each joint's parent to it in the T-pose, facing +z, shape
     (J, 3), root 0. Sensors differ in where trunk, hips and shoulders are."""
 
@@ -178,23 +159,21 @@ class Body:
         freeze(self)
 
     @cached_property
-    def rest_offsets(self) -> NDArray[np.float64]:
+    def rest_offsets(self) -> Array:
         """Vector [m] from each joint's parent to it in the T-pose, shape (J, 3)."""
         return read_only(self.directions * self.lengths[:, None])
 
     @cached_property
-    def rest_positions(self) -> NDArray[np.float64]:
+    def rest_positions(self) -> Array:
         """T-pose [m], facing +z, root above the origin, soles on y = 0, (J, 3)."""
         positions = np.zeros((len(self.skeleton), 3))
-        for j, p in zip(
-            self.skeleton.segments, self.skeleton.segment_parents, strict=True
-        ):
-            positions[j] = positions[p] + self.rest_offsets[j]
+        for j in self.skeleton.segments:
+            positions[j] = positions[self.skeleton.parents[j]] + self.rest_offsets[j]
         positions[:, 1] -= (positions[:, 1] - self.radii).min()
         return read_only(positions)
 
     @cached_property
-    def masses(self) -> NDArray[np.float64]:
+    def masses(self) -> Array:
         """Mass [kg] of the segment that ends at each joint, root: the pelvis, (J,)."""
         table = _table(self.skeleton)
         shares = np.array([table.get(j, (0, 0, 0))[1] for j in self.skeleton.joints])
@@ -202,7 +181,7 @@ class Body:
         return read_only(shares * self.mass)
 
     @cached_property
-    def radii(self) -> NDArray[np.float64]:
+    def radii(self) -> Array:
         """Capsule radius [m] of each segment, root: of the pelvis sphere, (J,)."""
         joints = self.skeleton.joints
         lengths = np.where(self.lengths > 0, self.lengths, np.inf)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Array
-
 from .anthropometry import Body
+from .arrays import Array
 from .skeleton import Skeleton
 
 Box = tuple[slice, ...]

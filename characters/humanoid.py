@@ -11,11 +11,13 @@ at ``from_mujoco``: scenes, physics and drawing work in it between them.
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from .anthropometry import Body, joint_range
+from .arrays import Array
 from .tracking import Tracking
 
 GRAVITY = 9.81
@@ -45,14 +47,8 @@ _REACH = 0.03  # m
 # Parts by what they collide with, and which groups those are.
 _ARM, _LEG = ("Wrist", "Hand", "HandTip", "Thumb"), ("Ankle", "Foot")
 _TRUNK = (
-    "KneeLeft",
-    "KneeRight",
-    "Spine",
-    "SpineMid",
-    "ShoulderCenter",
-    "SpineShoulder",
-    "Neck",
-    "Head",
+    *("KneeLeft", "KneeRight", "Spine", "SpineMid", "ShoulderCenter"),
+    *("SpineShoulder", "Neck", "Head"),
 )
 _GROUPS = {
     "arm L": (_ARM, ("arm R",)),
@@ -68,17 +64,17 @@ _TO_MUJOCO = [2, 0, 1]  # forward, left, up from left (x), up (y), forward (z)
 _FROM_MUJOCO = [1, 2, 0]
 
 
-def to_mujoco(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def to_mujoco(values: Array) -> Array:
     """Turn vectors (..., 3) or quaternions wxyz (..., 4) into MuJoCo's z-up world."""
     return _permute(values, _TO_MUJOCO)
 
 
-def from_mujoco(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def from_mujoco(values: Array) -> Array:
     """Turn vectors (..., 3) or quaternions wxyz (..., 4) into kinefilter's world."""
     return _permute(values, _FROM_MUJOCO)
 
 
-def _permute(values: NDArray[np.float64], order: list[int]) -> NDArray[np.float64]:
+def _permute(values: Array, order: list[int]) -> Array:
     if values.shape[-1] == 4:
         return np.asarray(values[..., [0, *(k + 1 for k in order)]])
     return np.asarray(values[..., order])
@@ -137,34 +133,30 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         "solimp": _SOFT_FLESH[1],
         "solmix": 1e-3,  # against the floor or a prop, their hardness counts
     }
-    parts = {root: spec.worldbody.add_body(name=skeleton.joints[root], pos=rest_root)}
-    parts[root].add_freejoint(name=skeleton.joints[root])
-    parts[root].add_geom(
-        name=skeleton.joints[root],
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=[body.radii[root], 0.0, 0.0],
-        mass=body.masses[root],
-        **_collisions(skeleton.joints[root]),
-        **collides,
-    )
-    parts[root].add_site(name=skeleton.joints[root])
-    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
-        name = skeleton.joints[j]
-        start = np.zeros(3) if p == root else offsets[p]
-        parts[j] = parts[p].add_body(name=name, pos=start)
-        parts[j].add_joint(
-            name=name,
-            type=mujoco.mjtJoint.mjJNT_BALL,
-            armature=_ARMATURE,
-            range=[0.0, np.degrees(joint_range(name))],
-            damping=[_PASSIVE_DAMPING * swing[j], 0.0, 0.0],
-        )
+    parts: dict[int, mujoco.MjsBody] = {}
+    for j in skeleton.order:
+        name, p = skeleton.joints[j], skeleton.parents[j]
+        shape: dict[str, Any]
+        if j == root:
+            parts[j] = spec.worldbody.add_body(name=name, pos=rest_root)
+            parts[j].add_freejoint(name=name)
+            shape = {"type": mujoco.mjtGeom.mjGEOM_SPHERE}
+        else:
+            parts[j] = parts[p].add_body(name=name, pos=offsets[p])
+            parts[j].add_joint(
+                name=name,
+                type=mujoco.mjtJoint.mjJNT_BALL,
+                armature=_ARMATURE,
+                range=[0.0, np.degrees(joint_range(name))],
+                damping=[_PASSIVE_DAMPING * swing[j], 0.0, 0.0],
+            )
+            shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE}
+            shape["fromto"] = [0.0, 0.0, 0.0, *offsets[j]]
         parts[j].add_geom(
             name=name,
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[0.0, 0.0, 0.0, *offsets[j]],
             size=[body.radii[j], 0.0, 0.0],
             mass=body.masses[j],
+            **shape,
             **_collisions(name),
             **collides,
         )
@@ -191,9 +183,8 @@ def _collisions(name: str) -> dict[str, int]:
     at shoulders and hips overlap by nature.
     """
     for group, (parts, others) in _GROUPS.items():
-        if any(
-            name == part or name == part + _SIDES.get(group[-1], "") for part in parts
-        ):
+        side = _SIDES.get(group[-1], "")
+        if name in parts or (name.removesuffix(side) in parts and name.endswith(side)):
             bits = sum(1 << _BITS[other] for other in others)
             return {"contype": 1 << _BITS[group], "conaffinity": 1 | bits}
     return {"contype": 0, "conaffinity": 1}
@@ -205,10 +196,7 @@ def _add_forces(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
     force = kp (p_target - p) + kv (v_target - v), given ctrl = kp p_target +
     kv v_target, clipped so that the vector stays under the bound.
     """
-    omega = tracking.natural_frequency
-    masses = joint_masses(body)
-    for joint, mass in zip(body.skeleton.joints, masses, strict=True):
-        bound = mass * tracking.largest_acceleration / np.sqrt(3.0)
+    for joint, mass in zip(body.skeleton.joints, joint_masses(body), strict=True):
         for axis in range(3):
             _add_pd(
                 spec,
@@ -216,33 +204,32 @@ def _add_forces(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
                 site=joint,
                 reference="world",
                 gear=np.eye(6)[axis],
-                stiffness=mass * omega**2,
-                damping=2.0 * mass * omega,
-                bound=bound,
+                inertia=mass,
+                frequency=tracking.natural_frequency,
+                bound=mass * tracking.largest_acceleration / np.sqrt(3.0),
             )
 
 
 def _add_torques(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
     """Add the torque about each segment's axis, all axes for the root (eq. 17)."""
-    skeleton, omega = body.skeleton, tracking.twist_frequency
+    skeleton = body.skeleton
     inertias = _TURNED_ALONG * _swing_inertias(body)
     # The pelvis carries the hips, which lie on a lever of their own length.
     hips = np.array(skeleton.children[skeleton.root])
     inertias[skeleton.root] += float(body.masses[hips] @ body.lengths[hips] ** 2) / 3.0
     axes = to_mujoco(body.rest_offsets)
     for j, joint in enumerate(skeleton.joints):
-        directions = (
-            np.eye(3) if j == skeleton.root else [axes[j] / np.linalg.norm(axes[j])]
-        )
-        for k, direction in enumerate(directions):
+        at_root = j == skeleton.root
+        turns = np.eye(3) if at_root else [axes[j] / np.linalg.norm(axes[j])]
+        for k, direction in enumerate(turns):
             _add_pd(
                 spec,
                 name=f"turn:{joint}:{k}",
                 site=joint,
                 reference=f"target:{joint}",
                 gear=np.concatenate([np.zeros(3), direction]),
-                stiffness=inertias[j] * omega**2,
-                damping=2.0 * inertias[j] * omega,
+                inertia=inertias[j],
+                frequency=tracking.twist_frequency,
                 bound=inertias[j] * tracking.largest_angular_acceleration,
             )
 
@@ -265,7 +252,7 @@ def _add_grips(spec: mujoco.MjSpec) -> None:
         )
 
 
-def _swing_inertias(body: Body) -> NDArray[np.float64]:
+def _swing_inertias(body: Body) -> Array:
     """Return the inertia of each segment about its start [kg m^2], shape (J,)."""
     return np.asarray(body.masses * body.lengths**2 / 3.0 + _ARMATURE)
 
@@ -276,11 +263,13 @@ def _add_pd(
     name: str,
     site: str,
     reference: str,
-    gear: NDArray[np.float64],
-    stiffness: float,
-    damping: float,
+    gear: Array,
+    inertia: float,
+    frequency: float,
     bound: float,
 ) -> None:
+    """Add a critically damped PD actuator with a bound of its force or torque."""
+    stiffness, damping = inertia * frequency**2, 2.0 * inertia * frequency
     spec.add_actuator(
         name=name,
         trntype=mujoco.mjtTrn.mjTRN_SITE,
@@ -297,7 +286,7 @@ def _add_pd(
     )
 
 
-def joint_masses(body: Body) -> NDArray[np.float64]:
+def joint_masses(body: Body) -> Array:
     """Return the mass [kg] that moves with each joint, shape (J,).
 
     Half of every segment that meets there: the two-point model of a rod. The masses

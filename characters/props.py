@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import InputError
 from .frozen import freeze
 
@@ -28,15 +29,15 @@ class Shape:
 
     kind: ShapeKind
     """What it is; cylinders and capsules are round about their own y axis."""
-    size: NDArray[np.float64]
+    size: Array
     """Half extents along its own axes [m], shape (3,); caps of a capsule not in y."""
-    position: NDArray[np.float64]
+    position: Array
     """Center in the prop's frame [m], shape (3,)."""
-    rotation: NDArray[np.float64]
+    rotation: Array
     """Rotation in the prop's frame, unit quaternion wxyz, shape (4,)."""
-    color: NDArray[np.float64]
+    color: Array
     """Red, green and blue as a screen gets them, 0 to 1, shape (3,)."""
-    points: NDArray[np.float64]
+    points: Array
     """Points of a mesh [m], shape (P, 3); of other kinds none."""
     triangles: NDArray[np.int64]
     """Indices of points, counter-clockwise from outside, shape (F, 3)."""
@@ -53,7 +54,7 @@ class Shape:
         freeze(self)
 
     @property
-    def half_extents(self) -> NDArray[np.float64]:
+    def half_extents(self) -> Array:
         """Half of the box around it along its own axes [m], shape (3,)."""
         if self.kind == "mesh":
             return np.asarray(np.abs(self.points).max(axis=0))
@@ -69,9 +70,9 @@ class Prop:
     """What it is called, unique in a clip."""
     shapes: tuple[Shape, ...]
     """Its parts, one or more."""
-    positions: NDArray[np.float64]
+    positions: Array
     """Position [m], world frame, shape (T, 3), or (1, 3) for what never moves."""
-    rotations: NDArray[np.float64]
+    rotations: Array
     """Rotation, unit quaternions wxyz, shape (T, 4) or (1, 4)."""
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinefilter.characters.humanoid import GRAVITY
-from kinefilter.scenes.library.flight import RESTITUTION, flown, launch_speed, rolled
+from kinefilter.scenes.library.ball import RESTITUTION, flown, launch_speed, rolled
 
 
 def test_before_the_first_bounce_a_flight_is_a_parabola() -> None:

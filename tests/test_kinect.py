@@ -28,7 +28,7 @@ from kinefilter.scenes.sensor import (
     observe,
     sample_take,
 )
-from kinefilter.scenes.sensor.misplacement import (
+from kinefilter.scenes.sensor.tracker_errors import (
     kinship,
     misplacements,
     unsteadiness,

@@ -18,7 +18,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_x, about_z, inverse, multiply, rotate
 from kinefilter.scenes.library import MOTIONS, Area, perform
-from kinefilter.scenes.library.joint_ranges import JOINT_RANGES
+from kinefilter.scenes.library.poses import JOINT_RANGES
 
 Array = NDArray[np.float64]
 PEOPLE = range(3)

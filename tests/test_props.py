@@ -16,10 +16,9 @@ from kinefilter.characters.humanoid import GRAVITY, from_mujoco
 from kinefilter.characters.rotations import rotate
 from kinefilter.scenes import SCENES, load_scene, movable_props
 from kinefilter.scenes.library import perform, prop_poses
-from kinefilter.scenes.library.ball import ball_path
-from kinefilter.scenes.library.box import box_path
-from kinefilter.scenes.library.dribble import Contact, Ending, contacts
+from kinefilter.scenes.library.ball import Contact, Ending, ball_path, contacts
 from kinefilter.scenes.library.hands import Hands
+from kinefilter.scenes.library.moving_props import box_path
 
 Array = NDArray[np.float64]
 FPS = 30.0

@@ -18,8 +18,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.characters.skin import INFLUENCES, Skin, skin_of
-from kinefilter.characters.surface import quads_of
+from kinefilter.characters.skin import INFLUENCES, Skin, quads_of, skin_of
 
 Array = NDArray[np.float64]
 DENSITY = 1050.0  # kg/m^3

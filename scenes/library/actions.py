@@ -6,15 +6,12 @@ import numpy as np
 
 from kinefilter.characters.arrays import Array
 
-from .holds import ON_HIPS
-from .poses import Pose, Score
-from .puppet import LEFT, RIGHT, Puppet
-from .script import Script
+from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
+from .puppet import Puppet
+from .stances import ON_HIPS, Script
 
 
-def _arms_for_balance(
-    puppet: Puppet, pose: Pose, rng: np.random.Generator, style: int
-) -> Pose:
+def _arms_for_balance(puppet: Puppet, pose: Pose, rng: Rng, style: int) -> Pose:
     """Put the arms where people put them in squats: forward, hips, hanging, folded."""
     for side in (LEFT, RIGHT):
         arms = (
@@ -28,9 +25,7 @@ def _arms_for_balance(
     return pose
 
 
-def _squat(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _squat(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     style, out = int(rng.integers(5)), rng.uniform(0.0, 0.25)
     score = Score(base).hold(0.4)
     while score.duration < length:
@@ -42,14 +37,13 @@ def _squat(
             spine=(rng.uniform(0.5, 1.1) * depth, 0.0, 0.0),
             head=(-0.5 * depth, 0.0, 0.0),
         )
-        for side in (LEFT, RIGHT):
-            low = low.with_foot(side, knee_out=out)
+        low = low.with_foot(BOTH, knee_out=out)
         score.to(rng.uniform(0.9, 1.6), low).hold(rng.uniform(0.05, 0.4))
         score.to(rng.uniform(0.8, 1.4), base).hold(rng.uniform(0.1, 0.4))
     return score
 
 
-def _stoop(puppet: Puppet, pose: Pose, rng: np.random.Generator, depth: float) -> Pose:
+def _stoop(puppet: Puppet, pose: Pose, rng: Rng, depth: float) -> Pose:
     """Bend to a depth in [0, 1] with a share of knees of one's own."""
     knees = rng.uniform(0.1, 0.9) * depth
     return pose.leaning(
@@ -61,7 +55,7 @@ def _stoop(puppet: Puppet, pose: Pose, rng: np.random.Generator, depth: float) -
     )
 
 
-def _bend(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+def _bend(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     while score.duration < length:
         kind = rng.choice(["forward", "forward", "side", "back", "twist"])
@@ -96,9 +90,7 @@ def _bend(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -
     return score
 
 
-def _pick_up(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _pick_up(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     while score.duration < length:
         low = _stoop(puppet, base, rng, rng.uniform(0.9, 1.15))
@@ -116,14 +108,14 @@ def _pick_up(
             spot = spot + np.array([0.3 * x, 0.1, 0.0])
             aim = puppet.reach_world(ready, side, spot, (1.0, 0.2, -0.2))
             ready = ready.with_arm(side, aim)
-            hold = hold.with_arm(side, puppet.reach(side, carry, (0.4, -1.0, -0.3)))
+            hold = puppet.put_hand(hold, side, carry, (0.4, -1.0, -0.3))
         score.to(rng.uniform(0.8, 1.3), ready).to(rng.uniform(0.3, 0.6), low)
         score.hold(0.15).to(rng.uniform(0.9, 1.4), hold).hold(rng.uniform(0.3, 0.8))
         score.to(rng.uniform(0.8, 1.3), low).to(rng.uniform(0.8, 1.2), base)
     return score
 
 
-def _sit(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+def _sit(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Sit down on a chair that is not there and stand up again."""
     seat = rng.uniform(0.5, 0.58) * puppet.scale  # of the root above the floor
     drop, back = base.root[1] - seat, rng.uniform(0.38, 0.44) * puppet.scale
@@ -144,8 +136,7 @@ def _sit(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) ->
             lap = (rng.uniform(0.1, 0.16), rng.uniform(-0.36, -0.3), 0.32)
             if folded:
                 lap = (-0.13, -0.2 - 0.05 * side, 0.22 + 0.07 * side)
-            arm = puppet.reach(side, lap, (0.8, -1.0, -0.1))
-            sitting = sitting.with_arm(side, arm)
+            sitting = puppet.put_hand(sitting, side, lap, (0.8, -1.0, -0.1))
             way = way.with_arm(side, puppet.arm(rng.uniform(0.4, 1.0), 1.3, 0.3, 0.5))
         score.to(rng.uniform(0.7, 1.0), way).to(rng.uniform(0.5, 0.8), sitting)
         for _ in range(rng.integers(1, 4)):
@@ -156,20 +147,18 @@ def _sit(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) ->
     return score
 
 
-def _over(pose: Pose, side: int, share: float = 0.8) -> Pose:
+def _over(pose: Pose, side: int) -> Pose:
     """Shift the weight over the foot of one side."""
-    shift = share * (pose.ankle[side, 0] - pose.root[0])
     way = 1.0 - 2.0 * side
-    return pose.leaning(
-        side=float(shift), pelvis=(0.0, 0.0, -0.05 * way), spine=(0.0, 0.08 * way, 0.0)
+    return pose.over(side, 0.8).leaning(
+        pelvis=(0.0, 0.0, -0.05 * way), spine=(0.0, 0.08 * way, 0.0)
     )
 
 
-def _kick(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+def _kick(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     for side in (LEFT, RIGHT):
         guard = (rng.uniform(0.1, 0.16), rng.uniform(-0.2, 0.0), 0.28)
-        arm = puppet.reach(side, guard, (0.5, -1.0, 0.0))
-        base = base.with_arm(side, arm)
+        base = puppet.put_hand(base, side, guard, (0.5, -1.0, 0.0))
     sideways = rng.random() < 0.4
     side = int(rng.integers(2))
     score = Score(base).hold(0.3)
@@ -195,9 +184,7 @@ def _kick(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -
     return score
 
 
-def _raise_leg(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _raise_leg(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     if rng.random() < 0.6:
         base = _arms_for_balance(puppet, base, rng, int(rng.choice([1, 4])))
     side, kind = int(rng.integers(2)), rng.choice(["front", "knee", "side", "back"])
@@ -230,9 +217,7 @@ def _step(pose: Pose, side: int, by: Array, lift: float) -> tuple[Pose, Pose]:
     return air.leaning(side=0.5 * float(by[0]), back=-0.5 * float(by[2])), landed
 
 
-def _lunge(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _lunge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     style, lateral = int(rng.choice([1, 2, 3])), rng.random() < 0.4
     base = _arms_for_balance(puppet, base, rng, style)
     side = int(rng.integers(2))
@@ -243,7 +228,7 @@ def _lunge(
         way = 1.0 - 2.0 * side
         by = np.array([way * reach, 0, 0.03] if lateral else [0.0, 0.0, reach])
         air, landed = _step(base, side, by * puppet.leg, 0.12 * puppet.scale)
-        air = _shifted(air, base, 1 - side)
+        air = air.over(1 - side, 0.5)
         if lateral:
             low = landed.leaning(
                 drop=depth * puppet.leg,
@@ -264,14 +249,7 @@ def _lunge(
     return score
 
 
-def _shifted(pose: Pose, base: Pose, side: int) -> Pose:
-    """Move the root halfway over the standing foot while the other is in the air."""
-    return pose.leaning(side=0.5 * float(base.ankle[side, 0] - pose.root[0]))
-
-
-def _step_over(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _step_over(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Step over a hurdle and back, hands at the hips or across the shoulders."""
     base = _arms_for_balance(puppet, base, rng, int(rng.choice([1, 2])))
     side = int(rng.integers(2))
@@ -289,13 +267,11 @@ def _step_over(
     return score
 
 
-def _dodge(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _dodge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     base = base.leaning(drop=0.05 * puppet.scale)
     for side in (LEFT, RIGHT):
         goal = (rng.uniform(0.08, 0.18), rng.uniform(-0.2, 0.02), 0.27)
-        base = base.with_arm(side, puppet.reach(side, goal, (0.7, -1.0, 0.0)))
+        base = puppet.put_hand(base, side, goal, (0.7, -1.0, 0.0))
     score = Score(base).hold(0.3)
     while score.duration < length:
         way, low = rng.choice([-1.0, 1.0]), rng.uniform(0.05, 0.35)

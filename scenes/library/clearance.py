@@ -16,8 +16,8 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import continuous, inverse, normalize, rotate
 
-from .poses import Pose
-from .puppet import LEFT, RIGHT, Puppet
+from .poses import LEFT, RIGHT, Pose
+from .puppet import Puppet
 
 _TISSUE = 0.01  # m that two parts may overlap: skin and clothes give way
 _BLURS, _ROUNDS = 2, 3  # how often an arm is moved and then made smooth

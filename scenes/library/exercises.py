@@ -4,29 +4,29 @@ The ten movements of the University of Idaho's set (Vakanski et al. 2018, Data 3
 deep squat, hurdle step, inline lunge, side lunge, sit to stand, straight leg raise, and
 the shoulder's abduction, extension, rotation and scaption. Wrong repetitions lean,
 twist, shift, stop short, let the knees in or the arms sink.
+
+The four for the flow of lymph of Chiang et al. 2017 (IEEE EMBC), parts of The Optimal
+Lymph Flow program; how the arms go is told by their names and by the paper's figure 6.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .holds import ArmHold, Fault, draw_fault, draw_hold
-from .poses import Pose, Score
-from .puppet import LEFT, RIGHT, Puppet
-from .script import Script
+from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
+from .puppet import Puppet
+from .stances import ArmHold, Fault, Script, draw_fault, draw_hold
 
 _STICKS = (*["stick"] * 4, *["low stick"] * 3, "overhead", "hips", "forward")
 
 
-def _begin(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, hold: ArmHold
-) -> tuple[Score, Pose]:
+def _begin(puppet: Puppet, rng: Rng, base: Pose, hold: ArmHold) -> tuple[Score, Pose]:
     """Return a score that has taken up the arms, and the pose it has come to."""
     ready = hold.put(puppet, base, draw_fault(rng))
     return Score(base).hold(0.2).to(rng.uniform(0.6, 0.9), ready), ready
 
 
-def _end(score: Score, rng: np.random.Generator, base: Pose) -> Score:
+def _end(score: Score, rng: Rng, base: Pose) -> Score:
     return score.to(rng.uniform(0.6, 0.9), base).hold(0.2)
 
 
@@ -37,15 +37,13 @@ def _moved(
     return hold.put(puppet, fault.bend(puppet, ready, share), fault)
 
 
-def _repeat(score: Score, rng: np.random.Generator, peak: Pose, ready: Pose) -> None:
+def _repeat(score: Score, rng: Rng, peak: Pose, ready: Pose) -> None:
     """Go to the peak of a repetition and back."""
     score.to(rng.uniform(0.8, 1.6), peak).hold(rng.uniform(0.05, 0.4))
     score.to(rng.uniform(0.8, 1.5), ready).hold(rng.uniform(0.05, 0.3))
 
 
-def _deep_squat(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _deep_squat(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     holds = [*["overhead"] * 5, "stick", "forward", "wide"]
     hold = draw_hold(rng, *holds)
     score, ready = _begin(puppet, rng, base, hold)
@@ -61,21 +59,12 @@ def _deep_squat(
             spine=(0.4 * lean, 0.0, 0.0),
             head=(-0.3 * lean, 0.0, 0.0),
         )
-        for side in (LEFT, RIGHT):
-            low = low.with_foot(side, knee_out=fault.knees_out)
+        low = low.with_foot(BOTH, knee_out=fault.knees_out)
         _repeat(score, rng, low, ready)
     return _end(score, rng, base)
 
 
-def _on_one_leg(pose: Pose, side: int, share: float) -> Pose:
-    """Shift the weight over the foot of one side, the pelvis level."""
-    shift = share * (pose.ankle[side, 0] - pose.root[0])
-    return pose.leaning(side=float(shift))
-
-
-def _hurdle_step(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _hurdle_step(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     hold = draw_hold(rng, *_STICKS)
     score, ready = _begin(puppet, rng, base, hold)
     side = int(rng.integers(2))
@@ -84,7 +73,7 @@ def _hurdle_step(
         hold, fault = draw_hold(rng, *_STICKS), draw_fault(rng)
         ready = hold.put(puppet, base, fault)
         lifting = rng.uniform(1.2, 1.9) * (0.4 + 0.6 * fault.short)
-        tall = _on_one_leg(_moved(puppet, ready, hold, fault), 1 - side, 0.8)
+        tall = _moved(puppet, ready, hold, fault).over(1 - side, 0.8)
         looking_down = rng.uniform(0.0, 0.6)
         tall = tall.leaning(head=(looking_down, 0.0, 0.0))
         up = puppet.swing_leg(
@@ -105,16 +94,14 @@ def _hurdle_step(
     return _end(score, rng, base)
 
 
-def _inline_lunge(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _inline_lunge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Step into a split stance, lower the knee behind, rise; then the other side."""
     score, ready = _begin(puppet, rng, base, draw_hold(rng, *_STICKS))
     side = int(rng.integers(2))
     while score.duration < length:
         reach = rng.uniform(0.6, 1.0) * puppet.leg
         split = _split(puppet, ready, side, reach, rng.uniform(-0.04, 0.18))
-        air = _on_one_leg(ready, 1 - side, 0.6).leaning(back=-0.2 * reach)
+        air = ready.over(1 - side, 0.6).leaning(back=-0.2 * reach)
         air = air.stepping(side, split.ankle[side], 0.08 * puppet.scale)
         score.to(0.5, air).to(0.5, split)
         for _ in range(2):
@@ -143,9 +130,7 @@ def _split(puppet: Puppet, ready: Pose, side: int, reach: float, beside: float) 
     )
 
 
-def _side_lunge(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _side_lunge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     hold = draw_hold(rng, *_STICKS)
     score, ready = _begin(puppet, rng, base, hold)
     half, out = rng.uniform(0.36, 0.64) * puppet.leg, rng.uniform(0.0, 0.5)
@@ -154,7 +139,7 @@ def _side_lunge(
     for side in (first, 1 - first):
         way = 1.0 - 2.0 * side
         spot = np.array([way * half, puppet.ankle_height, wide.ankle[side, 2]])
-        air = _on_one_leg(wide, 1 - side, 0.5).leaning(drop=0.04 * puppet.leg)
+        air = wide.over(1 - side, 0.5).leaning(drop=0.04 * puppet.leg)
         air = air.stepping(side, spot, 0.08 * puppet.scale)
         wide = wide.with_foot(side, ankle=spot, yaw=way * out)
         wide = wide.leaning(drop=0.05 * puppet.leg)
@@ -176,7 +161,7 @@ def _side_lunge(
         low = low.with_foot(side, knee_out=rng.uniform(0.1, 0.6) + fault.knees_out)
         _repeat(score, rng, low, wide)
     for side in (1 - first, first):
-        air = _on_one_leg(wide, 1 - side, 0.5)
+        air = wide.over(1 - side, 0.5)
         air = air.stepping(side, base.ankle[side], 0.08 * puppet.scale)
         yaw = float(base.foot[side, 0])
         wide = wide.with_foot(side, ankle=base.ankle[side], yaw=yaw)
@@ -184,9 +169,7 @@ def _side_lunge(
     return _end(score, rng, base)
 
 
-def _sit_to_stand(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _sit_to_stand(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     hold = draw_hold(rng, *_STICKS)
     score, ready = _begin(puppet, rng, base, hold)
     seat = rng.uniform(0.45, 0.58) * puppet.scale
@@ -215,9 +198,7 @@ def _sit_to_stand(
     return _end(score, rng, base)
 
 
-def _leg_raise(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _leg_raise(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     hold = draw_hold(rng, *_STICKS)
     score, ready = _begin(puppet, rng, base, hold)
     side = int(rng.integers(2))
@@ -227,7 +208,7 @@ def _leg_raise(
         ready = hold.put(puppet, base, fault)
         top = rng.uniform(1.2, 1.75) * (0.35 + 0.65 * fault.short)
         slump = rng.uniform(-0.45, 0.1) * top / 1.5
-        tall = _on_one_leg(_moved(puppet, ready, hold, fault), 1 - side, 0.8)
+        tall = _moved(puppet, ready, hold, fault).over(1 - side, 0.8)
         tall = tall.leaning(
             drop=rng.uniform(0.0, 0.04) * puppet.leg,
             pelvis=(0.0, slump, 0.0),
@@ -239,18 +220,13 @@ def _leg_raise(
     return _end(score, rng, base)
 
 
-def _sides(rng: np.random.Generator) -> list[int]:
+def _sides(rng: Rng) -> list[int]:
     """Return the arms that work: mostly one."""
     return [LEFT, RIGHT] if rng.random() < 0.25 else [int(rng.integers(2))]
 
 
 def _elevate(
-    puppet: Puppet,
-    rng: np.random.Generator,
-    base: Pose,
-    length: float,
-    plane: float,
-    most: float,
+    puppet: Puppet, rng: Rng, base: Pose, length: float, plane: float, most: float
 ) -> Score:
     """Raise straight arms in one plane of elevation to at most some angle [rad]."""
     score, sides = Score(base).hold(0.3), _sides(rng)
@@ -271,27 +247,19 @@ def _elevate(
     return _end(score, rng, base)
 
 
-def _shoulder_abduction(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _shoulder_abduction(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return _elevate(puppet, rng, base, length, 0.0, 2.75)
 
 
-def _shoulder_scaption(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _shoulder_scaption(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return _elevate(puppet, rng, base, length, rng.uniform(0.5, 1.2), 2.7)
 
 
-def _shoulder_extension(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _shoulder_extension(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return _elevate(puppet, rng, base, length, -1.45, rng.uniform(0.7, 1.0))
 
 
-def _shoulder_rotation(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _shoulder_rotation(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Turn the upper arm about itself, held to the side, the elbow bent."""
     score, sides = Score(base).hold(0.3), _sides(rng)
     raised = rng.uniform(1.2, 1.65) if rng.random() < 0.8 else 0.2
@@ -327,3 +295,97 @@ EXERCISES: dict[str, Script] = {
     "sit_to_stand": _sit_to_stand,
 }
 """Exercises of physiotherapy, by name."""
+
+
+def _breathed(pose: Pose, rng: Rng, depth: float) -> Pose:
+    """Return the pose with the chest raised or sunk, and a little of chance."""
+    lean, turn = rng.normal(0.0, 0.04, 2)
+    return pose.leaning(spine=(-0.12 * depth, lean, turn), head=(-0.1 * depth, 0, 0))
+
+
+def _deep_breathing(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
+    """Breathe in with opening arms, out with tight fists and folding arms."""
+    score = Score(base).hold(0.2)
+    low, flare = rng.uniform(-0.42, -0.2), rng.uniform(0.4, 1.0)
+    while score.duration < length:
+        tight = (rng.uniform(0.04, 0.12), low + rng.normal(0.0, 0.03), 0.24)
+        closed = puppet.reach_both(
+            _breathed(base, rng, -0.6), tight, (flare, -1.0, -0.2)
+        )
+        opened = _breathed(base, rng, 1.0)
+        elevation, plane = rng.uniform(0.3, 1.4), rng.uniform(-0.2, 0.6)
+        bend = rng.uniform(0.2, 2.0)
+        opened = opened.with_arm(BOTH, puppet.arm(elevation, plane, -0.6, bend))
+        score.to(rng.uniform(0.9, 1.5), closed).hold(rng.uniform(0.3, 0.8))
+        score.to(rng.uniform(0.9, 1.5), opened).hold(rng.uniform(0.1, 0.4))
+    return score.to(0.8, base)
+
+
+def _clasp_and_spread(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
+    """Clasp the hands before the chest, at the neck or overhead; spread the arms."""
+    score = Score(base).hold(0.2)
+    while score.duration < length:
+        kind = rng.choice(["chest", "chest", "head", "behind"])
+        if kind == "chest":
+            spot = (0.03, rng.uniform(-0.25, 0.02), rng.uniform(0.28, 0.5))
+            closed = puppet.reach_both(base, spot, (1.0, -0.6, 0.0))
+        elif kind == "head":
+            closed = puppet.reach_both(
+                base, (0.04, rng.uniform(0.42, 0.55), 0.1), (1, 0, 0.3)
+            )
+        else:
+            spot = (0.12, rng.uniform(0.14, 0.22), -0.06)
+            closed = puppet.reach_both(base, spot, (1.0, 0.3, rng.uniform(0.2, 0.9)))
+        opened = _breathed(base, rng, 0.8)
+        elevation, plane = rng.uniform(1.2, 1.8), rng.uniform(-0.35, 0.3)
+        bend, turn = rng.uniform(0.1, 0.7), rng.uniform(-0.9, 0.0)
+        opened = opened.with_arm(BOTH, puppet.arm(elevation, plane, turn, bend))
+        score.to(rng.uniform(0.8, 1.4), closed).hold(rng.uniform(0.1, 0.5))
+        score.to(rng.uniform(0.8, 1.4), opened).hold(rng.uniform(0.1, 0.5))
+    return score.to(0.8, base)
+
+
+def _overhead_pumping(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
+    """Pump with fists from the shoulders up over the head."""
+    score, together = Score(base).hold(0.2), rng.random() < 0.6
+    out, forward = rng.uniform(0.08, 0.3), rng.uniform(0.0, 0.25)
+    while score.duration < length:
+        high = rng.uniform(0.38, 0.62)
+        low = rng.uniform(0.02, 0.2)
+        down = (out + 0.06, low, forward + 0.12)
+        up = (out, high, forward)
+        flare = (1.0, -0.7, rng.uniform(-0.1, 0.5))
+        for beat in range(2):
+            pose = _breathed(base, rng, 0.5)
+            for side in (LEFT, RIGHT):
+                raised = (beat == 0) if together else (beat == side)
+                pose = puppet.put_hand(pose, side, up if raised else down, flare)
+            score.to(rng.uniform(0.5, 0.9), pose).hold(rng.uniform(0.0, 0.2))
+    return score.to(0.9, base)
+
+
+def _push_down_pumping(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
+    """Close the hands before the chest and push them down before the belly."""
+    score = Score(base).hold(0.2)
+    gap, flare = rng.uniform(0.03, 0.12), rng.uniform(0.6, 1.2)
+    while score.duration < length:
+        top = (gap, rng.uniform(-0.18, 0.0), rng.uniform(0.22, 0.28))
+        raised = puppet.reach_both(_breathed(base, rng, 0.6), top, (flare, -0.5, 0.0))
+        end = (
+            gap + rng.uniform(0, 0.12),
+            rng.uniform(-0.5, -0.4),
+            rng.uniform(0.2, 0.3),
+        )
+        pushed = puppet.reach_both(_breathed(base, rng, -0.4), end, (1.0, -0.2, -0.4))
+        score.to(rng.uniform(0.5, 1.0), raised).hold(rng.uniform(0.05, 0.3))
+        score.to(rng.uniform(0.4, 0.9), pushed).hold(rng.uniform(0.05, 0.3))
+    return score.to(0.8, base)
+
+
+LYMPH_FLOW: dict[str, Script] = {
+    "clasp_and_spread": _clasp_and_spread,
+    "deep_breathing": _deep_breathing,
+    "overhead_pumping": _overhead_pumping,
+    "push_down_pumping": _push_down_pumping,
+}
+"""Exercises for the flow of lymph, by name."""

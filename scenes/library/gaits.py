@@ -16,9 +16,9 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import GRAVITY
 from kinefilter.characters.rotations import about_y, rotate
 
-from .poses import Pose, Score
-from .puppet import LEFT, RIGHT, Puppet
-from .script import Script, stance
+from .poses import LEFT, RIGHT, Pose, Rng, Score
+from .puppet import Puppet
+from .stances import Script, stance
 
 _WIDEST_TURN = 0.55  # rad per step: longer steps on a loop would cross the legs
 _WIDER = 0.4  # hip widths by which each foot is farther from the middle on a loop
@@ -64,7 +64,7 @@ class _Gait:
     """Mean flexion of the shoulder [rad]."""
 
 
-def _style(name: str, rng: np.random.Generator) -> _Gait:
+def _style(name: str, rng: Rng) -> _Gait:
     u = rng.uniform
     if name == "run":
         return _Gait(
@@ -111,11 +111,7 @@ def _style(name: str, rng: np.random.Generator) -> _Gait:
 
 
 def gait(
-    name: str,
-    puppet: Puppet,
-    rng: np.random.Generator,
-    time: Array,
-    within: Area | None = None,
+    name: str, puppet: Puppet, rng: Rng, time: Array, within: Area | None = None
 ) -> Pose:
     """Return the motion of a gait at the given times [s], shape (T,).
 
@@ -237,7 +233,7 @@ class _Loop:
         )
 
 
-def _drift(rng: np.random.Generator, time: Array) -> Array:
+def _drift(rng: Rng, time: Array) -> Array:
     """Return a slow change of habit over time, about within -1 and 1, shape (T,)."""
     rates, phases = rng.uniform(0.08, 0.3, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
     return np.asarray(
@@ -266,12 +262,7 @@ def _heel(phase: Array, style: _Gait) -> Array:
 
 
 def _swing_arms(
-    puppet: Puppet,
-    pose: Pose,
-    style: _Gait,
-    turn: Array,
-    rng: np.random.Generator,
-    drifts: list[Array],
+    puppet: Puppet, pose: Pose, style: _Gait, turn: Array, rng: Rng, drifts: list[Array]
 ) -> Pose:
     spread, inward = rng.uniform(0.1, 0.25), rng.uniform(-0.1, 0.5)
     # In walking the shoulder swings from about 24 degrees of extension to 8 of flexion
@@ -290,18 +281,18 @@ def _swing_arms(
     return pose
 
 
-def _load(puppet: Puppet, pose: Pose, rng: np.random.Generator) -> Pose:
+def _load(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
     """Hold a box in front of the body, or a bag in one hand."""
     if rng.random() < 0.3:
         return pose.with_arm(int(rng.integers(2)), puppet.arm(0.2, 0.1, 0.2, 0.1))
     goal = (rng.uniform(0.12, 0.2), rng.uniform(-0.42, -0.12), rng.uniform(0.25, 0.36))
     flare = rng.uniform(0.1, 0.6)
     for side in (LEFT, RIGHT):
-        pose = pose.with_arm(side, puppet.reach(side, goal, (flare, -1.0, -0.3)))
+        pose = puppet.put_hand(pose, side, goal, (flare, -1.0, -0.3))
     return replace(pose, spine=pose.spine * np.array([1.0, 1.0, 0.3]) - [0.05, 0, 0])
 
 
-def _turn(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+def _turn(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Turn on the spot by small steps, foot after foot."""
     score, pose = Score(base).hold(0.3), base
     center = base.ankle.mean(axis=0)

@@ -6,14 +6,14 @@ import numpy as np
 
 from kinefilter.characters.arrays import Array
 
-from .poses import Pose, Score
-from .puppet import LEFT, RIGHT, Puppet
-from .script import Script, hanging_arm
+from .poses import LEFT, RIGHT, Pose, Rng, Score
+from .puppet import Puppet
+from .stances import Script, hanging_arm
 
 _DOWN_OUT = (0.6, -1.0, -0.1)
 
 
-def _turned(pose: Pose, rng: np.random.Generator, size: float = 1.0) -> Pose:
+def _turned(pose: Pose, rng: Rng, size: float = 1.0) -> Pose:
     """Vary the trunk a little, so that no repetition is like the one before."""
     return pose.leaning(
         side=0.015 * size * rng.normal(),
@@ -22,12 +22,12 @@ def _turned(pose: Pose, rng: np.random.Generator, size: float = 1.0) -> Pose:
     )
 
 
-def _either(rng: np.random.Generator) -> list[int]:
+def _either(rng: Rng) -> list[int]:
     """Return one side or both."""
     return [[LEFT], [RIGHT], [LEFT, RIGHT]][rng.integers(3)]
 
 
-def _wave(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+def _wave(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.4)
     while score.duration < length:
         sides, pace = _either(rng), rng.uniform(0.22, 0.42)
@@ -44,9 +44,7 @@ def _wave(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -
     return score
 
 
-def _point(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _point(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     while score.duration < length:
         side = int(rng.integers(2))
@@ -67,9 +65,7 @@ def _point(
     return score
 
 
-def _scratch(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _scratch(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     while score.duration < length:
         side = int(rng.integers(2))
@@ -87,13 +83,13 @@ def _scratch(
             spot = goal + (-1) ** beat * np.array(rub) * rng.uniform(0.5, 1.2)
             score.to(
                 pace if beat else rng.uniform(0.7, 1.1),
-                pose.with_arm(side, puppet.reach(side, spot, pole)),
+                puppet.put_hand(pose, side, spot, pole),
             )
         score.to(rng.uniform(0.7, 1.1), base).hold(rng.uniform(0.1, 0.5))
     return score
 
 
-def _clap(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+def _clap(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     height, forward = rng.uniform(-0.25, 0.1), rng.uniform(0.3, 0.42)
     overhead, flare = rng.random() < 0.25, rng.uniform(0.3, 1.0)
@@ -105,18 +101,15 @@ def _clap(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -
         for beat in range(2 * rng.integers(3, 6)):
             apart = 0.04 if beat % 2 else gap * rng.uniform(0.8, 1.1)
             goal = (apart, height + rng.normal(0, 0.01), forward)
-            for side in (LEFT, RIGHT):
-                arm = puppet.reach(side, goal, (flare, 0.3 if overhead else -0.9, 0.1))
-                pose = pose.with_arm(side, arm)
+            elbows = (flare, 0.3 if overhead else -0.9, 0.1)
+            pose = puppet.reach_both(pose, goal, elbows)
             score.to(pace if beat else 0.8, pose)
         if rng.random() < 0.5:
             score.to(0.8, base).hold(rng.uniform(0.1, 0.6))
     return score
 
 
-def _cross_arms(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _cross_arms(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     while score.duration < length:
         over = int(rng.integers(2))
@@ -126,9 +119,9 @@ def _cross_arms(
             front = 0.25 if side == over else 0.18
             goal = (-0.14, height + (0.03 if side == over else -0.02), front)
             pole = (0.75, -1.0, 0.25)
-            pose = pose.with_arm(side, puppet.reach(side, goal, pole))
+            pose = puppet.put_hand(pose, side, goal, pole)
             wide = (0.1, height - 0.05, front + 0.1)
-            ready = ready.with_arm(side, puppet.reach(side, wide, pole))
+            ready = puppet.put_hand(ready, side, wide, pole)
         score.to(rng.uniform(0.5, 0.8), ready)
         score.to(rng.uniform(0.35, 0.6), pose)
         for _ in range(rng.integers(1, 3)):
@@ -139,7 +132,7 @@ def _cross_arms(
     return score
 
 
-def _talk(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+def _talk(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.2)
     calm = (rng.uniform(0.08, 0.2), rng.uniform(-0.35, -0.2), rng.uniform(0.25, 0.35))
     while score.duration < length:
@@ -147,16 +140,14 @@ def _talk(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -
         for side in _either(rng):
             goal = np.array(calm) + rng.normal(0.0, (0.09, 0.09, 0.05))
             goal[0] = max(goal[0], 0.06)
-            pose = pose.with_arm(side, puppet.reach(side, goal, _DOWN_OUT))
+            pose = puppet.put_hand(pose, side, goal, _DOWN_OUT)
         score.to(rng.uniform(0.35, 0.9), pose)
         if rng.random() < 0.15:
             score.to(0.7, base)
     return score
 
 
-def _stand_idle(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _stand_idle(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.5)
     while score.duration < length:
         weight = rng.normal(0.0, 0.3)
@@ -168,17 +159,14 @@ def _stand_idle(
         for side in (LEFT, RIGHT):
             if rng.random() < 0.45:
                 hips = (rng.uniform(0.17, 0.21), rng.uniform(-0.5, -0.42), 0.04)
-                arm = puppet.reach(side, hips, (1.0, 0.1, -0.6))
-                pose = pose.with_arm(side, arm)
+                pose = puppet.put_hand(pose, side, hips, (1.0, 0.1, -0.6))
             else:
                 pose = pose.with_arm(side, puppet.arm(*hanging_arm(rng)))
         score.to(rng.uniform(0.8, 1.3), pose).hold(rng.uniform(0.2, 1.0))
     return score
 
 
-def _raise_arms(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _raise_arms(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.4)
     plane = rng.choice([0.0, 0.0, 0.6, 0.6, 1.5, -1.7]) + rng.normal(0.0, 0.08)
     behind = plane < -1.0
@@ -197,9 +185,7 @@ def _raise_arms(
     return score
 
 
-def _rotate_arms(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _rotate_arms(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     sides, elevation = _either(rng), rng.choice([0.12, 0.12, 1.4])
     plane, elbow = rng.uniform(0.0, 0.3), rng.uniform(1.35, 1.7)
     score = Score(base).hold(0.3)
@@ -217,9 +203,7 @@ def _rotate_arms(
     return score
 
 
-def _reach_up(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _reach_up(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     while score.duration < length:
         sides, high = _either(rng), rng.uniform(0.4, 0.66)
@@ -229,22 +213,20 @@ def _reach_up(
         )
         for side in sides:
             goal = (rng.uniform(0.05, 0.3), high, rng.uniform(0.05, 0.45))
-            pose = pose.with_arm(side, puppet.reach(side, goal, (0.7, -0.5, 0.6)))
+            pose = puppet.put_hand(pose, side, goal, (0.7, -0.5, 0.6))
         score.to(rng.uniform(0.7, 1.2), pose).hold(rng.uniform(0.1, 0.4))
         score.to(rng.uniform(0.7, 1.2), base).hold(rng.uniform(0.05, 0.3))
     return score
 
 
-def _guard(puppet: Puppet, pose: Pose, rng: np.random.Generator) -> Pose:
+def _guard(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
     for side in (LEFT, RIGHT):
         goal = (rng.uniform(0.07, 0.14), rng.uniform(-0.08, 0.06), 0.28)
-        pose = pose.with_arm(side, puppet.reach(side, goal, (0.7, -1.0, 0.0)))
+        pose = puppet.put_hand(pose, side, goal, (0.7, -1.0, 0.0))
     return pose
 
 
-def _punch(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _punch(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     base = base.leaning(drop=0.04 * puppet.scale)
     guard = _guard(puppet, base, rng)
     score = Score(base).hold(0.2).to(0.7, guard)
@@ -266,9 +248,7 @@ def _punch(
     return score
 
 
-def _blow(
-    rng: np.random.Generator,
-) -> list[tuple[float, tuple[float, ...], tuple[float, ...]]]:
+def _blow(rng: Rng) -> list[tuple[float, tuple[float, ...], tuple[float, ...]]]:
     """Return (duration, hand, elbow direction) of a straight, hook or upper cut."""
     quick, height = rng.uniform(0.16, 0.3), rng.uniform(-0.2, 0.1)
     kind = rng.choice(["straight", "straight", "hook", "upper"])
@@ -276,17 +256,12 @@ def _blow(
         return [(quick, (rng.uniform(-0.02, 0.12), height, 0.75), (1.0, -0.6, 0.0))]
     if kind == "hook":
         up = (0.8, 0.3, -0.3)
-        return [
-            (0.22, (0.42, height, 0.25), up),
-            (quick, (-0.02, height, 0.42), up),
-        ]
+        return [(0.22, (0.42, height, 0.25), up), (quick, (-0.02, height, 0.42), up)]
     low = (0.6, -1.0, -0.4)
     return [(0.22, (0.2, -0.4, 0.2), low), (quick, (0.05, 0.08, 0.38), low)]
 
 
-def _swing(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _swing(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Two hands swing a sword or bat through a cut; sometimes one hand."""
     base = base.leaning(drop=0.05 * puppet.scale)
     main = int(rng.integers(2))
@@ -319,10 +294,10 @@ def _grip(puppet: Puppet, pose: Pose, main: int, spot: Array, both: bool) -> Pos
     """Hold a grip at ``spot`` (towards the main hand, up, forward) [m]."""
     up = np.array([0.02, 0.05, 0.03])
     pole = (0.9, -0.8, 0.1)
-    pose = pose.with_arm(main, puppet.reach(main, spot + up, pole))
+    pose = puppet.put_hand(pose, main, spot + up, pole)
     if both:
         other = (spot - up) * np.array([-1.0, 1.0, 1.0])
-        pose = pose.with_arm(1 - main, puppet.reach(1 - main, other, pole))
+        pose = puppet.put_hand(pose, 1 - main, other, pole)
     return pose
 
 

@@ -19,26 +19,16 @@ from kinefilter.characters.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
 from .clearance import clear_arms
-from .exercises import EXERCISES
+from .exercises import EXERCISES, LYMPH_FLOW
 from .gaits import GAITS, TURNS, Area, gait
 from .gestures import GESTURES
-from .joint_ranges import within_ranges
-from .lymph_flow import LYMPH_FLOW
-from .poses import Pose, Score
+from .poses import LEFT, RIGHT, Pose, Rng, Score, within_ranges
 from .prop_motions import PROP_MOTIONS
-from .puppet import LEFT, RIGHT, Puppet
-from .script import stance
+from .puppet import Puppet
 from .sports import SPORTS
+from .stances import stance
 
-_SCRIPTS = {
-    **GESTURES,
-    **ACTIONS,
-    **TURNS,
-    **EXERCISES,
-    **LYMPH_FLOW,
-    **SPORTS,
-    **PROP_MOTIONS,
-}
+_SCRIPTS = GESTURES | ACTIONS | TURNS | EXERCISES | LYMPH_FLOW | SPORTS | PROP_MOTIONS
 
 MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
 """Names of the motions that ``perform`` knows.
@@ -83,12 +73,7 @@ _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
 
 def perform(
-    name: str,
-    body: Body,
-    *,
-    seed: int,
-    fps: float = 30.0,
-    within: Area | None = None,
+    name: str, body: Body, *, seed: int, fps: float = 30.0, within: Area | None = None
 ) -> Motion:
     """Return one performance of a motion, of 5 s or more: its last movement ends.
 
@@ -126,9 +111,7 @@ def perform(
     return _performed(name, puppet, time, pose)
 
 
-def _as_one_stands(
-    name: str, puppet: Puppet, base: Pose, rng: np.random.Generator
-) -> Pose:
+def _as_one_stands(name: str, puppet: Puppet, base: Pose, rng: Rng) -> Pose:
     """Return a stance with arms hanging as they like and perhaps a foot in front."""
     u = rng.uniform
     for side in (LEFT, RIGHT):
@@ -195,7 +178,7 @@ def _performed(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
     )
 
 
-def _alive(pose: Pose, time: Array, rng: np.random.Generator) -> Pose:
+def _alive(pose: Pose, time: Array, rng: Rng) -> Pose:
     """Add the small sway of a living body to everything but the feet."""
 
     def sway(*shape: int) -> Array:

@@ -1,4 +1,9 @@
-"""What a performer is asked to look like: a pose, and poses in time."""
+"""What a performer is asked to look like: a pose, and poses in time.
+
+Ranges of joints are active ones of healthy adults after the American Academy of
+Orthopaedic Surgeons, in Norkin & White 2016, Measurement of Joint Motion, 5th ed.,
+appendix B.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import continuous
+
+Rng = np.random.Generator
+LEFT, RIGHT, BOTH = 0, 1, slice(None)
+"""Sides of a pose."""
 
 _ARMS = (12, 20)  # where ``Pose.flat`` keeps the quaternions
 _SMOOTHING = 0.05
@@ -67,8 +76,8 @@ class Pose:
         )
         return Pose(**values)
 
-    def with_arm(self, side: int, arm: tuple[Array, Array]) -> Pose:
-        """Return the pose with another (upper arm, elbow) on one side."""
+    def with_arm(self, side: int | slice, arm: tuple[Array, Array]) -> Pose:
+        """Return the pose with another (upper arm, elbow) on one side, or on BOTH."""
         arms, elbows = self.arm.copy(), self.elbow.copy()
         arms[..., side, :], elbows[..., side] = arm
         return replace(self, arm=arms, elbow=elbows)
@@ -92,16 +101,23 @@ class Pose:
             head=self.head + np.array(head),
         )
 
+    def over(self, side: int, share: float) -> Pose:
+        """Return the pose with the root moved sideways towards one foot."""
+        return self.leaning(side=float(share * (self.ankle[side, 0] - self.root[0])))
+
     def with_foot(
         self,
-        side: int,
+        side: int | slice,
         *,
         ankle: Array | None = None,
         yaw: float | None = None,
         heel: float | None = None,
         knee_out: float | None = None,
     ) -> Pose:
-        """Return the pose with one foot standing elsewhere; lengths [m], angles rad."""
+        """Return the pose with a foot standing elsewhere; lengths [m], angles [rad].
+
+        With BOTH for a side, both feet do.
+        """
         ankles, foot, out = self.ankle.copy(), self.foot.copy(), self.knee_out.copy()
         lifted = self.lifted.copy()
         lifted[side] = 0.0
@@ -163,3 +179,36 @@ class Score:
         channels = PchipInterpolator(self._times, keys)(time)
         channels = gaussian_filter1d(channels, _SMOOTHING * fps, axis=0, mode="nearest")
         return time, self.last.unflat(channels)
+
+
+JOINT_RANGES: dict[str, tuple[float, float]] = {
+    "trunk flexion": (-30.0, 80.0),
+    "trunk bend": (-35.0, 35.0),
+    "trunk rotation": (-45.0, 45.0),
+    "neck flexion": (-45.0, 45.0),
+    "neck bend": (-45.0, 45.0),
+    "neck rotation": (-60.0, 60.0),
+    "shoulder elevation": (0.0, 180.0),
+    "shoulder extension": (-180.0, 60.0),
+    "elbow flexion": (0.0, 150.0),
+    "hip flexion": (-30.0, 120.0),
+    # 45 with a straight hip; bent and turned out it goes further, by how much is a
+    # guess from side kicks and splits.
+    "hip abduction": (-30.0, 65.0),
+    "knee flexion": (0.0, 150.0),
+}
+"""Least and greatest angle [deg] by joint; thoracic and lumbar spine make the trunk."""
+
+_PARTS = ("flexion", "bend", "rotation")
+
+
+def within_ranges(pose: Pose) -> Pose:
+    """Return the pose with trunk and neck held within their ranges.
+
+    Elbows and knees cannot leave theirs, shoulders and hips go where scripts put them.
+    """
+    trunk = np.radians([JOINT_RANGES[f"trunk {part}"] for part in _PARTS])
+    neck = np.radians([JOINT_RANGES[f"neck {part}"] for part in _PARTS])
+    return replace(
+        pose, spine=np.clip(pose.spine, *trunk.T), head=np.clip(pose.head, *neck.T)
+    )

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .poses import Pose, Score
-from .puppet import LEFT, RIGHT, Puppet
-from .script import Script
+from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
+from .puppet import Puppet
+from .stances import Script
 
 _DOWN = (0.7, -1.0, -0.1)
 
@@ -38,9 +38,7 @@ def _gripped(puppet: Puppet, pose: Pose, half: float, height: float) -> Pose:
     return pose
 
 
-def _lift_box(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _lift_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Lift a box from the floor, hold it, turn, shelve it or look, put it down."""
     score = Score(base).hold(0.2)
     for side in (LEFT, RIGHT):
@@ -68,9 +66,7 @@ def _lift_box(
     return score
 
 
-def _flip_chart(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _flip_chart(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Point at a chart beside the body, and turn its sheet over the top."""
     side = int(rng.integers(2))
     way = 1.0 - 2.0 * side
@@ -93,16 +89,13 @@ def _flip_chart(
         for pose, up, forward in track:
             for hand in hands:
                 out = 0.22 if hand == side else 0.05
-                arm = puppet.reach(hand, (out, up, forward), (0.9, -0.8, 0.1))
-                pose = pose.with_arm(hand, arm)
+                pose = puppet.put_hand(pose, hand, (out, up, forward), (0.9, -0.8, 0.1))
             score.to(rng.uniform(0.4, 0.7), pose)
         score.to(0.8, base).hold(rng.uniform(0.1, 0.4))
     return score
 
 
-def _basketball(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _basketball(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Dribble low or high with either hand, catch the ball and shoot."""
     score, side = Score(base).hold(0.2), int(rng.integers(2))
     while score.duration < length:
@@ -126,22 +119,18 @@ def _basketball(
     return score
 
 
-def _shoot(
-    puppet: Puppet, score: Score, rng: np.random.Generator, base: Pose, side: int
-) -> None:
+def _shoot(puppet: Puppet, score: Score, rng: Rng, base: Pose, side: int) -> None:
     """Dip with the ball at the belly, raise it to the brow, stretch up on the toes."""
     dip = _crouch(puppet, base, rng.uniform(0.12, 0.3), 0.4)
     dip = puppet.reach_both(dip, np.array([0.1, -0.32, 0.3]), _DOWN)
     brow = _crouch(puppet, base, 0.1, 0.1)
-    arm = puppet.reach(side, (0.06, 0.22, 0.26), (0.5, -1.0, 0.5))
-    brow = brow.with_arm(side, arm)
+    brow = puppet.put_hand(brow, side, (0.06, 0.22, 0.26), (0.5, -1.0, 0.5))
     guide = puppet.reach(1 - side, (0.1, 0.2, 0.24), (0.8, -1.0, 0.4))
     brow = brow.with_arm(1 - side, guide)
     out = base.leaning(drop=-0.2, spine=(-0.08, 0, 0), head=(-0.25, 0, 0))
     for foot in (LEFT, RIGHT):
         out = out.with_foot(foot, heel=rng.uniform(0.4, 0.7))
-    arm = puppet.reach(side, (0.12, 0.52, 0.4), (0.6, -0.6, 0.3))
-    out = out.with_arm(side, arm)
+    out = puppet.put_hand(out, side, (0.12, 0.52, 0.4), (0.6, -0.6, 0.3))
     guide = puppet.reach(1 - side, (0.14, 0.42, 0.3), (0.9, -0.6, 0.3))
     out = out.with_arm(1 - side, guide)
     score.to(0.6, dip).to(0.45, brow).to(0.3, out).hold(rng.uniform(0.1, 0.4))
@@ -156,24 +145,23 @@ class _Seat:
     seated: Pose
     """On the chair, the hands on the thighs."""
 
-    def sit(self, score: Score, rng: np.random.Generator) -> None:
+    def sit(self, score: Score, rng: Rng) -> None:
         """Sit down."""
         score.to(rng.uniform(0.7, 1.0), self.way)
         score.to(rng.uniform(0.5, 0.8), self.seated)
 
-    def stand(self, score: Score, rng: np.random.Generator, base: Pose) -> Score:
+    def stand(self, score: Score, rng: Rng, base: Pose) -> Score:
         """Stand up."""
         score.to(rng.uniform(0.5, 0.9), self.seated)
         score.to(rng.uniform(0.5, 0.8), self.way)
         return score.to(rng.uniform(0.6, 0.9), base).hold(0.2)
 
 
-def _seat(puppet: Puppet, rng: np.random.Generator, base: Pose, knees: float) -> _Seat:
+def _seat(puppet: Puppet, rng: Rng, base: Pose, knees: float) -> _Seat:
     seat = rng.uniform(0.49, 0.57) * puppet.scale  # of the root above the floor
     drop, back = base.root[1] - seat, rng.uniform(0.34, 0.43) * puppet.scale
     lean = rng.uniform(0.5, 0.9)
-    for side in (LEFT, RIGHT):
-        base = base.with_foot(side, knee_out=knees)
+    base = base.with_foot(BOTH, knee_out=knees)
     seated = base.leaning(
         drop=float(drop),
         back=back,
@@ -189,14 +177,13 @@ def _seat(puppet: Puppet, rng: np.random.Generator, base: Pose, knees: float) ->
     )
     for side in (LEFT, RIGHT):
         lap = (rng.uniform(0.1, 0.17), rng.uniform(-0.37, -0.32), 0.34)
-        arm = puppet.reach(side, lap, (0.8, -1.0, -0.2))
-        seated = seated.with_arm(side, arm)
+        seated = puppet.put_hand(seated, side, lap, (0.8, -1.0, -0.2))
         arm = puppet.arm(rng.uniform(0.4, 1.0), 1.3, 0.3, 0.5)
         way = way.with_arm(side, arm)
     return _Seat(way, seated)
 
 
-def _shifted(pose: Pose, rng: np.random.Generator, size: float = 1.0) -> Pose:
+def _shifted(pose: Pose, rng: Rng, size: float = 1.0) -> Pose:
     """Vary trunk and head of someone who sits."""
     lean, side, turn = size * rng.normal(0.0, (0.12, 0.08, 0.12))
     return pose.leaning(
@@ -206,9 +193,7 @@ def _shifted(pose: Pose, rng: np.random.Generator, size: float = 1.0) -> Pose:
     )
 
 
-def _chair(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _chair(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Sit down on a chair, talk with the hands, stretch a leg, stand up."""
     seat, score = (
         _seat(puppet, rng, base, rng.uniform(-0.05, 0.4)),
@@ -220,7 +205,7 @@ def _chair(
         if kind < 0.5:
             for side in ([LEFT, RIGHT], [LEFT], [RIGHT])[rng.integers(3)]:
                 spot = (rng.uniform(0.08, 0.3), rng.uniform(-0.26, 0.1), 0.36)
-                pose = pose.with_arm(side, puppet.reach(side, spot, (0.9, -1.0, -0.1)))
+                pose = puppet.put_hand(pose, side, spot, (0.9, -1.0, -0.1))
         elif kind < 0.65:
             pose = puppet.reach_both(
                 pose, np.array([-0.02, -0.15, 0.26]), np.array([1, -1, 0])
@@ -234,15 +219,12 @@ def _chair(
             score.to(0.6, air)
         else:
             elevation, plane = rng.uniform(0.8, 2.4), rng.uniform(-0.1, 0.9)
-            for side in (LEFT, RIGHT):
-                pose = pose.with_arm(side, puppet.arm(elevation, plane, -0.8, 0.5))
+            pose = pose.with_arm(BOTH, puppet.arm(elevation, plane, -0.8, 0.5))
         score.to(rng.uniform(0.6, 1.1), pose).hold(rng.uniform(0.05, 0.4))
     return seat.stand(score, rng, base)
 
 
-def _office(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _office(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Sit at a desk: type, use the mouse, reach for a thing, answer the phone."""
     seat, score = (
         _seat(puppet, rng, base, rng.uniform(-0.05, 0.15)),

@@ -31,9 +31,8 @@ from kinefilter.characters.rotations import (
     wxyz_from_matrix,
 )
 
-from .poses import Pose
+from .poses import LEFT, RIGHT, Pose
 
-LEFT, RIGHT = 0, 1
 _SIDES = np.array([1.0, -1.0])
 _X, _DOWN = np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
 _MIRROR = np.array([1.0, 1.0, -1.0, -1.0])  # of a wxyz quaternion, across x = 0
@@ -81,36 +80,23 @@ class Puppet:
         self.scale = body.height / STANDARD_HEIGHT
         """Size against the standard body, which the motions are written for."""
         index, rest = body.skeleton.index, body.rest_positions
-        pair = [
-            [index(f"{stem}{side}") for side in ("Left", "Right")]
-            for stem in (
-                "Shoulder",
-                "Elbow",
-                "Wrist",
-                "Hand",
-                "Hip",
-                "Knee",
-                "Ankle",
-                "Foot",
+        arm, leg = (
+            [[index(f"{stem}{side}") for side in ("Left", "Right")] for stem in stems]
+            for stems in (
+                ("Shoulder", "Elbow", "Wrist", "Hand"),
+                ("Hip", "Knee", "Ankle", "Foot"),
             )
-        ]
-        length = body.lengths
-        self._collar, self._upper, self._fore = (length[pair[k]] for k in range(3))
-        self._hand = length[pair[3]]
-        self._thigh, self._shank = length[pair[5]], length[pair[6]]
-        self._hips = body.rest_offsets[pair[4]]
-        self._sole = body.rest_offsets[pair[7]]
-        self.ankle_height = float(rest[pair[6], 1].mean())
+        )
+        self._collar, self._upper, self._fore, self._hand = body.lengths[arm]
+        _, self._thigh, self._shank, _ = body.lengths[leg]
+        self._hips, _, _, self._sole = body.rest_offsets[leg]
+        self.ankle_height = float(rest[leg[2], 1].mean())
         """Height [m] of the ankle of a flat foot."""
-        self.hip_width = float(np.ptp(rest[pair[4], 0]))
+        self.hip_width = float(np.ptp(rest[leg[0], 0]))
         """Distance [m] between the hip joints."""
         self.leg = float((self._thigh + self._shank).mean())
         """Length [m] of the straight leg, hip to ankle."""
-        above = index(
-            "SpineShoulder"
-            if "SpineShoulder" in body.skeleton.joints
-            else "ShoulderCenter"
-        )
+        above = body.skeleton.girdle
         spine = body.rest_offsets[above]
         below = body.rest_offsets[body.skeleton.parents[above]]
         self._spine = below, spine
@@ -190,10 +176,16 @@ class Puppet:
         bend = (upper**2 + lower**2 - distance**2) / (2.0 * upper * lower)
         return arm, np.pi - np.arccos(bend)
 
+    def put_hand(
+        self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike
+    ) -> Pose:
+        """Return the pose with a hand at a goal, as ``reach``."""
+        return pose.with_arm(side, self.reach(side, goal, elbow_to))
+
     def reach_both(self, pose: Pose, goal: ArrayLike, elbow_to: ArrayLike) -> Pose:
         """Return the pose with both hands at mirrored places, as ``reach``."""
         for side in (LEFT, RIGHT):
-            pose = pose.with_arm(side, self.reach(side, goal, elbow_to))
+            pose = self.put_hand(pose, side, goal, elbow_to)
         return pose
 
     def reach_world(

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from .holds import draw_fault, draw_hold
-from .poses import Pose, Score
-from .puppet import LEFT, RIGHT, Puppet
-from .script import Script
+from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
+from .puppet import Puppet
+from .stances import Script, draw_fault, draw_hold
 
 _Goal = tuple[float, float, float]
 _ELBOW_DOWN = (0.7, -1.0, -0.1)
@@ -29,9 +28,7 @@ _TAI_CHI: dict[str, tuple[_Goal, _Goal]] = {
 }
 
 
-def _tai_chi(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _tai_chi(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Slow forms on bent knees, the weight going from foot to foot."""
     forward = rng.uniform(0.0, 0.45) * puppet.leg
     lead = int(rng.integers(2))
@@ -59,14 +56,12 @@ def _tai_chi(
         for side, goal in ((main, goals[0]), (1 - main, goals[1])):
             spot = np.array(goal) + rng.normal(0.0, 0.05, 3)
             spot[0] = max(spot[0], -0.02)
-            pose = pose.with_arm(side, puppet.reach(side, spot, _ELBOW_DOWN))
+            pose = puppet.put_hand(pose, side, spot, _ELBOW_DOWN)
         score.to(rng.uniform(0.9, 1.5), pose).hold(rng.uniform(0.0, 0.2))
     return score
 
 
-def _golf_swing(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _golf_swing(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Address, backswing, downswing, follow-through, both hands at one grip.
 
     Order and turns after Hume et al. 2005, Sports Med. 35(5): the shoulders turn about
@@ -110,15 +105,13 @@ def _club(
     puppet: Puppet, pose: Pose, trail: int, across: float, up: float, forward: float
 ) -> Pose:
     """Put both hands at a grip ``across`` to the trailing side [m]."""
-    arm = puppet.reach(trail, (across + 0.02, up - 0.03, forward), (0.8, -1.0, 0.0))
-    pose = pose.with_arm(trail, arm)
+    elbows = (0.8, -1.0, 0.0)
+    pose = puppet.put_hand(pose, trail, (across + 0.02, up - 0.03, forward), elbows)
     goal = (-across + 0.02, up + 0.03, forward)
-    return pose.with_arm(1 - trail, puppet.reach(1 - trail, goal, (0.8, -1.0, 0.0)))
+    return puppet.put_hand(pose, 1 - trail, goal, elbows)
 
 
-def _roll_hands(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _roll_hands(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Roll the hands about each other before the chest, up and down or to and fro."""
     score = Score(base).hold(0.2)
     while score.duration < length:
@@ -136,15 +129,12 @@ def _roll_hands(
             for side in (LEFT, RIGHT):
                 phase = way * np.pi / 4.0 * beat + np.pi * side
                 spot = center + reach * [0.0, np.sin(phase), np.cos(phase)]
-                arm = puppet.reach(side, spot, (1.0, flare, -0.1))
-                pose = pose.with_arm(side, arm)
+                pose = puppet.put_hand(pose, side, spot, (1.0, flare, -0.1))
             score.to(pace if beat else 0.8, pose)
     return score.to(0.8, base)
 
 
-def _bend_leg(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _bend_leg(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Bend one leg: the heel to the seat, the knee to the chest, or in between."""
     hold = draw_hold(rng, "hips", "hanging", "wide", "forward", "folded", "stick")
     ready = hold.put(puppet, base, draw_fault(rng))
@@ -155,8 +145,7 @@ def _bend_leg(
         flexion = rng.choice([rng.uniform(-0.25, 0.4), rng.uniform(0.6, 1.8)])
         knee = rng.uniform(1.0, 2.2) if flexion < 0.5 else rng.uniform(0.9, 2.2)
         tall = hold.put(puppet, fault.bend(puppet, ready, 0.6), fault)
-        shift = 0.8 * float(tall.ankle[1 - side, 0] - tall.root[0])
-        tall = tall.leaning(side=shift)
+        tall = tall.over(1 - side, 0.8)
         up = puppet.swing_leg(tall, side, flexion, rng.uniform(0.0, 0.35), knee)
         score.to(rng.uniform(0.6, 1.1), up).hold(rng.uniform(0.05, 0.4))
         score.to(rng.uniform(0.6, 1.1), ready).hold(rng.uniform(0.1, 0.4))
@@ -186,7 +175,7 @@ _PORT_DE_BRAS = (
 _LEGS = ("front", "side", "back", "passe")
 
 
-def _danced(puppet: Puppet, pose: Pose, rng: np.random.Generator) -> Pose:
+def _danced(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
     """Put the arms in one of the positions, with the trunk following."""
     arms = _PORT_DE_BRAS[int(rng.integers(len(_PORT_DE_BRAS)))]
     first = int(rng.integers(2))
@@ -203,9 +192,7 @@ def _danced(puppet: Puppet, pose: Pose, rng: np.random.Generator) -> Pose:
     )
 
 
-def _dance(
-    puppet: Puppet, rng: np.random.Generator, base: Pose, length: float
-) -> Score:
+def _dance(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Positions of classical dance: plies, legs to all sides, turned trunks, rises."""
     score = Score(base).hold(0.1)
     while score.duration < length:
@@ -224,8 +211,7 @@ def _dance(
         elif kind == "rise":
             rise = rng.uniform(0.4, 0.8)
             pose = pose.leaning(drop=-0.2)
-            for foot in (LEFT, RIGHT):
-                pose = pose.with_foot(foot, heel=rise)
+            pose = pose.with_foot(BOTH, heel=rise)
         elif kind == "step":
             pose, air = _dance_step(puppet, pose, rng, side)
             score.to(0.45, air)
@@ -238,9 +224,7 @@ def _dance(
     return score.to(0.6, base)
 
 
-def _dance_leg(
-    puppet: Puppet, pose: Pose, rng: np.random.Generator, side: int, kind: str
-) -> Pose:
+def _dance_leg(puppet: Puppet, pose: Pose, rng: Rng, side: int, kind: str) -> Pose:
     top, way = rng.uniform(0.3, 1.15), 1.0 - 2.0 * side
     flexion, abduction, knee = {
         "front": (1.5 * top, 0.15, 0.1),
@@ -248,9 +232,8 @@ def _dance_leg(
         "back": (-0.45 * top, 0.1, rng.choice([0.1, 1.0])),
         "passe": (1.2 * top, 0.5, 1.9 * top),
     }[kind]
-    shift = 0.8 * float(pose.ankle[1 - side, 0] - pose.root[0])
     sink = rng.uniform(0.0, 0.14) * puppet.leg
-    pose = pose.leaning(side=shift, drop=sink, back=0.3 * sink)
+    pose = pose.over(1 - side, 0.8).leaning(drop=sink, back=0.3 * sink)
     if kind == "back":  # an arabesque: the trunk tips as the leg goes up
         tip = rng.uniform(0.1, 1.2) * top
         pose = pose.leaning(
@@ -261,14 +244,12 @@ def _dance_leg(
     return puppet.swing_leg(pose, side, flexion, abduction, knee)
 
 
-def _dance_step(
-    puppet: Puppet, pose: Pose, rng: np.random.Generator, side: int
-) -> tuple[Pose, Pose]:
+def _dance_step(puppet: Puppet, pose: Pose, rng: Rng, side: int) -> tuple[Pose, Pose]:
     """Return a long step onto a bent knee, the other leg long, and its midway."""
     way, heading = 1.0 - 2.0 * side, rng.uniform(-0.4, 1.6)
     size = rng.uniform(0.4, 1.05) * puppet.leg
     by = size * np.array([way * np.sin(heading), 0.0, np.cos(heading)])
-    air = pose.leaning(side=0.5 * float(pose.ankle[1 - side, 0] - pose.root[0]))
+    air = pose.over(1 - side, 0.5)
     air = air.stepping(side, pose.ankle[side] + by, 0.1 * puppet.scale)
     share, lean = rng.uniform(0.35, 0.8), rng.normal(0.05, 0.2)
     pose = pose.with_foot(side, ankle=pose.ankle[side] + by)
@@ -282,7 +263,7 @@ def _dance_step(
     return pose, air
 
 
-def _jump(puppet: Puppet, rng: np.random.Generator, base: Pose, length: float) -> Score:
+def _jump(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Jump on the spot: squat, swing the arms, fly, land softly.
 
     The time in the air is that of a free fall from the height, up and down.

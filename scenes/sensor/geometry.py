@@ -40,7 +40,7 @@ class Sensor:
     height: float = 1.0
     """Height of the sensor above the floor [m]."""
     distance: float = 2.7
-    """Horizontal distance from the sensor to the origin of the performance [m]."""
+    """Horizontal distance from the sensor to the origin of the motion's world [m]."""
     azimuth: float = 0.0
     """Angle by which the performer is turned to its left from facing the sensor
     [rad]."""
@@ -96,7 +96,7 @@ SENSORS = {
 Depth noise of v1: triangulation's, 1.43 mm times the squared depth in meters
 (Khoshelham & Elberink 2012, Sensors 12(2)). Of azure (narrow view): a
 guess of 1 to 2 mm within its range.
-The skeleton is the performance's, whichever sensor looks at it.
+The skeleton is that of the motion, whichever sensor looks at it.
 """
 
 
@@ -107,18 +107,18 @@ def _view(sensor: Sensor) -> tuple[Array, Array, Array]:
 
 
 def in_sensor_frame(positions: Array, sensor: Sensor) -> Array:
-    """Turn world positions [m] of a performance, (..., 3), into the sensor's frame."""
+    """Turn positions [m] of a motion, world, (..., 3), into the sensor's frame."""
     turn, place, tilt = _view(sensor)
     return rotate(tilt, rotate(turn, positions) + place)
 
 
 def in_world_frame(positions: Array, sensor: Sensor) -> Array:
-    """Turn positions [m] of a take, (..., 3), into the world of the performance."""
+    """Turn positions [m] of a take, (..., 3), into the world of the motion."""
     turn, place, tilt = _view(sensor)
     return rotate(inverse(turn), rotate(inverse(tilt), positions) - place)
 
 
 def sensor_axes(sensor: Sensor) -> Array:
-    """Return the sensor's x, y and z axis in the performance's world, (3, 3) rows."""
+    """Return the sensor's x, y and z axis in the motion's world, (3, 3) rows."""
     turn, _, tilt = _view(sensor)
     return rotate(inverse(multiply(tilt, turn)), np.eye(3))

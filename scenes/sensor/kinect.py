@@ -19,10 +19,10 @@ from kinefilter.characters import KINECT_V1, Motion, State, Take, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.scenes.library.performers import perform_medley
 
-from .geometry import SENSORS, Sensor, in_sensor_frame, in_world_frame
+from .geometry import SENSORS, Sensor, in_sensor_frame
 from .tracker_errors import TrackerErrors, misplaced
 from .tracker_states import believed, guessed, swapped
-from .visibility import look, rest_front
+from .visibility import look
 
 
 def observe(
@@ -35,7 +35,7 @@ def observe(
     prop_poses: Mapping[str, Array] | None = None,
     person: int | None = None,
 ) -> Take:
-    """Return a take of a performance as a Kinect might have recorded it.
+    """Return a take of a motion as a Kinect might have recorded it.
 
     Positions [m] are in the sensor's frame, NaN where the joint is not tracked.
 
@@ -59,25 +59,12 @@ def observe(
     identity = np.random.default_rng([seed if person is None else person, 1])
     sight = look(motion, sensor, scene=scene, prop_poses=prop_poses)
     frames, skeleton = len(motion), motion.skeleton
-    fps = motion.fps
-    eye = in_world_frame(np.zeros(3), sensor)
-    placed = misplaced(
-        motion,
-        sight,
-        sensor,
-        errors,
-        eye=eye,
-        rest_front=rest_front(motion.body, sensor),
-        rng=rng,
-        person=identity,
-    )
+    placed = misplaced(motion, sight, sensor, errors, rng=rng, person=identity)
     inside = sensor.in_view(in_sensor_frame(motion.positions, sensor))
     inside &= inside[:, [skeleton.root]]
-    state = believed(motion, sight, inside, errors, fps, rng)
-    placed = guessed(placed, motion, sight, state, errors, fps, rng)
-    toward = (eye - motion.positions[:, skeleton.root]) * np.array([1.0, 0.0, 1.0])
-    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
-    placed = swapped(placed, motion, sight, errors, fps, toward, rng)
+    state = believed(motion, sight, inside, errors, rng)
+    placed = guessed(placed, motion, sight, state, errors, rng)
+    placed = swapped(placed, motion, sight, sensor, errors, rng)
     positions = in_sensor_frame(placed, sensor)
     positions[state == State.NOT_TRACKED] = np.nan
     arrived = rng.random(frames) >= sensor.dropped_share

@@ -9,6 +9,7 @@ from kinefilter.characters import Motion, Skeleton, State
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import rotate
 
+from .geometry import Sensor, in_world_frame
 from .tracker_errors import TrackerErrors, slow_noise
 from .visibility import Sight
 
@@ -53,7 +54,6 @@ def believed(
     sight: Sight,
     in_view: NDArray[np.bool_],
     errors: TrackerErrors,
-    fps: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
     """Return the tracking states (T, J).
@@ -62,7 +62,7 @@ def believed(
     believes, is over a threshold; what lies out of view is not tracked.
     """
     skeleton, shape = motion.skeleton, sight.visible.shape
-    steps = errors.doubt_time * fps
+    steps = errors.doubt_time * motion.fps
     slow = slow_noise(shape, steps, rng)
     for limb in _limbs(skeleton):
         shared = slow_noise((shape[0], 1), steps, rng)
@@ -71,17 +71,17 @@ def believed(
     doubt = np.sqrt(1.0 - _FLICKER) * slow + np.sqrt(_FLICKER) * rng.normal(size=shape)
     seen = sight.visible - errors.merging * sight.merged
     if shape[0] > 1:
-        seen = seen - errors.fast * _speed(motion, fps)
+        seen = seen - errors.fast * _speed(motion)
     needed = [_NEEDED.get(_stem(j), _NEEDED_OF_TRUNK) for j in skeleton.joints]
     tracked = seen + errors.doubt * doubt > errors.trust + np.array(needed)
     state = np.where(tracked, State.TRACKED, State.INFERRED)
     return np.where(in_view, state, State.NOT_TRACKED).astype(np.uint8)
 
 
-def _speed(motion: Motion, fps: float) -> Array:
+def _speed(motion: Motion) -> Array:
     """Speed of each joint against the root [m/s], (T, J)."""
     root = motion.positions[:, [motion.skeleton.root]]
-    velocity = np.gradient(motion.positions - root, 1.0 / fps, axis=0)
+    velocity = np.gradient(motion.positions - root, 1.0 / motion.fps, axis=0)
     return np.asarray(np.linalg.norm(velocity, axis=-1))
 
 
@@ -91,7 +91,6 @@ def guessed(
     sight: Sight,
     state: NDArray[np.uint8],
     errors: TrackerErrors,
-    fps: float,
     rng: np.random.Generator,
 ) -> Array:
     """Return positions [m] with inferred joints where the tracker guesses them.
@@ -108,7 +107,7 @@ def guessed(
     for j, parent in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         seen = state[:, j] == State.TRACKED
         last = np.maximum.accumulate(np.where(seen, row, -1))
-        since = (row - last) / fps
+        since = (row - last) / motion.fps
         # What was never seen is where such joints mostly are.
         drift = np.where(last >= 0, np.exp(-since / max(errors.guess_time, 1e-6)), 0.0)
         kept = placed[last, j] - placed[last, parent] + jumps[last, j]
@@ -145,22 +144,12 @@ def swapped(
     positions: Array,
     motion: Motion,
     sight: Sight,
+    sensor: Sensor,
     errors: TrackerErrors,
-    fps: float,
-    toward: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Return positions with limbs taken for the other side's, (T, J, 3).
-
-    Args:
-        positions: Where the tracker put the joints [m], world, shape (T, J, 3).
-        motion: The truth.
-        sight: What is seen of it.
-        errors: How often limbs are swapped.
-        fps: Frames per second.
-        toward: Unit horizontal direction from the person to the sensor, (T, 3).
-        rng: Draws the swaps.
-    """
+    """Return positions [m] with limbs taken for the other side's, world, (T, J, 3)."""
+    fps = motion.fps
     skeleton = motion.skeleton
     swap = np.zeros(positions.shape[:2], dtype=bool)
     left_arm, right_arm, left_leg, right_leg = _limbs(skeleton)
@@ -171,6 +160,9 @@ def swapped(
         for start in np.flatnonzero(starts):
             stop = start + max(1, round(lengths[start]))
             swap[start:stop, limb] = True
+    eye = in_world_frame(np.zeros(3), sensor)
+    toward = (eye - motion.positions[:, skeleton.root]) * np.array([1.0, 0.0, 1.0])
+    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
     forward = rotate(motion.rotations[:, skeleton.root], np.array([0.0, 0.0, 1.0]))
     facing = np.sum(forward * toward, axis=-1)
     swap ^= (facing < np.cos(errors.mirrored_beyond))[:, None]

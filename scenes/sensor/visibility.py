@@ -30,7 +30,10 @@ _SAME_DEPTH = 0.06  # m: less contrast than a part's own thickness, a guess
 _NEAR_PROP = 0.12  # m: a prop nearer to a part than this may be taken for it, a guess
 _CHEST_BREADTH = 0.174  # of stature (Drillis & Contini 1966 in Winter 2009, fig. 4.1)
 _HIP_BREADTH = 0.191
-_SIDES = ("Left", "Right")
+_TRUNK = (
+    *("HipCenter", "Spine", "ShoulderCenter"),
+    *("SpineBase", "SpineMid", "SpineShoulder"),
+)
 _CHUNK = 1024  # frames, so that an hour's take needs no gigabytes
 _FAR = 20.0  # m: beyond any Kinect's range
 _PREFIX = "seen:"  # keeps the names of the body apart from those of the scene
@@ -78,7 +81,7 @@ def look(
         InputError: A moving prop is no body of the scene, not a child of its world,
             or its poses do not fit the motion.
     """
-    prop_poses = dict(prop_poses or {})
+    prop_poses = prop_poses or {}
     for name, poses in prop_poses.items():
         if np.shape(poses) != (len(motion), 7):
             raise InputError(
@@ -86,16 +89,12 @@ def look(
                 f"{(len(motion), 7)}: position and quaternion in every frame"
             )
     scanner = _Scanner(motion.body, sensor, scene, tuple(prop_poses))
-    parts = []
-    for start in range(0, len(motion), _CHUNK):
-        rows = slice(start, start + _CHUNK)
-        parts.append(
-            scanner.scan(
-                motion.positions[rows],
-                motion.rotations[rows],
-                [np.asarray(poses, float)[rows] for poses in prop_poses.values()],
-            )
-        )
+    moving = [np.asarray(poses, float) for poses in prop_poses.values()]
+    chunks = [slice(k, k + _CHUNK) for k in range(0, len(motion), _CHUNK)]
+    parts = [
+        scanner.scan(motion.positions[c], motion.rotations[c], [p[c] for p in moving])
+        for c in chunks
+    ]
     return Sight(
         *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sight))
     )
@@ -119,7 +118,8 @@ class _Scanner:
         moving: tuple[str, ...],
     ) -> None:
         self.skeleton = body.skeleton
-        self.sensor = sensor
+        self.eye = in_world_frame(np.zeros(3), sensor)
+        self.up = sensor_axes(sensor)[1]
         spec = _with_body(scene, body, moving)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
@@ -129,9 +129,8 @@ class _Scanner:
         self.slots = self.model.body_mocapid[ids]
         owner = {i: j for j, i in enumerate(ids[: len(body.skeleton)])}
         part = np.array([owner.get(b, -1) for b in self.model.geom_bodyid] + [-1])
-        plane = int(mujoco.mjtGeom.mjGEOM_PLANE)
-        fixed = self.model.geom_bodyid == 0
-        flat = (self.model.geom_type == plane) & fixed
+        flat = self.model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+        flat &= self.model.geom_bodyid == 0
         self.is_prop = (part < 0) & ~np.append(flat, True)
         self.is_hit = np.append(np.ones(self.model.ngeom, bool), False)
         own = _own_parts(body.skeleton)
@@ -144,19 +143,17 @@ class _Scanner:
 
     def scan(self, positions: Array, rotations: Array, props: list[Array]) -> Sight:
         """Return what is seen of the postures (T, J, 3) and (T, J, 4)."""
-        eye = in_world_frame(np.zeros(3), self.sensor)
-        spots = self._spots(positions, eye)
-        rays = spots - eye
+        spots = self._spots(positions)
+        rays = spots - self.eye
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        reach, geoms = self._cast(positions, rotations, props, eye, rays)
-        found = eye + reach[..., None] * rays
-        return self._judge(spots, found, geoms)
+        reach, geoms = self._cast(positions, rotations, props, rays)
+        return self._judge(spots, self.eye + reach[..., None] * rays, geoms)
 
-    def _spots(self, positions: Array, eye: Array) -> Array:
+    def _spots(self, positions: Array) -> Array:
         """Points [m] that the rays aim at: on the part's front and around it."""
-        line = positions - eye
+        line = positions - self.eye
         line /= np.linalg.norm(line, axis=-1, keepdims=True)
-        right = np.cross(sensor_axes(self.sensor)[1], line)
+        right = np.cross(self.up, line)
         right /= np.linalg.norm(right, axis=-1, keepdims=True)
         up = np.cross(line, right)
         pattern = _pattern()
@@ -181,7 +178,6 @@ class _Scanner:
         positions: Array,
         rotations: Array,
         props: list[Array],
-        eye: Array,
         rays: Array,
     ) -> tuple[Array, NDArray[np.int32]]:
         """Return how far each ray goes [m] and the geom it meets, -1: none."""
@@ -194,7 +190,7 @@ class _Scanner:
         turn = np.concatenate(
             [to_mujoco(rotations), *(p[:, None, 3:] for p in props)], axis=1
         )
-        point = to_mujoco(eye)
+        point = to_mujoco(self.eye)
         beams = np.ascontiguousarray(to_mujoco(rays).reshape(frames, -1))
         reach = np.empty((frames, joints * count))
         geoms = np.empty((frames, joints * count), dtype=np.int32)
@@ -229,9 +225,8 @@ class _Scanner:
         center = there.mean(axis=2)
         seen = np.asarray(disk.any(axis=-1))
         pull = np.where(seen[..., None], _mean_where(there, disk) - center, 0.0)
-        eye = in_world_frame(np.zeros(3), self.sensor)
-        far = np.linalg.norm(found - eye, axis=-1)
-        depth = np.linalg.norm(there - eye, axis=-1)
+        far = np.linalg.norm(found - self.eye, axis=-1)
+        depth = np.linalg.norm(there - self.eye, axis=-1)
         nearer = (depth - far[..., :_DISK_RAYS])[..., None]
         front = np.where(seen, _mean_where(nearer, disk)[..., 0], 0.0)
         near = np.linalg.norm(found - center[..., None, :], axis=-1)
@@ -320,13 +315,6 @@ def _flanks(body: Body, j: int) -> tuple[float, ...]:
     return (half, -half)
 
 
-_TRUNK = (
-    *("HipCenter", "Spine", "ShoulderCenter"),
-    *("SpineBase", "SpineMid", "SpineShoulder"),
-)
-_TRUNK_ENDS = ("Hip", "Shoulder")
-
-
 def _own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
     """Return which segments a joint is seen on, shape (joint J, segment J).
 
@@ -335,9 +323,12 @@ def _own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
     own = np.eye(len(skeleton), dtype=bool)
     for j, children in enumerate(skeleton.children):
         own[j, list(children)] = True
-    ends = [stem + side for stem in _TRUNK_ENDS for side in _SIDES]
-    names = (*_TRUNK, *ends, "Neck")
-    trunk = [skeleton.index(j) for j in skeleton.joints if j in names]
+    names = (*_TRUNK, "Neck")
+    trunk = [
+        j
+        for j, name in enumerate(skeleton.joints)
+        if name in names or name.startswith(("Hip", "Shoulder"))
+    ]
     own[np.ix_(trunk, trunk)] = True
     return own
 
@@ -345,10 +336,8 @@ def _own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
 def _kin(skeleton: Skeleton) -> NDArray[np.bool_]:
     """Return which segments are next to a joint's own along the limb, (J, J)."""
     kin = np.zeros((len(skeleton), len(skeleton)), dtype=bool)
-    for j, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            kin[j, parent] = kin[parent, j] = True
-    return kin
+    kin[skeleton.segments, skeleton.segment_parents] = True
+    return kin | kin.T
 
 
 def _part_radii(body: Body) -> Array:

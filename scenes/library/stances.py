@@ -1,8 +1,9 @@
-"""Ways to hold the arms while the legs work, and ways to do an exercise wrong."""
+"""How people stand, hold their arms while the legs work, and do an exercise wrong."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -10,8 +11,44 @@ import numpy as np
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
 
-from .poses import Pose
-from .puppet import LEFT, RIGHT, Puppet
+from .poses import LEFT, RIGHT, Pose, Rng, Score
+from .puppet import Puppet
+
+Script = Callable[[Puppet, Rng, Pose, float], Score]
+"""Writes a score for a puppet that stands in a pose, at least so many seconds long.
+
+The last movement is played to its end and leads back to the pose.
+"""
+
+
+def stance(puppet: Puppet, rng: Rng, *, wide: float = 0.0) -> Pose:
+    """Return a standing pose of one's own: stance, toes, lean, hanging arms."""
+    width = rng.uniform(0.9, 1.9) + wide
+    pose = puppet.stand(width=width, toe_out=rng.uniform(0.0, 0.25) + 0.1 * wide)
+    step = rng.normal(0.0, 0.03) * puppet.scale
+    ankle = pose.ankle + np.array([[0.0, 0.0, step], [0.0, 0.0, -step]])
+    pose = replace(pose, ankle=ankle)
+    for side in (LEFT, RIGHT):
+        pose = pose.with_arm(side, puppet.arm(*hanging_arm(rng)))
+    stoop = rng.uniform(-0.04, 0.14)
+    return pose.leaning(
+        drop=abs(rng.normal(0.0, 0.003)) * puppet.scale,
+        back=rng.normal(0.0, 0.015) * puppet.scale,
+        pelvis=(rng.normal(0.0, 0.06), rng.normal(0.0, 0.04), rng.normal(0.0, 0.03)),
+        spine=(stoop, rng.normal(0.0, 0.03), rng.normal(0.0, 0.05)),
+        head=(rng.normal(0.0, 0.1) - 0.5 * stoop, 0.0, rng.normal(0.0, 0.15)),
+    )
+
+
+def hanging_arm(rng: Rng) -> tuple[float, float, float, float]:
+    """Return the angles [rad] of an arm that hangs, as ``Puppet.arm`` takes them."""
+    return (
+        rng.uniform(0.08, 0.25),
+        rng.uniform(-0.1, 0.9),
+        rng.uniform(0.0, 0.6),
+        rng.uniform(0.1, 0.6),
+    )
+
 
 ON_HIPS = (0.19, -0.45, 0.05)
 """Hand on the hip, as ``Puppet.reach`` takes it."""
@@ -52,7 +89,7 @@ class ArmHold:
         return pose
 
 
-def draw_hold(rng: np.random.Generator, *names: str) -> ArmHold:
+def draw_hold(rng: Rng, *names: str) -> ArmHold:
     """Return a way to hold the arms, drawn from the named ones.
 
     ``stick`` holds an imagined stick behind the shoulders, elbows level (or low), and
@@ -125,7 +162,7 @@ class Fault:
         )
 
 
-def draw_fault(rng: np.random.Generator) -> Fault:
+def draw_fault(rng: Rng) -> Fault:
     """Return how one repetition is done: right, or in every second case wrong."""
     size = 0.25 if rng.random() < 0.5 else 1.0
     return Fault(
