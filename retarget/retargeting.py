@@ -195,9 +195,11 @@ class _Motion:
     def _level_toes(self, side: str, heights: Array) -> None:
         """Turn toes that are near the floor flat, below a foot whose heel is up."""
         turns = self.turns[self.rig.joint(f"{side} foot")]
+        up = rotate(turns, _UP)
         share = smooth_step(1.0 - heights / _TOE_NEAR)
-        share *= smooth_step((rotate(turns, _UP)[:, 1] - _STEEP) / (_SLOPING - _STEEP))
-        self.turns[self.rig.joint(f"{side} toes")] = _leveled(turns, share)
+        share *= smooth_step((up[:, 1] - _STEEP) / (_SLOPING - _STEEP))
+        level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
+        self.turns[self.rig.joint(f"{side} toes")] = slerp(turns, level, share)
 
     def shortage(self, side: str, goal: Array) -> Array:
         """Return by how much the hips are too high for a leg [m], shape (T,)."""
@@ -232,13 +234,6 @@ class _Motion:
         hinge = rotate(self.clip.rotations[:, segment], _BENDS[limb])
         aside = bone - share[:, None] * line
         return np.asarray(aside + _HINGE * self._our_length(side, limb) * hinge)
-
-
-def _leveled(turns: Array, share: Array) -> Array:
-    """Return rotations (T, 4) that leave a sole level, in part, shape (T, 4)."""
-    up = rotate(turns, _UP)
-    level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
-    return slerp(turns, level, share)
 
 
 def bent_limb(

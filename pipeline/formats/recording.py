@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +125,33 @@ def missing_marked(
         np.where(seen[..., None], positions, np.nan),
         np.where(seen, state, State.NOT_TRACKED).astype(np.uint8),
     )
+
+
+def recording_of(
+    time: Array,
+    positions: Array,
+    state: NDArray[np.uint8],
+    skeleton: Skeleton,
+    source: str,
+    layout: str,
+    **known: Any,
+) -> Recording:
+    """Return the recording of one person; raises InputError where it can be none.
+
+    Args:
+        time: Time stamps [s], shape (T,).
+        positions: Joint positions [m], shape (T, J, 3).
+        state: Tracking states (State), shape (T, J).
+        skeleton: The joints.
+        source: The file, for messages.
+        layout: Name of its layout.
+        known: Other fields of the recording.
+    """
+    check_length(len(time), source)
+    check_rate(time, source)
+    positions, state = missing_marked(positions, state)
+    check_extent(positions, source)
+    return Recording((Take(time, positions, state, skeleton, source),), layout, **known)
 
 
 def check_length(frames: int, source: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ def resampled(clip: Clip, fps: float) -> Clip:
         start = values[before]
         moved = start + part * (values[after] - start)
         # A frame that is there already is kept as it is, also beside a missing one.
-        return np.where(part == 0.0, start, moved)
+        return np.asarray(np.where(part == 0.0, start, moved))
 
     def arc(rotations: Array) -> Array:
         part = share.reshape(-1, *[1] * (rotations.ndim - 2))
@@ -59,18 +60,18 @@ def resampled(clip: Clip, fps: float) -> Clip:
         return found
 
     nearest = np.where(share < 0.5, before, after)
-    return replace(
-        clip,
-        time=time,
-        rotations=arc(clip.rotations),
+    found: dict[str, Any] = {
         **{name: line(getattr(clip, name)) for name in _ON_A_LINE},
         **{name: getattr(clip, name)[nearest] for name in _NEAREST},
-        props=tuple(
-            replace(p, positions=line(p.positions), rotations=arc(p.rotations))
-            if p.moves
-            else p
-            for p in clip.props
-        ),
+    }
+    props = [
+        replace(prop, positions=line(prop.positions), rotations=arc(prop.rotations))
+        if prop.moves
+        else prop
+        for prop in clip.props
+    ]
+    return replace(
+        clip, time=time, rotations=arc(clip.rotations), props=tuple(props), **found
     )
 
 
