@@ -239,7 +239,7 @@ class _Motion:
 def bent_limb(
     start: Array, goal: Array, toward: Array, lengths: Array
 ) -> tuple[Array, Array]:
-    """Return where middle and end of a limb of two bones are.
+    """Return where middle and end of a limb of two bones are, in closed form.
 
     The law of cosines says how far along the line to the goal the middle is, and how
     far aside. A goal out of reach is approached as far as the bones go.
