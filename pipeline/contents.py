@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.table import Table
 
@@ -46,7 +47,12 @@ _PARTS = {
 }
 _USD = (b"#usda", b"PXR-USDC")
 _MOCAP = (".amc", ".c3d")
+_FAILURE = ("kind", "part", "start_s", "end_s")
 _LISTED = 30  # names of joints on a terminal
+_SHOWN_APART = (
+    *("file", "kind", "format", "bodies", "notes", "body", "most_seen"),
+    *("states", "failures"),
+)
 
 
 def contents_of(
@@ -57,11 +63,7 @@ def contents_of(
     """Return what a file holds, ready for ``json.dump``.
 
     Always ``file``, ``kind`` and ``format``; for takes ``unit``, ``notes`` and
-    ``bodies``, for others what there is to say.
-
-    Args:
-        path: A take, a clip, mocap, contacts, a motion database, pairs or a model.
-        format: One of the formats of ``read_take``, for takes, to not go by content.
+    ``bodies``, for others what there is to say. ``format`` is one of ``read_take``'s.
 
     Raises:
         InputError: The file is missing, malformed or of no known kind.
@@ -116,9 +118,7 @@ def _of_clip(name: str) -> dict[str, Any]:
         "mass_kg": clip.body.mass,
         "reliability": float(clip.reliability.mean()),
         "origin": {o.name.lower(): float(np.mean(clip.origin == o)) for o in Origin},
-        "standing": dict(
-            zip(CONTACTS, clip.contacts.mean(axis=0).tolist(), strict=True)
-        ),
+        "standing": _standing(clip.contacts),
         "external_force_body_weights": float(force.mean()) if len(force) else None,
         "states": _states(clip),
     }
@@ -126,15 +126,18 @@ def _of_clip(name: str) -> dict[str, Any]:
 
 def _of_contacts(path: Path) -> dict[str, Any]:
     time, contacts = contact_table(path)
-    shares = contacts.mean(axis=0).tolist()
     return {
         "kind": "contacts",
         "format": "csv",
         "rows": len(time),
         "start_s": float(time[0]),
         "seconds": float(time[-1] - time[0]),
-        "share_of_rows_on_the_floor": dict(zip(CONTACTS, shares, strict=True)),
+        "share_of_rows_on_the_floor": _standing(contacts),
     }
+
+
+def _standing(contacts: NDArray[np.bool_]) -> dict[str, float]:
+    return dict(zip(CONTACTS, contacts.mean(axis=0).tolist(), strict=True))
 
 
 def _of_pairs(name: str) -> dict[str, Any]:
@@ -216,13 +219,12 @@ def contents_of_take(take: Take) -> dict[str, Any]:
         "joints_never_seen": [take.skeleton.joints[j] for j in never],
         "states": _states(take),
         "failures": [
-            {
-                "kind": failure.kind.name.lower(),
-                "part": failure.part,
-                "start_s": failure.start,
-                "end_s": failure.end,
-            }
-            for failure in failures
+            dict(
+                zip(
+                    _FAILURE, (f.kind.name.lower(), f.part, f.start, f.end), strict=True
+                )
+            )
+            for f in failures
         ],
     }
 
@@ -264,28 +266,27 @@ def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
 
 def as_tables(contents: dict[str, Any]) -> RenderableType:
     """Return the contents of a file (``contents_of``) as lines and tables."""
-    lines: list[RenderableType] = [
-        f"{contents['file']}: {contents['kind']}, {contents['format']}"
+    lines = [
+        f"{contents['file']}: {contents['kind']}, {contents['format']}",
+        *_facts(contents),
     ]
-    told = {"file", "kind", "format", "bodies", "notes", "states"}
-    lines += _facts({k: v for k, v in contents.items() if k not in told})
-    if "states" in contents:
-        lines.append(_state_table(contents["states"]))
-    for body in contents.get("bodies", []):
-        most = ", seen in most frames" * (
-            body["most_seen"] and len(contents["bodies"]) > 1
-        )
-        lines.append(f"body {body['body']} of {len(contents['bodies'])}{most}")
-        told = {"body", "most_seen", "states", "failures"}
-        lines += _facts({k: v for k, v in body.items() if k not in told})
-        lines += [_state_table(body["states"]), *_failures(body["failures"])]
+    bodies = contents.get("bodies", [])
+    for body in bodies:
+        most = ", seen in most frames" * (body["most_seen"] and len(bodies) > 1)
+        lines.append(f"body {body['body']} of {len(bodies)}{most}")
+        lines += _facts(body)
     return Group(*lines, *contents.get("notes", []))
 
 
 def _facts(facts: dict[str, Any]) -> list[RenderableType]:
-    return [
-        f"  {key.replace('_', ' ')}: {_told(value)}" for key, value in facts.items()
+    lines: list[RenderableType] = [
+        f"  {key.replace('_', ' ')}: {_told(value)}"
+        for key, value in facts.items()
+        if key not in _SHOWN_APART
     ]
+    if "states" in facts:
+        lines.append(_state_table(facts["states"]))
+    return lines + (_failures(facts["failures"]) if "failures" in facts else [])
 
 
 def _told(value: Any) -> str:
@@ -301,18 +302,14 @@ def _told(value: Any) -> str:
 
 def _state_table(parts: dict[str, dict[str, float]]) -> Table:
     states = next(iter(parts.values()))
-    table = Table(
-        "part",
-        *(state.replace("_", " ") for state in states),
-        title="tracking states",
-        title_justify="left",
-    )
+    columns = ("part", *(state.replace("_", " ") for state in states))
+    table = Table(*columns, title="tracking states", title_justify="left")
     for part, shares in parts.items():
         table.add_row(part, *(f"{share:.0%}" for share in shares.values()))
     return table
 
 
-def _failures(failures: list[dict[str, Any]]) -> list[str]:
+def _failures(failures: list[dict[str, Any]]) -> list[RenderableType]:
     """Return a line for each kind of failure of a part of the body."""
     counts = Counter((f["part"], f["kind"].replace("_", " ")) for f in failures)
     return [

@@ -71,12 +71,8 @@ def measured_body(
                 f"{STATURES[0]:g} to {STATURES[1]:g} m; are the positions in meters?"
             )
     body = standard_body(skeleton, height=height, mass=mass)
-    factor = np.array(
-        [
-            _ODDEST_LIMB if "Left" in j or "Right" in j else _ODDEST_TRUNK
-            for j in skeleton.joints
-        ]
-    )
+    limb = skeleton.mirror != np.arange(len(skeleton))
+    factor = np.where(limb, _ODDEST_LIMB, _ODDEST_TRUNK)
     sane = (known < factor * body.lengths) & (known * factor > body.lengths)
     lengths = np.where(sane, known, body.lengths)
     if directions is None:
@@ -90,11 +86,8 @@ def measured_body(
 
 def _mean_of_sides(values: Array, mirrored: Array) -> Array:
     """Return the mean of what is there of two arrays, NaN where nothing is."""
-    return np.where(
-        np.isnan(values),
-        mirrored,
-        np.where(np.isnan(mirrored), values, (values + mirrored) / 2.0),
-    )
+    both = np.where(np.isnan(mirrored), values, (values + mirrored) / 2.0)
+    return np.where(np.isnan(values), mirrored, both)
 
 
 def _head_to_ankle(skeleton: Skeleton) -> NDArray[np.intp]:

@@ -38,7 +38,9 @@ class Hands:
         """
         carried = after.copy()
         for elbow, wrist, hand in self._arms:
-            turn = _turn(before, after, elbow, wrist)
+            turn = between(
+                *(p[..., wrist, :] - p[..., elbow, :] for p in (before, after))
+            )
             for j in hand:
                 p, share = self._parents[j], trust[..., j, None]
                 follows = rotate(turn, _unit(before[..., j, :] - before[..., p, :]))
@@ -46,11 +48,6 @@ class Hands:
                 bone = _unit(share * stays + (1.0 - share) * follows)
                 carried[..., j, :] = carried[..., p, :] + body.lengths[j] * bone
         return carried
-
-
-def _turn(before: Array, after: Array, elbow: int, wrist: int) -> Array:
-    forearms = (p[..., wrist, :] - p[..., elbow, :] for p in (before, after))
-    return between(*forearms)
 
 
 def _unit(vectors: Array) -> Array:

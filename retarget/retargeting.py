@@ -195,9 +195,11 @@ class _Motion:
     def _level_toes(self, side: str, heights: Array) -> None:
         """Turn toes that are near the floor flat, below a foot whose heel is up."""
         turns = self.turns[self.rig.joint(f"{side} foot")]
+        up = rotate(turns, _UP)
         share = smooth_step(1.0 - heights / _TOE_NEAR)
-        share *= smooth_step((rotate(turns, _UP)[:, 1] - _STEEP) / (_SLOPING - _STEEP))
-        self.turns[self.rig.joint(f"{side} toes")] = _leveled(turns, share)
+        share *= smooth_step((up[:, 1] - _STEEP) / (_SLOPING - _STEEP))
+        level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
+        self.turns[self.rig.joint(f"{side} toes")] = slerp(turns, level, share)
 
     def shortage(self, side: str, goal: Array) -> Array:
         """Return by how much the hips are too high for a leg [m], shape (T,)."""
@@ -234,17 +236,10 @@ class _Motion:
         return np.asarray(aside + _HINGE * self._our_length(side, limb) * hinge)
 
 
-def _leveled(turns: Array, share: Array) -> Array:
-    """Return rotations (T, 4) that leave a sole level, in part, shape (T, 4)."""
-    up = rotate(turns, _UP)
-    level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
-    return slerp(turns, level, share)
-
-
 def bent_limb(
     start: Array, goal: Array, toward: Array, lengths: Array
 ) -> tuple[Array, Array]:
-    """Return where middle and end of a limb of two bones are.
+    """Return where middle and end of a limb of two bones are, in closed form.
 
     The law of cosines says how far along the line to the goal the middle is, and how
     far aside. A goal out of reach is approached as far as the bones go.

@@ -17,7 +17,6 @@ from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
     Clip,
-    positions_from_rotations,
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, multiply, rotate, rotation_vector
@@ -228,7 +227,7 @@ def standing(frames: int, shin: float, make_clip: Callable[..., Clip]) -> Clip:
     return replace(
         clip,
         rotations=rotations,
-        positions=positions_from_rotations(rotations, root, clip.body),
+        root=root,
         contacts=np.ones((frames, 4), dtype=bool),
     )
 

@@ -1,9 +1,9 @@
 """Files in and out: the only place with foreign axes, units and layouts.
 
-Each layout is described where it is read: ``layouts`` (a frame a row), ``ntu``,
-``azure``, ``msr_action3d``, ``bvh_takes``, ``acclaim`` and ``c3d``. Repeated time
-stamps, dropped frames and joints that are missing now and then, or always, are normal.
-Who is lost and back within 2 s and 0.5 m is the same person (``bodies``).
+Each layout is described where it is read: ``sheets`` (a frame a row), ``ntu``,
+``azure``, ``msr_action3d``, ``mocap_files`` (BVH), ``acclaim`` and ``c3d``. Repeated
+time stamps, dropped frames and joints that are missing now and then, or always, are
+normal. Who is lost and back within 2 s and 0.5 m is the same person (``recording``).
 """
 
 from .bvh import Bvh, read_bvh

@@ -107,11 +107,7 @@ def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
 
 
 def beginning(path: str | os.PathLike[str], most: int = 100) -> str:
-    """Return the first characters of a file's text, blanks and blank lines left out.
-
-    Args:
-        path: The file.
-        most: How many, at most about 60,000.
+    """Return the first characters of a text, of 60,000, leading blanks left out.
 
     Raises:
         InputError: As ``open_text``.
@@ -123,12 +119,8 @@ def beginning(path: str | os.PathLike[str], most: int = 100) -> str:
 def read_limited(path: str | os.PathLike[str], most: int) -> str:
     """Return a file's text, unzipped where it is gzip's.
 
-    Args:
-        path: The file.
-        most: Bytes that it may have at most.
-
     Raises:
-        InputError: As ``open_text``, or the text is longer.
+        InputError: As ``open_text``, or the text has more bytes than ``most``.
     """
     path = check_file(path)
     with _readable(path, most) as stream:

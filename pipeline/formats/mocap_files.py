@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State, Take
+from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
 from kinefilter.retarget.rig_map import matching_source_rig
 
 from .acclaim import read_amc, read_asf
@@ -22,7 +22,7 @@ from .bvh import read_bvh
 from .c3d import MAGIC, read_c3d
 from .files import beginning, check_file
 from .mocap import Mocap, bare_name, kinect_motion
-from .recording import Recording, check_extent, check_length, missing_marked
+from .recording import Recording, check_length, recording_of
 
 RIGS = ("cmu", "motionbuilder", "acclaim", "plug_in_gait")
 """Skeletons that mocap comes on, besides the Kinects' own."""
@@ -99,12 +99,16 @@ def read_bvh_take(source: str) -> Recording:
     names = [bare_name(name) for name in mocap.names]
     skeleton = KINECT_V1 if matching_source_rig(names, KINECT_V2, ())[1] else KINECT_V2
     motion = kinect_motion(mocap, skeleton, _BVH_RIGS)
-    state = np.full(motion.positions.shape[:2], State.TRACKED, dtype=np.uint8)
-    positions, state = missing_marked(motion.meters * motion.positions, state)
-    check_extent(positions, source)
-    time = np.arange(len(positions), dtype=np.float64) * motion.frame_time
-    take = Take(time, positions, state, skeleton, source)
-    scaled = f"no unit of length fits the bones; scaled by {motion.meters:.4g}"
-    return Recording(
-        (take,), "bvh", motion.unit or "unknown", () if motion.unit else (scaled,)
+    positions = motion.meters * motion.positions
+    return recording_of(
+        np.arange(len(positions), dtype=np.float64) * motion.frame_time,
+        positions,
+        np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8),
+        skeleton,
+        source,
+        "bvh",
+        unit=motion.unit or "unknown",
+        notes=()
+        if motion.unit
+        else (f"no unit of length fits the bones; scaled by {motion.meters:.4g}",),
     )

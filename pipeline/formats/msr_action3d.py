@@ -15,16 +15,9 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, InputError, Take
+from kinefilter.characters import KINECT_V1, InputError
 
-from .recording import (
-    MOST_FRAMES,
-    Recording,
-    check_extent,
-    check_length,
-    missing_marked,
-    open_rows,
-)
+from .recording import MOST_FRAMES, Recording, check_length, open_rows, recording_of
 from .rows import RowReader
 
 JOINTS = (
@@ -62,11 +55,9 @@ def read_msr_action3d(source: str) -> Recording:
     values = np.concatenate(blocks).reshape(-1, len(JOINTS), len(_COLUMNS))
     _check_meters(values, source)
     ours = [JOINTS.index(joint) for joint in KINECT_V1.joints]
-    positions, state = missing_marked(values[:, ours, :3], _states(values[:, ours, 3]))
-    check_extent(positions, source)
     time = np.arange(len(values)) / _FRAMES_PER_SECOND
-    take = Take(time, positions, state, KINECT_V1, source)
-    return Recording((take,), "msr-action3d")
+    places, states = values[:, ours, :3], _states(values[:, ours, 3])
+    return recording_of(time, places, states, KINECT_V1, source, "msr-action3d")
 
 
 def _check_meters(values: NDArray[np.float64], source: str) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,20 +57,13 @@ class Recording:
         return int(np.argmax([frames.sum() for frames in seen]))
 
     def numbers(self, body: int | Literal["all"] | None) -> list[int]:
-        """Return the numbers, from 1, of who is asked for.
-
-        Args:
-            body: A number, or all; None: who is seen in most frames.
-        """
+        """Return the numbers, from 1, of those asked for; None: the main person."""
         if body == "all":
             return list(range(1, len(self.takes) + 1))
         return [self.main + 1 if body is None else body]
 
     def take(self, body: int | None = None) -> Take:
-        """Return the take of a person.
-
-        Args:
-            body: Which, counted from 1; None: who is seen in most frames.
+        """Return the take of a person, counted from 1; None: the main person.
 
         Raises:
             InputError: There is no such person.
@@ -127,6 +120,27 @@ def missing_marked(
     )
 
 
+def recording_of(
+    time: Array,
+    positions: Array,
+    state: NDArray[np.uint8],
+    skeleton: Skeleton,
+    source: str,
+    layout: str,
+    **known: Any,
+) -> Recording:
+    """Return the recording of one person; raises InputError where it can be none.
+
+    Time [s] is (T,), positions [m] are (T, J, 3), states (State) are (T, J); the rest
+    are fields of the take and of the recording.
+    """
+    check_length(len(time), source)
+    check_rate(time, source)
+    positions, state = missing_marked(positions, state)
+    check_extent(positions, source)
+    return Recording((Take(time, positions, state, skeleton, source),), layout, **known)
+
+
 def check_length(frames: int, source: str) -> None:
     """Raise InputError for fewer than two frames or more than any recording's."""
     if frames < 2:
@@ -151,12 +165,9 @@ def check_rate(time: Array, source: str) -> None:
 
 
 def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
-    """Raise InputError where time [s] goes backwards.
+    """Raise InputError where time stamps [s] (T,) go backwards.
 
-    Args:
-        time: Time stamps [s], shape (T,).
-        where: Names file and frame of an index, for the message.
-        what: What the file's frames are called, for the message.
+    For the message, ``where`` names an index and ``what`` the frames of the file.
     """
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
@@ -225,7 +236,7 @@ def takes_of(
         source: The file, for messages.
 
     Raises:
-        InputError: Nobody is seen, a body is in a frame twice, or it is no take.
+        InputError: Nobody is seen, a body is in a frame twice, or it is not a take.
     """
     check_length(len(time), source)
     check_rate(time, source)
@@ -245,7 +256,7 @@ def takes_of(
 def _people(
     time: Array, sightings: Sequence[Sighting], source: str
 ) -> list[list[Sighting]]:
-    """Return the sightings of each person, who appears first first."""
+    """Return the sightings of each person, in the order in which they appear."""
     tracks: dict[int, list[Sighting]] = {}
     for sighting in sightings:
         track = tracks.setdefault(sighting.body, [])

@@ -60,21 +60,18 @@ def resampled(clip: Clip, fps: float) -> Clip:
         return found
 
     nearest = np.where(share < 0.5, before, after)
-    arrays: dict[str, Any] = {
+    found: dict[str, Any] = {
         **{name: line(getattr(clip, name)) for name in _ON_A_LINE},
         **{name: getattr(clip, name)[nearest] for name in _NEAREST},
     }
+    props = [
+        replace(prop, positions=line(prop.positions), rotations=arc(prop.rotations))
+        if prop.moves
+        else prop
+        for prop in clip.props
+    ]
     return replace(
-        clip,
-        time=time,
-        rotations=arc(clip.rotations),
-        **arrays,
-        props=tuple(
-            replace(p, positions=line(p.positions), rotations=arc(p.rotations))
-            if p.moves
-            else p
-            for p in clip.props
-        ),
+        clip, time=time, rotations=arc(clip.rotations), props=tuple(props), **found
     )
 
 

@@ -29,12 +29,11 @@ from .files import atomic_path
 from .recording import (
     MOST_FRAMES,
     Recording,
-    check_extent,
     check_length,
     check_order,
-    check_rate,
     missing_marked,
     open_rows,
+    recording_of,
 )
 from .rows import Block, RowReader
 
@@ -227,13 +226,10 @@ def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
         # The clock of the machine; subtracted before scaling, which rounds.
         time = (time - time[0]) * layout.seconds
     check_order(time, lambda k: f"{source}: row {rows[k]}, column time", "rows")
-    check_rate(time, source)
-    check_extent(positions, source)
     if layout.weighted and state.max() == State.INFERRED:
         # The w of a homogeneous point, which is 1 wherever there is one.
         state = np.where(state > 0, State.TRACKED, State.NOT_TRACKED).astype(np.uint8)
-    take = Take(time, positions, state, layout.skeleton, source)
-    return Recording((take,), layout.name)
+    return recording_of(time, positions, state, layout.skeleton, source, layout.name)
 
 
 read_kinefilter = partial(_read, _kinefilter)

@@ -141,9 +141,23 @@ def _character_reference(
 def _write_layer(
     clip: Clip, moved: RigMotion, path: Path, export: Export, reference: str | None
 ) -> None:
-    from pxr import Kind, Sdf, Usd, UsdSkel
+    from pxr import Sdf
 
     layer = Sdf.Layer.CreateNew(str(path))
+    _fill(layer, clip, moved, export, alone=reference is None)
+    if reference is not None:
+        # Last, when no stage looks for its layer, which may not be in its place yet.
+        references = layer.GetPrimAtPath(CHARACTER).referenceList
+        references.Prepend(Sdf.Reference(reference))
+    layer.Save()
+
+
+def _fill(
+    layer: Any, clip: Clip, moved: RigMotion, export: Export, *, alone: bool
+) -> None:
+    """Write a clip into a layer, with its character if it is to stand alone."""
+    from pxr import Kind, Usd, UsdSkel
+
     whole = round(clip.fps)
     near = abs(clip.fps - whole) <= _RATE_TOLERANCE * clip.fps
     rate = export.fps or (float(whole) if near else clip.fps)
@@ -157,7 +171,7 @@ def _write_layer(
     if export.rig is not None:
         define_skeleton(stage, moved.rig, export)
         clip = replace(clip, props=())
-    elif reference is None:
+    elif alone:
         define_character(stage, clip.body, export)
     root = UsdSkel.Root.Define(stage, CHARACTER)
     stage.SetDefaultPrim(root.GetPrim())
@@ -171,11 +185,6 @@ def _write_layer(
     _write_extents(layer, clip, moved, export, codes)
     layer.Save()
     _write_provenance(layer, clip, codes)
-    if reference is not None:
-        # Last, when no stage looks for its layer, which may not be in its place yet.
-        references = layer.GetPrimAtPath(CHARACTER).referenceList
-        references.Prepend(Sdf.Reference(reference))
-    layer.Save()
 
 
 def _define_animation(stage: Any, moved: RigMotion) -> None:

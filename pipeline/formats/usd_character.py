@@ -113,15 +113,13 @@ def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
 
 def define_character(stage: Any, body: Body, export: Export) -> None:
     """Define the skeleton and the skin of a body under ``/Character``."""
-    from pxr import Gf, UsdGeom, UsdSkel, Vt
+    from pxr import Gf, UsdSkel, Vt
 
     rig = rig_of(body)
     define_skeleton(stage, rig, export)
     skin = skin_of(body)
     points = export.points(skin.points)
-    mesh = _mesh(stage, SKIN, points, skin.quads)
-    mesh.CreateNormalsAttr(vectors(export.axes(skin.normals)))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh = _mesh(stage, SKIN, points, skin.quads, export.axes(skin.normals))
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*_COLOR)])
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([SKELETON])
@@ -166,13 +164,22 @@ def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
     return Vt.Matrix4dArray.FromNumpy(matrices)
 
 
-def _mesh(stage: Any, path: Any, points: Array, faces: NDArray[Any]) -> Any:
+def _mesh(
+    stage: Any,
+    path: Any,
+    points: Array,
+    faces: NDArray[Any],
+    normals: Array | None = None,
+) -> Any:
     """Define a mesh of faces that have as many corners each, shape (F, C)."""
     from pxr import UsdGeom, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, path)
     corners = faces.astype(np.int32)
     mesh.CreatePointsAttr(vectors(points))
+    if normals is not None:
+        mesh.CreateNormalsAttr(vectors(normals))
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(corners), corners.shape[1]))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
