@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Prop
 from kinefilter.characters.rotations import rotate
-from kinefilter.pipeline.target.placement import place_of
+from kinefilter.pipeline.target.floor import place_of
 
 
 def props_around(clip: Clip, frames: Clip, scene: str | None) -> tuple[Prop, ...]:
@@ -27,7 +27,7 @@ def props_around(clip: Clip, frames: Clip, scene: str | None) -> tuple[Prop, ...
         return frames.props
     import mujoco  # by now its OpenGL is chosen
 
-    from kinefilter.pipeline.physics.things import Things
+    from kinefilter.pipeline.physics.filter import Things
     from kinefilter.scenes import load_scene
 
     model = load_scene(scene).compile()

@@ -13,7 +13,7 @@ from kinefilter.pipeline.clip_frame import in_clip_frame, same_stamps
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.formats.files import check_file
 from kinefilter.pipeline.metrics import measure
-from kinefilter.pipeline.target.contacts import feet_of
+from kinefilter.pipeline.target.feet import feet_of
 
 from .table import figures_of
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY
-from kinefilter.pipeline.target.contacts import ankles_and_toes
+from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .solids import upright_cylinder
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import State
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.reliability.shum import ReliabilityScorer
+from kinefilter.pipeline.reliability import ReliabilityScorer
 
 LARGEST_DISPLACEMENT = 0.03
 """T [m]: a joint that is no farther from where it was has made no error (eq. 10)."""

@@ -17,7 +17,7 @@ from scipy.special import expit
 
 from kinefilter.characters import STANDARD_HEIGHT, Skeleton, State, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.reliability.shum import Reference
+from kinefilter.pipeline.reliability import Reference
 from kinefilter.retarget import measured_body
 
 from .doubt import DoubtWeights

@@ -10,7 +10,7 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.reliability.shum import measure_reference
+from kinefilter.pipeline.reliability import measure_reference
 
 from .doubt import DoubtWeights, kind_of
 from .learned import TERMS, LearnedReliabilityScorer

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinefilter.pipeline.correct import LearnedCorrector, correct_take
-from kinefilter.pipeline.correct.interface import TrainingSet
+from kinefilter.pipeline.correct import LearnedCorrector, TrainingSet, correct_take
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import observed
 from kinefilter.pipeline.pairs import PairedTake

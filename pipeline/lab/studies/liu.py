@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinefilter.pipeline.correct.interface import TrainingSet
+from kinefilter.pipeline.correct import TrainingSet
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.progress import Progress, silent
 
