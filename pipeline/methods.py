@@ -43,16 +43,16 @@ METHODS = {
     "local-gp": Method("correct.local_gp:LocalGP", "pairs", ("adapt",)),
     "joint-offsets": Method("correct.joint_offsets:JointOffsets", "pairs"),
     "clustered-gp": Method("lab.methods.clustered_gp:ClusteredGP", "pairs"),
-    "full-gp": Method("correct.full_gp:FullGP", "pairs"),
-    "exemplar": Method("lab.methods.exemplar:Exemplar", "pairs"),
+    "full-gp": Method("lab.methods.baselines:FullGP", "pairs"),
+    "exemplar": Method("lab.methods.baselines:Exemplar", "pairs"),
     "none": Method("correct.hold:Hold", "skeleton"),
     "butterworth": Method("lab.methods.filters:Butterworth", "skeleton"),
     "savgol": Method("lab.methods.filters:SavitzkyGolay", "skeleton"),
     "one-euro": Method("correct.one_euro:OneEuro", "skeleton"),
-    "kalman": Method("lab.methods.kalman:ConstantLengthKalman", "skeleton"),
+    "kalman": Method("lab.methods.filters:ConstantLengthKalman", "skeleton"),
     "low-rank": Method("lab.methods.low_rank:LowRank", "skeleton"),
-    "nearest": Method("lab.methods.shum_baselines:Nearest", "database"),
-    "no-reliability": Method("lab.methods.shum_baselines:NoReliability", "database"),
+    "nearest": Method("lab.methods.baselines:Nearest", "database"),
+    "no-reliability": Method("lab.methods.baselines:NoReliability", "database"),
 }
 """Correction methods."""
 
@@ -60,7 +60,7 @@ LEARNED = {name: m for name, m in METHODS.items() if m.made_of == "pairs"}
 """Correction methods that learn from pairs."""
 
 SCORERS = {
-    "shum": "reliability.shum:ReliabilityScorer",
+    "shum": "reliability:ReliabilityScorer",
     "chiang": "lab.scorers.chiang:ChiangReliabilityScorer",
     "noise": "lab.scorers.noise:NoiseReliabilityScorer",
     "learned": "lab.scorers.learned:LearnedReliabilityScorer",

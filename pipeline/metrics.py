@@ -1,4 +1,10 @@
-"""Every figure of quality that kinefilter prints, with its definition."""
+"""Every figure of quality that kinefilter prints, with its definition.
+
+Time stamps [s] have shape (T,), joint positions [m] (T, J, 3), NaN where missing, in
+the world frame with the floor at y = 0; ``stands`` tells whether each foot (left,
+right) stands, shape (T, 2), and the body has the lengths, capsules and masses. A figure
+that nothing can be measured of is NaN.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +16,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import GRAVITY, joint_masses
-from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes
+from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
 from kinefilter.retarget.runs import runs
 
 SKATE_HEIGHT = 0.05
@@ -55,20 +61,14 @@ class Quality:
 
 
 def bone_length_cv(positions: Array, body: Body) -> float:
-    """Return the mean coefficient of variation of segment lengths over the frames.
-
-    Args:
-        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
-        body: The skeleton.
-    """
+    """Return the mean coefficient of variation of segment lengths over the frames."""
     variations = []
     for j in body.skeleton.segments:
         bones = positions[:, j] - positions[:, body.skeleton.parents[j]]
-        lengths = np.linalg.norm(bones, axis=1)
-        lengths = lengths[~np.isnan(lengths)]
+        lengths = _known(np.linalg.norm(bones, axis=1))
         if len(lengths) > 1:
             variations.append(lengths.std() / lengths.mean())
-    return float(np.mean(variations)) if variations else float("nan")
+    return _mean(np.array(variations))
 
 
 def jitter(time: Array, positions: Array) -> float:
@@ -76,13 +76,9 @@ def jitter(time: Array, positions: Array) -> float:
 
     Only runs of four frames at the nominal rate (within half a step) count, with the
     joint present in all of them.
-
-    Args:
-        time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
     """
     third, nominal = even_differences(time, positions, 3)
-    third = third.T[~np.isnan(third.T)]
+    third = _known(third.T)
     return float(third.mean() / nominal**3) if len(third) else float("nan")
 
 
@@ -91,11 +87,7 @@ def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, 
 
     NaN where a step is off the nominal one by half of it or more, and where the joint
     is missing in one of the frames; shape (T - order, J), empty for too short motions.
-
-    Args:
-        time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
-        order: Of the difference, 1 or more.
+    The order is 1 or more.
     """
     count, joints = max(len(time) - order, 0), positions.shape[1]
     steps, nominal = np.diff(time), _nominal_step(time)
@@ -139,8 +131,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
         low = height < SKATE_HEIGHT
         moved = np.linalg.norm(np.diff(positions[:, foot][:, [0, 2]], axis=0), axis=1)
         speeds.append((moved / steps)[low[1:] & low[:-1]])
-    speed = np.concatenate(speeds)
-    speed = speed[~np.isnan(speed)]
+    speed = _known(np.concatenate(speeds))
     if len(speed) == 0:
         return float("nan"), float("nan"), float("nan")
     share = float(np.mean(speed > SKATE_SPEED))
@@ -148,31 +139,17 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
 
 
 def floating(positions: Array, stands: NDArray[np.bool_], body: Body) -> float:
-    """Return how far the soles of standing feet are over the floor, mean [m].
-
-    Args:
-        positions: Joint positions [m], floor at y = 0, shape (T, J, 3).
-        stands: Whether each foot (left, right) stands, shape (T, 2).
-        body: Whose soles they are.
-    """
+    """Return how far the soles of standing feet are over the floor, mean [m]."""
     _, toes = ankles_and_toes(body.skeleton)
     over = np.maximum(positions[:, toes, 1] - body.radii[toes], 0.0)[stands]
-    over = over[~np.isnan(over)]
-    return float(over.mean()) if len(over) else float("nan")
+    return _mean(_known(over))
 
 
 def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:
-    """Return the speed [m/s] that joints exceed in a hundredth of the frames.
-
-    Args:
-        time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
-        joints: Which ones.
-    """
+    """Return the speed [m/s] that joints exceed in a hundredth of the frames."""
     steps = np.diff(time)
     moved = np.linalg.norm(np.diff(positions[:, joints], axis=0), axis=2)
-    speed = moved[steps > 0] / steps[steps > 0, None]
-    speed = speed[~np.isnan(speed)]
+    speed = _known(moved[steps > 0] / steps[steps > 0, None])
     return float(np.percentile(speed, 99.0)) if len(speed) else float("nan")
 
 
@@ -183,14 +160,8 @@ def flight_error(
 
     In flight, no foot stands and nothing of the body is under 5 cm, for five frames or
     more. Over each flight, the mean acceleration (that of the parabola which fits best)
-    is compared with gravity's; mean over flights by frames, NaN without any. Momentum
-    is consistent where this is zero. A joint that is missing in a flight has no mass.
-
-    Args:
-        time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], floor at y = 0, NaN where missing, (T, J, 3).
-        stands: Whether each foot (left, right) stands, shape (T, 2).
-        body: Whose masses they are.
+    is compared with gravity's; mean over flights by frames. Momentum is consistent
+    where this is zero. A joint that is missing in a flight has no mass.
     """
     flying = ~stands.any(axis=1) & (lowest_point(positions, body) > SKATE_HEIGHT)
     masses = joint_masses(body)
@@ -228,13 +199,19 @@ def _nominal_step(time: Array) -> float:
     return float(np.median(steps)) if len(steps) else float("nan")
 
 
+def _known(values: Array) -> Array:
+    return values[~np.isnan(values)]
+
+
+def _mean(values: Array) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
 def distances(positions: Array, raw: Array) -> Array:
     """Return the distance [m] of every joint from its measurement, shape (T, J)."""
-    away = [
-        np.linalg.norm(positions[:, j] - raw[:, j], axis=1)
-        for j in range(positions.shape[1])
-    ]
-    return np.stack(away, axis=1)
+    # Joint by joint: the differences of an hour's take would fill the memory.
+    pairs = zip(positions.swapaxes(0, 1), raw.swapaxes(0, 1), strict=True)
+    return np.stack([np.linalg.norm(a - b, axis=1) for a, b in pairs], axis=1)
 
 
 def measure(
@@ -244,19 +221,10 @@ def measure(
     body: Body,
     stands: NDArray[np.bool_],
 ) -> Quality:
-    """Return the quality of a motion beside the measurement it came from.
-
-    Args:
-        time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], world frame, floor at 0, shape (T, J, 3).
-        raw: The measurement in the same frame, NaN where missing, shape (T, J, 3).
-        body: Whose capsules they are.
-        stands: Whether each foot (left, right) stands, shape (T, 2).
-    """
+    """Return the quality of a motion beside ``raw``, the measurement it came from."""
     hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]
     slide, share, fastest = skate(time, positions, body)
-    low = lowest_point(positions, body)
-    low = low[~np.isnan(low)]
+    low = _known(lowest_point(positions, body))
     moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
     both = raw_moves > 1e-6
     kept = moves[both].sum() / raw_moves[both].sum() if both.any() else np.nan

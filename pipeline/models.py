@@ -50,7 +50,7 @@ def load_model(path: Path) -> Model:
     """Read a model that ``save_model`` wrote.
 
     Raises:
-        InputError: The file is missing, is no model, or of a newer kinefilter.
+        InputError: The file is missing, not a model, or of a newer kinefilter.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such model; make one with 'kinefilter train'")

@@ -45,7 +45,7 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
     ``state`` (N, J). NaN is a joint that the recording does not have.
 
     Raises:
-        InputError: The file is missing, is no pairs file, or its two sides differ.
+        InputError: The file is missing or not a pairs file, or its two sides differ.
     """
     path = Path(path)
     if not path.is_file():
@@ -61,7 +61,7 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
         return _clips_of(path, arrays)
     except (ValueError, TypeError, IndexError, OverflowError) as error:
         raise InputError(
-            f"{path}: its arrays are no pairs ({type(error).__name__}); write it again"
+            f"{path}: its arrays are not pairs ({type(error).__name__}); write it again"
         ) from None
 
 

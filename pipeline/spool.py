@@ -1,4 +1,4 @@
-"""Arrays larger than memory: they grow on a disk and are read as if they were there."""
+"""Arrays larger than memory: they grow in a file on disk and are read through a map."""
 
 from __future__ import annotations
 

@@ -41,10 +41,16 @@ from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
 from .reliability import Reference, measure_body, measure_reference, rest_reference
-from .target.contacts import StanceTracker, ankles_and_toes, feet_of, find_stance
-from .target.floor import floor_height, leveled, put_on_floor, sensor_tilt
-from .target.placement import place_of
-from .target.planting import PLANTED, flat_height, plant_feet
+from .target.feet import (
+    PLANTED,
+    StanceTracker,
+    ankles_and_toes,
+    feet_of,
+    find_stance,
+    flat_height,
+    plant_feet,
+)
+from .target.floor import floor_height, leveled, place_of, put_on_floor, sensor_tilt
 from .target.smooth import smooth, smooth_by_speed
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother, against a measured one's 1

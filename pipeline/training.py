@@ -11,7 +11,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.retarget import Standardizer
 
 from .cleaner import Cleaner
-from .correct.interface import TrainingSet
+from .correct import TrainingSet
 from .draft import Draft
 from .pairs import PairedTake
 from .spool import Spool

@@ -18,8 +18,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from kinefilter.characters import KINECT_V1, InputError, standard_body
-from kinefilter.pipeline.correct import Correction, Observation
-from kinefilter.pipeline.correct.interface import TrainingSet
+from kinefilter.pipeline.correct import Correction, Observation, TrainingSet
 from kinefilter.pipeline.lab.methods.clustered_gp import BoneWalk, ClusteredGP
 
 Array = NDArray[np.float64]
@@ -101,7 +100,7 @@ def test_the_process_is_that_of_scikit_learn() -> None:
     lessons = _lessons(SHIFT, count=150)
     # As many centroids as frames: every cluster is one posture.
     model = ClusteredGP(KINECT_V1, centroids=150).fit(lessons)
-    kernel = model.kernel_
+    kernel = model.kernel
     same = WhiteKernel(kernel.noise) + sum(
         (
             ConstantKernel(variance) * RBF(1.0 / float(scale[0]))

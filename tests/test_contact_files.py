@@ -24,7 +24,7 @@ from kinefilter.pipeline.formats import (
     write_contacts,
 )
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.target.contacts import feet_of
+from kinefilter.pipeline.target.feet import feet_of
 
 MakeClip = Callable[..., Clip]
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ from skeletons import every_skeleton
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.pairs import read_pairs
-from kinefilter.pipeline.target import contacts
-from kinefilter.pipeline.target.contacts import (
+from kinefilter.pipeline.target import feet
+from kinefilter.pipeline.target.feet import (
     SIDES,
     ankles_and_toes,
     feet_of,
@@ -114,7 +114,7 @@ def test_a_foot_that_crept_elsewhere_has_stepped_unseen() -> None:
 def test_a_step_that_nobody_saw_takes_as_long_as_a_step() -> None:
     path, stands = np.zeros((120, 2)), np.ones(120, dtype=np.bool_)
     path[60:, 0] = 0.3
-    contacts._split(stamps(120), path, stands, slice(0, 120))
+    feet._split(stamps(120), path, stands, slice(0, 120))
     # Three tenths of a second about the 60th frame.
     assert runs(~stands) == [slice(56, 65)]
 
@@ -159,14 +159,14 @@ def test_who_sits_down_and_gets_up_stands_on_feet_that_tremble_up_and_down() -> 
 def test_a_short_stance_keeps_its_half_in_the_middle() -> None:
     stands = np.zeros((60, 2), dtype=np.bool_)
     stands[20:26] = True
-    shorter = contacts._unloaded(stamps(60), stands)
+    shorter = feet._unloaded(stamps(60), stands)
     assert runs(shorter[:, 0]) == runs(shorter[:, 1]) == [slice(22, 24)]
 
 
 @pytest.mark.parametrize("foot", [0, 1])
 def test_frame_by_frame_a_change_has_to_gather_evidence(foot: int) -> None:
     def stands(lifted: slice) -> Flags:
-        tracker, path = contacts.StanceTracker(), np.tile([0.0, 0.08, 2.0], (60, 2, 1))
+        tracker, path = feet.StanceTracker(), np.tile([0.0, 0.08, 2.0], (60, 2, 1))
         path[lifted, foot, 1] += 0.3
         return np.array([tracker.step(ankles, 0.08, 1.0 / 30.0) for ankles in path])
 
@@ -189,10 +189,10 @@ def test_the_sequence_is_the_most_probable_of_all(
 ) -> None:
     log_odds = np.array(odds)
     every = np.array(list(product([False, True], repeat=len(odds))))
-    found = contacts._most_probable(log_odds)
+    found = feet._most_probable(log_odds)
     changes = np.abs(np.diff(every.astype(int), axis=1)).sum(axis=1)
     for foot in range(2):
-        scores = every @ log_odds[:, foot] - contacts._SWITCH * changes
+        scores = every @ log_odds[:, foot] - feet._SWITCH * changes
         chosen = int(np.flatnonzero((every == found[:, foot]).all(axis=1))[0])
         assert scores[chosen] == pytest.approx(scores.max(), abs=1e-9)
 

@@ -20,7 +20,7 @@ from kinefilter.pipeline.failures import (
     find_failures,
     unmirrored,
 )
-from kinefilter.pipeline.failures.trunk import trunk_axes
+from kinefilter.pipeline.failures.limbs import trunk_axes
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import Reliability
 from kinefilter.pipeline.summary import as_json

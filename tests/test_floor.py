@@ -19,7 +19,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_y, normalize, rotate
 from kinefilter.pipeline.metrics import lowest_point
-from kinefilter.pipeline.target.contacts import find_stance
+from kinefilter.pipeline.target.feet import find_stance
 from kinefilter.pipeline.target.floor import floor_height, put_on_floor
 from kinefilter.scenes.library import perform
 

@@ -28,9 +28,9 @@ from kinefilter.pipeline.correct import (
     Hold,
     InTurn,
     Observation,
+    TrainingSet,
     joint_offsets,
 )
-from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft

@@ -10,7 +10,7 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.correct import Correction, Hold, Observation
-from kinefilter.pipeline.lab.methods.kalman import (
+from kinefilter.pipeline.lab.methods.filters import (
     ACCELERATION_DENSITY,
     FIRST_SPEED,
     LONGEST_PREDICTION,
@@ -20,7 +20,7 @@ from kinefilter.pipeline.lab.methods.kalman import (
     ConstantVelocity,
     measurement_variance,
 )
-from kinefilter.pipeline.reliability.shum import segment_lengths
+from kinefilter.pipeline.reliability import segment_lengths
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,14 @@ import pytest
 from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline import spool
 from kinefilter.pipeline.cli import main
+<<<<<<< HEAD
 from kinefilter.pipeline.correct import interface
 from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.correct.lessons import Lessons
+=======
+from kinefilter.pipeline.correct import TrainingSet
+from kinefilter.pipeline.correct.learned import Lessons
+>>>>>>> correct
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs

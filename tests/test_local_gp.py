@@ -22,9 +22,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import Ridge
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.correct.full_gp import JointFeatures
 from kinefilter.pipeline.correct.local_gp import LocalGP, least_energy
-from kinefilter.pipeline.correct.local_models import LinearTrend
+from kinefilter.pipeline.correct.local_models import JointFeatures, LinearTrend
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +41,7 @@ def test_a_local_model_is_the_process_of_scikit_learn(clusters: int) -> None:
     models, found = model._models, set()
     for m in np.flatnonzero(np.isin(model.joints_, [WRIST, ELBOW])):
         for query in queries:
-            scaled = query * model.kernels_.roots
+            scaled = query * model.kernels.roots
             mean, variance = models.predict(scaled, 1)
             apart = np.linalg.norm(models.centers[m, :clusters] - scaled[m], axis=1)
             q = int(apart.argmin())
@@ -57,7 +56,7 @@ def _reference(
     model: LocalGP, size: int, m: int, q: int, query: Array
 ) -> tuple[Array, Array]:
     """Return mean [m] and deviation [m] of a joint's nearest process, shape (3,)."""
-    theta0, theta1, noise, *roots = model.kernels_.table[m, : 3 + size]
+    theta0, theta1, noise, *roots = model.kernels_[m, : 3 + size]
     same = (
         ConstantKernel(theta0) * RBF(1.0 / np.array(roots))
         + ConstantKernel(theta1)
@@ -120,9 +119,9 @@ def test_the_mean_alone_is_left_without_the_other_terms(
     model.temporal = model.reliability = 0.0
     posture = postures_of(1, seed=5)[0]
     features = model._features(posture)
-    mean, _ = model._models.predict(features * model.kernels_.roots, model.blended)
+    mean, _ = model._models.predict(features * model.kernels.roots, model.blended)
     moved = corrected(model, posture[None])[0].positions - posture
-    expected = model.trend_(features) + mean
+    expected = model.trend(features) + mean
     np.testing.assert_allclose(moved[model.joints_], expected, atol=1e-12)
 
 

@@ -84,7 +84,7 @@ def test_learning_online_factorizes_nothing_again(
 def test_a_grown_local_model_is_the_one_learned_at_once(adapting: LocalGP) -> None:
     adapting.start()
     models, m = adapting._models, int(np.flatnonzero(adapting.joints_ == WRIST)[0])
-    kernel = adapting.kernels_.of_joint(m)
+    kernel = adapting.kernels.of_joint(m)
     x = models.centers[m, 0] + 0.1
     n = int(models.counts[m, 0])
     models.learn(m, x, BIAS, np.inf)
@@ -93,7 +93,7 @@ def test_a_grown_local_model_is_the_one_learned_at_once(adapting: LocalGP) -> No
         np.argmax(models.counts[m, : adapting.counts_.shape[1]] - adapting.counts_[m])
     )
     n = int(adapting.counts_[m, q])
-    roots = adapting.kernels_.roots[m]
+    roots = adapting.kernels.roots[m]
     rows = np.vstack([adapting.features_[m, q, :n] * roots, x])
     factor = models.factors[m, q, : n + 1, : n + 1]
     np.testing.assert_allclose(factor.T @ factor, kernel.of_samples(rows), atol=1e-9)
@@ -103,7 +103,7 @@ def test_a_posture_like_no_center_begins_a_local_model(adapting: LocalGP) -> Non
     adapting.start()
     models, m = adapting._models, int(np.flatnonzero(adapting.joints_ == WRIST)[0])
     known = adapting.counts_.shape[1]
-    x = np.full(models.centers.shape[2], 50.0) * (adapting.kernels_.roots[m] > 0)
+    x = np.full(models.centers.shape[2], 50.0) * (adapting.kernels.roots[m] > 0)
     models.learn(m, x, BIAS, float(adapting.reach_[m]))
     assert models.counts[m, known] == 1
     np.testing.assert_array_equal(models.centers[m, known], x)

@@ -12,15 +12,16 @@ from sklearn.decomposition import PCA
 
 from kinefilter.characters import KINECT_V1, Skeleton, Take, standard_body
 from kinefilter.pipeline.correct import Hold, LocalPCA, Observation
-from kinefilter.pipeline.correct.blend import RELIABLE, Blend, measurement_trust
+from kinefilter.pipeline.correct.hold import RELIABLE, Blend, measurement_trust
 from kinefilter.pipeline.correct.posture_space import (
     EnergyWeights,
     PostureEnergy,
     PostureSpace,
+    solve,
+    stochastic_search,
 )
-from kinefilter.pipeline.correct.search import solve, stochastic_search
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
-from kinefilter.pipeline.lab.methods.shum_baselines import Nearest, NoReliability
+from kinefilter.pipeline.lab.methods.baselines import Nearest, NoReliability
 from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
 from kinefilter.retarget import Standardizer, measured_body
 from kinefilter.scenes.library import perform

@@ -13,7 +13,7 @@ from skeletons import every_skeleton
 from kinefilter import PostureDatabase
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.correct import LocalPCA, Observation
-from kinefilter.pipeline.correct.natural_spaces import NaturalSpaces
+from kinefilter.pipeline.correct.posture_space import NaturalSpaces
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.lab.scripted_database import scripted_database

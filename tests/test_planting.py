@@ -14,13 +14,13 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate
-from kinefilter.pipeline.target import planting
-from kinefilter.pipeline.target.contacts import (
+from kinefilter.pipeline.target import feet
+from kinefilter.pipeline.target.feet import (
     SIDES,
     ankles_and_toes,
     find_stance,
+    plant_feet,
 )
-from kinefilter.pipeline.target.planting import plant_feet
 from kinefilter.retarget.runs import runs
 from kinefilter.scenes.library import perform
 
@@ -156,7 +156,7 @@ def test_a_foot_stays_over_its_place_while_it_is_lifted_and_set_down() -> None:
     path[:, :, 2] = np.linspace(0.0, 1.0, 100)[:, None]
     stances = [slice(0, 30), slice(70, 100)]
     resting = [np.zeros((30, 2, 3)), np.ones((30, 2, 3))]
-    joined = planting._joined(time, path, resting, stances)
+    joined = feet._joined(time, path, resting, stances)
     np.testing.assert_allclose(joined[30:38], 0.0, atol=1e-9)
     np.testing.assert_allclose(joined[62:70], 1.0, atol=1e-9)
     assert 0.3 < joined[50, 0, 2] < 0.7
@@ -167,10 +167,10 @@ def test_a_lift_rises_and_sinks_at_an_even_speed() -> None:
     stands = np.ones(100, dtype=np.bool_)
     stands[20:80] = False
     toe[20:80, 2] = np.linspace(0.0, 0.6, 60)
-    lift = planting._lift(time, toe, 0.0, stands)[:, 0]
+    lift = feet._lift(time, toe, 0.0, stands)[:, 0]
     assert not lift[stands].any()
-    assert lift.max() == pytest.approx(planting._CLEARANCE)
-    steepest = planting._CLEARANCE / planting._LIFT_TIME
+    assert lift.max() == pytest.approx(feet._CLEARANCE)
+    steepest = feet._CLEARANCE / feet._LIFT_TIME
     assert np.abs(np.diff(lift)).max() * 100.0 == pytest.approx(steepest)
 
 

@@ -33,7 +33,7 @@ from kinefilter.pipeline.stages import (
     Smooth,
     Stage,
 )
-from kinefilter.pipeline.target.contacts import (
+from kinefilter.pipeline.target.feet import (
     SIDES,
     ankles_and_toes,
     feet_of,

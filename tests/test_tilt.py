@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
-from kinefilter.pipeline.target.contacts import find_stance
+from kinefilter.pipeline.target.feet import find_stance
 from kinefilter.pipeline.target.floor import leveled, sensor_tilt
 from kinefilter.scenes.library import perform
 

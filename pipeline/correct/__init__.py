@@ -1,7 +1,8 @@
 """Correction methods, one a file; ``pipeline.methods`` has them by name."""
 
 from .hold import Hold
-from .interface import Correction, Corrector, InTurn, LearnedCorrector, Observation
+from .interface import Correction, Corrector, InTurn, Observation
+from .learned import LearnedCorrector, TrainingSet
 from .local_pca import LocalPCA
 
 __all__ = [
@@ -12,4 +13,5 @@ __all__ = [
     "LearnedCorrector",
     "LocalPCA",
     "Observation",
+    "TrainingSet",
 ]

@@ -84,15 +84,8 @@ def log_marginal_likelihood(
 ) -> tuple[float, Array]:
     """Return the log likelihood of targets and its gradient (Liu eq. 6, Chiang eq. 4).
 
-    Outputs share the kernel: their log likelihoods add up.
-
-    Args:
-        kernel: The kernel.
-        samples: Inputs [m], shape (N, F).
-        targets: Outputs [m], shape (N, P).
-
-    Returns:
-        The value and its derivatives by ``kernel.logarithms()``.
+    Outputs share the kernel: their log likelihoods add up. The gradient is by
+    ``kernel.logarithms()``; inputs and outputs [m] have shapes (N, F) and (N, P).
     """
     outputs = targets.shape[1]
     parts = kernel.gaussians(samples, samples)
@@ -122,10 +115,8 @@ def log_marginal_likelihood(
 def fit_kernel(start: Kernel, samples: Array, targets: Array) -> Kernel:
     """Return the kernel of the greatest marginal likelihood near a first guess.
 
-    Args:
-        start: First guess; no hyper-parameter ends over 1000 times off it.
-        samples: Inputs [m], shape (N, F).
-        targets: Outputs [m], shape (N, P).
+    No hyper-parameter ends over 1000 times off it. Inputs and outputs [m] have shapes
+    (N, F) and (N, P).
     """
 
     def cost(logarithms: Array) -> tuple[float, Array]:
@@ -148,15 +139,10 @@ def fit_kernel(start: Kernel, samples: Array, targets: Array) -> Kernel:
 
 
 def grow_factor(factor: Array, covariance: Array, variance: float) -> Array:
-    """Return the upper Cholesky factor of K with one more sample, in O(S^2).
+    """Return the upper Cholesky factor of K with one more sample (eq. 16), in O(S^2).
 
-    Args:
-        factor: U with U' U = K (Liu eq. 14), shape (S, S).
-        covariance: Of the new sample with the others, shape (S,).
-        variance: Of the new sample, noise included.
-
-    Returns:
-        The factor of eq. 16, shape (S + 1, S + 1).
+    The factor is U with U' U = K (Liu eq. 14), shape (S, S); the covariance that of the
+    new sample with the others, shape (S,); its variance includes the noise.
     """
     size = len(factor)
     grown = np.zeros((size + 1, size + 1))
@@ -169,12 +155,7 @@ def grow_factor(factor: Array, covariance: Array, variance: float) -> Array:
 
 
 def grow_inverse(inverse: Array, factor: Array) -> Array:
-    """Return the inverse of K with one more sample, in O(S^2).
-
-    Args:
-        inverse: Of the old K, shape (S, S).
-        factor: The grown factor, shape (S + 1, S + 1).
-    """
+    """Return the inverse (S, S) of K with one more sample, in O(S^2), by its factor."""
     size = len(inverse)
     lift = solve_triangular(factor[:size, :size], factor[:size, size])
     lift = np.append(-lift, 1.0) / factor[size, size]

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.progress import Progress, silent
-
-_BLOCK = 100_000  # frames looked at at a time; 200 MB of the largest skeleton
 
 CORRECTED_TRUST = 0.9
 """Confidence in a measurement that was corrected: the smoother may move it too. A
@@ -116,10 +111,10 @@ def measured_only(positions: Array) -> Correction:
 
 
 class InTurn(Corrector):
-    """Shows each method what those before it made of the measurement.
+    """Passes what each method made of the measurement on to the next one.
 
-    What was not measured stays unmeasured to all of them. Confidence, rotations and
-    coverage are those of the last one.
+    Joints that were not measured stay missing for all of them. Confidence, rotations
+    and coverage are those of the last one.
 
     Args:
         methods: The methods, in their order.
@@ -138,87 +133,28 @@ class InTurn(Corrector):
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
-        *before, last = self.methods
         seen = observation
-        for method in before:
-            seen = self._passed_on(observation, seen, method.step(seen))
-        return last.step(self._raised(seen))
+        for method in self.methods[:-1]:
+            seen = self._passed_on(seen, method.step(seen))
+        return self.methods[-1].step(self._raised(seen))
 
     def whole(
         self, take: Observation, frames: Iterable[int] | None = None
     ) -> Correction:
         """Correct a whole take, one method after the other."""
-        *before, last = self.methods
         seen = take
-        for method in before:
-            seen = self._passed_on(take, seen, method.whole(seen))
-        return last.whole(self._raised(seen), frames)
+        for method in self.methods[:-1]:
+            seen = self._passed_on(seen, method.whole(seen))
+        return self.methods[-1].whole(self._raised(seen), frames)
 
     @staticmethod
-    def _passed_on(
-        measured: Observation, seen: Observation, made: Correction
-    ) -> Observation:
-        missing = np.isnan(measured.positions)
+    def _passed_on(seen: Observation, made: Correction) -> Observation:
+        missing = np.isnan(seen.positions)
         return replace(seen, positions=np.where(missing, np.nan, made.positions))
 
     def _raised(self, seen: Observation) -> Observation:
         if self.least_rate <= 0.0:
             return seen
         least = np.where(np.isnan(seen.positions[..., 0]), 0.0, self.least_rate)
-        return replace(
-            seen,
-            rate=np.maximum(seen.rate, least),
-            geometry=np.maximum(seen.geometry, least),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class TrainingSet:
-    """Frames on the standard body, root at the origin, facing +z, and their truth."""
-
-    positions: Array
-    """Measured joint positions [m], NaN where missing, shape (N, J, 3)."""
-    rate: Array
-    """Reliability rate, shape (N, J)."""
-    truth: Array
-    """Mocap's joint positions [m] in the same view and scale, NaN where none; moved so
-    that the hips' middle is where the measurement has it, shape (N, J, 3)."""
-    first: NDArray[np.bool_]
-    """The frame begins a take, shape (N,)."""
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    source: str
-    """What the pairs are, for the model file."""
-    lengths: Array | None = None
-    """The person's own segment lengths in each frame [m], shape (N, J)."""
-
-    def __len__(self) -> int:
-        return len(self.positions)
-
-    def blocks(self) -> Iterator[slice]:
-        """Yield slices of the frames, so that a part at a time is in memory."""
-        for start in range(0, len(self), _BLOCK):
-            yield slice(start, min(start + _BLOCK, len(self)))
-
-
-class LearnedCorrector(Corrector, ABC):
-    """A correction method that learns from pairs of Kinect and mocap.
-
-    The constructor stores settings, ``fit`` computes, fitted state ends in ``_``.
-    """
-
-    @abstractmethod
-    def __init__(self, skeleton: Skeleton) -> None: ...
-
-    @abstractmethod
-    def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Learn from pairs."""
-
-    @abstractmethod
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the fitted state as named arrays, for a model file."""
-
-    @classmethod
-    @abstractmethod
-    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
-        """Return the fitted corrector that ``arrays`` described."""
+        rate, geometry = (np.maximum(r, least) for r in (seen.rate, seen.geometry))
+        return replace(seen, rate=rate, geometry=geometry)

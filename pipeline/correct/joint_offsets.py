@@ -11,20 +11,17 @@ holds for real ones.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import cross
-from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
 
-from .hold import Hold
-from .interface import Correction, LearnedCorrector, Observation
-from .lessons import Lessons, add_offsets
+from .interface import Correction, Observation
+from .learned import Lessons, OffsetCorrector, TrainingSet, add_offsets
 
 _CHUNK = 4096  # frames at a time: their vectors are many times the positions
 _RIDGE = 0.2
@@ -33,7 +30,7 @@ real person in three moved less truly than as measured, at twice it a sixth of w
 gained was lost (the people that the virtual Kinect is calibrated to)."""
 
 
-class JointOffsets(LearnedCorrector):
+class JointOffsets(OffsetCorrector):
     """Adds to each joint the offset to mocap that is constant in the body.
 
     Args:
@@ -42,12 +39,13 @@ class JointOffsets(LearnedCorrector):
         seed: Draws them.
     """
 
+    fitted = ("joints", "shares")
+    shares_: Array
+
     def __init__(
         self, skeleton: Skeleton, *, samples: int = 40_000, seed: int = 0
     ) -> None:
-        self.skeleton = skeleton
-        self.samples = samples
-        self.seed = seed
+        super().__init__(skeleton, samples=samples, seed=seed)
         root, (left, right) = skeleton.root, skeleton.hips
         first = [next(iter(skeleton.children[j]), j) for j in range(len(skeleton))]
         # The segment that starts at a joint; a leaf has one segment only.
@@ -57,18 +55,9 @@ class JointOffsets(LearnedCorrector):
         self._ends = np.array([*range(len(skeleton)), left])
         self._starts = np.array([*skeleton.parents, right])
         self._ends[root], self._starts[root] = first[root], root
-        self._hold = Hold(skeleton)
-
-    def start(self) -> None:
-        """Forget all frames."""
-        self._hold.start()
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Learn offsets from pairs, by ridge regression.
-
-        Raises:
-            InputError: The pairs are too few, or of another skeleton.
-        """
+        """Learn offsets from pairs, by ridge regression."""
         lessons = Lessons.drawn(training, self.skeleton, self.samples, self.seed)
         vectors = self._vectors(lessons.postures)
         self.joints_ = lessons.learned
@@ -80,11 +69,6 @@ class JointOffsets(LearnedCorrector):
             self.shares_[k] = np.linalg.solve(gram, sides.T @ wanted / len(sides))
         return self
 
-    def step(self, observation: Observation) -> Correction:
-        """Correct the next frame."""
-        missing = np.isnan(observation.positions[:, 0])
-        return self._moved(self._hold.step(observation).positions, missing)
-
     def whole(
         self,
         take: Observation,
@@ -94,18 +78,20 @@ class JointOffsets(LearnedCorrector):
         self.start()
         positions = np.empty_like(take.positions)
         trust = np.empty(take.positions.shape[:2])
+        nothing = float("nan")
         for first in range(0, len(positions), _CHUNK):
             some = slice(first, first + _CHUNK)
+            missing = np.isnan(take.positions[some, :, 0])
             posture = self._hold.fill(take.positions[some])
-            found = self._moved(posture, np.isnan(take.positions[some, :, 0]))
+            offsets = self.offsets(posture)
+            found = add_offsets(
+                self.skeleton, posture, self.joints_, offsets, missing, nothing
+            )
             positions[some], trust[some] = found.positions, found.trust
-        return Correction(positions, None, trust, np.full(len(positions), np.nan))
+        return Correction(positions, None, trust, np.full(len(positions), nothing))
 
-    def _moved(self, posture: Array, missing: NDArray[np.bool_]) -> Correction:
-        offsets = self.offsets(posture)
-        return add_offsets(
-            self.skeleton, posture, self.joints_, offsets, missing, float("nan")
-        )
+    def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002
+        return self.offsets(posture), float("nan")
 
     def offsets(self, postures: Array) -> Array:
         """Return the learned joints' offsets in postures [m], shape (..., M, 3)."""
@@ -128,17 +114,6 @@ class JointOffsets(LearnedCorrector):
         vectors[..., 4] = cross(ahead, across)
         vectors[..., 5] = ahead
         return vectors
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the fitted state as named arrays, for a model file."""
-        return {"joints": self.joints_, "shares": self.shares_}
-
-    @classmethod
-    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
-        """Return the fitted corrector that ``arrays`` described."""
-        model = cls(skeleton)
-        model.joints_, model.shares_ = arrays["joints"], arrays["shares"]
-        return model
 
 
 def _unit(vectors: Array) -> Array:

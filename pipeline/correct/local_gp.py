@@ -9,6 +9,7 @@ methods-known-people has it beside one process over all samples (full-gp).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Self
 
 import numpy as np
@@ -17,16 +18,28 @@ from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
 
-from .full_gp import JointFeatures, JointKernels
 from .gaussian_process import informative_samples
-from .hold import Hold
-from .interface import Correction, LearnedCorrector, Observation
-from .lessons import Lessons, add_offsets
-from .local_models import LinearTrend, LocalModels
+from .interface import Correction, Observation
+from .learned import Lessons, OffsetCorrector, TrainingSet
+from .local_models import (
+    JointFeatures,
+    JointKernels,
+    LinearTrend,
+    LocalModels,
+    fit_kernels,
+)
 
+_SETTINGS: dict[str, Callable[[Any], Any]] = {
+    "spatial": float,
+    "temporal": float,
+    "reliability": float,
+    "blended": int,
+    "adapt": bool,
+    "adapt_reliability": float,
+}
+"""Settings that a model file holds, in this order."""
 _POOL = 4  # samples drawn for each that may be kept: what budgeting chooses from
 _MOST_LEARNED = 20  # samples a local model, and models a joint, may gain online
 _FOR_CERTAIN = 300  # training frames that the usual variance is measured on
@@ -66,7 +79,7 @@ def least_energy(
     return np.asarray(pull / np.maximum(total, 1e-12))
 
 
-class LocalGP(LearnedCorrector):
+class LocalGP(OffsetCorrector):
     """Adds to each joint the offset of least energy, around local predictions.
 
     Args:
@@ -84,6 +97,11 @@ class LocalGP(LearnedCorrector):
         seed: Draws the frames and starts the clusters.
     """
 
+    fitted = (
+        *("features", "offsets", "counts", "centers", "reach", "certain"),
+        *("prior", "trend", "bounds", "kernels", "joints", "seen"),
+    )
+
     def __init__(
         self,
         skeleton: Skeleton,
@@ -99,36 +117,31 @@ class LocalGP(LearnedCorrector):
         adapt_reliability: float = 0.9,
         seed: int = 0,
     ) -> None:
-        self.skeleton = skeleton
+        super().__init__(skeleton, samples=samples, seed=seed)
         self.clusters = clusters
-        self.samples = samples
         self.blended = blended
         self.redundancy = redundancy
         self.spatial, self.temporal = spatial, temporal
         self.reliability = reliability
         self.adapt = adapt
         self.adapt_reliability = adapt_reliability
-        self.seed = seed
-        self._hold = Hold(skeleton)
-        self._pool = _POOL * clusters * samples
         self._past: list[Array] = []
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Learn offsets from pairs.
-
-        Raises:
-            InputError: The pairs are too few, or of another skeleton.
-        """
-        lessons = Lessons.drawn(training, self.skeleton, self._pool, self.seed)
+        """Learn offsets from pairs."""
+        pool = _POOL * self.clusters * self.samples
+        lessons = Lessons.drawn(training, self.skeleton, pool, self.seed)
         self.joints_, self.seen_ = lessons.learned, lessons.seen
         features = JointFeatures(self.skeleton, self.joints_, self.seen_)
         rows = features(lessons.postures)
-        self.trend_ = LinearTrend.fitted(rows, lessons.offsets)
-        left = lessons.offsets - self.trend_(rows)
-        self.kernels_ = JointKernels.fitted(rows, left, features.sizes, progress)
+        trend = LinearTrend.fitted(rows, lessons.offsets)
+        self.trend_, self.bounds_ = trend.table, trend.bounds
+        left = lessons.offsets - trend(rows)
+        self.kernels_ = fit_kernels(rows, left, features.sizes, progress)
+        kernels = JointKernels(self.kernels_)
         # Of the offsets themselves: the trend's share of it is known as well.
         power = np.mean(lessons.offsets**2, axis=(0, 2))
-        self.prior_ = np.maximum(power, self.kernels_.theta0) + self.kernels_.noise
+        self.prior_ = np.maximum(power, kernels.theta0) + kernels.noise
         count = min(self.clusters, len(rows))
         shape = (len(self.joints_), count, self.samples)
         self.features_ = np.zeros((*shape, rows.shape[2]), dtype=np.float32)
@@ -137,18 +150,19 @@ class LocalGP(LearnedCorrector):
         self.centers_ = np.zeros((*shape[:2], rows.shape[2]), dtype=np.float32)
         self.reach_ = np.zeros(len(self.joints_))
         for m in progress("local processes", len(self.joints_)):
-            self._fit_joint(m, rows[:, m], left[:, m])
-        self._models = self._local_models()
+            self._fit_joint(m, kernels, rows[:, m], left[:, m])
+        self._prepare()
         # As sure as the method is at the median training frame.
-        scaled = rows[:_FOR_CERTAIN] * self.kernels_.roots
+        scaled = rows[:_FOR_CERTAIN] * kernels.roots
         variances = [self._models.predict(x, self.blended)[1] for x in scaled]
         self.certain_ = np.median(np.mean(variances, axis=2), axis=0)
         return self
 
-    def _fit_joint(self, m: int, rows: Array, offsets: Array) -> None:
+    def _fit_joint(
+        self, m: int, kernels: JointKernels, rows: Array, offsets: Array
+    ) -> None:
         """Partition a joint's samples and keep the informative ones of each part."""
-        kernel, roots = self.kernels_.of_joint(m), self.kernels_.roots[m]
-        scaled = rows * roots
+        kernel, scaled = kernels.of_joint(m), rows * kernels.roots[m]
         count = self.features_.shape[1]
         means = KMeans(count, n_init=1, random_state=self.seed).fit(scaled)
         self.reach_[m] = np.quantile(means.transform(scaled).min(axis=1), 0.99)
@@ -170,10 +184,15 @@ class LocalGP(LearnedCorrector):
             self.features_[m, q, : len(kept)] = rows[kept]
             self.offsets_[m, q, : len(kept)] = offsets[kept]
 
-    def _local_models(self) -> LocalModels:
+    def _prepare(self) -> None:
+        self.kernels = JointKernels(self.kernels_)
+        self.trend = LinearTrend(self.trend_, self.bounds_)
         self._features = JointFeatures(self.skeleton, self.joints_, self.seen_)
+        self._models = self._local_models()
+
+    def _local_models(self) -> LocalModels:
         return LocalModels(
-            self.kernels_,
+            self.kernels,
             self.centers_,
             self.features_,
             self.offsets_,
@@ -192,44 +211,45 @@ class LocalGP(LearnedCorrector):
 
     def start(self) -> None:
         """Forget all frames, and what was learned from them."""
-        self._hold.start()
+        super().start()
         self._past = []
         if self.adapt:
             self._models = self._local_models()
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
-        joints, kernels = self.joints_, self.kernels_
-        missing = np.isnan(observation.positions[:, 0])
-        posture = self._hold.step(observation).positions
+        result = super().step(observation)
+        seen = ~np.isnan(observation.positions[self.joints_, :1])
+        ends = np.where(seen, result.positions[self.joints_], np.nan)
+        self._past = [*self._past[-1:], ends]
+        return result
+
+    def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:
+        joints, kernels = self.joints_, self.kernels
         features = self._features(posture)
-        x, trend = features * kernels.roots, self.trend_(features)
+        x, trend = features * kernels.roots, self.trend(features)
         mean, variance = self._models.predict(x, self.blended)
         unknown = kernels.theta0 + kernels.noise
         offsets = least_energy(
             trend + mean,
             self.prior_[:, None] / variance,
             self._steady(posture[joints]),
-            observation.rate[joints],
+            seen.rate[joints],
             spatial=self.spatial,
             temporal=self.temporal,
             reliability=self.reliability,
         )
-        seen, spread = ~missing[joints], variance.mean(axis=1)
+        known, spread = ~np.isnan(seen.positions[joints, 0]), variance.mean(axis=1)
         if self.adapt:
             sure = (spread < _SURE * unknown) & (spread > self.certain_)
-            sure &= seen & (observation.rate[joints] >= self.adapt_reliability)
+            sure &= known & (seen.rate[joints] >= self.adapt_reliability)
             for m in np.flatnonzero(sure):
                 self._models.learn(int(m), x[m], (offsets - trend)[m], self.reach_[m])
         # Of the variance that can be explained, over all joints: those that are hardly
         # ever off say nothing.
-        most = np.maximum(unknown - self.certain_, 0.0)[seen]
-        explained = np.clip(unknown[seen] - spread[seen], 0.0, most)
-        coverage = float(explained.sum() / max(float(most.sum()), 1e-12))
-        result = add_offsets(self.skeleton, posture, joints, offsets, missing, coverage)
-        ends = np.where(seen[:, None], result.positions[joints], np.nan)
-        self._past = [*self._past[-1:], ends]
-        return result
+        most = np.maximum(unknown - self.certain_, 0.0)[known]
+        explained = np.clip(unknown[known] - spread[known], 0.0, most)
+        return offsets, float(explained.sum() / max(float(most.sum()), 1e-12))
 
     def _steady(self, measured: Array) -> Array:
         """Return the offsets that keep the velocity (eq. 20), NaN where unknown."""
@@ -240,42 +260,10 @@ class LocalGP(LearnedCorrector):
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the fitted state as named arrays, for a model file."""
-        settings = [self.spatial, self.temporal, self.reliability, self.blended]
-        return {
-            "features": self.features_,
-            "offsets": self.offsets_,
-            "counts": self.counts_,
-            "centers": self.centers_,
-            "reach": self.reach_,
-            "certain": self.certain_,
-            "prior": self.prior_,
-            "trend": self.trend_.table,
-            "bounds": self.trend_.bounds,
-            "kernels": self.kernels_.table,
-            "joints": self.joints_,
-            "seen": self.seen_,
-            "settings": np.array([*settings, self.adapt, self.adapt_reliability]),
-        }
+        settings = [float(getattr(self, name)) for name in _SETTINGS]
+        return super().arrays() | {"settings": np.array(settings)}
 
     @classmethod
-    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
-        """Return the fitted corrector that ``arrays`` described."""
-        spatial, temporal, reliability, blended, adapt, least = arrays["settings"]
-        model = cls(
-            skeleton,
-            blended=int(blended),
-            spatial=float(spatial),
-            temporal=float(temporal),
-            reliability=float(reliability),
-            adapt=bool(adapt),
-            adapt_reliability=float(least),
-        )
-        model.features_, model.offsets_ = arrays["features"], arrays["offsets"]
-        model.counts_, model.centers_ = arrays["counts"], arrays["centers"]
-        model.reach_, model.certain_ = arrays["reach"], arrays["certain"]
-        model.prior_ = arrays["prior"]
-        model.trend_ = LinearTrend(arrays["trend"], arrays["bounds"])
-        model.kernels_ = JointKernels(arrays["kernels"])
-        model.joints_, model.seen_ = arrays["joints"], arrays["seen"]
-        model._models = model._local_models()
-        return model
+    def _settings(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+        values = zip(_SETTINGS.items(), arrays["settings"], strict=True)
+        return {name: kind(value) for (name, kind), value in values}

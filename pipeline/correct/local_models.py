@@ -1,4 +1,7 @@
-"""The local processes of every joint, and the line that they depart from."""
+"""What tells a joint's offset: its features, its kernel, and its local processes.
+
+Liu, Zhou, Leung & Shum 2016: section 4.1 has the features, equations 5 to 17 the rest.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,86 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 
+from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.progress import Progress, silent
 
-from .full_gp import JointKernels
-from .gaussian_process import grow_factor, grow_inverse
+from .gaussian_process import Kernel, fit_kernel, grow_factor, grow_inverse
 
+_FOR_KERNEL = 400  # samples the hyper-parameters are learned from
 _SLOPE = 0.1  # of an offset by a joint's place, as far as one would guess (a guess)
 _SCATTER = 0.03  # m, of the offsets about the line (a guess)
+
+
+class JointFeatures:
+    """The place of a joint and of those that share a bone with it (Liu, section 4.1).
+
+    Args:
+        skeleton: The joints.
+        learned: Joints that have offsets, shape (M,).
+        seen: Joints the sensor measures: others tell nothing, shape (J,).
+    """
+
+    def __init__(
+        self, skeleton: Skeleton, learned: NDArray[np.intp], seen: NDArray[np.bool_]
+    ) -> None:
+        groups = []
+        for j in learned:
+            near = (skeleton.parents[j], *skeleton.children[j])
+            groups.append([int(j), *(n for n in near if n >= 0 and seen[n])])
+        widest = max(map(len, groups))
+        self.sizes = [3 * len(group) for group in groups]
+        self._joints = np.array([g + [g[0]] * (widest - len(g)) for g in groups])
+        used = np.arange(3 * widest) < np.array(self.sizes)[:, None]
+        self._mask = used.astype(float)
+
+    def __call__(self, postures: Array) -> Array:
+        """Return the features [m] of postures (..., J, 3), 0 padded, (..., M, F)."""
+        points = postures[..., self._joints, :]
+        return np.asarray(points.reshape(*points.shape[:-2], -1) * self._mask)
+
+
+def fit_kernels(
+    features: Array, offsets: Array, sizes: list[int], progress: Progress = silent
+) -> Array:
+    """Return every joint's kernel of the greatest likelihood (eq. 6), (M, 3 + F).
+
+    Samples are in random order: the first of them are used. Features have shape
+    (N, M, F), offsets [m] (N, M, 3), and ``sizes`` tells each joint's features.
+    """
+    table = np.zeros((len(sizes), 3 + features.shape[2]))
+    for m in progress("hyper-parameters", len(sizes)):
+        x, y = features[:_FOR_KERNEL, m, : sizes[m]], offsets[:_FOR_KERNEL, m]
+        power = max(float(np.mean(y * y)), 1e-6)
+        spread = max(float(np.sqrt(x.var(axis=0).sum())), 1e-2)
+        scales = np.full((1, sizes[m]), 1.0 / spread)
+        start = Kernel(np.array([power]), scales, power, power / 10.0)
+        kernel = fit_kernel(start, x, y)
+        table[m, :3] = kernel.variances[0], kernel.bias, kernel.noise
+        table[m, 3 : 3 + sizes[m]] = kernel.scales[0]
+    return table
+
+
+class JointKernels:
+    """Liu's kernel (eq. 5) of every joint.
+
+    One set of hyper-parameters serves all local models of a joint: they are learned
+    from few samples each, and their similarities (eq. 10) have to compare.
+
+    Args:
+        table: What ``fit_kernels`` returned: per joint theta0 and theta1, the variances
+            of the Gaussian part and the bias, and that of the noise [m^2], then the
+            roots of W [1/m], with which features have W = 1; shape (M, 3 + F).
+    """
+
+    def __init__(self, table: Array) -> None:
+        self.theta0, self.theta1, self.noise = table[:, 0], table[:, 1], table[:, 2]
+        self.roots = table[:, 3:]
+
+    def of_joint(self, m: int) -> Kernel:
+        """Return the kernel of one joint, for its features times ``roots``."""
+        theta0, theta1, noise = (x[m] for x in (self.theta0, self.theta1, self.noise))
+        return Kernel(np.array([theta0]), np.ones((1, 1)), float(theta1), float(noise))
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +109,7 @@ class LinearTrend:
 
     @classmethod
     def fitted(cls, features: Array, offsets: Array) -> Self:
-        """Fit by ridge regression.
-
-        Args:
-            features: Shape (N, M, F) [m].
-            offsets: Shape (N, M, 3) [m].
-        """
+        """Fit features (N, M, F) and offsets (N, M, 3) [m] by ridge regression."""
         x = features - features.mean(axis=0)
         y = offsets - offsets.mean(axis=0)
         gram = np.einsum("nmf,nmg->mfg", x, x)
@@ -85,7 +156,7 @@ class LocalModels:
         *,
         spare: int = 0,
     ) -> None:
-        self._kernels = [kernels.of_joint(m) for m in range(len(kernels.table))]
+        self._kernels = [kernels.of_joint(m) for m in range(len(centers))]
         self._theta0, self._theta1 = kernels.theta0, kernels.theta1
         self._unknown = kernels.theta0 + kernels.theta1 + kernels.noise
         self._used = np.full(len(centers), centers.shape[1])

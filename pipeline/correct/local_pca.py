@@ -12,11 +12,16 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
 
-from .blend import Blend, measurement_trust
+from .hold import Blend, measurement_trust
 from .interface import CORRECTED_TRUST, Correction, Corrector, Observation
-from .natural_spaces import NaturalSpaces
-from .posture_space import EnergyWeights, PostureEnergy, PostureSpace
-from .search import solve, stochastic_search
+from .posture_space import (
+    EnergyWeights,
+    NaturalSpaces,
+    PostureEnergy,
+    PostureSpace,
+    solve,
+    stochastic_search,
+)
 
 Search = Literal["solver", "stochastic"]
 """How the posture of least energy is found: the solver, or the paper's sampling."""

@@ -17,12 +17,11 @@ from scipy.linalg import cho_factor, cho_solve
 
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct.interface import TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.reliability.shum import segment_lengths
+from kinefilter.pipeline.reliability import segment_lengths
 
-from .hold import Hold
-from .interface import CORRECTED_TRUST, Correction, LearnedCorrector, Observation
+from .interface import CORRECTED_TRUST, Correction, Observation
+from .learned import LearnedCorrector, TrainingSet
 
 # Chosen by leaving one of six people out; each of them may be halved or doubled at a
 # loss of a twentieth of what is gained.
@@ -42,27 +41,25 @@ class PersonalGP(LearnedCorrector):
         seed: Draws them.
     """
 
+    fitted = ("features", "people", "weights", "joints")
+    features_: NDArray[np.float32]
+    people_: NDArray[np.float32]
+    weights_: NDArray[np.float32]
+
     def __init__(
         self, skeleton: Skeleton, *, samples: int = 6000, seed: int = 0
     ) -> None:
-        self.skeleton = skeleton
-        self.samples = samples
-        self.seed = seed
-        self._hold = Hold(skeleton)
+        super().__init__(skeleton, samples=samples, seed=seed)
         self._lengths = standard_body(skeleton).lengths
-        self.start()
+        self._past: list[Array] = []
 
     def start(self) -> None:
         """Forget all frames."""
-        self._hold.start()
-        self._past: list[Array] = []
+        super().start()
+        self._past = []
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Learn offsets from pairs.
-
-        Raises:
-            InputError: The pairs are too few, or of another skeleton.
-        """
+        """Learn offsets from pairs."""
         if len(training) < 100:
             raise InputError(
                 f"{training.source}: {len(training)} frames are too few to learn from; "
@@ -85,8 +82,7 @@ class PersonalGP(LearnedCorrector):
         for k in progress("learn", len(training)):
             if training.first[k]:
                 self.start()
-            posture = self._filled(training.positions[k], training.rate[k])
-            row = self._features(posture)
+            row = self._features(self._filled(training.positions[k]))
             if chosen[k]:
                 features.append(row)
                 truth = training.truth[k] - training.positions[k]
@@ -104,10 +100,9 @@ class PersonalGP(LearnedCorrector):
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
         missing = np.isnan(observation.positions[:, 0])
-        posture = self._filled(observation.positions, observation.rate)
-        lengths = (
-            observation.lengths if observation.lengths is not None else self._lengths
-        )
+        posture = self._filled(observation.positions)
+        own = observation.lengths
+        lengths = self._lengths if own is None else own
         likeness = self._kernel(
             self._features(posture)[None].astype(np.float32),
             lengths[None].astype(np.float32),
@@ -117,9 +112,8 @@ class PersonalGP(LearnedCorrector):
         trust = np.where(missing, 0.0, CORRECTED_TRUST)
         return Correction(corrected, None, trust, float(min(1.0, likeness.max())))
 
-    def _filled(self, positions: Array, rate: Array) -> Array:
-        seen = Observation(positions, rate, rate)
-        return self._hold.step(seen).positions
+    def _filled(self, positions: Array) -> Array:
+        return np.asarray(self._hold.fill(positions[None])[0])
 
     def _features(self, posture: Array) -> Array:
         """Return posture, movement and length features, and remember the posture."""
@@ -140,23 +134,6 @@ class PersonalGP(LearnedCorrector):
         posture = _gaussian(features, self.features_, _POSTURE_SCALE)
         person = _gaussian(people, self.people_, _PERSON_SCALE)
         return posture * (1.0 + person) + 0.5 * person
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the fitted state as named arrays, for a model file."""
-        return {
-            "features": self.features_,
-            "people": self.people_,
-            "weights": self.weights_,
-            "joints": self.joints_,
-        }
-
-    @classmethod
-    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
-        """Return the fitted corrector that ``arrays`` described."""
-        model = cls(skeleton)
-        model.features_, model.people_ = arrays["features"], arrays["people"]
-        model.weights_, model.joints_ = arrays["weights"], arrays["joints"]
-        return model
 
 
 def _gaussian(a: NDArray[Any], b: NDArray[Any], scale: float) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""The motion database: where natural postures come from, and those nearest to one."""
+"""The motion database: natural postures, and the search for the nearest ones."""
 
 from .posture_database import PostureDatabase, builtin_database
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinefilter.characters import (
     Body,
@@ -22,7 +23,7 @@ from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
 from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap, sorted_mocap
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.reliability.shum import (
+from kinefilter.pipeline.reliability import (
     column_medians,
     measure_reference,
     segment_lengths,
@@ -106,13 +107,10 @@ def _truths(
             )
         people.add(pair.subject)
         truth = pair.truth[::_EVERY_OTHER]
-        missing = np.isnan(truth).any(axis=2)
-        # A joint that is missing now and then costs its frames, one that is missing
-        # always is put where it is at rest.
-        truth = truth[(missing == missing.all(axis=0)).all(axis=1)]
+        truth = truth[_whole(truth)]
         if not len(truth):
             continue
-        missing = np.isnan(truth).any(axis=2)
+        missing = np.asarray(np.isnan(truth).any(axis=2))
         state = np.where(missing, State.NOT_TRACKED, State.TRACKED).astype(np.uint8)
         time = np.arange(len(truth)) * _EVERY_OTHER / POSTURES_PER_SECOND
         seen = np.where(missing[..., None], np.nan, truth)
@@ -178,9 +176,7 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     """Return the normalized postures of mocap, 30 a second."""
     motion = kinect_motion(mocap, skeleton, RIGS)
     positions, step = motion.positions, 1.0 / POSTURES_PER_SECOND
-    # A joint that is missing now and then costs its frames.
-    missing = np.isnan(positions).any(axis=2)
-    whole = (missing == missing.all(axis=0)).all(axis=1)
+    whole = _whole(positions)
     frames = np.flatnonzero(whole)[:: max(1, round(step / motion.frame_time))]
     if not len(frames):
         raise InputError(
@@ -198,6 +194,15 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     return standard_postures(
         unit * positions[frames], None if prior is None else prior[frames], body
     )
+
+
+def _whole(positions: Array) -> NDArray[np.bool_]:
+    """Return the frames that have every joint the motion ever has, shape (T,).
+
+    Joints that it never has are put in their rest positions later.
+    """
+    missing = np.isnan(positions).any(axis=2)
+    return np.asarray((missing == missing.all(axis=0)).all(axis=1))
 
 
 def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:

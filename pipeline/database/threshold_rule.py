@@ -1,4 +1,4 @@
-"""The threshold rule: of many postures those that differ (Shum 2013, section V.A).
+"""The threshold rule, which keeps postures that differ (Shum 2013, section V.A).
 
 Postures may lie on a disk: a block of them at a time, and what is kept, is in memory.
 """
@@ -84,12 +84,9 @@ def filter_to_count(
 ) -> NDArray[np.intp]:
     """Return the indices that the threshold rule keeps, about ``count`` of them.
 
-    Bisects the threshold until the rule keeps the count within 2 %. What a threshold
-    that kept too many has dropped is not looked at again by the larger ones.
-
-    Args:
-        positions: Normalized joint positions [m], shape (N, J, 3).
-        count: How many to keep.
+    Bisects the threshold until the rule keeps the count within 2 % of the positions
+    [m], shape (N, J, 3). What a threshold that kept too many has dropped is not looked
+    at again by the larger ones.
     """
     rest = kept = np.arange(len(positions))
     if len(positions) <= count:
@@ -111,7 +108,7 @@ def filter_to_count(
 
 
 def _farthest(positions: NDArray[np.floating[Any]]) -> float:
-    """Return what no two postures differ by [m^2]."""
+    """Return an upper bound of the squared distance of two postures [m^2]."""
     low = high = np.asarray(positions[0], dtype=np.float64)
     for start in range(0, len(positions), _BLOCK):
         block = positions[start : start + _BLOCK]

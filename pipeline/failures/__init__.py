@@ -6,8 +6,6 @@ through the head, or let a limb leap to somewhere else and back. Most of it goes
 many frames, so that nothing which looks at single frames or lengths minds it.
 """
 
-from .failure import Failure, FailureKind
-from .find import distrust, find_failures
-from .mirrored import unmirrored
+from .gross import Failure, FailureKind, distrust, find_failures, unmirrored
 
 __all__ = ["Failure", "FailureKind", "distrust", "find_failures", "unmirrored"]

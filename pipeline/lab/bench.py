@@ -15,8 +15,11 @@ from kinefilter.characters import Body, Take
 from kinefilter.pipeline.avatar import Avatar
 from kinefilter.pipeline.cleaner import Cleaner, clean
 from kinefilter.pipeline.correct import LocalPCA, Observation
-from kinefilter.pipeline.correct.posture_space import PostureSpace
-from kinefilter.pipeline.correct.search import solve, stochastic_search
+from kinefilter.pipeline.correct.posture_space import (
+    PostureSpace,
+    solve,
+    stochastic_search,
+)
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats import read_take

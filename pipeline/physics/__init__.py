@@ -1,4 +1,4 @@
-"""The character in MuJoCo's world: pulled along by bounded forces, among its things."""
+"""A simulated character that bounded forces pull through a motion."""
 
 from .filter import PhysicsFilter, PhysicsResult, PhysicsTrace
 

@@ -24,7 +24,7 @@ from kinefilter.characters.humanoid import (
     to_mujoco,
 )
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
-from kinefilter.pipeline.target.contacts import SIDES, ankles_and_toes
+from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
 from kinefilter.scenes import load_scene
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -33,7 +33,6 @@ UPDATE = 1.0 / 60.0
 _LETS_GO = 0.08  # m that hands are to be farther apart than what they hold is wide
 _LOADING_TIME = 0.2  # s from a foot's touching the floor to its bearing the body
 _HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
-
 SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
 in six recorded takes of punches and kicks diverged somewhere."""
@@ -57,7 +56,7 @@ def _substeps_per_update(dt: float) -> int:
 
 
 def _check_target(positions: Array, rotations: Array) -> None:
-    # Not finite once, the character would never be again.
+    # One number that is not finite would spoil every later step.
     if not (np.isfinite(positions).all() and np.isfinite(rotations).all()):
         raise InputError(
             "the target has numbers that are not finite; correct the frame first, "
@@ -68,7 +67,9 @@ def _check_target(positions: Array, rotations: Array) -> None:
 class PulledCharacter:
     """Steps the humanoid of one body, frame by frame.
 
-    It stands in T-pose at the origin until ``start`` puts it elsewhere.
+    It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
+    joint positions [m], world frame, shape (J, 3), and world segment rotations, wxyz,
+    shape (J, 4).
 
     Args:
         body: The person.
@@ -141,10 +142,6 @@ class PulledCharacter:
     def start(self, positions: Array, rotations: Array) -> None:
         """Put the character at rest onto a target posture.
 
-        Args:
-            positions: Target joint positions [m], world frame, shape (J, 3).
-            rotations: Target world segment rotations, wxyz, shape (J, 4).
-
         Raises:
             InputError: The target is not finite.
         """
@@ -195,8 +192,8 @@ class PulledCharacter:
         The posture is then in ``self.rotations`` and ``self.root``.
 
         Args:
-            positions: Target joint positions [m], world frame, shape (J, 3).
-            rotations: Target world segment rotations, wxyz, shape (J, 4).
+            positions: The target's joint positions.
+            rotations: The target's rotations.
             dt: Time since the last step [s].
             acceleration: Of the targets [m/s^2], shape (J, 3); by default from the
                 last two steps, half a frame late.
@@ -257,7 +254,7 @@ class PulledCharacter:
         return True
 
     def _holds(self) -> bool:
-        """Tell whether both hands are at one prop, and are not to part."""
+        """Tell whether both hands touch the same prop and should stay on it."""
         wanted, there = (
             float(np.linalg.norm(points[0] - points[1]))
             for points in (

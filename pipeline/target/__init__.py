@@ -1,8 +1,7 @@
 """What the character is pulled through: the corrected motion, smooth, on its floor.
 
-``smooth`` takes the tremble out, ``floor`` finds the floor and the sensor's tilt,
-``contacts`` says which feet stand, ``planting`` keeps them there; ``placement`` says
-where the motion is in a scene.
+``smooth`` removes trembling, ``floor`` finds the floor, the sensor's tilt and where the
+motion begins in a scene, ``feet`` finds out which feet stand and keeps them there.
 """
 
 __all__: list[str] = []

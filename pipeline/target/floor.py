@@ -1,4 +1,8 @@
-"""Where the floor is."""
+"""Where the floor is, and where a take begins in a scene.
+
+Joint positions [m] have y up and shape (T, J, 3); the confidence of joints has shape
+(T, J); whether each foot stands has shape (T, 2), left and right.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import linregress
 
-from kinefilter.characters import Body
+from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.runs import runs
 
-from .contacts import ankles_and_toes
+from .feet import ankles_and_toes
 
+_FIRST_FRAMES = 15  # half a second, in which people do not walk far
 _LEAST_STANCES = 5  # that show a slope
 _WALKED = 1.0  # m, in depth
 _TIMES_ITS_ERROR = 3.0  # that a slope must be
-_STANDING = 10.0  # percentile of the lowest sole that is taken for standing: above
-# the frames in which the tracker lets a foot sink
+_STANDING = 10.0
+"""Percentile of the lowest sole that is taken for standing: above the frames in which
+the tracker lets a foot sink."""
 
 
 def floor_height(
@@ -28,21 +35,10 @@ def floor_height(
     Where none does, the lower sole of each frame, at the height it has on the body when
     standing, and of all frames the 10th percentile. Joints that were measured count;
     where no foot ever was, the lowest joint of the body serves.
-
-    Args:
-        positions: Joint positions [m], y up, shape (T, J, 3).
-        trust: Share of the measurement in each joint, shape (T, J).
-        stands: Whether each foot stands, shape (T, 2).
-        body: Whose ankles and feet are how high over the floor.
     """
-    skeleton = body.skeleton
-    feet = [
-        skeleton.index(part + side)
-        for part in ("Ankle", "Foot")
-        for side in ("Left", "Right")
-    ]
     heights = positions[..., 1] - body.rest_positions[:, 1]
-    ankles, _ = ankles_and_toes(skeleton)
+    ankles, toes = ankles_and_toes(body.skeleton)
+    feet = ankles + toes
     standing = heights[:, ankles][stands & (trust[:, ankles] >= 0.5)]
     standing = standing[~np.isnan(standing)]
     if len(standing) > 0:
@@ -57,21 +53,12 @@ def floor_height(
 def sensor_tilt(
     positions: Array, trust: Array, stands: NDArray[np.bool_], body: Body
 ) -> float:
-    """Return how far the floor rises away from the sensor, 0 where that is unknown.
+    """Return the angle [rad] about x that levels the floor, 0 where it is unknown.
 
     Sensors give positions in their own frame, and most look down a little. Where the
     feet of somebody who walks stand at different depths, a straight line through their
     heights says by how much; it counts if people walked a meter or more, and if it is
-    three times as steep as its error.
-
-    Args:
-        positions: Joint positions [m], y up in the sensor's frame, shape (T, J, 3).
-        trust: Share of the measurement in each joint, shape (T, J).
-        stands: Whether each foot stands, shape (T, 2).
-        body: Whose ankles they are.
-
-    Returns:
-        Angle [rad] about x, to give to ``leveled``.
+    three times as steep as its error. Positions are in the sensor's frame.
     """
     ankles, _ = ankles_and_toes(body.skeleton)
     places = []
@@ -102,12 +89,9 @@ def leveled(positions: Array, tilt: float) -> Array:
 
 
 def to_world(positions: Array, tilt: float, floor: float) -> Array:
-    """Return what a sensor measured in the world frame, level and the floor at y = 0.
+    """Return what a sensor measured [m] in the world frame, level, the floor at y = 0.
 
-    Args:
-        positions: Points [m], sensor frame, shape (..., 3).
-        tilt: Angle [rad], as for ``leveled``.
-        floor: Height of the floor [m] once they are leveled.
+    The floor is the floor's height [m] once positions (..., 3) are leveled.
     """
     return leveled(positions, tilt) - [0.0, floor, 0.0]
 
@@ -120,3 +104,14 @@ def put_on_floor(positions: Array, body: Body) -> Array:
     lifted = positions.copy()
     np.maximum(lifted[..., 1], clearance, out=lifted[..., 1])
     return lifted
+
+
+def place_of(positions: Array, skeleton: Skeleton) -> HeadingFrame:
+    """Return where a motion begins; its ``remove`` brings the motion into a scene.
+
+    In a scene the person stands at the origin and faces +z (MuJoCo's +x). The floor is
+    at y = 0.
+    """
+    first = np.median(positions[:_FIRST_FRAMES], axis=0)
+    yaw = find_yaw(first, np.ones(len(first)), skeleton)
+    return HeadingFrame(first[skeleton.root] * [1.0, 0.0, 1.0], np.nan_to_num(yaw))

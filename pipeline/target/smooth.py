@@ -23,7 +23,8 @@ _PER_SPEED = 2.5  # Hz per m/s
 _FIRST_CUTOFF = 3.0  # Hz, to estimate the speed
 _PASSES = 2  # estimates of the speed
 _SPEED_TIME = 7 / 30  # s that a speed is averaged over
-# Small quick movement, which the speed alone takes for trembling; simulated takes.
+# Of small quick movement, which by its speed alone would pass for trembling; chosen on
+# simulated takes.
 _QUICK = 0.2  # of the frame rate: what is faster is taken for noise
 _MOVES = (4.0, 8.0)  # times the noise: from where it is perhaps, and surely, movement
 _LEAST_NOISE = 0.003  # m, of a good sensor
@@ -78,56 +79,41 @@ def smooth_by_speed(
     highest = np.full(length - _ORDER, min(cutoff, _NYQUIST / step))
     smoothed = np.empty_like(values)
     for j in range(values.shape[1]):
-        measured = grid, values[:, j], weights[:, j]
-        rates = _rates_by_speed(step, highest, *measured)
-        rates += _moves(step, rates, highest, *measured) * (highest - rates)
-        smoothed[:, j] = _solve(_stiffness(rates, step), *measured)[grid]
+        smoothed[:, j] = _by_speed(step, highest, grid, values[:, j], weights[:, j])
     return smoothed
 
 
-def _rates_by_speed(
-    step: float,
-    highest: Array,
-    grid: NDArray[np.intp],
-    values: Array,
-    weights: Array,
+def _by_speed(
+    step: float, highest: Array, grid: NDArray[np.intp], values: Array, weights: Array
 ) -> Array:
-    """Return the cutoff [Hz] at each third difference by the speed of what is left."""
+    """Return the smoothed path of one joint, shape (T, 3)."""
+
+    def at(rates: Array) -> Array:
+        """Return the path for a cutoff [Hz] at each third difference."""
+        return _solve(_stiffness(rates, step), grid, values, weights)
+
     rates = np.minimum(_FIRST_CUTOFF, highest)
     for _ in range(_PASSES):
-        path = _solve(_stiffness(rates, step), grid, values, weights)
-        moved = _root_mean_square(np.diff(path, axis=0), _SPEED_TIME / step)
+        moved = _root_mean_square(np.diff(at(rates), axis=0), _SPEED_TIME / step)
         rates = np.minimum(_SLOWEST_CUTOFF + _PER_SPEED * moved[1:-1] / step, highest)
-    return rates
-
-
-def _moves(
-    step: float,
-    rates: Array,
-    highest: Array,
-    grid: NDArray[np.intp],
-    values: Array,
-    weights: Array,
-) -> Array:
-    """Return how surely each third difference has movement that rates take away."""
-    quick = _stiffness(np.minimum(_QUICK / step, highest), step)
-    quick = _solve(quick, grid, values, weights)
+    quick = at(np.minimum(_QUICK / step, highest))
     noise = np.zeros_like(quick)
     noise[grid] = values - quick[grid]
-    lost = quick - _solve(_stiffness(rates, step), grid, values, weights)
+    lost = quick - at(rates)
     lost, noise = (_root_mean_square(x, _MOVE_TIME / step) for x in (lost, noise))
     perhaps, surely = _MOVES
     ratio = lost / np.maximum(noise, _LEAST_NOISE)
     share = np.clip((ratio - perhaps) / (surely - perhaps), 0.0, 1.0)
     # Of the two frames in the middle of the difference's four.
-    return np.asarray(0.5 * (share[1:-2] + share[2:-1]))
+    rates = rates + 0.5 * (share[1:-2] + share[2:-1]) * (highest - rates)
+    return at(rates)[grid]
 
 
 def _root_mean_square(vectors: Array, frames: float) -> Array:
     """Return the moving root mean square length over about as many frames, (T,)."""
     odd = 2 * round(0.5 * (frames - 1.0)) + 1  # an even number would shift time
     mean = uniform_filter1d(np.sum(vectors**2, axis=1), max(odd, 1))
-    # The filter keeps a running sum, which rounding takes below zero.
+    # The filter keeps a running sum, which rounding can make negative.
     return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
 

@@ -7,7 +7,7 @@ reliable postures, limb lengths restored, standardization undone.
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,16 @@ from sklearn.cluster import KMeans
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct.gaussian_process import Kernel, fit_kernel
-from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.correct.interface import (
     CORRECTED_TRUST,
     Correction,
-    LearnedCorrector,
     Observation,
+)
+from kinefilter.pipeline.correct.learned import (
+    LearnedCorrector,
+    Lessons,
     TrainingSet,
 )
-from kinefilter.pipeline.correct.lessons import Lessons
 from kinefilter.pipeline.progress import Progress, silent
 
 _POOL = 25  # frames drawn for each centroid
@@ -88,6 +89,11 @@ class ClusteredGP(LearnedCorrector):
         seed: Draws the frames and starts the clusters.
     """
 
+    fitted = (
+        *("rows", "people", "bones", "weights", "variances", "scales", "noise"),
+        *("joints", "seen"),
+    )
+
     def __init__(
         self,
         skeleton: Skeleton,
@@ -96,27 +102,17 @@ class ClusteredGP(LearnedCorrector):
         smallest_reliability: float = 0.7,
         seed: int = 0,
     ) -> None:
-        self.skeleton = skeleton
+        super().__init__(skeleton, samples=_POOL * centroids, seed=seed)
         self.centroids = centroids
         self.smallest_reliability = smallest_reliability
-        self.seed = seed
-        self._hold = Hold(skeleton)
         self._walk = BoneWalk(skeleton)
 
-    def start(self) -> None:
-        """Forget all frames."""
-        self._hold.start()
-
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Learn from pairs.
-
-        Raises:
-            InputError: The reliable pairs are too few, or of another skeleton.
-        """
+        """Learn from pairs in which every joint is reliable."""
         lessons = Lessons.drawn(
             training,
             self.skeleton,
-            _POOL * self.centroids,
+            self.samples,
             self.seed,
             above=self.smallest_reliability,
         )
@@ -150,17 +146,21 @@ class ClusteredGP(LearnedCorrector):
         spread = max(float(np.sqrt(rows.var(axis=0).sum())), 1e-2)
         scales = 1.0 / (spread * np.array([[_LONG], [_SHORT]]))
         start = Kernel(np.array([power, power]), scales, 0.0, power / 10.0)
-        self.kernel_ = fit_kernel(start, rows[some], outputs[some])
-        factor = cholesky(self.kernel_.of_samples(rows))
+        kernel = fit_kernel(start, rows[some], outputs[some])
+        self.variances_, self.scales_ = kernel.variances, kernel.scales
+        self.noise_ = np.array(kernel.noise)
+        factor = cholesky(kernel.of_samples(rows))
         weights = cho_solve((factor, False), outputs)
         self.weights_ = weights.astype(np.float32)
 
     def _prepare(self) -> None:
+        noise = float(self.noise_.item())
+        self.kernel = Kernel(self.variances_, self.scales_, 0.0, noise)
         self._rows = self.rows_.astype(float)
-        matrix = self.kernel_.of_samples(self._rows)
+        matrix = self.kernel.of_samples(self._rows)
         self._inverse = np.linalg.inv(matrix)
         # What is left of the variance at the median centroid itself (eq. 5).
-        explained = self.kernel_.noise - self.kernel_.noise**2 * np.diag(self._inverse)
+        explained = noise - noise**2 * np.diag(self._inverse)
         self._certain = float(np.median(explained))
         moved = np.zeros(len(self.skeleton), dtype=bool)
         moved[self.joints_] = True
@@ -206,37 +206,11 @@ class ClusteredGP(LearnedCorrector):
 
     def _predict(self, standard: Array) -> tuple[Array, float]:
         """Return offsets [m] of the learned joints (M, 3), and the coverage."""
-        likeness = self.kernel_(self._features(standard)[None], self._rows)[0]
+        likeness = self.kernel(self._features(standard)[None], self._rows)[0]
         offsets = (likeness @ self.weights_).reshape(-1, 3)  # eq. 5
         explained = float(likeness @ (self._inverse @ likeness))
-        most = max(self.kernel_.prior - self._certain, 1e-12)
+        most = max(self.kernel.prior - self._certain, 1e-12)
         return offsets, float(np.clip(explained / most, 0.0, 1.0))
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the fitted state as named arrays, for a model file."""
-        return {
-            "rows": self.rows_,
-            "people": self.people_,
-            "bones": self.bones_,
-            "weights": self.weights_,
-            "variances": self.kernel_.variances,
-            "scales": self.kernel_.scales,
-            "noise": np.array(self.kernel_.noise),
-            "joints": self.joints_,
-            "seen": self.seen_,
-        }
-
-    @classmethod
-    def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
-        """Return the fitted corrector that ``arrays`` described."""
-        model = cls(skeleton)
-        model.rows_, model.weights_ = arrays["rows"], arrays["weights"]
-        model.people_, model.bones_ = arrays["people"], arrays["bones"]
-        noise = float(arrays["noise"].item())
-        model.kernel_ = Kernel(arrays["variances"], arrays["scales"], 0.0, noise)
-        model.joints_, model.seen_ = arrays["joints"], arrays["seen"]
-        model._prepare()
-        return model
 
 
 def _averaged(values: Array, labels: NDArray[np.intp]) -> Array:

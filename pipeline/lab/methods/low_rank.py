@@ -7,20 +7,15 @@ lengths are not kept.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct.interface import (
-    Correction,
-    Corrector,
-    Observation,
-    measured_only,
-)
-from kinefilter.pipeline.lab.methods.filters import bridge_gaps
+from kinefilter.pipeline.correct import Observation
+
+from .filters import WholeTake, bridge_gaps
 
 _FIRST_STIFFNESS = 1.25  # mu times the largest singular value, as in Lin et al. 2010
 _GROWTH = 1.05  # rho; the common 1.5 stops short of the minimum
@@ -90,7 +85,7 @@ def decompose(matrix: Array, penalty: Array) -> Decomposition:
     return Decomposition(clean, error, dual, _MOST_ITERATIONS, False)
 
 
-class LowRank(Corrector):
+class LowRank(WholeTake):
     """Takes the sparse errors out of a take.
 
     A gap has errors for free, so the joints that were seen decide what is in it; a
@@ -117,15 +112,7 @@ class LowRank(Corrector):
     ) -> None:
         self.sparsity = sparsity
 
-    def whole(
-        self,
-        take: Observation,
-        frames: Iterable[int] | None = None,  # noqa: ARG002 - at once
-    ) -> Correction:
-        """Recover a whole take; joints that were never seen stay NaN."""
-        return measured_only(self._recovered(take))
-
-    def _recovered(self, take: Observation) -> Array:
+    def _moved(self, take: Observation) -> Array:
         seen = ~np.isnan(take.positions[..., 0])
         joints = np.flatnonzero(seen.any(axis=0))
         rows = bridge_gaps(take.time, take.positions)[:, joints].transpose(0, 2, 1)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import State
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.reliability.shum import ReliabilityScorer
+from kinefilter.pipeline.reliability import ReliabilityScorer
 
 LARGEST_DISPLACEMENT = 0.03
 """T [m]: a joint that moved no farther than this made no error (eq. 10)."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import State, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.reliability.shum import ReliabilityScorer
+from kinefilter.pipeline.reliability import ReliabilityScorer
 
 FRAME_TIME = 1.0 / 30.0
 """Time [s] between a Kinect's frames, where no time stamps are given."""

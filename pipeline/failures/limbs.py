@@ -1,4 +1,4 @@
-"""Limbs where no joint lets them go."""
+"""Limbs in impossible postures, and limbs that leap from one place to another."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from scipy.ndimage import median_filter
 
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.reliability.shum import column_medians
-
-from .trunk import trunk_axes, unit, upward
+from kinefilter.pipeline.reliability import column_medians
 
 _BACKWARDS = 0.06
 """Share of a leg's length by which a knee is behind the line from hip to ankle: 14
@@ -30,13 +28,29 @@ _TOLERANCE = np.radians(15.0)
 what 126 clips of marker mocap hold, but for one of 19 degrees, whose arm goes through
 the trunk."""
 _STEADY = 0.3  # s, of the median over time before a limb is judged
+_LEAP = 0.6
+"""How far a limb's joint leaps, as a share of the segment that ends there: 35 degrees.
+The most that 126 clips of marker mocap hold, punches and dances among them, is 0.5."""
+_LEAP_TIME = 1.0 / 15.0
+"""Time [s] too short to go from rest to rest: the fastest voluntary contractions last
+about a tenth of a second, however small they are (Freund & Buedingen 1978, Experimental
+Brain Research 31:1-12)."""
+_REST = 0.1
+"""Time before and after a leap over which movement counts against it [s]: a quick limb
+is still on its way then."""
+_SLACK = 1.25  # share of _LEAP_TIME that two frames of an uneven clock may take
+_SIDES = ("Left", "Right")
+_SEGMENTS = {
+    "arm": (("Shoulder", "Elbow"), ("Elbow", "Wrist")),
+    "leg": (("Hip", "Knee"), ("Knee", "Ankle")),
+}
 
 
 def bent_backwards(take: Take, side: str) -> NDArray[np.bool_]:
     """Return the frames in which a knee is far behind its leg, shape (T,)."""
     hip, knee, ankle = (_joint(take, part, side) for part in ("Hip", "Knee", "Ankle"))
     hips = _joint(take, "Hip", "Left") - _joint(take, "Hip", "Right")
-    front = unit(np.cross(hips, upward(take)))
+    front = _unit(np.cross(hips, _upward(take)))
     leg, thigh = ankle - hip, knee - hip
     squares = np.maximum(np.sum(leg * leg, axis=1), 1e-9)
     along = np.sum(thigh * leg, axis=1) / squares
@@ -52,10 +66,8 @@ def through_head(take: Take, side: str) -> NDArray[np.bool_]:
 
     Sensors lose an arm behind the head or beyond it, and then see one in the head.
     """
-    skeleton = take.skeleton
     elbow, wrist = _joint(take, "Elbow", side), _joint(take, "Wrist", side)
-    neck = take.positions[:, skeleton.girdle]
-    head = take.positions[:, skeleton.index("Head")]
+    neck, head = take.positions[:, take.skeleton.girdle], _joint(take, "Head")
     apart = _distances(elbow, _FOREARM * (wrist - elbow), neck, head)
     apart = np.nan_to_num(apart, nan=np.inf)
     return np.asarray(_steady(take, apart) < _CLEARANCE)
@@ -69,7 +81,7 @@ def out_of_range(take: Take, side: str) -> NDArray[np.bool_]:
     in the trunk's axis; counted is the angle to the nearer one.
     """
     left, _, front = trunk_axes(take)
-    arm = unit(_joint(take, "Elbow", side) - _joint(take, "Shoulder", side))
+    arm = _unit(_joint(take, "Elbow", side) - _joint(take, "Shoulder", side))
     inward = np.sum(arm * left, axis=1) * (-1.0 if side == "Left" else 1.0)
     ahead = np.sum(arm * front, axis=1)
     across = -np.cos(_ADDUCTION) * ahead - np.sin(_ADDUCTION) * inward
@@ -77,12 +89,80 @@ def out_of_range(take: Take, side: str) -> NDArray[np.bool_]:
     return np.asarray(_steady(take, beyond) > np.sin(_TOLERANCE))
 
 
-def _joint(take: Take, part: str, side: str) -> Array:
+def leaps(take: Take, side: str, limb: str) -> NDArray[np.bool_]:
+    """Return the frames in which a limb, ``arm`` or ``leg``, leaps, shape (T,).
+
+    Sensors that lose a limb leave it where it was, or on something else, and find it
+    again all at once.
+    """
+    frames = np.zeros(len(take), dtype=bool)
+    lag, rest = round(_LEAP_TIME * take.fps), max(1, round(_REST * take.fps))
+    # A slow sensor, or one that dropped frames, leaves a limb the time to get there.
+    if lag < 1 or len(take) < lag + 2 * rest + 1:
+        return frames
+    quick = take.time[lag:] - take.time[:-lag] <= _SLACK * _LEAP_TIME
+    for start, end in _SEGMENTS[limb]:
+        bones = {s: _joint(take, end, s) - _joint(take, start, s) for s in _SIDES}
+        lengths = np.stack([np.linalg.norm(b, axis=1) for b in bones.values()], axis=1)
+        # The longer of both sides' medians is the length: lost limbs shrink.
+        longest = max(np.nan_to_num(column_medians(lengths)).max(), 1e-3)
+        far = _contrasts(bones[side] / longest, lag, rest) > _LEAP
+        for k in np.flatnonzero(far & quick):
+            frames[k : k + lag + 1] = True
+    return frames
+
+
+def _contrasts(bones: Array, lag: int, rest: int) -> Array:
+    """Return how far the vectors move in ``lag`` frames, less just before and after.
+
+    Shape (T - lag,), from the frame that each movement begins with.
+    """
+    moved = np.linalg.norm(bones[lag:] - bones[:-lag], axis=1)
+    before, after = np.zeros((2, len(bones)))
+    for k in range(1, rest + 1):
+        step = np.linalg.norm(bones[k:] - bones[:-k], axis=1)
+        before[k:] = np.maximum(before[k:], step)
+        after[:-k] = np.maximum(after[:-k], step)
+    contrasts = moved - before[:-lag] - after[lag:]
+    # At the ends of the take nothing tells whether the person was at rest.
+    contrasts[:rest] = contrasts[len(contrasts) - rest :] = 0.0
+    return np.asarray(np.nan_to_num(contrasts))
+
+
+def leftward(take: Take) -> Array:
+    """Return the sum of what points to the left at hips and shoulders [m], (T, 3)."""
+    return np.asarray(
+        sum(
+            _joint(take, part, "Left") - _joint(take, part, "Right")
+            for part in ("Hip", "Shoulder")
+        )
+    )
+
+
+def trunk_axes(take: Take) -> tuple[Array, Array, Array]:
+    """Return unit vectors to the left, up along the spine and to the front, (T, 3)."""
+    up = _unit(_upward(take))
+    front = _unit(np.cross(leftward(take), up))
+    return np.cross(up, front), up, front
+
+
+def _upward(take: Take) -> Array:
+    """Return the vector from the root to the middle of the shoulders [m], (T, 3)."""
+    girdle = take.positions[:, take.skeleton.girdle]
+    return np.asarray(girdle - take.positions[:, take.skeleton.root])
+
+
+def _unit(vectors: Array) -> Array:
+    norms = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(norms, 1e-9))
+
+
+def _joint(take: Take, part: str, side: str = "") -> Array:
     return take.positions[:, take.skeleton.index(f"{part}{side}")]
 
 
 def _steady(take: Take, values: Array) -> Array:
-    """Return medians over time, so that a frame or two decide nothing, (T,)."""
+    """Return running medians over time, which ignore single wrong frames, (T,)."""
     rate = (len(take) - 1) / (take.time[-1] - take.time[0])
     width = max(1, round(_STEADY * rate))
     return np.asarray(median_filter(values, width, mode="nearest"))

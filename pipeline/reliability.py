@@ -1,4 +1,7 @@
-"""How far each joint of each frame can be trusted (Shum 2013, section IV)."""
+"""How reliable each joint of each frame is, and what the person measures.
+
+The default scorer, after Shum 2013, section IV; ``pipeline.methods`` names the others.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,17 @@ SMALLEST_DISPLACEMENT = 0.03
 VIBRATION_FRAMES = 3
 """f_b: angles averaged by the behavior term (eq. 4)."""
 ANGLE_FLOOR, ANGLE_ROOF = np.radians(90.0), np.radians(135.0)
-"""theta_floor, theta_roof [rad]: full and no trust in the behavior term (eq. 4)."""
+"""theta_floor, theta_roof [rad]: the behavior term falls from 1 to 0 (eq. 4)."""
 RATE_FRAMES = 6
 """f_total: frames that the rate looks back on, 0.2 s at 30 Hz (eq. 8)."""
 
 
+_SIDES = ("Left", "Right")
+
+
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What the person's segments measure, to tell wrong lengths by."""
+    """The person's segment lengths and directions, to recognize wrong lengths by."""
 
     lengths: Array
     """Length [m] of the segment that ends at each joint, NaN where never seen or the
@@ -46,7 +52,7 @@ class Reliability:
     term: NDArray[np.uint8]
     """The term that decided in the frame itself (Term), shape (T, J)."""
     geometry: Array
-    """The rate without the tracking state: what the positions alone say, (T, J)."""
+    """The reliability from positions alone, without the tracking state, (T, J)."""
 
 
 def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
@@ -127,23 +133,17 @@ def _trunk_directions(take: Take) -> Array:
     """Return the median direction of trunk segments in the trunk's frame, (J, 3)."""
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
-    trunk = [
-        *(
-            skeleton.index(p + s)
-            for p in ("Hip", "Shoulder")
-            for s in ("Left", "Right")
-        ),
-        *_chain(skeleton, skeleton.girdle),
-    ]
+    sides = [[skeleton.index(p + s) for p in ("Hip", "Shoulder")] for s in _SIDES]
+    trunk, joint = sides[0] + sides[1], skeleton.girdle
+    while joint != skeleton.root:
+        trunk.append(joint)
+        joint = skeleton.parents[joint]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
     if not seen.any():
         return directions
     points = take.positions[seen]
     up = points[:, skeleton.girdle] - points[:, skeleton.root]
-    left = sum(
-        points[:, skeleton.index(f"{p}Left")] - points[:, skeleton.index(f"{p}Right")]
-        for p in ("Hip", "Shoulder")
-    )
+    left = (points[:, sides[0]] - points[:, sides[1]]).sum(axis=1)
     front = np.cross(left, up)
     frame = np.stack([np.cross(up, front), up, front], axis=1)
     frame /= np.maximum(np.linalg.norm(frame, axis=2, keepdims=True), 1e-9)
@@ -154,15 +154,6 @@ def _trunk_directions(take: Take) -> Array:
         if norm > 1e-9:
             directions[j] = median / norm
     return directions
-
-
-def _chain(skeleton: Skeleton, joint: int) -> list[int]:
-    """Return the joints from one up to, and without, the root."""
-    chain = []
-    while joint != skeleton.root:
-        chain.append(joint)
-        joint = skeleton.parents[joint]
-    return chain
 
 
 def column_medians(values: Array) -> Array:
@@ -178,21 +169,18 @@ def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
     skeleton = take.skeleton
     trunk = take.positions[:, skeleton.girdle] - take.positions[:, skeleton.root]
     upright = trunk[:, 1] > 0.94 * np.linalg.norm(trunk, axis=1)  # within 20 degrees
-    sideways, down = [], []
 
-    def direction(end: str) -> Array:
-        j = take.skeleton.index(end)
-        bone = take.positions[:, j] - take.positions[:, take.skeleton.parents[j]]
-        return np.asarray(bone / np.linalg.norm(bone, axis=1, keepdims=True))
+    def rise(*ends: str) -> Array:
+        """Return how steeply segments of both sides rise, from -1 to 1, (4, T)."""
+        joints = [skeleton.index(end + side) for side in _SIDES for end in ends]
+        starts = [skeleton.parents[j] for j in joints]
+        bones = take.positions[:, joints] - take.positions[:, starts]
+        return np.asarray((bones[..., 1] / np.linalg.norm(bones, axis=2)).T)
 
-    for side in ("Left", "Right"):
-        for end in ("Knee", "Ankle"):
-            upright &= direction(end + side)[:, 1] < -0.94
-        arm = [direction(end + side)[:, 1] for end in ("Elbow", "Wrist")]
-        down.append((arm[0] < -0.9) & (arm[1] < -0.9))
-        sideways.append((np.abs(arm[0]) < 0.34) & (np.abs(arm[1]) < 0.34))
-    arms = (down[0] & down[1]) | (sideways[0] & sideways[1])
-    return np.asarray(upright & arms)
+    arms = rise("Elbow", "Wrist")
+    down, sideways = (arms < -0.9).all(axis=0), (np.abs(arms) < 0.34).all(axis=0)
+    legs = (rise("Knee", "Ankle") < -0.94).all(axis=0)
+    return np.asarray(upright & legs & (down | sideways))
 
 
 class ReliabilityScorer:
@@ -278,7 +266,7 @@ class ReliabilityScorer:
         return Reliability(rate, term, geometry)
 
     def _behavior(self, positions: Array) -> Array:
-        """Return the vibration term: trust falls with sharp turns (eq. 1-4)."""
+        """Return the behavior term, which falls with sharp turns (eq. 1-4)."""
         moved = positions - self._last
         distance = np.sqrt(np.vecdot(moved, moved))
         # False where a position is missing: no displacement, no angle.

@@ -1,0 +1,173 @@
+"""Finds gross failures of the tracker, and lowers reliability where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Skeleton, Take, Term
+from kinefilter.pipeline.reliability import Reliability
+from kinefilter.retarget.runs import runs
+
+from .limbs import bent_backwards, leaps, leftward, out_of_range, through_head
+
+_SPIN = np.radians(120.0)
+_SPIN_TIME = 1.0 / 6.0
+"""Nobody turns the trunk by this angle [rad] in this time [s], which is two revolutions
+a second: figure skaters reach six, dancers two."""
+_MENDS = 0.7
+"""Exchanging the sides has to reduce the jumps into and out of a mirrored stretch to
+this share or less. A guess."""
+_LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
+_SHORT = 0.3  # s: an arm in an impossible place for less only brushes by
+
+
+class FailureKind(StrEnum):
+    """What is wrong with part of a take."""
+
+    MIRRORED = "left and right exchanged"
+    BENT_BACKWARDS = "bent backwards at the knee"
+    THROUGH_HEAD = "through the head"
+    OUT_OF_RANGE = "beyond the shoulder's range"
+    LEAPING = "leaping faster than limbs move"
+
+
+_DOUBTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
+"""Failures whose limbs get reliability 0. An arm beyond its range is closer to the
+truth than what correction invents for it: 27 against 39 cm in 14 recorded clips. A limb
+that leaps may be right before or after the leap: distrusting it removed real kicks."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A stretch of a take in which the tracker failed."""
+
+    kind: FailureKind
+    """What is wrong."""
+    part: str
+    """What it is wrong with: ``body``, or ``left`` or ``right`` and ``arm`` or
+    ``leg``."""
+    first: int
+    """Its first frame."""
+    last: int
+    """Its last frame."""
+    start: float
+    """Time stamp of the first frame [s]."""
+    end: float
+    """Time stamp of the last frame [s]."""
+
+    @property
+    def frames(self) -> slice:
+        """Its frames."""
+        return slice(self.first, self.last + 1)
+
+    def __str__(self) -> str:
+        return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
+
+
+def find_failures(take: Take) -> tuple[Failure, ...]:
+    """Return the gross failures in a take, time stamps strictly increasing."""
+    kind = FailureKind
+    found = list(_lasting(take, kind.MIRRORED, "body", _mirrored(take)))
+    take = unmirrored(take, found)  # sides are named as they are once exchanged back
+    for side in ("Left", "Right"):
+        for limb, what, frames, shortest in (
+            ("arm", kind.THROUGH_HEAD, through_head(take, side), _SHORT),
+            ("arm", kind.OUT_OF_RANGE, out_of_range(take, side), _SHORT),
+            ("arm", kind.LEAPING, leaps(take, side, "arm"), 0.0),
+            ("leg", kind.BENT_BACKWARDS, bent_backwards(take, side), _LONG),
+            ("leg", kind.LEAPING, leaps(take, side, "leg"), 0.0),
+        ):
+            found += _lasting(take, what, f"{side.lower()} {limb}", frames, shortest)
+    return tuple(sorted(found, key=lambda failure: failure.first))
+
+
+def _lasting(
+    take: Take,
+    kind: FailureKind,
+    part: str,
+    frames: NDArray[np.bool_],
+    shortest: float = 0.0,
+) -> Iterable[Failure]:
+    """Yield the stretches of a failure in frames (T,), none shorter than that [s]."""
+    for run in runs(frames):
+        start, end = float(take.time[run.start]), float(take.time[run.stop - 1])
+        if end - start >= shortest:
+            yield Failure(kind, part, run.start, run.stop - 1, start, end)
+
+
+def distrust(
+    reliability: Reliability, failures: tuple[Failure, ...], skeleton: Skeleton
+) -> Reliability:
+    """Return the reliability, set to 0 where a limb is in an impossible place.
+
+    This holds from the elbow or knee on. Mirrored bodies are put back before; arms
+    beyond their range and limbs that leap keep their reliability.
+    """
+    rate, geometry = reliability.rate.copy(), reliability.geometry.copy()
+    term = reliability.term.copy()
+    for failure in failures:
+        if failure.kind in _DOUBTED:
+            side, limb = failure.part.split()
+            top = {"arm": "Shoulder", "leg": "Hip"}[limb] + side.capitalize()
+            joints = skeleton.beyond(skeleton.index(top))
+            rate[failure.frames, joints] = 0.0
+            geometry[failure.frames, joints] = 0.0
+            term[failure.frames, joints] = Term.FAILURE
+    return replace(reliability, rate=rate, geometry=geometry, term=term)
+
+
+def _mirrored(take: Take) -> NDArray[np.bool_]:
+    """Return the frames, fewer than half, between impossible turns, shape (T,)."""
+    frames = np.zeros(len(take), dtype=bool)
+    left = np.nan_to_num(leftward(take)[:, [0, 2]])
+    lag = max(1, round(_SPIN_TIME * len(take) / (take.time[-1] - take.time[0])))
+    if len(take) <= lag:
+        return frames
+    norms = np.maximum(np.linalg.norm(left, axis=1), 1e-9)
+    cosines = np.sum(left[lag:] * left[:-lag], axis=1) / (norms[lag:] * norms[:-lag])
+    # A turn shows in all pairs of frames that have it between them.
+    spins = runs(cosines < np.cos(_SPIN))
+    turns = [(run.start + run.stop - 1) // 2 + lag // 2 + 1 for run in spins]
+    for k, turn in enumerate(turns):
+        end = turns[k + 1] if k + 1 < len(turns) else len(take)
+        frames[turn:end] = k % 2 == 0
+    return frames if frames.mean() <= 0.5 else ~frames
+
+
+def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
+    """Return a take whose left and right are exchanged back where they were mirrored.
+
+    Where the body would jump as far either way, more is wrong, and they stay.
+    """
+    frames = np.zeros(len(take), dtype=bool)
+    for failure in failures:
+        if failure.kind is FailureKind.MIRRORED:
+            first, last = failure.first, failure.last
+            edges = [(first, first - 1), (last, last + 1)]
+            edges = [edge for edge in edges if 0 <= edge[1] < len(take)]
+            jumps = sum(_jump(take, *edge, mirror=False) for edge in edges)
+            mended = sum(_jump(take, *edge, mirror=True) for edge in edges)
+            frames[failure.frames] = mended < _MENDS * jumps
+    if not frames.any():
+        return take
+    mirror = take.skeleton.mirror
+    positions, state = take.positions.copy(), take.state.copy()
+    positions[frames] = positions[frames][:, mirror]
+    state[frames] = state[frames][:, mirror]
+    return replace(take, positions=positions, state=state)
+
+
+def _jump(take: Take, inside: int, outside: int, *, mirror: bool) -> float:
+    """Return how far joints move relative to the root between two frames, mean [m]."""
+    root = take.skeleton.root
+    frame, other = (
+        take.positions[k] - take.positions[k, root] for k in (inside, outside)
+    )
+    if mirror:
+        frame = frame[take.skeleton.mirror]
+    return float(np.nanmean(np.linalg.norm(frame - other, axis=1)))
