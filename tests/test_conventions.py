@@ -26,8 +26,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_y, multiply, rotate
 from kinefilter.pipeline.formats import read_bvh
-from kinefilter.pipeline.target.floor import leveled
-from kinefilter.pipeline.target.placement import place_of
+from kinefilter.pipeline.target.floor import leveled, place_of
 from kinefilter.scenes.sensor import Sensor, in_sensor_frame, sample_take
 
 MakeClip = Callable[..., Clip]

@@ -13,14 +13,8 @@ import pytest
 from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline import spool
 from kinefilter.pipeline.cli import main
-<<<<<<< HEAD
-from kinefilter.pipeline.correct import interface
-from kinefilter.pipeline.correct.interface import TrainingSet
-from kinefilter.pipeline.correct.lessons import Lessons
-=======
-from kinefilter.pipeline.correct import TrainingSet
+from kinefilter.pipeline.correct import TrainingSet, learned
 from kinefilter.pipeline.correct.learned import Lessons
->>>>>>> correct
 from kinefilter.pipeline.correct.personal_gp import PersonalGP
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
@@ -81,7 +75,7 @@ def test_lessons_are_the_same_from_a_disk_in_blocks_and_in_memory(
 ) -> None:
     lessons = training_set(iter(pairs))
     whole = Lessons.drawn(in_memory(lessons), KINECT_V1, 200, 0, above=0.1)
-    monkeypatch.setattr(interface, "_BLOCK", 37)
+    monkeypatch.setattr(learned, "_BLOCK", 37)
     parts = Lessons.drawn(lessons, KINECT_V1, 200, 0, above=0.1)
     for name in ("postures", "offsets", "learned", "seen", "lengths"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
@@ -92,7 +86,7 @@ def test_a_model_is_the_same_from_a_disk_in_blocks_and_in_memory(
 ) -> None:
     lessons = training_set(iter(pairs))
     whole = PersonalGP(KINECT_V1, samples=100).fit(in_memory(lessons)).arrays()
-    monkeypatch.setattr(interface, "_BLOCK", 37)
+    monkeypatch.setattr(learned, "_BLOCK", 37)
     parts = PersonalGP(KINECT_V1, samples=100).fit(lessons).arrays()
     for name, array in whole.items():
         np.testing.assert_array_equal(parts[name], array)

@@ -11,7 +11,7 @@ from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.metrics import Quality, measure
-from kinefilter.pipeline.target.contacts import feet_of
+from kinefilter.pipeline.target.feet import feet_of
 
 from .drawing import Drawing, read_finite_clip
 from .placing import in_clip_frame, leveled_to_clip, same_stamps

@@ -14,7 +14,7 @@ from kinefilter.characters import Clip, InputError, Prop
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.resample import resampled
 from kinefilter.pipeline.settings import hash_of
-from kinefilter.pipeline.target.placement import place_of
+from kinefilter.pipeline.target.floor import place_of
 
 from .cameras import CameraPath, axes_toward, camera_path
 from .drawing import Drawing, offset_beside, read_finite_clip
@@ -158,7 +158,7 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     """
     import mujoco  # by now its OpenGL is chosen
 
-    from kinefilter.pipeline.physics.things import Things
+    from kinefilter.pipeline.physics.filter import Things
     from kinefilter.scenes import load_scene
 
     model = load_scene(scene).compile()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, Shape
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY
-from kinefilter.pipeline.target.contacts import ankles_and_toes
+from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_path
 from .drawing import Drawing

@@ -21,15 +21,11 @@ from scipy.special import expit
 
 from kinefilter.characters import STANDARD_HEIGHT, InputError, Skeleton, State, Term
 from kinefilter.characters.arrays import Array
-<<<<<<< HEAD
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.formats.npz import read_arrays
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.reliability.shum import Reference, measure_reference
-=======
-from kinefilter.pipeline.reliability import Reference
->>>>>>> correct
+from kinefilter.pipeline.reliability import Reference, measure_reference
 from kinefilter.retarget import measured_body
 
 from .noise import MEMORY, NoiseReliabilityScorer

@@ -9,8 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from kinefilter.pipeline.correct import LearnedCorrector
-from kinefilter.pipeline.correct.interface import TrainingSet
+from kinefilter.pipeline.correct import LearnedCorrector, TrainingSet
 from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
 from kinefilter.pipeline.progress import over

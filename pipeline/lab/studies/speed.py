@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.database.posture_index import PostureIndex
+from kinefilter.pipeline.database.posture_database import PostureIndex
 from kinefilter.pipeline.lab.bench import bench
 from kinefilter.pipeline.lab.scripted_database import scripted_postures
 from kinefilter.pipeline.lab.simulate import simulate
