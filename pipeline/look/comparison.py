@@ -40,12 +40,10 @@ _DRIFT = 0.1  # s between stamps and the constant rate of a file without them
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall is as large
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """A clip, and its measurement where the clip's character is."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparison(Drawing):
+    """A clip beside its measurement, with the metrics of both."""
 
-    clip: Clip
-    """What was made from the take."""
     raw: Array
     """Measured joint positions [m], clip's frame, NaN where missing, (T, J, 3)."""
     before: dict[str, float]
@@ -85,8 +83,7 @@ def read_drawing(
     """
     if take_path is None:
         return Drawing(read_finite_clip(clip_path))
-    found = read_comparison(clip_path, take_path, body=body)
-    return Drawing(found.clip, found.raw)
+    return read_comparison(clip_path, take_path, body=body)
 
 
 def compare(clip: Clip, take: Take) -> Comparison:
@@ -114,7 +111,9 @@ def compare(clip: Clip, take: Take) -> Comparison:
     seen, positions = raw[distinct], clip.positions[distinct]
     before = measure(time, seen, seen, clip.body, stands)
     after = measure(time, positions, seen, clip.body, stands)
-    return Comparison(clip, raw, _by_name(before), _by_name(after))
+    return Comparison(
+        clip=clip, raw=raw, before=_by_name(before), after=_by_name(after)
+    )
 
 
 def _by_name(quality: Quality) -> dict[str, float]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from kinefilter.characters import InputError
@@ -47,7 +46,7 @@ def draw_parts(task: RenderTask, parts: Parts, fingerprint: str) -> list[list[Co
         return [[] for _ in parts]
     if suffix == ".gif":
         return [[(encode_png(p), True) for p in _pictures(task, k)] for k in parts]
-    rate = _opened(task).composition.rate
+    rate = _opened(task)[0].rate
     return [encode_video(_pictures(task, k), task.look.pixels, rate) for k in parts]
 
 
@@ -62,24 +61,16 @@ def _pictures(task: RenderTask, numbers: Sequence[int]) -> Iterator[Pixels]:
     for number in numbers:
         if given_up():
             raise InputError(f"{task.clip}: interrupted")
-        yield _opened(task).renderer.render(number)
+        yield _opened(task)[1].render(number)
 
 
-@dataclass(frozen=True)
-class _Open:
-    """A task that is ready to be drawn."""
-
-    task: RenderTask
-    composition: Composition
-    renderer: OffscreenRenderer
+# The task at hand, kept ready: the next part is often of the same.
+_open: list[tuple[RenderTask, Composition, OffscreenRenderer]] = []
 
 
-_open: list[_Open] = []  # the task at hand, kept: the next part is often of the same
-
-
-def _opened(task: RenderTask) -> _Open:
+def _opened(task: RenderTask) -> tuple[Composition, OffscreenRenderer]:
     """Return the task ready to be drawn; the one before it is closed."""
-    if not _open or _open[0].task != task:
+    if not _open or _open[0][0] != task:
         from .video_model import ClipModel
         from .video_offscreen import OffscreenRenderer
 
@@ -93,12 +84,12 @@ def _opened(task: RenderTask) -> _Open:
             translucent=made.drawing.raw is not None and task.look.place == "over",
         )
         renderer = OffscreenRenderer(model, made.camera, shadows=task.look.shadows)
-        _open.append(_Open(task, made, renderer))
-    return _open[0]
+        _open.append((task, made, renderer))
+    return _open[0][1:]
 
 
 @atexit.register
 def _close() -> None:
     """Release what OpenGL holds: after Python's shutdown that is too late."""
     while _open:
-        _open.pop().renderer.close()
+        _open.pop()[2].close()
