@@ -11,7 +11,7 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, skeleton_named
 
 from .correct import LearnedCorrector
-from .formats import atomic_path
+from .formats.files import atomic_path
 from .formats.npz import read_arrays
 from .methods import LEARNED
 
