@@ -14,7 +14,7 @@ from .methods import METHODS, SCORERS, load
 from .models import Model, load_model
 from .reliability import Reference, ReliabilityScorer
 
-_MODEL_RATE = 0.5
+_MODEL_RELIABILITY = 0.5
 """Least reliability of what a model made of a measured joint: it then counts a fifth.
 In simulated takes 0.5 to 0.75 do about as well."""
 
@@ -107,4 +107,4 @@ def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Correc
     database, pca = _database(skeleton, config), METHODS["local-pca"]
     options = {option: getattr(config, option) for option in pca.options}
     follower = pca.load()(database, **options)
-    return InTurn(corrector, follower, least_rate=_MODEL_RATE)
+    return InTurn(corrector, follower, least_reliability=_MODEL_RELIABILITY)

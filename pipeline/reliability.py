@@ -21,7 +21,7 @@ VIBRATION_FRAMES = 3
 ANGLE_FLOOR, ANGLE_ROOF = np.radians(90.0), np.radians(135.0)
 """theta_floor, theta_roof [rad]: the behavior term falls from 1 to 0 (eq. 4)."""
 RATE_FRAMES = 6
-"""f_total: frames that the rate looks back on, 0.2 s at 30 Hz (eq. 8)."""
+"""f_total: frames that the reliability looks back on, 0.2 s at 30 Hz (eq. 8)."""
 
 
 _SIDES = ("Left", "Right")
@@ -44,10 +44,10 @@ class Reference:
 
 
 @dataclass(frozen=True, eq=False)
-class Reliability:
+class Scores:
     """Reliability of every joint in every frame."""
 
-    rate: Array
+    reliability: Array
     """R in [0, 1], shape (T, J) (eq. 8)."""
     term: NDArray[np.uint8]
     """The term that decided in the frame itself (Term), shape (T, J)."""
@@ -236,8 +236,7 @@ class ReliabilityScorer:
                 without, 30 frames a second.
 
         Returns:
-            The rate (J,), the deciding term (J,) and the rate of the geometry alone
-            (J,); see Reliability.
+            Reliability, deciding term and geometry, each of shape (J,); see Scores.
         """
         behavior = self._behavior(positions)
         kinematics = self._kinematics(positions)
@@ -250,20 +249,20 @@ class ReliabilityScorer:
         # Eq. 8, the weights normalized over the frames there are.
         weights = self._weights[min(self._frames, RATE_FRAMES - 1)]
         self._frames += 1
-        rate, shape = np.einsum("f,fkj->kj", weights, self._scores)
-        return rate, term, shape
+        reliability, shape = np.einsum("f,fkj->kj", weights, self._scores)
+        return reliability, term, shape
 
-    def score(self, take: Take) -> Reliability:
+    def score(self, take: Take) -> Scores:
         """Score a whole take: the same as ``start`` and a ``step`` per frame."""
         self.start()
         count, n = take.state.shape
-        rate, geometry = np.empty((count, n)), np.empty((count, n))
+        reliability, geometry = np.empty((count, n)), np.empty((count, n))
         term = np.empty((count, n), dtype=np.uint8)
         for k in range(count):
-            rate[k], term[k], geometry[k] = self.step(
+            reliability[k], term[k], geometry[k] = self.step(
                 take.positions[k], take.state[k], float(take.time[k])
             )
-        return Reliability(rate, term, geometry)
+        return Scores(reliability, term, geometry)
 
     def _behavior(self, positions: Array) -> Array:
         """Return the behavior term, which falls with sharp turns (eq. 1-4)."""

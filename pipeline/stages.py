@@ -182,7 +182,7 @@ class Score(Stage):
         scorer = make_scorer(self._scoring, draft.skeleton, draft.reference)
         found = scorer.score(draft.take())
         found = distrust(found, draft.failures, draft.skeleton)
-        draft.reliability, draft.geometry = found.rate, found.geometry
+        draft.reliability, draft.geometry = found.reliability, found.geometry
         draft.deciding_term = found.term
 
 
@@ -244,7 +244,7 @@ class Correct(Stage):
         """Correct the next frame."""
         found = self._corrector.step(self._seen(draft, self._body))
         draft.positions = self._standardizer.undo(found.positions, draft.heading)
-        draft.confidence, draft.coverage = found.trust, found.coverage
+        draft.confidence, draft.coverage = found.confidence, found.coverage
         draft.twist = None
         if found.rotations is not None:
             draft.twist = draft.heading.restore_rotations(found.rotations)
@@ -259,14 +259,14 @@ class Correct(Stage):
         if np.isnan(positions).any():
             positions = Hold(draft.skeleton).fill(positions)
         draft.positions = Standardizer(draft.body).undo(positions, draft.heading)
-        draft.confidence, draft.coverage = found.trust, found.coverage
+        draft.confidence, draft.coverage = found.confidence, found.coverage
         draft.twist = None
         if found.rotations is not None:
             draft.twist = np.empty(found.rotations.shape, dtype=np.float32)
             for k in _chunks(len(draft.time)):
                 heading = draft.heading.at(k)
                 draft.twist[k] = heading.restore_rotations(found.rotations[k])
-        origin = np.where(found.trust >= 1.0, Origin.MEASURED, Origin.CORRECTED)
+        origin = np.where(found.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
         origin[draft.missing] = Origin.FILLED
         draft.origin = origin.astype(np.uint8)
 

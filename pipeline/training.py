@@ -45,8 +45,8 @@ def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
     first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
     people = sorted(subjects) if len(subjects) <= 20 else [f"{len(subjects)} people"]
     source = f"{len(counts)} clips of {', '.join(people)}"
-    positions, rate, truth, lengths = (part.array() for part in parts)
-    return TrainingSet(positions, rate, truth, first, skeleton, source, lengths)
+    positions, reliability, truth, lengths = (part.array() for part in parts)
+    return TrainingSet(positions, reliability, truth, first, skeleton, source, lengths)
 
 
 def observed(pair: PairedTake) -> Draft:

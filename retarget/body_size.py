@@ -135,7 +135,7 @@ class Standardizer:
 
         Args:
             positions: Joint positions [m], world frame, NaN where missing, (J, 3).
-            weights: Trust in each joint, shape (J,).
+            weights: Confidence in each joint, shape (J,).
 
         Returns:
             Positions [m], NaN where missing, shape (J, 3), and the view taken out.
@@ -148,7 +148,7 @@ class Standardizer:
 
         Args:
             positions: Joint positions [m], world frame, NaN where missing, (T, J, 3).
-            weights: Trust in each joint, shape (T, J).
+            weights: Confidence in each joint, shape (T, J).
 
         Returns:
             Positions [m], NaN where missing, shape (T, J, 3), and the views, (T,).

@@ -27,13 +27,15 @@ class Hands:
             for wrist in [skeleton.index(f"Wrist{side}")]
         ]
 
-    def carried(self, before: Array, after: Array, trust: Array, body: Body) -> Array:
+    def carried(
+        self, before: Array, after: Array, confidence: Array, body: Body
+    ) -> Array:
         """Return the postures after, hands less trusted turned as their forearms were.
 
         Args:
             before: Joint positions [m], shape (..., J, 3).
             after: Those after joints were moved, shape (..., J, 3).
-            trust: How far each joint of a hand stays where it is, in [0, 1], (..., J).
+            confidence: How far each joint stays where it is, in [0, 1], shape (..., J).
             body: Whose bone lengths hands have.
         """
         carried = after.copy()
@@ -42,7 +44,7 @@ class Hands:
                 *(p[..., wrist, :] - p[..., elbow, :] for p in (before, after))
             )
             for j in hand:
-                p, share = self._parents[j], trust[..., j, None]
+                p, share = self._parents[j], confidence[..., j, None]
                 follows = rotate(turn, _unit(before[..., j, :] - before[..., p, :]))
                 stays = _unit(after[..., j, :] - after[..., p, :])
                 bone = _unit(share * stays + (1.0 - share) * follows)

@@ -66,13 +66,13 @@ def find_yaw(positions: Array, weights: Array, skeleton: Skeleton) -> Array:
 
     Args:
         positions: Joint positions [m], y up, NaN where missing, shape (..., J, 3).
-        weights: Trust in each joint, shape (..., J).
+        weights: Confidence in each joint, shape (..., J).
         skeleton: The joints.
     """
     pairs = np.array([skeleton.index(p + s) for p in _ACROSS for s in _SIDES])
     left, right = pairs[::2], pairs[1::2]
     lines = positions[..., left, :] - positions[..., right, :]
-    trust = weights[..., left] * weights[..., right]
-    lines = np.where(np.isnan(lines), 0.0, lines * trust[..., None])
+    confidence = weights[..., left] * weights[..., right]
+    lines = np.where(np.isnan(lines), 0.0, lines * confidence[..., None])
     x, z = lines[..., 0].sum(axis=-1), lines[..., 2].sum(axis=-1)
     return np.where(np.hypot(x, z) > 1e-6, np.arctan2(-z, x), np.nan)

@@ -62,10 +62,10 @@ def lessons_of(
     truth = seen.copy()
     truth[:, WRIST] += offset(seen)
     truth[:, SPINE] = np.nan
-    rate = np.ones(seen.shape[:2])
+    reliability = np.ones(seen.shape[:2])
     first = np.zeros(count, dtype=bool)
     first[0] = True
-    return TrainingSet(seen, rate, truth, first, KINECT_V1, "imagined")
+    return TrainingSet(seen, reliability, truth, first, KINECT_V1, "imagined")
 
 
 def bent(seen: Array) -> Array:
@@ -80,10 +80,12 @@ def local_gp(**settings: Any) -> LocalGP:
     return LocalGP(KINECT_V1, **{"clusters": 6, "samples": 30, **settings})
 
 
-def corrected(model: Method, postures: Array, rate: Array = ONES) -> list[Correction]:
+def corrected(
+    model: Method, postures: Array, reliability: Array = ONES
+) -> list[Correction]:
     model.start()
     return [
-        model.step(Observation(posture, rate, rate, k / 30.0))
+        model.step(Observation(posture, reliability, reliability, k / 30.0))
         for k, posture in enumerate(postures)
     ]
 

@@ -16,8 +16,8 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.reliability import (
     Reference,
-    Reliability,
     ReliabilityScorer,
+    Scores,
 )
 
 __all__ = [
@@ -72,5 +72,5 @@ def average(skeleton: Skeleton = KINECT_V1) -> Reference:
     return replace(blind(skeleton), lengths=lengths)
 
 
-def score(take: Take, reference: Reference) -> Reliability:
+def score(take: Take, reference: Reference) -> Scores:
     return ReliabilityScorer(take.skeleton, reference).score(take)

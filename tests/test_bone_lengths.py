@@ -56,8 +56,8 @@ def test_bone_lengths_are_exact_after_projection(
 ) -> None:
     body = standard_body(skeleton)
     positions = noisy(skeleton, 10, size, seed)
-    trust = np.random.default_rng(seed).uniform(0.2, 1.0, positions.shape[:2])
-    projected = BoneLengths(body).project(positions, trust)
+    confidence = np.random.default_rng(seed).uniform(0.2, 1.0, positions.shape[:2])
+    projected = BoneLengths(body).project(positions, confidence)
     expected = np.broadcast_to(body.lengths[skeleton.segments], (10, len(skeleton) - 1))
     np.testing.assert_allclose(lengths_of(projected, skeleton), expected, atol=1e-6)
 
@@ -80,17 +80,17 @@ def test_a_long_segment_is_shortened_wherever_it_is(skeleton: Skeleton) -> None:
 @every_skeleton
 def test_postures_that_are_right_already_stay(skeleton: Skeleton) -> None:
     positions = postures(skeleton, 20)
-    trust = np.random.default_rng(0).random(positions.shape[:2])
-    projected = BoneLengths(standard_body(skeleton)).project(positions, trust)
+    confidence = np.random.default_rng(0).random(positions.shape[:2])
+    projected = BoneLengths(standard_body(skeleton)).project(positions, confidence)
     np.testing.assert_array_equal(projected, positions)
 
 
 def test_projecting_twice_is_projecting_once() -> None:
     positions = noisy(KINECT_V1, 20, 0.01)
     projector = BoneLengths(standard_body(KINECT_V1))
-    trust = np.ones(positions.shape[:2])
-    once = projector.project(positions, trust)
-    np.testing.assert_allclose(projector.project(once, trust), once, atol=1e-6)
+    confidence = np.ones(positions.shape[:2])
+    once = projector.project(positions, confidence)
+    np.testing.assert_allclose(projector.project(once, confidence), once, atol=1e-6)
 
 
 def test_what_does_not_converge_is_laid_bone_by_bone_from_the_root(
@@ -118,18 +118,18 @@ def test_a_joint_that_is_nowhere_is_refused(wrong: float) -> None:
 
 
 def test_arguments_are_not_modified() -> None:
-    positions, trust = noisy(KINECT_V1, 4, 0.01), np.full((4, 20), 0.5)
-    before = positions.copy(), trust.copy()
-    BoneLengths(standard_body(KINECT_V1)).project(positions, trust)
+    positions, confidence = noisy(KINECT_V1, 4, 0.01), np.full((4, 20), 0.5)
+    before = positions.copy(), confidence.copy()
+    BoneLengths(standard_body(KINECT_V1)).project(positions, confidence)
     np.testing.assert_array_equal(positions, before[0])
-    np.testing.assert_array_equal(trust, before[1])
+    np.testing.assert_array_equal(confidence, before[1])
 
 
 def test_untrusted_joints_move_more_than_trusted_ones() -> None:
     positions = noisy(KINECT_V1, 200, 0.01)
     trusted = np.random.default_rng(0).random((200, 20)) < 0.5
-    trust = np.where(trusted, 1.0, 0.2)
-    projected = BoneLengths(standard_body(KINECT_V1)).project(positions, trust)
+    confidence = np.where(trusted, 1.0, 0.2)
+    projected = BoneLengths(standard_body(KINECT_V1)).project(positions, confidence)
     moved = np.linalg.norm(projected - positions, axis=-1)
     assert moved[~trusted].mean() > 1.5 * moved[trusted].mean()
 
@@ -141,24 +141,24 @@ def test_an_invented_hand_gives_way_to_a_measured_arm_and_the_other_way_round(
     hand = KINECT_V1.index("HandLeft")
     wrong = standard_body(KINECT_V1).rest_positions[None].copy()
     wrong[0, hand, 0] += 0.03
-    trust = np.full((1, 20), float(not hand_is_trusted))
-    trust[0, hand] = float(hand_is_trusted)
-    projected = BoneLengths(standard_body(KINECT_V1)).project(wrong, trust)
+    confidence = np.full((1, 20), float(not hand_is_trusted))
+    confidence[0, hand] = float(hand_is_trusted)
+    projected = BoneLengths(standard_body(KINECT_V1)).project(wrong, confidence)
     moved = np.linalg.norm(projected - wrong, axis=-1)[0] / 0.03
     assert (moved[hand] < share) if hand_is_trusted else (moved[hand] > share)
     assert moved.sum() > 0.99
 
 
 def test_two_joints_share_an_error_as_their_mobilities() -> None:
-    # One segment of a chain that is free at both ends: mobilities 1 / (trust + 0.02).
+    # One segment that is free at both ends: mobilities 1 / (confidence + 0.02).
     skeleton = KINECT_V1
     body = standard_body(skeleton)
     a, b = skeleton.index("WristLeft"), skeleton.index("HandLeft")
-    trust = np.ones((1, 20))
-    trust[0, b] = 0.32
+    confidence = np.ones((1, 20))
+    confidence[0, b] = 0.32
     wrong = body.rest_positions[None].copy()
     wrong[0, b] += [0.03, 0.0, 0.0]
-    moved = BoneLengths(body).project(wrong, trust) - wrong
+    moved = BoneLengths(body).project(wrong, confidence) - wrong
     # The wrist cannot follow without the arm, so that it takes less than its share.
     share = (1 / 0.34) / (1 / 0.34 + 1 / 1.02)
     assert -0.03 < moved[0, b, 0] < -0.03 * share
@@ -170,9 +170,9 @@ def test_two_joints_share_an_error_as_their_mobilities() -> None:
 def test_the_weighted_move_is_the_smallest_there_is(seed: int) -> None:
     skeleton, body = KINECT_V1, standard_body(KINECT_V1)
     positions = noisy(skeleton, 1, 0.01, seed)
-    trust = np.random.default_rng(seed).uniform(0.1, 1.0, (1, 20))
-    firmness = (trust[0] + 0.02)[:, None]
-    projected = BoneLengths(body).project(positions, trust)
+    confidence = np.random.default_rng(seed).uniform(0.1, 1.0, (1, 20))
+    firmness = (confidence[0] + 0.02)[:, None]
+    projected = BoneLengths(body).project(positions, confidence)
 
     def cost(flat: Array) -> float:
         return float(np.sum(firmness * (flat.reshape(20, 3) - positions[0]) ** 2))
@@ -197,11 +197,13 @@ def test_the_weighted_move_is_the_smallest_there_is(seed: int) -> None:
 
 
 def test_the_projection_moves_and_turns_with_the_posture() -> None:
-    positions, trust = noisy(KINECT_V1, 5, 0.01), np.ones((5, 20))
+    positions, confidence = noisy(KINECT_V1, 5, 0.01), np.ones((5, 20))
     projector = BoneLengths(standard_body(KINECT_V1))
     quarter = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    moved = projector.project(positions @ quarter.T + np.array([5.0, 1.0, -2.0]), trust)
-    expected = projector.project(positions, trust) @ quarter.T + np.array(
+    moved = projector.project(
+        positions @ quarter.T + np.array([5.0, 1.0, -2.0]), confidence
+    )
+    expected = projector.project(positions, confidence) @ quarter.T + np.array(
         [5.0, 1.0, -2.0]
     )
     np.testing.assert_allclose(moved, expected, atol=1e-9)
@@ -209,11 +211,13 @@ def test_the_projection_moves_and_turns_with_the_posture() -> None:
 
 def test_chunks_give_what_one_chunk_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     positions = noisy(KINECT_V1, 23, 0.01)
-    trust = np.random.default_rng(0).uniform(0.1, 1.0, (23, 20))
+    confidence = np.random.default_rng(0).uniform(0.1, 1.0, (23, 20))
     projector = BoneLengths(standard_body(KINECT_V1))
-    whole = projector.project(positions, trust)
+    whole = projector.project(positions, confidence)
     monkeypatch.setattr(bone_lengths, "_CHUNK", 5)
-    np.testing.assert_allclose(projector.project(positions, trust), whole, atol=1e-7)
+    np.testing.assert_allclose(
+        projector.project(positions, confidence), whole, atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("frames", [0, 1])

@@ -23,8 +23,8 @@ from kinefilter.characters import (
 from kinefilter.pipeline.lab.scorers.chiang import ChiangReliabilityScorer
 from kinefilter.pipeline.reliability import (
     Reference,
-    Reliability,
     ReliabilityScorer,
+    Scores,
     measure_reference,
 )
 from kinefilter.scenes.sensor import sample_take
@@ -50,14 +50,14 @@ def with_state(take: Take, frames: slice, state: State) -> Take:
     return replace(take, state=states)
 
 
-def score(take: Take, reference: Reference) -> Reliability:
+def score(take: Take, reference: Reference) -> Scores:
     return ChiangReliabilityScorer(take.skeleton, reference).score(take)
 
 
-def unwound(rate: Array) -> Array:
+def unwound(reliability: Array) -> Array:
     """Return each frame's own score, taking eq. 12 apart."""
-    scores = [float(rate[0])]
-    for value in rate[1:]:
+    scores = [float(reliability[0])]
+    for value in reliability[1:]:
         scores.append((float(value) - 0.3 * scores[-1]) / 0.7)
     return np.array(scores)
 
@@ -65,7 +65,7 @@ def unwound(rate: Array) -> Array:
 @every_skeleton
 def test_a_still_tracked_person_scores_one(skeleton: Skeleton) -> None:
     result = score(still_take(8, skeleton), average(skeleton))
-    np.testing.assert_allclose(result.rate, 1.0)
+    np.testing.assert_allclose(result.reliability, 1.0)
     np.testing.assert_allclose(result.geometry, 1.0)
 
 
@@ -81,17 +81,17 @@ def test_a_jump_that_stays_loses_trust_as_the_corrected_equation_says(
     result = score(moved(path), blind())
     own = np.ones(10)
     own[5] = expected
-    np.testing.assert_allclose(unwound(result.rate[:, HAND]), own, atol=1e-9)
-    np.testing.assert_allclose(result.geometry, result.rate)
+    np.testing.assert_allclose(unwound(result.reliability[:, HAND]), own, atol=1e-9)
+    np.testing.assert_allclose(result.geometry, result.reliability)
     if expected < 1.0:
         assert result.term[5, HAND] == Term.BEHAVIOR
-    np.testing.assert_array_equal(np.delete(result.rate, HAND, axis=1), 1.0)
+    np.testing.assert_array_equal(np.delete(result.reliability, HAND, axis=1), 1.0)
 
 
 def test_a_spike_of_one_frame_is_refused_and_its_return_trusted() -> None:
     path = np.zeros(10)
     path[5] = 0.2
-    own = unwound(score(moved(path), blind()).rate[:, HAND])
+    own = unwound(score(moved(path), blind()).reliability[:, HAND])
     expected = np.ones(10)
     # Frame 5 is far from 3 and 4; frame 6 far from 5, but where 4 was; 7 far from 5
     # only, which is two frames ago.
@@ -101,7 +101,7 @@ def test_a_spike_of_one_frame_is_refused_and_its_return_trusted() -> None:
 
 def test_slow_movement_is_trusted_although_two_frames_exceed_the_limit() -> None:
     path = 0.9 * LIMIT * np.arange(12.0)
-    np.testing.assert_array_equal(score(moved(path), blind()).rate, 1.0)
+    np.testing.assert_array_equal(score(moved(path), blind()).reliability, 1.0)
 
 
 def test_the_first_two_frames_and_gaps_make_no_displacement() -> None:
@@ -125,7 +125,7 @@ def test_a_segment_off_by_a_fifth_lowers_its_joints_by_the_mean_over_their_segme
     result = score(replace(take, positions=positions), average())
     expected = np.ones(JOINTS)
     expected[[KINECT_V1.parents[WRIST], WRIST]] = 0.9
-    np.testing.assert_allclose(result.rate, np.tile(expected, (6, 1)))
+    np.testing.assert_allclose(result.reliability, np.tile(expected, (6, 1)))
     np.testing.assert_array_equal(result.term[:, WRIST], Term.KINEMATICS)
 
 
@@ -133,30 +133,30 @@ def test_an_untracked_joint_scores_zero_and_counts_for_a_frame_more() -> None:
     take = with_state(still_take(12), slice(4, 7), State.NOT_TRACKED)
     result = score(take, average())
     expected = [1, 1, 1, 1, 0.3, 0, 0, 0.7, 1, 1, 1, 1]
-    np.testing.assert_allclose(result.rate[:, HAND], expected)
+    np.testing.assert_allclose(result.reliability[:, HAND], expected)
     np.testing.assert_array_equal(result.term[4:7, HAND], Term.TRACKING_STATE)
     np.testing.assert_allclose(result.geometry, 1.0)
 
 
 def test_a_take_that_begins_untracked_begins_at_zero() -> None:
     take = with_state(still_take(3), slice(0, 1), State.NOT_TRACKED)
-    rate = score(take, average()).rate[:, HAND]
-    np.testing.assert_allclose(rate, [0.0, 0.7, 1.0])
+    reliability = score(take, average()).reliability[:, HAND]
+    np.testing.assert_allclose(reliability, [0.0, 0.7, 1.0])
 
 
 def test_an_inferred_joint_is_worth_its_geometry() -> None:
     take = with_state(still_take(12), slice(4, 8), State.INFERRED)
     result = score(take, average())
-    np.testing.assert_allclose(result.rate, 1.0)
+    np.testing.assert_allclose(result.reliability, 1.0)
     assert (result.term != Term.TRACKING_STATE).all()
     shum = ReliabilityScorer(KINECT_V1, average()).score(take)
-    assert (shum.rate[4:8, HAND] < 0.8).all()
+    assert (shum.reliability[4:8, HAND] < 0.8).all()
     path = np.zeros(12)
     path[5:] = 0.2
     tracked = moved(path)
     inferred = with_state(tracked, slice(None), State.INFERRED)
     np.testing.assert_array_equal(
-        score(inferred, blind()).rate, score(tracked, blind()).rate
+        score(inferred, blind()).reliability, score(tracked, blind()).reliability
     )
 
 
@@ -170,7 +170,7 @@ def test_the_smallest_term_decides() -> None:
     kinematics = 1.0 - abs(length - reference) / reference
     assert 0.0 < kinematics < 0.7
     expected = min(0.6, kinematics)
-    assert unwound(result.rate[:, HAND])[5] == pytest.approx(expected)
+    assert unwound(result.reliability[:, HAND])[5] == pytest.approx(expected)
     decided = Term.KINEMATICS if kinematics < 0.6 else Term.BEHAVIOR
     assert result.term[5, HAND] == decided
 
@@ -184,9 +184,9 @@ def test_scores_are_shares_and_geometry_is_never_below_the_rate(seed: int) -> No
     state = rng.integers(0, 3, take.state.shape).astype(np.uint8)
     positions[state == State.NOT_TRACKED] = np.nan
     result = score(replace(take, positions=positions, state=state), average())
-    for values in (result.rate, result.geometry):
+    for values in (result.reliability, result.geometry):
         assert ((values >= 0.0) & (values <= 1.0)).all()
-    assert (result.geometry >= result.rate).all()
+    assert (result.geometry >= result.reliability).all()
 
 
 def test_stepping_equals_scoring_bit_for_bit_and_start_forgets() -> None:
@@ -198,8 +198,8 @@ def test_stepping_equals_scoring_bit_for_bit_and_start_forgets() -> None:
         scorer.start()
         for k in range(len(take)):
             buffer[:] = take.positions[k]
-            rate, term, geometry = scorer.step(buffer, take.state[k])
-            np.testing.assert_array_equal(rate, whole.rate[k])
+            reliability, term, geometry = scorer.step(buffer, take.state[k])
+            np.testing.assert_array_equal(reliability, whole.reliability[k])
             np.testing.assert_array_equal(term, whole.term[k])
             np.testing.assert_array_equal(geometry, whole.geometry[k])
-    assert 0.05 < (whole.rate < 0.7).mean() < 0.95
+    assert 0.05 < (whole.reliability < 0.7).mean() < 0.95

@@ -32,9 +32,9 @@ def _lessons(shift: Array, count: int = 400, seed: int = 0) -> TrainingSet:
     truth = seen.copy()
     truth[:, WRIST] += shift
     truth[:, SPINE] = np.nan
-    rate = np.ones(seen.shape[:2])
+    reliability = np.ones(seen.shape[:2])
     first = np.zeros(count, dtype=bool)
-    return TrainingSet(seen, rate, truth, first, KINECT_V1, "imagined")
+    return TrainingSet(seen, reliability, truth, first, KINECT_V1, "imagined")
 
 
 @pytest.fixture(scope="module")
@@ -122,14 +122,14 @@ def test_unreliable_postures_teach_nothing() -> None:
     lessons = _lessons(SHIFT)
     spoilt = lessons.truth.copy()
     spoilt[::2, ELBOW] += 0.5
-    rate = lessons.rate.copy()
-    rate[::2, WRIST] = 0.6
+    reliability = lessons.reliability.copy()
+    reliability[::2, WRIST] = 0.6
     mixed = TrainingSet(
-        lessons.positions, rate, spoilt, lessons.first, KINECT_V1, "half wrong"
+        lessons.positions, reliability, spoilt, lessons.first, KINECT_V1, "half wrong"
     )
     half = TrainingSet(
         lessons.positions[1::2],
-        lessons.rate[1::2],
+        lessons.reliability[1::2],
         lessons.truth[1::2],
         lessons.first[1::2],
         KINECT_V1,
@@ -141,7 +141,7 @@ def test_unreliable_postures_teach_nothing() -> None:
         for part in (mixed, half)
     )
     np.testing.assert_allclose(one, two, atol=0.01)
-    rate[:] = 0.6
+    reliability[:] = 0.6
     with pytest.raises(InputError, match="half wrong: 0 frames"):
         ClusteredGP(KINECT_V1).fit(mixed)
 
@@ -168,8 +168,8 @@ def test_missing_joints_are_filled_with_their_last_bones(model: ClusteredGP) -> 
     result = model.step(Observation(second, ONES, ONES))
     bone = result.positions[WRIST] - result.positions[ELBOW]
     np.testing.assert_allclose(bone, first[WRIST] - first[ELBOW], atol=2e-3)
-    assert result.trust[WRIST] == 0.0
-    assert np.all(np.delete(result.trust, [WRIST, WRIST + 1]) == 0.9)
+    assert result.confidence[WRIST] == 0.0
+    assert np.all(np.delete(result.confidence, [WRIST, WRIST + 1]) == 0.9)
     nothing = _step(model, np.full_like(first, np.nan))
     assert np.isfinite(nothing.positions).all()
 

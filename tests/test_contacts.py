@@ -254,12 +254,16 @@ def test_stances_do_not_depend_on_the_frame_rate(
 
 def test_arguments_are_not_modified() -> None:
     act = perform("walk", BODY, seed=0)
-    time, path, trust = act.time.copy(), noisy(act, 0.01), np.full((len(act), 20), 0.5)
-    before = path.copy(), trust.copy()
-    find_stance(time, path, trust, KINECT_V1)
+    time, path, confidence = (
+        act.time.copy(),
+        noisy(act, 0.01),
+        np.full((len(act), 20), 0.5),
+    )
+    before = path.copy(), confidence.copy()
+    find_stance(time, path, confidence, KINECT_V1)
     np.testing.assert_array_equal(time, act.time)
     np.testing.assert_array_equal(path, before[0])
-    np.testing.assert_array_equal(trust, before[1])
+    np.testing.assert_array_equal(confidence, before[1])
 
 
 # Takes as they come
@@ -283,10 +287,10 @@ def test_dropped_frames_and_pauses_change_little() -> None:
 
 
 def test_a_leap_of_an_invented_ankle_is_no_step() -> None:
-    path, trust = standing(90), np.ones((90, 20))
+    path, confidence = standing(90), np.ones((90, 20))
     path[40:44, LEFT] += [0.15, 0.1, 0.0]
-    trust[40:44, LEFT] = 0.0
-    assert find_stance(stamps(90), path, trust, KINECT_V1).all()
+    confidence[40:44, LEFT] = 0.0
+    assert find_stance(stamps(90), path, confidence, KINECT_V1).all()
 
 
 # Performances and people

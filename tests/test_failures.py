@@ -22,7 +22,7 @@ from kinefilter.pipeline.failures import (
 )
 from kinefilter.pipeline.failures.limbs import trunk_axes
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
-from kinefilter.pipeline.reliability import Reliability
+from kinefilter.pipeline.reliability import Scores
 from kinefilter.pipeline.summary import as_json
 from kinefilter.scenes.library import MOTIONS, perform
 
@@ -168,7 +168,7 @@ def test_dropped_frames_are_no_leaps(motion: str) -> None:
 def test_only_the_lost_limb_is_distrusted() -> None:
     take = _take("stand_idle", skeleton=KINECT_V2)
     shape = take.state.shape
-    trusted = Reliability(np.ones(shape), np.zeros(shape, np.uint8), np.ones(shape))
+    trusted = Scores(np.ones(shape), np.zeros(shape, np.uint8), np.ones(shape))
     failures = tuple(
         Failure(kind, part, first, first + 9, 0.0, 1.0)
         for kind, part, first in (
@@ -179,14 +179,14 @@ def test_only_the_lost_limb_is_distrusted() -> None:
         )
     )
     doubted = distrust(trusted, failures, KINECT_V2)
-    assert (trusted.rate == 1.0).all()
+    assert (trusted.reliability == 1.0).all()
     assert (trusted.geometry == 1.0).all()
     arm = ["ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft", "ThumbLeft"]
     leg = ["KneeRight", "AnkleRight", "FootRight"]
     expected = np.ones(shape)
     expected[10:20, [KINECT_V2.index(joint) for joint in arm]] = 0.0
     expected[30:40, [KINECT_V2.index(joint) for joint in leg]] = 0.0
-    np.testing.assert_array_equal(doubted.rate, expected)
+    np.testing.assert_array_equal(doubted.reliability, expected)
     np.testing.assert_array_equal(doubted.geometry, expected)
     np.testing.assert_array_equal(doubted.term == Term.FAILURE, expected == 0.0)
 

@@ -284,8 +284,8 @@ def test_a_missing_hand_stays_on_its_wrist_and_returns_without_a_jump() -> None:
     assert np.linalg.norm(np.diff(result[:, HAND], axis=0), axis=1).max() < 0.03
     ones = np.ones(JOINTS)
     missing = corrector.step(Observation(positions[30], ones, ones, 2.1))
-    assert missing.trust[HAND] == 0.0
-    assert (np.delete(missing.trust, HAND) == 1.0).all()
+    assert missing.confidence[HAND] == 0.0
+    assert (np.delete(missing.confidence, HAND) == 1.0).all()
     assert missing.rotations is None
     assert np.isnan(missing.coverage)
 

@@ -49,32 +49,36 @@ def test_the_floor_is_under_a_standing_person_at_any_height(
     positions = rotate(about_y(yaw), standing(10, skeleton)) + np.array(
         [1.0, lift, 2.0]
     )
-    trust = np.ones(positions.shape[:2])
+    confidence = np.ones(positions.shape[:2])
     for stands in (no_stance(10), ~no_stance(10)):
-        found = floor_height(positions, trust, stands, standard_body(skeleton))
+        found = floor_height(positions, confidence, stands, standard_body(skeleton))
         assert found == pytest.approx(lift, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["walk", "wave", "squat", "punch"])
 def test_the_floor_of_a_performance_is_where_it_is(name: str) -> None:
     act = perform(name, standard_body(KINECT_V1), seed=0)
-    trust = np.ones(act.positions.shape[:2])
+    confidence = np.ones(act.positions.shape[:2])
     sunken = act.positions - [0.0, 0.9, 0.0]
-    stands = find_stance(act.time, sunken, trust, KINECT_V1)
+    stands = find_stance(act.time, sunken, confidence, KINECT_V1)
     for known in (no_stance(len(act)), stands):
-        found = floor_height(sunken, trust, known, act.body)
+        found = floor_height(sunken, confidence, known, act.body)
         assert found == pytest.approx(-0.9, abs=0.02)
 
 
 def test_one_foot_on_the_floor_is_enough_even_where_only_its_ankle_is_seen() -> None:
     body, feet = standard_body(KINECT_V1), feet_of(KINECT_V1)
-    positions, trust = standing(10) + np.array([0.0, 0.2, 0.0]), np.ones((10, 20))
+    positions, confidence = standing(10) + np.array([0.0, 0.2, 0.0]), np.ones((10, 20))
     right = [j for j in feet if KINECT_V1.joints[j].endswith("Right")]
     positions[:, right, 1] += 0.3
-    assert floor_height(positions, trust, no_stance(10), body) == pytest.approx(0.2)
-    trust[:, KINECT_V1.index("FootLeft")] = 0.4
+    assert floor_height(positions, confidence, no_stance(10), body) == pytest.approx(
+        0.2
+    )
+    confidence[:, KINECT_V1.index("FootLeft")] = 0.4
     positions[:, KINECT_V1.index("FootLeft"), 1] -= 9.0
-    assert floor_height(positions, trust, no_stance(10), body) == pytest.approx(0.2)
+    assert floor_height(positions, confidence, no_stance(10), body) == pytest.approx(
+        0.2
+    )
 
 
 def test_jumps_and_sunken_frames_do_not_move_the_floor() -> None:
@@ -88,13 +92,17 @@ def test_jumps_and_sunken_frames_do_not_move_the_floor() -> None:
 
 def test_invented_and_missing_feet_have_no_say() -> None:
     body, feet = standard_body(KINECT_V1), feet_of(KINECT_V1)
-    positions, trust = standing(20) + np.array([0.0, -0.5, 0.0]), np.ones((20, 20))
+    positions, confidence = standing(20) + np.array([0.0, -0.5, 0.0]), np.ones((20, 20))
     positions[:12, feet, 1] -= 1.0
-    trust[:12, feet] = 0.0
-    assert floor_height(positions, trust, no_stance(20), body) == pytest.approx(-0.5)
+    confidence[:12, feet] = 0.0
+    assert floor_height(positions, confidence, no_stance(20), body) == pytest.approx(
+        -0.5
+    )
     positions[:12, feet] = np.nan
-    trust[:12, feet] = 1.0
-    assert floor_height(positions, trust, no_stance(20), body) == pytest.approx(-0.5)
+    confidence[:12, feet] = 1.0
+    assert floor_height(positions, confidence, no_stance(20), body) == pytest.approx(
+        -0.5
+    )
 
 
 @every_skeleton
@@ -103,16 +111,18 @@ def test_without_any_measured_foot_the_lowest_joint_serves(skeleton: Skeleton) -
         standing(20, skeleton) + np.array([0.0, 0.7, 0.0]),
         standard_body(skeleton),
     )
-    trust = np.ones(positions.shape[:2])
-    trust[:, feet_of(skeleton)] = 0.0
-    assert floor_height(positions, trust, no_stance(20), body) == pytest.approx(0.7)
+    confidence = np.ones(positions.shape[:2])
+    confidence[:, feet_of(skeleton)] = 0.0
+    assert floor_height(positions, confidence, no_stance(20), body) == pytest.approx(
+        0.7
+    )
 
 
 def test_the_floor_is_the_median_under_the_ankles_that_stand_and_were_measured() -> (
     None
 ):
     body, stands = standard_body(KINECT_V1), no_stance(30)
-    positions, trust = standing(30), np.ones((30, 20))
+    positions, confidence = standing(30), np.ones((30, 20))
     left, right = (KINECT_V1.index(f"Ankle{side}") for side in ("Left", "Right"))
     stands[:20, 0], stands[10:, 1] = True, True
     positions[:20, left, 1] += np.linspace(0.1, 0.3, 20)
@@ -120,23 +130,27 @@ def test_the_floor_is_the_median_under_the_ankles_that_stand_and_were_measured()
     # What the feet do while they do not stand has no say.
     positions[20:, left, 1] -= 5.0
     positions[:10, right, 1] += 5.0
-    assert floor_height(positions, trust, stands, body) == pytest.approx(0.2)
-    trust[10:, right] = 0.4
+    assert floor_height(positions, confidence, stands, body) == pytest.approx(0.2)
+    confidence[10:, right] = 0.4
     positions[10:, right, 1] += 3.0
     positions[15:, KINECT_V1.index("FootLeft"), 1] -= 3.0
-    assert floor_height(positions, trust, stands, body) == pytest.approx(0.2)
+    assert floor_height(positions, confidence, stands, body) == pytest.approx(0.2)
 
 
 def test_stances_nobody_saw_leave_the_floor_to_the_rest_of_the_feet() -> None:
-    body, positions, trust = standard_body(KINECT_V1), standing(20), np.ones((20, 20))
+    body, positions, confidence = (
+        standard_body(KINECT_V1),
+        standing(20),
+        np.ones((20, 20)),
+    )
     ankles = [KINECT_V1.index(f"Ankle{side}") for side in ("Left", "Right")]
-    trust[:, ankles] = 0.0
+    confidence[:, ankles] = 0.0
     positions[:, ankles, 1] += 0.5
     everything = ~no_stance(20)
-    assert floor_height(positions, trust, everything, body) == pytest.approx(0.0)
+    assert floor_height(positions, confidence, everything, body) == pytest.approx(0.0)
     positions[:, ankles] = np.nan
-    trust[:, ankles] = 1.0
-    assert floor_height(positions, trust, everything, body) == pytest.approx(0.0)
+    confidence[:, ankles] = 1.0
+    assert floor_height(positions, confidence, everything, body) == pytest.approx(0.0)
 
 
 @given(skeleton=st.sampled_from([KINECT_V1, KINECT_V2]), seed=st.integers(0, 2**32 - 1))

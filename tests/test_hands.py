@@ -41,8 +41,8 @@ def test_an_invented_hand_turns_with_its_forearm(skeleton: Skeleton) -> None:
 def test_a_measured_hand_stays_as_far_as_its_bones_let_it(skeleton: Skeleton) -> None:
     body = standard_body(skeleton)
     after, _, (_, wrist), hand = _bent(skeleton)
-    trust = np.ones(len(skeleton))
-    carried = Hands(skeleton).carried(body.rest_positions, after, trust, body)
+    confidence = np.ones(len(skeleton))
+    carried = Hands(skeleton).carried(body.rest_positions, after, confidence, body)
     first = hand[0]
     aim, found = after[first] - after[wrist], carried[first] - carried[wrist]
     np.testing.assert_allclose(np.linalg.norm(found), body.lengths[first])

@@ -93,9 +93,9 @@ def test_the_yaw_leans_to_the_line_with_more_trust() -> None:
     pose = standard_body(KINECT_V1).rest_positions.copy()
     pose[hips] = rotate(about_y(0.6), pose[hips])
     yaws = []
-    for trust in (0.0, 0.5, 1.0):
+    for confidence in (0.0, 0.5, 1.0):
         weights = np.zeros(20)
-        weights[hips], weights[shoulders] = 1.0, trust
+        weights[hips], weights[shoulders] = 1.0, confidence
         yaws.append(float(find_yaw(pose, weights, KINECT_V1)))
     assert yaws[0] == pytest.approx(0.6)
     assert yaws[0] > yaws[1] > yaws[2] > 0.0

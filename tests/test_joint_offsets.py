@@ -78,7 +78,7 @@ def test_an_offset_along_a_segment_is_learned() -> None:
     truth, other = _postures(KINECT_V1), _postures(KINECT_V1, "wave")
     lessons = TrainingSet(
         positions=beyond(truth),
-        rate=np.ones(truth.shape[:2]),
+        reliability=np.ones(truth.shape[:2]),
         truth=truth,
         first=np.zeros(len(truth), dtype=bool),
         skeleton=KINECT_V1,
@@ -164,7 +164,7 @@ def test_a_whole_take_is_moved_as_its_frames_are(
     for k, frame in enumerate(postures):
         stepped = corrector.step(_seen(frame))
         np.testing.assert_allclose(whole.positions[k], stepped.positions, atol=1e-12)
-        np.testing.assert_array_equal(whole.trust[k], stepped.trust)
+        np.testing.assert_array_equal(whole.confidence[k], stepped.confidence)
 
 
 def test_the_default_forgets_when_it_starts_again() -> None:
@@ -232,13 +232,13 @@ def test_what_a_model_made_of_a_guess_counts_for_something() -> None:
     posture = _postures(KINECT_V1)[0].copy()
     hand, wrist = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
     posture[hand] = np.nan
-    rate = np.ones(len(posture))
-    rate[[hand, wrist]] = 0.0
+    reliability = np.ones(len(posture))
+    reliability[[hand, wrist]] = 0.0
     watch = Watch(KINECT_V1)
-    methods = InTurn(_shipped(KINECT_V1), watch, least_rate=0.65)
-    methods.step(Observation(posture, rate, rate))
-    expected = np.where(np.arange(len(rate)) == wrist, 0.65, rate)
-    np.testing.assert_array_equal(watch.saw.rate, expected)
+    methods = InTurn(_shipped(KINECT_V1), watch, least_reliability=0.65)
+    methods.step(Observation(posture, reliability, reliability))
+    expected = np.where(np.arange(len(reliability)) == wrist, 0.65, reliability)
+    np.testing.assert_array_equal(watch.saw.reliability, expected)
     np.testing.assert_array_equal(watch.saw.geometry, expected)
 
 

@@ -44,23 +44,23 @@ def swinging(count: int, pace: float = 1.5) -> Array:
     return positions
 
 
-def observed(positions: Array, rate: Array, time: float) -> Observation:
-    return Observation(positions, rate, rate, time)
+def observed(positions: Array, reliability: Array, time: float) -> Observation:
+    return Observation(positions, reliability, reliability, time)
 
 
 def run(
     corrector: ConstantLengthKalman | Hold,
     positions: Array,
     *,
-    rate: Array | None = None,
+    reliability: Array | None = None,
     time: Array | None = None,
 ) -> list[Correction]:
     time = stamps(len(positions)) if time is None else time
-    rate = np.ones(positions.shape[:2]) if rate is None else rate
+    reliability = np.ones(positions.shape[:2]) if reliability is None else reliability
     corrector.start()
     return [
         corrector.step(observed(p, r, float(t)))
-        for p, r, t in zip(positions, rate, time, strict=True)
+        for p, r, t in zip(positions, reliability, time, strict=True)
     ]
 
 
@@ -174,8 +174,8 @@ def test_bone_lengths_are_the_standard_bodys_in_every_frame(skeleton: Skeleton) 
         positions = rest + rng.normal(0.0, deviation, (40, len(skeleton), 3))
         positions[:, skeleton.root] = 0.0
         positions[rng.random(positions.shape[:2]) < 0.2] = np.nan
-        rate = rng.random(positions.shape[:2])
-        result = run(ConstantLengthKalman(skeleton), positions, rate=rate)
+        reliability = rng.random(positions.shape[:2])
+        result = run(ConstantLengthKalman(skeleton), positions, reliability=reliability)
         assert_lengths_exact(postures(result), skeleton)
 
 
@@ -220,7 +220,9 @@ def test_a_missing_stretch_is_predicted_better_than_it_is_held() -> None:
     assert_lengths_exact(postures(predicted))
     for k, correction in enumerate(predicted):
         missing = np.isnan(seen[k, :, 0])
-        np.testing.assert_array_equal(correction.trust, np.where(missing, 0.0, 1.0))
+        np.testing.assert_array_equal(
+            correction.confidence, np.where(missing, 0.0, 1.0)
+        )
         assert correction.rotations is None
         assert np.isnan(correction.coverage)
 
@@ -252,10 +254,14 @@ def test_what_was_never_seen_hangs_as_in_rest_and_begins_where_it_appears() -> N
 def test_an_unreliable_outlier_moves_a_joint_far_less_than_a_reliable_one() -> None:
     positions = np.tile(REST, (40, 1, 1))
     positions[30:33, WRIST] += [0.0, 0.0, 0.2]
-    rate = np.ones(positions.shape[:2])
-    trusting = postures(run(ConstantLengthKalman(KINECT_V1), positions, rate=rate))
-    rate[30:33, WRIST] = 0.0
-    doubting = postures(run(ConstantLengthKalman(KINECT_V1), positions, rate=rate))
+    reliability = np.ones(positions.shape[:2])
+    trusting = postures(
+        run(ConstantLengthKalman(KINECT_V1), positions, reliability=reliability)
+    )
+    reliability[30:33, WRIST] = 0.0
+    doubting = postures(
+        run(ConstantLengthKalman(KINECT_V1), positions, reliability=reliability)
+    )
     away = np.linalg.norm([trusting[32] - REST, doubting[32] - REST], axis=2)
     assert away[0, WRIST] > 0.05
     assert away[1, WRIST] < 0.01
@@ -266,9 +272,11 @@ def test_the_less_certain_joint_gives_way_to_bone_lengths() -> None:
     positions[:, [WRIST, HAND]] += 0.2 * (REST[WRIST] - REST[ELBOW])
 
     def elbow_moved(rate_of_wrist: float) -> float:
-        rate = np.ones(positions.shape[:2])
-        rate[:, [WRIST, HAND]] = rate_of_wrist
-        result = postures(run(ConstantLengthKalman(KINECT_V1), positions, rate=rate))
+        reliability = np.ones(positions.shape[:2])
+        reliability[:, [WRIST, HAND]] = rate_of_wrist
+        result = postures(
+            run(ConstantLengthKalman(KINECT_V1), positions, reliability=reliability)
+        )
         return float(np.linalg.norm(result[-1, ELBOW] - REST[ELBOW]))
 
     assert elbow_moved(1.0) > 0.003

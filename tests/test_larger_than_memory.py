@@ -34,7 +34,7 @@ def in_memory(lessons: TrainingSet) -> TrainingSet:
     assert lessons.lengths is not None
     return TrainingSet(
         np.array(lessons.positions),
-        np.array(lessons.rate),
+        np.array(lessons.reliability),
         np.array(lessons.truth),
         lessons.first,
         lessons.skeleton,

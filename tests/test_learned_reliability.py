@@ -65,7 +65,7 @@ def test_position_and_heading_in_the_room_do_not_matter() -> None:
     turned = rotate(about_y(2.0), take.positions) + np.array([3.0, -1.0, 5.0])
     here = scorer_of(take).score(take)
     away = scorer_of(take).score(replace(take, positions=turned))
-    np.testing.assert_allclose(here.rate, away.rate, atol=1e-9)
+    np.testing.assert_allclose(here.reliability, away.reliability, atol=1e-9)
     np.testing.assert_array_equal(here.term, away.term)
 
 
@@ -73,8 +73,8 @@ def test_position_and_heading_in_the_room_do_not_matter() -> None:
 def test_left_and_right_are_judged_alike(skeleton: Skeleton) -> None:
     take = performed("tai_chi", skeleton)
     mirrored = take.positions[:, skeleton.mirror] * [-1.0, 1.0, 1.0]
-    here = scorer_of(take).score(take).rate
-    there = scorer_of(take).score(replace(take, positions=mirrored)).rate
+    here = scorer_of(take).score(take).reliability
+    there = scorer_of(take).score(replace(take, positions=mirrored)).reliability
     sided = np.flatnonzero(skeleton.mirror != np.arange(len(skeleton)))
     np.testing.assert_allclose(
         here[:, sided], there[:, skeleton.mirror][:, sided], atol=1e-9
@@ -91,7 +91,7 @@ def test_large_and_small_people_in_the_same_posture_are_judged_alike() -> None:
         for take in [replace(performed("wave"), time=1e3 * performed("wave").time)]
     )
     # So slow that nobody moves: only the posture counts.
-    np.testing.assert_allclose(small.rate, large.rate, atol=0.02)
+    np.testing.assert_allclose(small.reliability, large.reliability, atol=0.02)
 
 
 @pytest.mark.parametrize("skeleton", SKELETONS.values(), ids=SKELETONS)
@@ -100,17 +100,17 @@ def test_what_trembles_or_is_inferred_is_doubted_and_told_so(
 ) -> None:
     take = performed("stand_idle", skeleton)
     wrist = skeleton.index("WristLeft")
-    calm = scorer_of(take).score(take).rate[20:, wrist]
+    calm = scorer_of(take).score(take).reliability[20:, wrist]
     positions, state = take.positions.copy(), take.state.copy()
     noise = np.random.default_rng(0).normal(0.0, 0.04, (len(take), 3))
     positions[:, wrist] += noise
     shaken = scorer_of(take).score(replace(take, positions=positions))
-    assert 1.0 - shaken.rate[20:, wrist].mean() > 10.0 * (1.0 - calm.mean())
+    assert 1.0 - shaken.reliability[20:, wrist].mean() > 10.0 * (1.0 - calm.mean())
     told = shaken.term[20:, wrist]
     assert np.isin(told, [Term.BEHAVIOR, Term.KINEMATICS]).mean() > 0.75
     state[:, wrist] = State.INFERRED
     guessed = scorer_of(take).score(replace(take, state=state))
-    assert (1.0 - guessed.rate[20:, wrist] > 10.0 * (1.0 - calm)).all()
+    assert (1.0 - guessed.reliability[20:, wrist] > 10.0 * (1.0 - calm)).all()
     assert (guessed.term[20:, wrist] == Term.TRACKING_STATE).all()
     np.testing.assert_allclose(guessed.geometry[20:, wrist], calm)
 
@@ -127,9 +127,9 @@ def test_rates_are_probabilities_and_0_without_a_position(seed: int) -> None:
     missing = state == State.NOT_TRACKED
     positions[missing] = np.nan
     result = scorer_of(take).score(replace(take, positions=positions, state=state))
-    for values in (result.rate, result.geometry):
+    for values in (result.reliability, result.geometry):
         assert ((values >= 0.0) & (values <= 1.0)).all()
-    np.testing.assert_array_equal(result.rate[missing], 0.0)
+    np.testing.assert_array_equal(result.reliability[missing], 0.0)
     np.testing.assert_array_equal(result.term[missing], Term.TRACKING_STATE)
 
 
@@ -138,8 +138,12 @@ def test_a_hand_out_of_view_says_nothing_about_the_rest_but_its_own_arm() -> Non
     positions, state = take.positions.copy(), take.state.copy()
     hand = KINECT_V1.index("HandLeft")
     positions[:, hand], state[:, hand] = np.nan, State.NOT_TRACKED
-    whole = scorer_of(take).score(take).rate
-    part = scorer_of(take).score(replace(take, positions=positions, state=state)).rate
+    whole = scorer_of(take).score(take).reliability
+    part = (
+        scorer_of(take)
+        .score(replace(take, positions=positions, state=state))
+        .reliability
+    )
     others = [j for j in range(len(KINECT_V1)) if j not in (hand, WRIST)]
     np.testing.assert_allclose(part[:, others], whole[:, others])
 
@@ -154,7 +158,7 @@ def test_steps_equal_the_score_bit_for_bit_and_start_forgets() -> None:
             buffer[:] = take.positions[k]
             found = scorer.step(buffer, take.state[k], float(take.time[k]))
             for one, all_ in zip(
-                found, (whole.rate, whole.term, whole.geometry), strict=True
+                found, (whole.reliability, whole.term, whole.geometry), strict=True
             ):
                 np.testing.assert_array_equal(one, all_[k])
 
@@ -163,7 +167,7 @@ def test_a_take_is_cleaned_with_it() -> None:
     take = sample_take()
     config = CleanConfig(method="none", physics=False, scoring="learned")
     scorer = LearnedReliabilityScorer(take.skeleton, measure_reference(take))
-    expected = scorer.score(take).rate
+    expected = scorer.score(take).reliability
     np.testing.assert_array_equal(clean(take, config).clip.reliability, expected)
 
 
@@ -190,16 +194,18 @@ def test_a_posture_that_goes_with_errors_is_learned_for_both_sides() -> None:
     for side in ("Left", "Right"):
         wrist = KINECT_V1.index(f"Wrist{side}")
         wrong = np.linalg.norm((pair.take.positions - pair.truth)[:, wrist], axis=1)
-        assert roc_auc_score(wrong > 0.1, 1.0 - result.rate[:, wrist]) > 0.95
+        assert roc_auc_score(wrong > 0.1, 1.0 - result.reliability[:, wrist]) > 0.95
     # Where nothing was ever wrong there is nothing to doubt.
-    assert result.rate[:, KINECT_V1.index("KneeLeft")].min() > 0.99
+    assert result.reliability[:, KINECT_V1.index("KneeLeft")].min() > 0.99
 
 
 def test_without_training_the_odds_are_even() -> None:
     take = sample_take()
     present = ~np.isnan(take.positions[..., 0])
-    rate = scorer_of(take, ClueWeights.even_odds(KINECT_V1)).score(take).rate
-    np.testing.assert_array_equal(rate[present], 0.5)
+    reliability = (
+        scorer_of(take, ClueWeights.even_odds(KINECT_V1)).score(take).reliability
+    )
+    np.testing.assert_array_equal(reliability[present], 0.5)
 
 
 def test_weights_are_the_same_after_writing_and_reading(tmp_path: Path) -> None:

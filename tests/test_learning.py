@@ -178,7 +178,7 @@ def test_missing_joints_are_filled_by_the_model(model: PersonalGP) -> None:
     result = model.step(Observation(posture, ones, ones))
     model.start()
     assert np.isfinite(result.positions).all()
-    assert result.trust[hand] == 0.0
+    assert result.confidence[hand] == 0.0
 
 
 def test_a_model_file_gives_the_same_corrections(

@@ -42,10 +42,10 @@ def test_nothing_is_learned_online_unless_asked_for(fitted: LocalGP) -> None:
 
 
 def test_adapting_learns_reliable_joints_only(adapting: LocalGP) -> None:
-    rate = ONES.copy()
-    rate[[WRIST, ELBOW]] = 0.89
+    reliability = ONES.copy()
+    reliability[[WRIST, ELBOW]] = 0.89
     counts = adapting.counts_.sum(axis=1)
-    corrected(adapting, postures_of(80, seed=9), rate)
+    corrected(adapting, postures_of(80, seed=9), reliability)
     gained = adapting._models.counts.sum(axis=1) - counts
     unreliable = np.isin(adapting.joints_, [WRIST, ELBOW])
     assert not gained[unreliable].any()

@@ -12,7 +12,7 @@ from sklearn.decomposition import PCA
 
 from kinefilter.characters import KINECT_V1, Skeleton, Take, standard_body
 from kinefilter.pipeline.correct import Hold, LocalPCA, Observation
-from kinefilter.pipeline.correct.hold import RELIABLE, Blend, measurement_trust
+from kinefilter.pipeline.correct.hold import RELIABLE, Blend, measurement_confidence
 from kinefilter.pipeline.correct.posture_space import (
     EnergyWeights,
     PostureEnergy,
@@ -44,13 +44,15 @@ def _observations(take: Take) -> Iterator[Observation]:
         Standardizer(body),
     )
     for positions, state in zip(take.positions, take.state, strict=True):
-        rate, _, geometry = scorer.step(positions, state)
-        yield Observation(standardizer.step(positions, rate)[0], rate, geometry)
+        reliability, _, geometry = scorer.step(positions, state)
+        yield Observation(
+            standardizer.step(positions, reliability)[0], reliability, geometry
+        )
 
 
-def _seen(positions: Array, rate: Array | None = None) -> Observation:
-    rate = np.ones(JOINTS) if rate is None else rate
-    return Observation(positions, rate, np.ones(JOINTS))
+def _seen(positions: Array, reliability: Array | None = None) -> Observation:
+    reliability = np.ones(JOINTS) if reliability is None else reliability
+    return Observation(positions, reliability, np.ones(JOINTS))
 
 
 def _performed(name: str, seed: int) -> Array:
@@ -96,12 +98,14 @@ def test_the_energy_is_the_papers_sums(database: PostureDatabase) -> None:
     weights = EnergyWeights(1.1, 0.6, 1.4, 0.3)
     energy = PostureEnergy(KINECT_V1, lengths, weights)
     neighbors = database.flat[:7].astype(float)
-    measured, rate = database.positions[9], rng.uniform(0, 1, JOINTS)
+    measured, reliability = database.positions[9], rng.uniform(0, 1, JOINTS)
     before, last = database.flat[10].astype(float), database.flat[11].astype(float)
-    energy.observe(measured, rate, neighbors, 2 * last - before)
+    energy.observe(measured, reliability, neighbors, 2 * last - before)
     posture = database.flat[12].astype(float) + 0.05 * rng.standard_normal(60)
     p = posture.reshape(-1, 3)
-    control = sum(rate[j] * np.sum((p[j] - measured[j]) ** 2) for j in range(JOINTS))
+    control = sum(
+        reliability[j] * np.sum((p[j] - measured[j]) ** 2) for j in range(JOINTS)
+    )
     style = min(np.sum((posture - n) ** 2) / JOINTS for n in neighbors)
     kinematics = np.mean(
         [
@@ -162,12 +166,12 @@ def test_starting_again_forgets(database: PostureDatabase) -> None:
 def test_reliable_joints_stay_where_they_are(database: PostureDatabase) -> None:
     rng = np.random.default_rng(2)
     corrector = LocalPCA(database)
-    rate = np.ones(JOINTS)
-    rate[KINECT_V1.index("WristLeft")] = 0.0
-    kept = rate > 0
+    reliability = np.ones(JOINTS)
+    reliability[KINECT_V1.index("WristLeft")] = 0.0
+    kept = reliability > 0
     for posture in _performed("wave", 79)[:20]:
         seen = posture + 0.01 * rng.standard_normal(posture.shape)
-        result = corrector.step(_seen(seen, rate))
+        result = corrector.step(_seen(seen, reliability))
         np.testing.assert_array_equal(result.positions[kept], seen[kept])
 
 
@@ -190,9 +194,9 @@ def test_hidden_joints_come_back_nearer_than_where_the_sensor_lost_them(
         seen = truth + 0.01 * rng.standard_normal(truth.shape)
         astray = rng.standard_normal(3)
         seen[arm] += 0.25 * astray / np.linalg.norm(astray)
-        rate = np.ones(JOINTS)
-        rate[arm] = 0.0
-        result = corrector.step(_seen(seen, rate))
+        reliability = np.ones(JOINTS)
+        reliability[arm] = 0.0
+        result = corrector.step(_seen(seen, reliability))
         before.append(np.linalg.norm(seen[arm] - truth[arm], axis=1).mean())
         after.append(np.linalg.norm(result.positions[arm] - truth[arm], axis=1).mean())
     assert np.mean(after) < left * np.mean(before)
@@ -202,8 +206,8 @@ def test_outside_the_database_sound_measurements_are_kept(
     database: PostureDatabase,
 ) -> None:
     upside_down = _performed("wave", 81)[0] * [1.0, -1.0, 1.0]
-    rate = np.full(JOINTS, 0.3)
-    result = LocalPCA(database).step(_seen(upside_down, rate))
+    reliability = np.full(JOINTS, 0.3)
+    result = LocalPCA(database).step(_seen(upside_down, reliability))
     assert result.coverage == 0.0
     np.testing.assert_allclose(result.positions, upside_down, atol=2e-3)
 
@@ -224,7 +228,7 @@ def test_missing_joints_are_filled_and_claim_no_measurement(
         _seen(posture, np.where(np.isnan(posture[:, 0]), 0.0, 1.0))
     )
     assert np.isfinite(result.positions).all()
-    assert np.all(result.trust[hidden] == 0.0)
+    assert np.all(result.confidence[hidden] == 0.0)
 
 
 def test_a_frame_in_which_nothing_is_seen_still_gives_a_posture(
@@ -290,30 +294,32 @@ def test_blending_with_full_trust_is_the_measurement_and_with_none_the_prior() -
 def test_an_untrusted_joint_moves_by_the_mean_of_its_trusted_neighbors() -> None:
     rng = np.random.default_rng(5)
     prior = rng.standard_normal((JOINTS, 3))
-    trust = np.ones(JOINTS)
+    confidence = np.ones(JOINTS)
     shoulder, elbow, wrist = (
         KINECT_V1.index(f"{j}Left") for j in ("Shoulder", "Elbow", "Wrist")
     )
-    trust[elbow] = 0.0
+    confidence[elbow] = 0.0
     measured = prior.copy()
     measured[shoulder] += [0.1, 0.0, 0.0]
     measured[wrist] += [0.0, 0.3, 0.0]
-    blended = Blend(KINECT_V1)(prior, measured, trust)
+    blended = Blend(KINECT_V1)(prior, measured, confidence)
     np.testing.assert_allclose(
         blended[elbow] - prior[elbow], [0.05, 0.15, 0], atol=1e-3
     )
 
 
 def test_trust_is_full_for_the_reliable_none_for_the_missing_and_monotonic() -> None:
-    rate = np.linspace(0, 1, 101)
+    reliability = np.linspace(0, 1, 101)
     missing = np.zeros(101, dtype=bool)
-    covered = measurement_trust(rate, rate, missing, 1.0)
-    outside = measurement_trust(rate, np.ones(101), missing, 0.0)
+    covered = measurement_confidence(reliability, reliability, missing, 1.0)
+    outside = measurement_confidence(reliability, np.ones(101), missing, 0.0)
     assert np.all(np.diff(covered) >= 0)
     assert covered[0] == 0.0
-    assert np.all(covered[rate >= RELIABLE] == 1.0)
+    assert np.all(covered[reliability >= RELIABLE] == 1.0)
     assert np.all(outside == 1.0)
-    assert np.all(measurement_trust(rate, rate, ~missing, 0.5) == 0.0)
+    assert np.all(
+        measurement_confidence(reliability, reliability, ~missing, 0.5) == 0.0
+    )
 
 
 @every_skeleton

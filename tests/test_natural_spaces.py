@@ -125,12 +125,12 @@ def test_only_recorded_postures_move_reliable_joints(
     seen = Observation(posture, ones, ones)
     scripted = LocalPCA(replace(database, recorded=False)).step(seen)
     np.testing.assert_array_equal(scripted.positions, posture)
-    assert (scripted.trust == 1.0).all()
+    assert (scripted.confidence == 1.0).all()
     recorded = LocalPCA(database).step(seen)
     moved = np.linalg.norm(recorded.positions - posture, axis=1)
     assert moved[KNEE] > 0.005
     # What was moved does not count as measured.
-    assert (recorded.trust[moved > 0.002] < 1.0).all()
+    assert (recorded.confidence[moved > 0.002] < 1.0).all()
 
 
 @paired

@@ -32,8 +32,8 @@ from kinefilter.pipeline.lab.scorers.noise import (
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.reliability import (
     Reference,
-    Reliability,
     ReliabilityScorer,
+    Scores,
     measure_reference,
 )
 from kinefilter.scenes.library import perform
@@ -56,7 +56,7 @@ def moved(path: Array, joint: int = HAND, fps: float = 30.0) -> Take:
     return replace(take, positions=positions)
 
 
-def score(take: Take, reference: Reference) -> Reliability:
+def score(take: Take, reference: Reference) -> Scores:
     return NoiseReliabilityScorer(take.skeleton, reference).score(take)
 
 
@@ -77,7 +77,7 @@ def reach(time: Array, start: float, seconds: float, distance: float) -> Array:
 @every_skeleton
 def test_a_still_tracked_person_scores_one(skeleton: Skeleton) -> None:
     result = score(still_take(12, skeleton), average(skeleton))
-    np.testing.assert_allclose(result.rate, 1.0)
+    np.testing.assert_allclose(result.reliability, 1.0)
     np.testing.assert_allclose(result.geometry, 1.0)
 
 
@@ -92,14 +92,14 @@ def test_a_cubic_keeps_full_trust_at_any_speed_and_any_stamps(seed: int) -> None
     positions = take.positions.copy()
     positions[:, HAND] += path
     result = score(replace(take, time=time, positions=positions), blind())
-    np.testing.assert_allclose(result.rate, 1.0, atol=1e-6)
+    np.testing.assert_allclose(result.reliability, 1.0, atol=1e-6)
 
 
 def test_a_person_who_walks_through_the_room_keeps_full_trust() -> None:
     take = still_take(60)
     walk = np.outer(take.time, [1.5, 0.0, -4.0])
     walking = replace(take, positions=take.positions + walk[:, None])
-    np.testing.assert_allclose(score(walking, average()).rate, 1.0, atol=1e-9)
+    np.testing.assert_allclose(score(walking, average()).reliability, 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -107,14 +107,14 @@ def test_a_person_who_walks_through_the_room_keeps_full_trust() -> None:
 )
 def test_waving_as_people_can_keeps_trust(frequency: float, amplitude: float) -> None:
     path = sway(still_take(90).time, frequency, amplitude)
-    assert score(moved(path), blind()).rate.min() > 0.99
+    assert score(moved(path), blind()).reliability.min() > 0.99
 
 
 @pytest.mark.parametrize("seconds", [0.15, 0.2, 0.3])
 def test_a_punch_out_and_back_keeps_trust(seconds: float) -> None:
     time = still_take(60).time
     path = reach(time, 0.7, seconds, 0.6) - reach(time, 0.8 + seconds, seconds, 0.6)
-    assert score(moved(path), blind()).rate.min() > RELIABLE
+    assert score(moved(path), blind()).reliability.min() > RELIABLE
 
 
 def test_frames_that_were_dropped_cost_a_movement_nothing() -> None:
@@ -124,13 +124,13 @@ def test_frames_that_were_dropped_cost_a_movement_nothing() -> None:
     dropped = Take(
         take.time[kept], take.positions[kept], take.state[kept], KINECT_V1, "dropped"
     )
-    assert score(dropped, blind()).rate.min() > 0.98
+    assert score(dropped, blind()).reliability.min() > 0.98
 
 
 @pytest.mark.parametrize("fps", [15.0, 60.0])
 def test_a_movement_is_trusted_at_other_frame_rates(fps: float) -> None:
     path = sway(np.arange(90) / fps, 1.0, 0.4)
-    assert score(moved(path, fps=fps), blind()).rate.min() > 0.97
+    assert score(moved(path, fps=fps), blind()).reliability.min() > 0.97
 
 
 @pytest.mark.parametrize("motion", ["punch", "kick", "clap", "wave", "swing"])
@@ -144,8 +144,8 @@ def test_fast_motion_that_is_tracked_well_is_doubted_no_more_than_by_shum(
     take = Take(performance.time, seen, state, KINECT_V1)
     reference = measure_reference(take)
     shum = ReliabilityScorer(KINECT_V1, reference).score(take)
-    doubted = score(take, reference).rate < RELIABLE
-    assert doubted.mean() <= (shum.rate < RELIABLE).mean()
+    doubted = score(take, reference).reliability < RELIABLE
+    assert doubted.mean() <= (shum.reliability < RELIABLE).mean()
     assert doubted.mean() < 0.05
 
 
@@ -155,12 +155,12 @@ def test_fast_motion_that_is_tracked_well_is_doubted_no_more_than_by_shum(
 def test_white_noise_costs_what_the_constants_say() -> None:
     sigma = 0.02
     noise = np.random.default_rng(0).normal(0.0, sigma, (3000, 3))
-    rate = score(moved(noise), blind()).rate
+    reliability = score(moved(noise), blind()).reliability
     expected = (ERROR_PER_NOISE * sigma / DOUBTFUL_ERROR) ** 2
     # The distance covered by noise, over four frames, counts for the person.
     expected *= 1.0 - 3.0 * 2.0 * (0.1 / 4.0) ** 2
-    assert -np.log(rate[30:, HAND]).mean() == pytest.approx(expected, rel=0.05)
-    np.testing.assert_array_equal(np.delete(rate, HAND, axis=1), 1.0)
+    assert -np.log(reliability[30:, HAND]).mean() == pytest.approx(expected, rel=0.05)
+    np.testing.assert_array_equal(np.delete(reliability, HAND, axis=1), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_a_joint_that_vibrates_by_centimeters_loses_trust(
     time = np.arange(60) / 30.0
     path = np.outer(0.05 * np.cos(2 * np.pi * frequency * time), [0.0, 1.0, 0.0])
     result = score(moved(path), blind())
-    assert (result.rate[10:, HAND] < limit).all()
+    assert (result.reliability[10:, HAND] < limit).all()
     assert (result.term[10:, HAND] == Term.BEHAVIOR).all()
     np.testing.assert_array_equal(result.geometry, 1.0)
 
@@ -181,10 +181,10 @@ def test_trembling_speaks_against_the_position_of_an_inferred_joint_only() -> No
     noise = np.random.default_rng(2).normal(0.0, 0.05, (60, 3))
     tracked = moved(noise)
     inferred = replace(tracked, state=np.full_like(tracked.state, State.INFERRED))
-    rate = score(tracked, blind()).rate
-    assert (rate[30:, HAND] < UNRELIABLE).all()
+    reliability = score(tracked, blind()).reliability
+    assert (reliability[30:, HAND] < UNRELIABLE).all()
     np.testing.assert_array_equal(score(tracked, blind()).geometry, 1.0)
-    np.testing.assert_array_equal(score(inferred, blind()).geometry, rate)
+    np.testing.assert_array_equal(score(inferred, blind()).geometry, reliability)
 
 
 def test_a_spike_of_one_frame_is_doubted_in_the_next_and_forgotten_in_a_second() -> (
@@ -192,11 +192,11 @@ def test_a_spike_of_one_frame_is_doubted_in_the_next_and_forgotten_in_a_second()
 ):
     path = np.zeros((60, 3))
     path[20] = [0.0, 0.0, 0.4]
-    rate = score(moved(path), blind()).rate[:, HAND]
-    np.testing.assert_array_equal(rate[:20], 1.0)
-    assert rate[20] < 0.95
-    assert (rate[21:30] < UNRELIABLE).all()
-    assert (rate[50:] > RELIABLE).all()
+    reliability = score(moved(path), blind()).reliability[:, HAND]
+    np.testing.assert_array_equal(reliability[:20], 1.0)
+    assert reliability[20] < 0.95
+    assert (reliability[21:30] < UNRELIABLE).all()
+    assert (reliability[50:] > RELIABLE).all()
 
 
 @pytest.mark.parametrize("change", [0.2, -0.2])
@@ -214,8 +214,8 @@ def test_a_stretched_or_shrunken_segment_costs_what_the_constants_say(
     # Each end touches one more segment, which is right: half of the square is left.
     both = [KINECT_V1.parents[WRIST], WRIST]
     expected[both] = np.exp(-0.5 * (error / DOUBTFUL_ERROR) ** 2)
-    np.testing.assert_allclose(result.rate, np.tile(expected, (8, 1)))
-    np.testing.assert_allclose(result.geometry, result.rate)
+    np.testing.assert_allclose(result.reliability, np.tile(expected, (8, 1)))
+    np.testing.assert_allclose(result.geometry, result.reliability)
     np.testing.assert_array_equal(result.term[:, WRIST], Term.KINEMATICS)
 
 
@@ -227,11 +227,11 @@ def test_what_is_not_tracked_is_zero_and_comes_back_within_six_frames(
     states = take.state.copy()
     states[10:20, HAND] = state
     result = score(replace(take, state=states), average())
-    rate = result.rate[:, HAND]
-    np.testing.assert_array_equal(rate[:10], 1.0)
-    np.testing.assert_array_equal(rate[10:20], 0.0)
-    np.testing.assert_allclose(rate[20:], 1.0 - np.exp(-np.arange(1, 21) / 3.0))
-    assert rate[25] > RELIABLE
+    reliability = result.reliability[:, HAND]
+    np.testing.assert_array_equal(reliability[:10], 1.0)
+    np.testing.assert_array_equal(reliability[10:20], 0.0)
+    np.testing.assert_allclose(reliability[20:], 1.0 - np.exp(-np.arange(1, 21) / 3.0))
+    assert reliability[25] > RELIABLE
     assert (result.term[10:20, HAND] == Term.TRACKING_STATE).all()
     np.testing.assert_array_equal(result.geometry, 1.0)
 
@@ -240,10 +240,12 @@ def test_a_joint_that_was_away_comes_back_without_doubt() -> None:
     take = moved(sway(still_take(90).time, 1.0, 0.3))
     positions, states = take.positions.copy(), take.state.copy()
     positions[30:50, HAND], states[30:50, HAND] = np.nan, State.NOT_TRACKED
-    rate = score(replace(take, positions=positions, state=states), blind()).rate
-    np.testing.assert_array_equal(rate[30:50, HAND], 0.0)
-    assert (rate[60:, HAND] > 0.9).all()
-    np.testing.assert_array_equal(np.delete(rate, HAND, axis=1), 1.0)
+    reliability = score(
+        replace(take, positions=positions, state=states), blind()
+    ).reliability
+    np.testing.assert_array_equal(reliability[30:50, HAND], 0.0)
+    assert (reliability[60:, HAND] > 0.9).all()
+    np.testing.assert_array_equal(np.delete(reliability, HAND, axis=1), 1.0)
 
 
 # Interface
@@ -255,7 +257,7 @@ def test_position_and_heading_in_the_room_do_not_matter() -> None:
     there = replace(take, positions=turned)
     reference = measure_reference(take)
     here, away = score(take, reference), score(there, reference)
-    np.testing.assert_allclose(here.rate, away.rate, atol=1e-9)
+    np.testing.assert_allclose(here.reliability, away.reliability, atol=1e-9)
     np.testing.assert_allclose(here.geometry, away.geometry, atol=1e-9)
 
 
@@ -269,10 +271,10 @@ def test_rates_are_shares_and_never_above_the_geometry(seed: int) -> None:
     state = rng.integers(0, 3, take.state.shape).astype(np.uint8)
     positions[state == State.NOT_TRACKED] = np.nan
     result = score(replace(take, positions=positions, state=state), average())
-    for values in (result.rate, result.geometry):
+    for values in (result.reliability, result.geometry):
         assert ((values >= 0.0) & (values <= 1.0)).all()
-    assert (result.rate <= result.geometry).all()
-    np.testing.assert_array_equal(result.rate[state != State.TRACKED], 0.0)
+    assert (result.reliability <= result.geometry).all()
+    np.testing.assert_array_equal(result.reliability[state != State.TRACKED], 0.0)
     assert np.isin(result.term, [0, 1, 2]).all()
 
 
@@ -285,10 +287,10 @@ def test_steps_equal_the_score_bit_for_bit_and_start_forgets() -> None:
         scorer.start()
         for k in range(len(take)):
             buffer[:] = take.positions[k]
-            rate, term, geometry = scorer.step(
+            reliability, term, geometry = scorer.step(
                 buffer, take.state[k], float(take.time[k])
             )
-            np.testing.assert_array_equal(rate, whole.rate[k])
+            np.testing.assert_array_equal(reliability, whole.reliability[k])
             np.testing.assert_array_equal(term, whole.term[k])
             np.testing.assert_array_equal(geometry, whole.geometry[k])
 
@@ -299,15 +301,15 @@ def test_without_stamps_there_are_thirty_frames_a_second() -> None:
     whole = scorer.score(take)
     scorer.start()
     for k in range(len(take)):
-        rate, _, geometry = scorer.step(take.positions[k], take.state[k])
-        np.testing.assert_allclose(rate, whole.rate[k], rtol=1e-9)
+        reliability, _, geometry = scorer.step(take.positions[k], take.state[k])
+        np.testing.assert_allclose(reliability, whole.reliability[k], rtol=1e-9)
         np.testing.assert_allclose(geometry, whole.geometry[k], rtol=1e-9)
 
 
 def test_a_take_is_cleaned_with_it() -> None:
     take = sample_take()
     config = CleanConfig(method="none", physics=False, scoring="noise")
-    expected = score(take, measure_reference(take)).rate
+    expected = score(take, measure_reference(take)).reliability
     np.testing.assert_array_equal(clean(take, config).clip.reliability, expected)
 
 
@@ -337,8 +339,8 @@ def test_joints_that_marker_mocap_refutes_are_found() -> None:
             offset.append(distances[seen] > 0.10)
             reference = measure_reference(pair.take)
             for scorer, found in rates.items():
-                rate = scorer(KINECT_V1, reference).score(pair.take).rate
-                found.append(rate[:, accuracy.limbs][seen])
+                reliability = scorer(KINECT_V1, reference).score(pair.take).reliability
+                found.append(reliability[:, accuracy.limbs][seen])
     noise, shum = rates[NoiseReliabilityScorer], rates[ReliabilityScorer]
     assert areas(far, noise) > 0.80
     assert areas(far, noise) > areas(far, shum) + 0.05
@@ -352,7 +354,7 @@ def test_recorded_punches_and_kicks_are_doubted_less_than_by_shum() -> None:
         take = read_take(path)
         reference = measure_reference(take)
         for scorer in (NoiseReliabilityScorer, ReliabilityScorer):
-            rate = scorer(take.skeleton, reference).score(take).rate
-            doubts.append((rate < RELIABLE).mean())
+            reliability = scorer(take.skeleton, reference).score(take).reliability
+            doubts.append((reliability < RELIABLE).mean())
     noise, shum = np.mean(np.reshape(doubts, (-1, 2)), axis=0)
     assert noise < shum

@@ -101,8 +101,8 @@ def test_missing_joints_hang_on_their_corrected_parents(
     second[[WRIST, WRIST + 1]] = np.nan
     before, after = corrected(fitted[name], np.stack([first, second]))
     assert np.isfinite(after.positions).all()
-    assert after.trust[WRIST] == 0.0
-    assert np.all(np.delete(after.trust, [WRIST, WRIST + 1]) == 0.9)
+    assert after.confidence[WRIST] == 0.0
+    assert np.all(np.delete(after.confidence, [WRIST, WRIST + 1]) == 0.9)
     bone = after.positions[WRIST] - after.positions[ELBOW]
     np.testing.assert_allclose(bone, first[WRIST] - first[ELBOW], atol=1e-3)
     everything = np.full_like(first, np.nan)
@@ -139,7 +139,7 @@ def test_too_few_pairs_and_other_skeletons_are_refused(name: str) -> None:
     lessons = lessons_of(bent)
     foreign = TrainingSet(
         lessons.positions,
-        lessons.rate,
+        lessons.reliability,
         lessons.truth,
         lessons.first,
         KINECT_V2,
@@ -162,11 +162,13 @@ def test_known_people_are_corrected_on_real_recordings() -> None:
     ):
         found = np.empty_like(test.positions)
         model = method.fit(train)
-        for k, (posture, rate) in enumerate(
-            zip(test.positions, test.rate, strict=True)
+        for k, (posture, reliability) in enumerate(
+            zip(test.positions, test.reliability, strict=True)
         ):
             if test.first[k]:
                 model.start()
-            found[k] = model.step(Observation(posture, rate, rate, k / 30)).positions
+            found[k] = model.step(
+                Observation(posture, reliability, reliability, k / 30)
+            ).positions
         left = np.nanmean(accuracy.standardized(found, test.truth))
         assert left < share * raw, type(method).__name__

@@ -86,16 +86,16 @@ def test_who_stands_at_ease_is_left_where_they_are(skeleton: Skeleton) -> None:
 
 
 def test_a_foot_stands_at_the_weighted_median_of_its_ankle() -> None:
-    path, trust = standing(60), np.ones((60, 20))
+    path, confidence = standing(60), np.ones((60, 20))
     place = path[0, ANKLES[0], [0, 2]].copy()
     path[:, [ANKLES[0], TOES[0]], 0] += np.random.default_rng(0).normal(
         0.0, 0.01, (60, 1)
     )
     median = np.median(path[:, ANKLES[0], 0])
     path[30:55, [ANKLES[0], TOES[0]], 0] += 5.0  # in a place nobody measured
-    trust[30:55] = 0.0
+    confidence[30:55] = 0.0
     stands = np.ones((60, 2), dtype=np.bool_)
-    planted, _ = plant_feet(stamps(60), path, trust, stands, BODY)
+    planted, _ = plant_feet(stamps(60), path, confidence, stands, BODY)
     assert planted[0, ANKLES[0], 0] == pytest.approx(median, abs=0.006)
     assert planted[0, ANKLES[0], 2] == pytest.approx(place[1], abs=1e-6)
 
@@ -249,10 +249,12 @@ def test_only_feet_are_moved_and_each_by_itself(motion: str) -> None:
 
 def test_arguments_are_not_modified() -> None:
     time, path, stands = found("walk")
-    trust, heels = ones(path), stands.copy()
-    before = [np.copy(a) for a in (time, path, trust, stands, heels)]
-    plant_feet(time, path, trust, stands, BODY, heels)
-    for array, copy in zip((time, path, trust, stands, heels), before, strict=True):
+    confidence, heels = ones(path), stands.copy()
+    before = [np.copy(a) for a in (time, path, confidence, stands, heels)]
+    plant_feet(time, path, confidence, stands, BODY, heels)
+    for array, copy in zip(
+        (time, path, confidence, stands, heels), before, strict=True
+    ):
         np.testing.assert_array_equal(array, copy)
 
 
@@ -336,8 +338,8 @@ def test_any_stances_of_any_motion_give_numbers(seed: int, frames: int) -> None:
     time = np.cumsum(rng.choice([1 / 30, 1 / 15, 0.5], frames))
     path = standing(frames) + rng.normal(0.0, 0.3, (frames, 20, 3))
     stands = rng.random((frames, 2)) < rng.random()
-    trust = (rng.random((frames, 20)) < 0.7).astype(float)
-    planted, heels = plant_feet(time, path, trust, stands, BODY)
+    confidence = (rng.random((frames, 20)) < 0.7).astype(float)
+    planted, heels = plant_feet(time, path, confidence, stands, BODY)
     assert np.isfinite(planted).all()
     assert not (heels & ~stands).any()
 

@@ -125,9 +125,9 @@ def test_segments_never_seen_are_nan_and_without_say() -> None:
     assert reference.from_reference_posture
     unknown = np.flatnonzero(np.isnan(reference.lengths))
     assert unknown.tolist() == sorted([KINECT_V1.root, *hands])
-    rate = score(take, reference).rate
-    np.testing.assert_allclose(rate[:, hands], 0.0)
-    np.testing.assert_allclose(np.delete(rate, hands, axis=1), 1.0)
+    reliability = score(take, reference).reliability
+    np.testing.assert_allclose(reliability[:, hands], 0.0)
+    np.testing.assert_allclose(np.delete(reliability, hands, axis=1), 1.0)
 
 
 @every_skeleton

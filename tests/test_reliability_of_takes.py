@@ -24,10 +24,10 @@ def test_rates_stay_in_zero_to_one_whatever_happens(skeleton: Skeleton) -> None:
     take = Take(np.arange(200) / 30.0, positions, state, skeleton)
     for reference in (average(skeleton), blind(skeleton)):
         result = score(take, reference)
-        for values in (result.rate, result.geometry):
+        for values in (result.reliability, result.geometry):
             assert (values >= 0.0).all()
             assert (values <= 1.0 + 1e-12).all()
-        assert (result.rate <= result.geometry + 1e-12).all()
+        assert (result.reliability <= result.geometry + 1e-12).all()
         assert np.isin(result.term, [0, 1, 2]).all()
 
 
@@ -36,12 +36,12 @@ def assert_frames_equal_the_whole(take: Take) -> None:
     whole = ReliabilityScorer(take.skeleton, reference).score(take)
     scorer = ReliabilityScorer(take.skeleton, reference)
     for k in range(len(take)):
-        rate, term, geometry = scorer.step(take.positions[k], take.state[k])
-        np.testing.assert_array_equal(rate, whole.rate[k])
+        reliability, term, geometry = scorer.step(take.positions[k], take.state[k])
+        np.testing.assert_array_equal(reliability, whole.reliability[k])
         np.testing.assert_array_equal(term, whole.term[k])
         np.testing.assert_array_equal(geometry, whole.geometry[k])
     again = scorer.score(take)
-    np.testing.assert_array_equal(again.rate, whole.rate)
+    np.testing.assert_array_equal(again.reliability, whole.reliability)
 
 
 def test_frame_by_frame_equals_the_whole_take_bit_for_bit() -> None:
@@ -53,8 +53,10 @@ def test_a_take_with_errors_scores_low_where_they_are() -> None:
     result = score(take, measure_reference(take))
     tracked = take.state == State.TRACKED
     assert (~tracked).mean() > 0.05
-    assert np.median(result.rate[tracked]) > 0.85
-    assert result.rate[~tracked].mean() < 0.5 * result.rate[tracked].mean()
+    assert np.median(result.reliability[tracked]) > 0.85
+    assert (
+        result.reliability[~tracked].mean() < 0.5 * result.reliability[tracked].mean()
+    )
 
 
 @recorded
@@ -71,10 +73,10 @@ def test_inferred_joints_of_a_recorded_take_are_not_trusted() -> None:
     result = score(take, reference)
     tracked = take.state == State.TRACKED
     longer = np.array([tracked[max(k - 5, 0) : k + 1].all(0) for k in range(len(take))])
-    assert np.median(result.rate[longer]) > 0.85
+    assert np.median(result.reliability[longer]) > 0.85
     lost = np.array([~tracked[max(k - 5, 0) : k + 1].any(0) for k in range(len(take))])
     assert lost.any()
-    np.testing.assert_allclose(result.rate[lost], 0.0, atol=1e-12)
+    np.testing.assert_allclose(result.reliability[lost], 0.0, atol=1e-12)
     assert (result.term[~tracked] != Term.BEHAVIOR).mean() > 0.9
 
 
@@ -89,7 +91,7 @@ def test_a_failure_of_the_tracker_scores_under_a_good_take() -> None:
 
 
 def lowest_rates(take: Take) -> Array:
-    """Return each frame's worst rate among the joints that the take has."""
-    rate = score(take, measure_reference(take)).rate
+    """Return each frame's worst reliability among the joints that the take has."""
+    reliability = score(take, measure_reference(take)).reliability
     present = ~np.isnan(take.positions[..., 0]).all(axis=0)
-    return np.asarray(rate[:, present].min(axis=1))
+    return np.asarray(reliability[:, present].min(axis=1))

@@ -211,11 +211,11 @@ def test_without_a_cutoff_a_perfect_take_without_feet_is_left_alone(
 
 
 def test_arguments_are_not_modified(kick: Motion) -> None:
-    positions, trust = noisy(kick), np.full(kick.positions.shape[:2], 0.9)
+    positions, confidence = noisy(kick), np.full(kick.positions.shape[:2], 0.9)
     contacts = np.ones((len(kick), 4), dtype=np.bool_)
-    before = [np.copy(a) for a in (kick.time, positions, trust, contacts)]
-    placed(kick.time, positions, confidence=trust, contacts=contacts)
-    after = (kick.time, positions, trust, contacts)
+    before = [np.copy(a) for a in (kick.time, positions, confidence, contacts)]
+    placed(kick.time, positions, confidence=confidence, contacts=contacts)
+    after = (kick.time, positions, confidence, contacts)
     for array, copy in zip(after, before, strict=True):
         np.testing.assert_array_equal(array, copy)
 

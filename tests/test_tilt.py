@@ -27,17 +27,17 @@ def walking(tilt: float, noise: float) -> tuple[Array, Array]:
 @pytest.mark.parametrize("tilt", [-12.0, -5.0, 8.0])
 def test_the_tilt_is_found_under_someone_who_walks(tilt: float) -> None:
     time, positions = walking(tilt, 0.01)
-    trust = np.ones(positions.shape[:2])
-    stands = find_stance(time, positions, trust, KINECT_V1)
-    found = np.degrees(sensor_tilt(positions, trust, stands, BODY))
+    confidence = np.ones(positions.shape[:2])
+    stands = find_stance(time, positions, confidence, KINECT_V1)
+    found = np.degrees(sensor_tilt(positions, confidence, stands, BODY))
     assert found == pytest.approx(tilt, abs=1.0)
 
 
 def test_a_level_sensor_and_someone_who_stands_stay_as_they_are() -> None:
     time, positions = walking(0.0, 0.01)
-    trust = np.ones(positions.shape[:2])
-    stands = find_stance(time, positions, trust, KINECT_V1)
-    assert abs(np.degrees(sensor_tilt(positions, trust, stands, BODY))) < 0.5
+    confidence = np.ones(positions.shape[:2])
+    stands = find_stance(time, positions, confidence, KINECT_V1)
+    assert abs(np.degrees(sensor_tilt(positions, confidence, stands, BODY))) < 0.5
     still = np.tile(leveled(BODY.rest_positions, np.radians(10.0)), (60, 1, 1))
     always = np.ones((60, 2), dtype=bool)
     assert sensor_tilt(still, np.ones(still.shape[:2]), always, BODY) == 0.0

@@ -33,7 +33,7 @@ class Replay:
     token_file: Path | None = None
     """File with the token that the WebSocket server asks for."""
     certificate: Path | None = None
-    """Certificate (PEM) to trust for wss, besides those of the system."""
+    """Certificate (PEM) to confidence for wss, besides those of the system."""
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
 

@@ -26,8 +26,8 @@ most of what helps."""
 _FIRMEST = 1e3  # weight of a fully trusted joint against one bone's pull
 
 
-def measurement_trust(
-    rate: Array, geometry: Array, missing: NDArray[np.bool_], coverage: float
+def measurement_confidence(
+    reliability: Array, geometry: Array, missing: NDArray[np.bool_], coverage: float
 ) -> Array:
     """Return how far each joint follows its measurement, in [0, 1], shape (J,).
 
@@ -36,16 +36,16 @@ def measurement_trust(
     as the positions by themselves look sound.
 
     Args:
-        rate: Reliability rate, shape (J,).
-        geometry: The rate without the tracking state, shape (J,).
+        reliability: Reliability, shape (J,).
+        geometry: The reliability without the tracking state, shape (J,).
         missing: Nothing was measured, shape (J,).
         coverage: How well the prior knows the posture, in [0, 1].
     """
     span = RELIABLE - UNRELIABLE
-    trust = np.clip((rate - UNRELIABLE) / span, 0.0, 1.0)
+    confidence = np.clip((reliability - UNRELIABLE) / span, 0.0, 1.0)
     sound = np.clip((geometry - UNRELIABLE) / span, 0.0, 1.0)
-    trust = trust + (1.0 - trust) * (1.0 - coverage) * sound
-    return np.where(missing, 0.0, trust)
+    confidence = confidence + (1.0 - confidence) * (1.0 - coverage) * sound
+    return np.where(missing, 0.0, confidence)
 
 
 class Blend:
@@ -53,9 +53,9 @@ class Blend:
 
     The residual (measured minus prior) of trusted joints spreads over the skeleton to
     the others: it minimizes sum of w_j |r_j - residual_j|^2 + sum over bones of
-    |r_j - r_parent|^2 with w = trust / (1 - trust). Trusted joints end where they were
-    measured, the others keep the prior's bones as far as their neighbors allow, and the
-    result is continuous in the trust.
+    |r_j - r_parent|^2 with w = c / (1 - c) and the confidence c. Trusted joints end
+    where they were measured, the others keep the prior's bones as far as their
+    neighbors allow, and the result is continuous in the confidence.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -65,25 +65,25 @@ class Blend:
             self._laplacian[[j, p], [j, p]] += 1.0
             self._laplacian[[j, p], [p, j]] -= 1.0
 
-    def __call__(self, prior: Array, measured: Array, trust: Array) -> Array:
+    def __call__(self, prior: Array, measured: Array, confidence: Array) -> Array:
         """Return the blended posture [m], shape (J, 3).
 
         Args:
             prior: Joint positions [m], finite, shape (J, 3).
-            measured: Joint positions [m], NaN only where the trust is 0, (J, 3).
-            trust: Share of the measurement, in [0, 1], shape (J,).
+            measured: Joint positions [m], NaN only where the confidence is 0, (J, 3).
+            confidence: Share of the measurement, in [0, 1], shape (J,).
         """
-        if trust.min() >= 1.0:
+        if confidence.min() >= 1.0:
             return measured.copy()
-        residual = np.where(trust[:, None] > 0.0, measured - prior, 0.0)
-        weights = trust / np.maximum(1.0 - trust, 1.0 / _FIRMEST)
+        residual = np.where(confidence[:, None] > 0.0, measured - prior, 0.0)
+        weights = confidence / np.maximum(1.0 - confidence, 1.0 / _FIRMEST)
         matrix = self._laplacian.copy()
-        matrix.flat[:: len(trust) + 1] += weights + 1e-6
+        matrix.flat[:: len(confidence) + 1] += weights + 1e-6
         # LAPACK itself: the wrapper takes longer than so small a solution.
         spread = dposv(matrix, weights[:, None] * residual)[1]
         blended = prior + spread
         # Joints with confidence 1 stay exactly where they were measured.
-        return np.where(trust[:, None] >= 1.0, measured, blended)
+        return np.where(confidence[:, None] >= 1.0, measured, blended)
 
 
 class Hold(Corrector):
@@ -125,6 +125,6 @@ class Hold(Corrector):
 
     def step(self, observation: Observation) -> Correction:
         """Fill the next frame."""
-        trust = np.where(np.isnan(observation.positions[:, 0]), 0.0, 1.0)
-        self._last = self._blend(self._last, observation.positions, trust)
-        return Correction(self._last, None, trust, float("nan"))
+        confidence = np.where(np.isnan(observation.positions[:, 0]), 0.0, 1.0)
+        self._last = self._blend(self._last, observation.positions, confidence)
+        return Correction(self._last, None, confidence, float("nan"))

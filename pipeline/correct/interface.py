@@ -11,7 +11,7 @@ import numpy as np
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
 
-CORRECTED_TRUST = 0.9
+CORRECTED_CONFIDENCE = 0.9
 """Confidence in a measurement that was corrected: the smoother may move it too. A
 guess."""
 
@@ -25,7 +25,7 @@ class Observation:
 
     positions: Array
     """Joint positions [m], NaN where missing, shape (J, 3)."""
-    rate: Array
+    reliability: Array
     """Reliability in [0, 1], shape (J,)."""
     geometry: Array
     """Reliability without the tracking state, shape (J,)."""
@@ -38,7 +38,7 @@ class Observation:
         """Return a frame of a take."""
         return Observation(
             self.positions[k],
-            self.rate[k],
+            self.reliability[k],
             self.geometry[k],
             float(self.time[k]),
             self.lengths,
@@ -57,7 +57,7 @@ class Correction:
     rotations: Array | None
     """Segment rotations of similar postures, wxyz, shape (J, 4), to take the twist
     from; None where the method knows none."""
-    trust: Array
+    confidence: Array
     """Share of the measurement in each joint, 0 where invented, shape (J,)."""
     coverage: Any
     """How well the method knows the posture, in [0, 1]: a number, or of a take shape
@@ -118,13 +118,13 @@ class InTurn(Corrector):
 
     Args:
         methods: The methods, in their order.
-        least_rate: The least reliability that a measured joint has for the last method,
-            if the methods before it know what the sensor's guesses mean.
+        least_reliability: What a measured joint has at least in the eyes of the last
+            method, if those before it know what the sensor's guesses mean.
     """
 
-    def __init__(self, *methods: Corrector, least_rate: float = 0.0) -> None:
+    def __init__(self, *methods: Corrector, least_reliability: float = 0.0) -> None:
         self.methods = methods
-        self.least_rate = least_rate
+        self.least_reliability = least_reliability
 
     def start(self) -> None:
         """Forget all frames."""
@@ -153,8 +153,10 @@ class InTurn(Corrector):
         return replace(seen, positions=np.where(missing, np.nan, made.positions))
 
     def _raised(self, seen: Observation) -> Observation:
-        if self.least_rate <= 0.0:
+        if self.least_reliability <= 0.0:
             return seen
-        least = np.where(np.isnan(seen.positions[..., 0]), 0.0, self.least_rate)
-        rate, geometry = (np.maximum(r, least) for r in (seen.rate, seen.geometry))
-        return replace(seen, rate=rate, geometry=geometry)
+        least = np.where(np.isnan(seen.positions[..., 0]), 0.0, self.least_reliability)
+        reliability, geometry = (
+            np.maximum(r, least) for r in (seen.reliability, seen.geometry)
+        )
+        return replace(seen, reliability=reliability, geometry=geometry)

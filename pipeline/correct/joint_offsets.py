@@ -77,7 +77,7 @@ class JointOffsets(OffsetCorrector):
         """Correct a whole take."""
         self.start()
         positions = np.empty_like(take.positions)
-        trust = np.empty(take.positions.shape[:2])
+        confidence = np.empty(take.positions.shape[:2])
         nothing = float("nan")
         for first in range(0, len(positions), _CHUNK):
             some = slice(first, first + _CHUNK)
@@ -87,8 +87,8 @@ class JointOffsets(OffsetCorrector):
             found = add_offsets(
                 self.skeleton, posture, self.joints_, offsets, missing, nothing
             )
-            positions[some], trust[some] = found.positions, found.trust
-        return Correction(positions, None, trust, np.full(len(positions), nothing))
+            positions[some], confidence[some] = found.positions, found.confidence
+        return Correction(positions, None, confidence, np.full(len(positions), nothing))
 
     def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002
         return self.offsets(posture), float("nan")

@@ -15,7 +15,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 
 from .hold import Hold
-from .interface import CORRECTED_TRUST, Correction, Corrector, Observation
+from .interface import CORRECTED_CONFIDENCE, Correction, Corrector, Observation
 
 _BLOCK = 100_000  # frames looked at at a time; 200 MB of the largest skeleton
 _LEAST_FRAMES = 100
@@ -27,7 +27,7 @@ class TrainingSet:
 
     positions: Array
     """Measured joint positions [m], NaN where missing, shape (N, J, 3)."""
-    rate: Array
+    reliability: Array
     """Reliability in [0, 1], shape (N, J)."""
     truth: Array
     """Mocap's joint positions [m] in the same view and scale, NaN where none; moved so
@@ -196,7 +196,7 @@ def _frames_with(
     """Return the frames in which both have all joints, at a reliability or more."""
     frames = []
     for some in training.blocks():
-        whole = training.rate[some][:, joints] >= above
+        whole = training.reliability[some][:, joints] >= above
         for positions in (training.positions, training.truth):
             whole &= ~np.isnan(positions[some][:, joints, 0])
         frames.append(some.start + np.flatnonzero(whole.all(axis=1)))
@@ -229,5 +229,5 @@ def add_offsets(
         hung = corrected[..., parent, :] + posture[..., j, :] - posture[..., parent, :]
         lost = missing[..., j, None]
         corrected[..., j, :] = np.where(lost, hung, corrected[..., j, :])
-    trust = np.where(missing, 0.0, CORRECTED_TRUST)
-    return Correction(corrected, None, trust, coverage)
+    confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
+    return Correction(corrected, None, confidence, coverage)

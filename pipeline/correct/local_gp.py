@@ -50,7 +50,7 @@ def least_energy(
     mean: Array,
     certainty: Array,
     steady: Array,
-    rate: Array,
+    reliabilities: Array,
     *,
     spatial: float,
     temporal: float,
@@ -67,14 +67,14 @@ def least_energy(
         certainty: Prior variance over predicted variance, shape (M, 3): 1 where
             nothing is known, so that the weights then are those of the paper.
         steady: Offsets of constant velocity [m], NaN where unknown, shape (M, 3).
-        rate: Reliability rate, shape (M,).
+        reliabilities: Of the joints, in [0, 1], shape (M,).
         spatial: Weight of the spatial term.
         temporal: Weight of the temporal term.
         reliability: Weight of the reliability term.
     """
     near = spatial * certainty
     flow = np.where(np.isnan(steady), 0.0, temporal)
-    total = near + flow + reliability * rate[:, None] ** 2
+    total = near + flow + reliability * reliabilities[:, None] ** 2
     pull = near * mean + flow * np.nan_to_num(steady)
     return np.asarray(pull / np.maximum(total, 1e-12))
 
@@ -234,7 +234,7 @@ class LocalGP(OffsetCorrector):
             trend + mean,
             self.prior_[:, None] / variance,
             self._steady(posture[joints]),
-            seen.rate[joints],
+            seen.reliability[joints],
             spatial=self.spatial,
             temporal=self.temporal,
             reliability=self.reliability,
@@ -242,7 +242,7 @@ class LocalGP(OffsetCorrector):
         known, spread = ~np.isnan(seen.positions[joints, 0]), variance.mean(axis=1)
         if self.adapt:
             sure = (spread < _SURE * unknown) & (spread > self.certain_)
-            sure &= known & (seen.rate[joints] >= self.adapt_reliability)
+            sure &= known & (seen.reliability[joints] >= self.adapt_reliability)
             for m in np.flatnonzero(sure):
                 self._models.learn(int(m), x[m], (offsets - trend)[m], self.reach_[m])
         # Of the variance that can be explained, over all joints: those that are hardly

@@ -12,8 +12,8 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
 
-from .hold import Blend, measurement_trust
-from .interface import CORRECTED_TRUST, Correction, Corrector, Observation
+from .hold import Blend, measurement_confidence
+from .interface import CORRECTED_CONFIDENCE, Correction, Corrector, Observation
 from .posture_space import (
     EnergyWeights,
     NaturalSpaces,
@@ -31,7 +31,7 @@ _NEIGHBORS = 5
 """Postures that span a posture space. Shum's 30 leave room for postures that nobody
 takes where few joints are reliable: behind a box or a desk, 10 take 38 % of the error
 of simulated takes, 7 take 40 % and 5 take 41 %."""
-_MEMORY = 0.05  # weight of the last posture in the query, against a rate of 1
+_MEMORY = 0.05  # weight of the last posture in the query, against a reliability of 1
 _AS_MEASURED = 0.001  # m: what a joint may be moved and still count as measured
 _COVERAGE_MEMORY = 0.8  # share of the last frame's coverage: no switching in a frame
 
@@ -90,33 +90,37 @@ class LocalPCA(Corrector):
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
         measured, missing = observation.positions, np.isnan(observation.positions[:, 0])
-        rate = np.where(missing, 0.0, observation.rate)
-        prior, nearest = self.synthesize(measured, rate)
-        coverage = self._cover(measured, rate, nearest)
-        trust = measurement_trust(rate, observation.geometry, missing, coverage)
-        posture = self._blend(prior, measured, trust)
+        reliability = np.where(missing, 0.0, observation.reliability)
+        prior, nearest = self.synthesize(measured, reliability)
+        coverage = self._cover(measured, reliability, nearest)
+        confidence = measurement_confidence(
+            reliability, observation.geometry, missing, coverage
+        )
+        posture = self._blend(prior, measured, confidence)
         if self._spaces is not None:
             shift = self._spaces.shift(posture)
             posture = posture + shift
             moved = np.vecdot(shift, shift) > _AS_MEASURED**2
-            trust = np.where(moved, np.minimum(trust, CORRECTED_TRUST), trust)
+            confidence = np.where(
+                moved, np.minimum(confidence, CORRECTED_CONFIDENCE), confidence
+            )
         return Correction(
-            posture, self.orientation(prior, nearest, rate), trust, coverage
+            posture, self.orientation(prior, nearest, reliability), confidence, coverage
         )
 
     def synthesize(
-        self, measured: Array, rate: Array
+        self, measured: Array, reliability: Array
     ) -> tuple[Array, NDArray[np.intp]]:
         """Return the natural posture of least energy [m], (J, 3), and its neighbors.
 
         Args:
-            measured: Joint positions [m], NaN only where the rate is 0, shape (J, 3).
-            rate: Reliability rate of each joint, shape (J,).
+            measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
+            reliability: Reliability of each joint, shape (J,).
         """
-        nearest = self._neighbors(measured, rate)
+        nearest = self._neighbors(measured, reliability)
         postures = self.database.flat[nearest].astype(float)
         space = PostureSpace(postures, self.dimensions)
-        self.energy.observe(measured, rate, postures, self._steady())
+        self.energy.observe(measured, reliability, postures, self._steady())
         start = space.project(self._last[-1] if self._last else postures[0])
         if self.search == "solver":
             latent = solve(space, self.energy, start)
@@ -133,18 +137,18 @@ class LocalPCA(Corrector):
         self._last = [*self._last[-1:], posture]
         return posture.reshape(-1, 3), nearest
 
-    def _neighbors(self, measured: Array, rate: Array) -> NDArray[np.intp]:
+    def _neighbors(self, measured: Array, reliability: Array) -> NDArray[np.intp]:
         """Return the database postures nearest to the reliable joints (eq. 9).
 
         The last posture stands in with a small weight, so that joints nobody trusts do
         not wander through the database from frame to frame.
         """
         if not self._last:
-            return self.database.neighbors(measured, rate, self.neighbors)[0]
+            return self.database.neighbors(measured, reliability, self.neighbors)[0]
         last = self._last[-1].reshape(-1, 3)
-        seen = np.where(rate[:, None] > 0.0, measured, 0.0)
-        weights = rate + _MEMORY
-        query = (rate[:, None] * seen + _MEMORY * last) / weights[:, None]
+        seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
+        weights = reliability + _MEMORY
+        query = (reliability[:, None] * seen + _MEMORY * last) / weights[:, None]
         return self.database.neighbors(query, weights, self.neighbors)[0]
 
     def _steady(self) -> Array | None:
@@ -154,18 +158,20 @@ class LocalPCA(Corrector):
         before, last = self._last
         return 2.0 * last - before
 
-    def _cover(self, measured: Array, rate: Array, nearest: NDArray[np.intp]) -> float:
+    def _cover(
+        self, measured: Array, reliability: Array, nearest: NDArray[np.intp]
+    ) -> float:
         """Return how well the database knows the posture, in [0, 1].
 
         Fully, as far as its own postures lie apart and the sensor errs (both in root
         mean square over the reliable joints); not at all from twice that.
         """
-        total = float(rate.sum())
+        total = float(reliability.sum())
         away = 0.0
         if total > 1e-9:
-            seen = np.where(rate[:, None] > 0.0, measured, 0.0)
+            seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
             apart = self.database.positions[nearest] - seen
-            squares = np.vecdot(apart, apart) @ rate
+            squares = np.vecdot(apart, apart) @ reliability
             away = float(np.sqrt(squares.min() / total))
         near = np.hypot(self.database.spacing, _SENSOR_ERROR)
         now = float(np.clip(2.0 - away / near, 0.0, 1.0))
@@ -174,11 +180,11 @@ class LocalPCA(Corrector):
         return self._coverage
 
     def orientation(
-        self, posture: Array, nearest: NDArray[np.intp], rate: Array
+        self, posture: Array, nearest: NDArray[np.intp], reliability: Array
     ) -> Array:
         """Return the neighbors' rotations, weighted by inverse difference (VII.B)."""
         away = self.database.positions[nearest] - posture
-        difference = np.vecdot(away, away) @ rate
+        difference = np.vecdot(away, away) @ reliability
         weights = 1.0 / (difference + 1e-4)
         rotations = self.database.rotations[nearest]
         signed = np.where(

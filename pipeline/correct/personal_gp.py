@@ -20,7 +20,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.reliability import segment_lengths
 
-from .interface import CORRECTED_TRUST, Correction, Observation
+from .interface import CORRECTED_CONFIDENCE, Correction, Observation
 from .learned import LearnedCorrector, TrainingSet
 
 # Chosen by leaving one of six people out; each of them may be halved or doubled at a
@@ -109,8 +109,8 @@ class PersonalGP(LearnedCorrector):
         )[0]
         corrected = posture.copy()
         corrected[self.joints_] += (likeness @ self.weights_).reshape(-1, 3)
-        trust = np.where(missing, 0.0, CORRECTED_TRUST)
-        return Correction(corrected, None, trust, float(min(1.0, likeness.max())))
+        confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
+        return Correction(corrected, None, confidence, float(min(1.0, likeness.max())))
 
     def _filled(self, positions: Array) -> Array:
         return np.asarray(self._hold.fill(positions[None])[0])

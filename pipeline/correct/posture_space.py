@@ -94,20 +94,20 @@ class PostureEnergy:
     def observe(
         self,
         measured: Array,
-        rate: Array,
+        reliability: Array,
         neighbors: Array,
         steady: Array | None,
     ) -> None:
         """Set what the energy is about in this frame.
 
         Args:
-            measured: Joint positions [m], finite where the rate is not 0, (J, 3).
-            rate: Reliability rate of each joint, shape (J,).
+            measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
+            reliability: Reliability of each joint, shape (J,).
             neighbors: Neighboring postures [m], shape (K, 3 J).
             steady: Posture [m] that continues the last two, shape (3 J,), or None.
         """
-        self.rate = np.repeat(rate, 3)
-        self.measured = np.where(self.rate > 0.0, measured.ravel(), 0.0)
+        self.reliability = np.repeat(reliability, 3)
+        self.measured = np.where(self.reliability > 0.0, measured.ravel(), 0.0)
         self.neighbors = neighbors
         self._neighbor_squares = np.sum(neighbors * neighbors, axis=1)
         self.steady = steady
@@ -116,7 +116,7 @@ class PostureEnergy:
         """Return energies [m^2] (N,) of postures [m] (N, 3 J)."""
         w = self.weights
         away = postures - self.measured
-        control = (away * away) @ self.rate  # eq. 10
+        control = (away * away) @ self.reliability  # eq. 10
         squares = np.sum(postures * postures, axis=1)
         to_neighbors = (
             squares[:, None]
@@ -180,7 +180,7 @@ class _EnergyInside:
     def __init__(self, space: PostureSpace, energy: PostureEnergy) -> None:
         w, joints = energy.weights, energy.joints
         basis, axes = space.basis, space.basis.shape[1]
-        pulled = (w.control * energy.rate)[:, None] * basis
+        pulled = (w.control * energy.reliability)[:, None] * basis
         self.hessian = pulled.T @ basis
         self.fixed = (energy.measured - space.mean) @ pulled
         eased = w.style / joints

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, Take, Term
-from kinefilter.pipeline.reliability import Reliability
+from kinefilter.pipeline.reliability import Scores
 from kinefilter.retarget.runs import runs
 
 from .limbs import bent_backwards, leaps, leftward, out_of_range, through_head
@@ -101,24 +101,24 @@ def _lasting(
 
 
 def distrust(
-    reliability: Reliability, failures: tuple[Failure, ...], skeleton: Skeleton
-) -> Reliability:
-    """Return the reliability, set to 0 where a limb is in an impossible place.
+    scores: Scores, failures: tuple[Failure, ...], skeleton: Skeleton
+) -> Scores:
+    """Return scores with a reliability of 0 where a limb is in an impossible place.
 
     This holds from the elbow or knee on. Mirrored bodies are put back before; arms
     beyond their range and limbs that leap keep their reliability.
     """
-    rate, geometry = reliability.rate.copy(), reliability.geometry.copy()
-    term = reliability.term.copy()
+    reliability, geometry = scores.reliability.copy(), scores.geometry.copy()
+    term = scores.term.copy()
     for failure in failures:
         if failure.kind in _DOUBTED:
             side, limb = failure.part.split()
             top = {"arm": "Shoulder", "leg": "Hip"}[limb] + side.capitalize()
             joints = skeleton.beyond(skeleton.index(top))
-            rate[failure.frames, joints] = 0.0
+            reliability[failure.frames, joints] = 0.0
             geometry[failure.frames, joints] = 0.0
             term[failure.frames, joints] = Term.FAILURE
-    return replace(reliability, rate=rate, geometry=geometry, term=term)
+    return replace(scores, reliability=reliability, geometry=geometry, term=term)
 
 
 def _mirrored(take: Take) -> NDArray[np.bool_]:

@@ -231,8 +231,8 @@ def reliability_auc(
 ) -> dict[str, dict[str, float | None]]:
     """Return how well each scoring finds limb joints that are far off.
 
-    Area under the ROC curve of 1 - rate, for joints over 10 cm off, and for joints over
-    7 cm off without their constant offset; None where there are none.
+    Area under the ROC curve of 1 - reliability, for joints over 10 cm off, and for
+    joints over 7 cm off without their constant offset; None where there are none.
     """
     from sklearn.metrics import roc_auc_score
 
@@ -252,8 +252,8 @@ def reliability_auc(
         reference = measure_reference(pair.take)
         for name in SCORERS:
             scorer = make_scorer(name, pair.take.skeleton, reference)
-            rate = scorer.score(pair.take).rate
-            doubt[name].append(1.0 - rate[:, accuracy.limbs].ravel()[seen])
+            reliability = scorer.score(pair.take).reliability
+            doubt[name].append(1.0 - reliability[:, accuracy.limbs].ravel()[seen])
     areas: dict[str, dict[str, float | None]] = {}
     for name, scores in doubt.items():
         areas[name] = {}

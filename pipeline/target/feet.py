@@ -63,7 +63,7 @@ def ankles_and_toes(skeleton: Skeleton) -> tuple[list[int], list[int]]:
 
 
 def find_stance(
-    time: Array, positions: Array, trust: Array, skeleton: Skeleton
+    time: Array, positions: Array, confidence: Array, skeleton: Skeleton
 ) -> NDArray[np.bool_]:
     """Return whether each foot stands in each frame, shape (T, 2), order of SIDES.
 
@@ -72,7 +72,7 @@ def find_stance(
     something: Viterbi's algorithm, which is a hysteresis that looks ahead.
     """
     ankles, _ = ankles_and_toes(skeleton)
-    weights = np.maximum(trust[:, ankles], _LEAST_WEIGHT)
+    weights = np.maximum(confidence[:, ankles], _LEAST_WEIGHT)
     paths = smooth(time, positions[:, ankles], weights, cutoff=_CUTOFF)
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0 / _RATE
     stands = _most_probable(_RATE * step * _log_odds(time, paths))
@@ -206,7 +206,7 @@ def _split(time: Array, path: Array, stands: NDArray[np.bool_], stance: slice) -
 def plant_feet(
     time: Array,
     positions: Array,
-    trust: Array,
+    confidence: Array,
     stands: NDArray[np.bool_],
     body: Body,
     heels: NDArray[np.bool_] | None = None,
@@ -234,7 +234,7 @@ def plant_feet(
             rise[heels[:, foot]] = 0.0
         down[:, foot] = stands[:, foot] & (rise < _HEEL_DOWN)
         resting = [
-            _resting(path[s], trust[s, ankle], rise[s], body, toe) for s in stances
+            _resting(path[s], confidence[s, ankle], rise[s], body, toe) for s in stances
         ]
         path = _joined(time, path, resting, stances)
         path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], stands[:, foot])

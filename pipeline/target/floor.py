@@ -27,7 +27,7 @@ the tracker lets a foot sink."""
 
 
 def floor_height(
-    positions: Array, trust: Array, stands: NDArray[np.bool_], body: Body
+    positions: Array, confidence: Array, stands: NDArray[np.bool_], body: Body
 ) -> float:
     """Return the height [m] of the floor under a take.
 
@@ -39,11 +39,11 @@ def floor_height(
     heights = positions[..., 1] - body.rest_positions[:, 1]
     ankles, toes = ankles_and_toes(body.skeleton)
     feet = ankles + toes
-    standing = heights[:, ankles][stands & (trust[:, ankles] >= 0.5)]
+    standing = heights[:, ankles][stands & (confidence[:, ankles] >= 0.5)]
     standing = standing[~np.isnan(standing)]
     if len(standing) > 0:
         return float(np.median(standing))
-    seen = np.where(trust[:, feet] >= 0.5, heights[:, feet], np.nan)
+    seen = np.where(confidence[:, feet] >= 0.5, heights[:, feet], np.nan)
     frames = ~np.isnan(seen).all(axis=1)
     if frames.any():
         return float(np.percentile(np.nanmin(seen[frames], axis=1), _STANDING))
@@ -51,7 +51,7 @@ def floor_height(
 
 
 def sensor_tilt(
-    positions: Array, trust: Array, stands: NDArray[np.bool_], body: Body
+    positions: Array, confidence: Array, stands: NDArray[np.bool_], body: Body
 ) -> float:
     """Return the angle [rad] about x that levels the floor, 0 where it is unknown.
 
@@ -64,7 +64,7 @@ def sensor_tilt(
     places = []
     for foot, ankle in enumerate(ankles):
         for stance in runs(stands[:, foot]):
-            seen = positions[stance, ankle][trust[stance, ankle] >= 0.5]
+            seen = positions[stance, ankle][confidence[stance, ankle] >= 0.5]
             if len(seen) > 0:
                 places.append(np.median(seen, axis=0))
     if len(places) < _LEAST_STANCES:

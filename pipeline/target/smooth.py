@@ -39,9 +39,9 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
     Args:
         time: Time stamps [s], strictly increasing, shape (T,).
         values: What to smooth, shape (T, J, C).
-        weights: Trust in each value, in [0, 1], over 0, shape (T, J).
+        weights: Confidence in each value, in [0, 1], over 0, shape (T, J).
         cutoff: Frequency [Hz] at which half of the amplitude of a fully trusted value
-            is left; trust w moves it by a factor of w^(1/6).
+            is left; confidence w moves it by a factor of w^(1/6).
     """
     grid, length = _grid(time)
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
@@ -69,7 +69,7 @@ def smooth_by_speed(
     Args:
         time: Time stamps [s], strictly increasing, shape (T,).
         values: Positions [m], shape (T, J, 3).
-        weights: Trust in each joint, in [0, 1], over 0, shape (T, J).
+        weights: Confidence in each joint, in [0, 1], over 0, shape (T, J).
         cutoff: The highest frequency [Hz] that is kept, where a joint is fast.
     """
     grid, length = _grid(time)

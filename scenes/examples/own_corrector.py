@@ -33,7 +33,7 @@ class Mirror(Corrector):
         """Correct the next frame: the root is at the origin and faces +z."""
         filled = self._hold.step(observation)
         mirrored = filled.positions[self._partner] * [-1.0, 1.0, 1.0]
-        share = (observation.rate * filled.trust)[:, None]
+        share = (observation.reliability * filled.confidence)[:, None]
         positions = share * filled.positions + (1.0 - share) * mirrored
         return Correction(positions, None, share[:, 0], np.nan)
 

@@ -18,7 +18,7 @@ from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct.gaussian_process import Kernel, fit_kernel
 from kinefilter.pipeline.correct.interface import (
-    CORRECTED_TRUST,
+    CORRECTED_CONFIDENCE,
     Correction,
     Observation,
 )
@@ -187,7 +187,7 @@ class ClusteredGP(LearnedCorrector):
         corrected = self._walk.lay(directions, self._lengths(observation.lengths))
         corrected += posture[self.skeleton.root]
         return Correction(
-            corrected, None, np.where(missing, 0.0, CORRECTED_TRUST), coverage
+            corrected, None, np.where(missing, 0.0, CORRECTED_CONFIDENCE), coverage
         )
 
     def _lengths(self, seen: Array | None) -> Array:

@@ -32,7 +32,7 @@ LONGEST_PREDICTION = 0.5
 """Time [s] for which a missing joint is taken to keep its velocity: half a reach."""
 
 _LEAST_STEP = 1e-3  # s, between frames with the same time stamp
-_IMMOVABLE = 1e6  # trust in the root, which is the origin by definition
+_IMMOVABLE = 1e6  # confidence in the root, which is the origin by definition
 
 
 def bridge_gaps(time: Array, positions: Array) -> Array:
@@ -138,12 +138,14 @@ class SavitzkyGolay(WholeTake):
         return np.where(np.isnan(bridged), np.nan, smooth)
 
 
-def measurement_variance(rate: Array) -> Array:
-    """Return the variance of a coordinate [m^2] by the joint's reliability rate.
+def measurement_variance(reliability: Array) -> Array:
+    """Return the variance of a coordinate [m^2] by the joint's reliability.
 
     The noise rises from a reliable to an unreliable joint's by equal factors.
     """
-    return np.asarray((LOST_NOISE ** (1.0 - rate) * SENSOR_NOISE**rate) ** 2)
+    return np.asarray(
+        (LOST_NOISE ** (1.0 - reliability) * SENSOR_NOISE**reliability) ** 2
+    )
 
 
 class ConstantVelocity:
@@ -241,15 +243,15 @@ class ConstantLengthKalman(Corrector):
         posture = self._hold.step(replace(observation, positions=known)).positions
         posture = self._with_lengths(posture, followed)
         self._points.constrain(followed, posture)
-        trust = np.where(missing, 0.0, 1.0)
-        return Correction(posture, None, trust, float("nan"))
+        confidence = np.where(missing, 0.0, 1.0)
+        return Correction(posture, None, confidence, float("nan"))
 
     def _track(
         self, observation: Observation, missing: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
         """Take a frame in and tell which joints have an estimate, shape (J,)."""
         measured, points = observation.positions, self._points
-        variance = measurement_variance(observation.rate)
+        variance = measurement_variance(observation.reliability)
         if self._time is not None:
             step = max(observation.time - self._time, _LEAST_STEP)
             points.predict(step)
@@ -264,11 +266,11 @@ class ConstantLengthKalman(Corrector):
     def _with_lengths(self, posture: Array, followed: NDArray[np.bool_]) -> Array:
         """Return the nearest posture of constant bone lengths, root at the origin."""
         variance = np.where(followed, self._points.covariance[:, 0, 0], np.inf)
-        trust = np.ones(len(posture))
+        confidence = np.ones(len(posture))
         if followed.any():
-            trust = variance.min() / variance
-        trust[self.skeleton.root] = _IMMOVABLE
-        near = self._bones.project(posture[None], trust[None])[0]
+            confidence = variance.min() / variance
+        confidence[self.skeleton.root] = _IMMOVABLE
+        near = self._bones.project(posture[None], confidence[None])[0]
         # What is left, above all of a torn skeleton, goes to the outer joints.
         exact = np.zeros((len(posture), 3))
         for j in self.skeleton.order[1:]:

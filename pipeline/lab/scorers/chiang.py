@@ -53,8 +53,8 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         scores = np.stack([terms.min(axis=0), np.minimum(temporal, kinematics)])
         before = scores if self._previous is None else self._previous
         self._previous = scores
-        rate, geometry = NOW * scores + BEFORE * before  # eq. 12
-        return rate, term, geometry
+        reliability, geometry = NOW * scores + BEFORE * before  # eq. 12
+        return reliability, term, geometry
 
     def _temporal(self, positions: Array) -> Array:
         """Return the term for jumps away from both frames before (eq. 8-10).

@@ -104,11 +104,11 @@ def _kinds(skeleton: Skeleton) -> list[str]:
 class LearnedReliabilityScorer(NoiseReliabilityScorer):
     """Scores one frame after the other; a whole take gives the same scores.
 
-    The rate is the probability that a joint is less than 10 cm off, its constant offset
-    included. A posture that the sensor misjudges lowers the rate as long as it lasts. A
-    missing joint has rate 0. The deciding term is that whose clues count most against
-    the joint; Term.BEHAVIOR stands for noise and speed. The rate of the geometry is
-    that of a joint that was always tracked.
+    Reliability is the probability that a joint is less than 10 cm off, its constant
+    offset included. A posture that the sensor misjudges lowers it as long as it lasts;
+    that of a missing joint is 0. The deciding term is the one whose clues count most
+    against the joint; Term.BEHAVIOR stands for noise and speed. The geometry is the
+    reliability of a joint that was always tracked.
 
     Args:
         skeleton: The joints.
@@ -153,12 +153,12 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         odds = np.add.reduceat(parts, _STARTS, axis=1)
         total = odds.sum(axis=1) + learned.intercepts
         by_state = learned.weights[:, _STATE] * self._lost
-        rate, geometry = expit([-total, by_state - total])
+        reliability, geometry = expit([-total, by_state - total])
         term = odds.argmax(axis=1).astype(np.uint8)
         missing = np.isnan(positions[:, 0])
-        rate[missing] = geometry[missing] = 0.0
+        reliability[missing] = geometry[missing] = 0.0
         term[missing] = Term.TRACKING_STATE
-        return rate, term, geometry
+        return reliability, term, geometry
 
     def clues(
         self, positions: Array, state: NDArray[np.uint8], time: float | None = None

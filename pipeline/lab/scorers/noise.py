@@ -21,10 +21,10 @@ SAMPLES = 5
 """Positions that a cubic is taken out of: one more than it can pass through."""
 MEMORY = 0.2
 """Time constant [s] of the averages of squared noise and squared length errors: as
-long as Shum's rate looks back. On paired data 0.1 to 1 s do about as well."""
+long as Shum's reliability looks back. On paired data 0.1 to 1 s do about as well."""
 RECOVERY = 0.1
 """Time constant [s] in which a joint that is tracked again becomes reliable again: 0.85
-after 0.2 s, like Shum's rate."""
+after 0.2 s, like Shum's reliability."""
 HONEST_SHARE = 0.1
 """What a cubic leaves of a person's own movement, as a share of the distance covered
 from frame to frame. At 30 Hz, nine tenths of marker mocap (CMU: walking, punching,
@@ -33,8 +33,8 @@ ERROR_PER_NOISE = 7.0
 """How far off a joint is, relative to its noise along one axis: most of Kinect's errors
 change too slowly to be noise. Fitted on six people; 5 to 15 do about as well."""
 DOUBTFUL_ERROR = 0.25
-"""Estimated error [m] at which reliability has fallen to 1/e. A rate of 0.85 is 10 cm
-and 0.6 is 18 cm; of recorded joints there, three and five in ten vary by over 7 cm."""
+"""Estimated error [m] at which reliability has fallen to 1/e. 0.85 is 10 cm and 0.6 is
+18 cm; of recorded joints there, three and five in ten vary by over 7 cm."""
 LARGEST_ERROR = 2.0 * DOUBTFUL_ERROR
 """What one frame can add at most [m]: any jump is forgotten within a second."""
 
@@ -42,14 +42,14 @@ LARGEST_ERROR = 2.0 * DOUBTFUL_ERROR
 class NoiseReliabilityScorer(ReliabilityScorer):
     """Scores one frame after the other; a whole take gives the same scores.
 
-    Noise is measured relative to the root, the root's own in the room. The rate falls
+    Noise is relative to the root's, and the root's own to the room. Reliability falls
     with the error that noise and length errors suggest, as a Gaussian does. It is 0
     while a joint is inferred or not tracked, and recovers gradually. The deciding term
-    is the one that lowered the rate most; Term.BEHAVIOR stands for noise.
+    is the one that lowered the reliability most; Term.BEHAVIOR stands for noise.
 
-    The rate of the geometry is that of the lengths alone while a joint is tracked,
-    since a noisy measurement is still nearer than an invented one; otherwise noise
-    counts, too.
+    The geometry is the reliability of the lengths alone while a joint is tracked, since
+    a noisy measurement is still nearer than an invented one; otherwise noise counts,
+    too.
 
     Args:
         skeleton: The joints.
@@ -76,11 +76,11 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         lost = (state != State.TRACKED) | np.isnan(positions[:, 0])
         self._tracked += (1.0 - np.exp(-elapsed / RECOVERY)) * (1.0 - self._tracked)
         self._tracked[lost] = 0.0
-        rate = np.exp(-(noise + lengths) / DOUBTFUL_ERROR**2)
+        reliability = np.exp(-(noise + lengths) / DOUBTFUL_ERROR**2)
         term = np.where(noise > lengths, Term.BEHAVIOR, Term.KINEMATICS)
-        term = np.where(self._tracked < rate, Term.TRACKING_STATE, term)
-        geometry = np.where(lost, rate, np.exp(-lengths / DOUBTFUL_ERROR**2))
-        return self._tracked * rate, term.astype(np.uint8), geometry
+        term = np.where(self._tracked < reliability, Term.TRACKING_STATE, term)
+        geometry = np.where(lost, reliability, np.exp(-lengths / DOUBTFUL_ERROR**2))
+        return self._tracked * reliability, term.astype(np.uint8), geometry
 
     def _elapsed(self, time: float | None) -> float:
         """Return the time since the last frame [s], and remember this frame's."""

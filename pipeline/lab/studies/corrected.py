@@ -26,8 +26,8 @@ class StandardizedTake:
         """Joint positions [m] on the standard body, root at the origin, facing +z, NaN
         where missing, shape (T, J, 3)."""
         missing = np.isnan(self.positions[..., 0])
-        self.rate = np.where(missing, 0.0, self._draft.reliability)
-        """Reliability rate, 0 where missing, shape (T, J)."""
+        self.reliability = np.where(missing, 0.0, self._draft.reliability)
+        """Reliability, 0 where missing, shape (T, J)."""
 
     def undo(self, positions: Array) -> Array:
         """Return standard postures (T, J, 3) on the person, in the sensor's frame."""

@@ -121,7 +121,7 @@ def liu_figure_3(options: Options, *, people: int = 8, values: int = 4) -> Study
 def _drawn(training: TrainingSet, count: int) -> TrainingSet:
     """Return some frames of a training set, drawn at random."""
     rows = np.random.default_rng(0).permutation(len(training))[:count]
-    names = ("positions", "rate", "truth", "lengths")
+    names = ("positions", "reliability", "truth", "lengths")
     drawn = {name: getattr(training, name)[rows] for name in names}
     return replace(training, first=np.ones(len(rows), dtype=bool), **drawn)
 

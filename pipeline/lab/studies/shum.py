@@ -72,9 +72,9 @@ def shum_table_3(options: Options, *, motions: int = 10) -> Study:
     acts = [_standard_postures(motion, first + k) for k, motion in names]
     rows = []
     for setup, (given, paper) in _SETUPS.items():
-        rate = np.isin(KINECT_V1.joints, given).astype(float)
+        reliability = np.isin(KINECT_V1.joints, given).astype(float)
         errors = [
-            _reconstruction_errors(act, rate, LocalPCA(database))
+            _reconstruction_errors(act, reliability, LocalPCA(database))
             for act in over(acts, f"from {len(given)} joints", options.progress)
         ]
         free, kept = (100.0 * np.concatenate(errors).mean(axis=0)).tolist()
@@ -98,16 +98,21 @@ def _standard_postures(motion: str, person: int) -> Array:
     return Standardizer(body).standardize(positions, view)
 
 
-def _reconstruction_errors(postures: Array, rate: Array, method: LocalPCA) -> Array:
+def _reconstruction_errors(
+    postures: Array, reliability: Array, method: LocalPCA
+) -> Array:
     """Return eq. 18 of each frame [m], shape (T, 2).
 
     First of the posture of least energy, then with the given joints where they were.
     """
-    seen = np.where(rate[:, None] > 0.0, postures, np.nan)
+    seen = np.where(reliability[:, None] > 0.0, postures, np.nan)
     method.start()
-    free = [method.synthesize(frame, rate)[0] for frame in seen]
+    free = [method.synthesize(frame, reliability)[0] for frame in seen]
     method.start()
-    kept = [method.step(Observation(frame, rate, rate)).positions for frame in seen]
+    kept = [
+        method.step(Observation(frame, reliability, reliability)).positions
+        for frame in seen
+    ]
     errors = [bone_errors(np.array(m), postures, KINECT_V1) for m in (free, kept)]
     return np.stack([error.mean(axis=1) for error in errors], axis=1)
 
@@ -239,7 +244,7 @@ def _measure(
         made = take.positions.copy()
         for k in range(min(_FRAMES, len(made))):
             start = perf_counter()
-            made[k] = method.synthesize(take.positions[k], take.rate[k])[0]
+            made[k] = method.synthesize(take.positions[k], take.reliability[k])[0]
             seconds.append(perf_counter() - start)
             energies.append(float(method.energy(made[k].reshape(1, -1))[0]))
         back, truth = take.undo(made)[:_FRAMES], take.pair.truth[:_FRAMES]

@@ -22,7 +22,7 @@ from .study import Options, Panel, Study, series_of
 
 Postures = NDArray[np.float32]
 _Query = tuple[Array, Array]
-"""A posture [m], shape (J, 3), and the rates of its joints, shape (J,)."""
+"""A posture [m], shape (J, 3), and the reliabilities of its joints, shape (J,)."""
 
 _STAGES = ("reliability", "correct", "orientation", "physics", "total")
 
@@ -122,7 +122,7 @@ def _queries(first: int) -> list[_Query]:
     for k, motion in enumerate(_MOTIONS):
         pair = simulate("basic", motion, sensor="v1", seed=first + k)
         take = StandardizedTake(pair)
-        found += list(zip(take.positions, take.rate, strict=True))[::_EVERY]
+        found += list(zip(take.positions, take.reliability, strict=True))[::_EVERY]
     return found
 
 
@@ -133,9 +133,9 @@ def _product_search(postures: Postures) -> Callable[[_Query], NDArray[np.intp]]:
     products = np.concatenate([squares, -2.0 * flat], axis=1)
 
     def search(query: _Query) -> NDArray[np.intp]:
-        posture, rate = query
-        seen = np.where(rate[:, None] > 0.0, posture, 0.0)
-        weights = np.concatenate([rate, (rate[:, None] * seen).ravel()])
+        posture, reliability = query
+        seen = np.where(reliability[:, None] > 0.0, posture, 0.0)
+        weights = np.concatenate([reliability, (reliability[:, None] * seen).ravel()])
         away = products @ weights.astype(np.float32)
         return np.argpartition(away, _NEIGHBORS - 1)[:_NEIGHBORS]
 
@@ -159,12 +159,12 @@ def _milliseconds(
 def _exact(index: PostureIndex, postures: Postures, queries: Sequence[_Query]) -> float:
     """Return how many of the answers are right [%], of every tenth query."""
     right = []
-    for posture, rate in queries[::_CHECKED]:
+    for posture, reliability in queries[::_CHECKED]:
         distances = np.zeros(len(postures))
-        for j in np.flatnonzero(rate):
+        for j in np.flatnonzero(reliability):
             away = postures[:, j] - posture[j]
-            distances += rate[j] * np.vecdot(away, away)
+            distances += reliability[j] * np.vecdot(away, away)
         expected = np.sort(np.partition(distances, _NEIGHBORS)[:_NEIGHBORS])
-        found = index.nearest(posture, rate, _NEIGHBORS)[1]
+        found = index.nearest(posture, reliability, _NEIGHBORS)[1]
         right.append(np.allclose(found, expected, rtol=1e-12, atol=1e-12))
     return 100.0 * float(np.mean(right))
