@@ -17,7 +17,7 @@ from .study import Cell, Options, Panel, Study, series_of
 from .takes import clips_of, recorded_people
 
 _METHODS = (
-    *("butterworth", "savgol", "one-euro", "kalman", "low-rank", "local-pca"),
+    *("none", "butterworth", "savgol", "one-euro", "kalman", "low-rank", "local-pca"),
     *("default", "exemplar", "full-gp", "local-gp", "clustered-gp", "best"),
 )
 _ERRORS = ("E", "E_std", "E_var")
