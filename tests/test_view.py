@@ -21,8 +21,7 @@ from kinefilter.pipeline.formats.contacts import read_contacts, write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look import Drawing, cleaned, opened_viewer, read_drawing
 from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, Timeline
-from kinefilter.pipeline.look.playback import Playback
-from kinefilter.pipeline.look.viewer import status_html
+from kinefilter.pipeline.look.viewer import Playback, status_html
 
 QUICK = CleanConfig(method="none", physics=False)
 TIME = np.array([5.0, 5.1, 5.2, 5.2, 5.5, 5.6])  # a repeated stamp and a gap

@@ -20,8 +20,8 @@ from kinefilter.pipeline.formats.files import atomic_path, check_folder
 from kinefilter.pipeline.metrics import even_differences
 
 from .comparison import METRICS, Comparison
+from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 from .metric_limits import Limit
-from .palette import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 
 _SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
 _MISSING = -(2**15)  # of the int16 that a position is written as

@@ -18,8 +18,7 @@ from .cameras import check_camera
 from .options import Look
 from .video_files import FASTEST_GIF, Coded, is_numbered, write_gif, write_mp4
 from .video_opengl import Backend, find_backend
-from .video_task import Composition, RenderTask
-from .video_worker import Parts, draw_parts
+from .video_task import Composition, Parts, RenderTask, draw_parts
 
 _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"

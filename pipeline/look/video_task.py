@@ -1,12 +1,19 @@
-"""A clip to draw, and what is in each of its pictures; without OpenGL."""
+"""A clip to draw, what is in each of its pictures, and a process that draws them.
+
+MuJoCo is imported only where something is drawn: it then chooses its OpenGL, which only
+processes that draw may have.
+"""
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,13 +22,34 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.resample import resampled
 from kinefilter.pipeline.settings import hash_of
 from kinefilter.pipeline.target.floor import place_of
+from kinefilter.pipeline.workers import given_up
 
 from .cameras import CameraPath, axes_toward, camera_path
-from .drawing import Drawing, offset_beside, read_finite_clip
-from .figures import corners_around, corners_of
+from .comparison import raw_positions
+from .drawing import (
+    Drawing,
+    corners_around,
+    corners_of,
+    offset_beside,
+    read_finite_clip,
+)
 from .options import Look
-from .placing import raw_positions
+from .video_files import (
+    Coded,
+    Pixels,
+    encode_png,
+    encode_video,
+    frame_path,
+    is_drawn,
+    write_frame,
+)
 from .video_opengl import Backend
+
+if TYPE_CHECKING:
+    from .video_model import OffscreenRenderer
+
+Parts = tuple[range, ...]
+"""Frames of a clip in parts, counted from the first that is drawn."""
 
 _SKIN = 0.13  # m from a joint to the skin, at most: the head's, about
 _GPU_SAMPLES = 4  # edges are smooth, and a GPU is hardly slower
@@ -169,3 +197,66 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     known = {prop.name for prop in props}
     others = things.props(place_of(clip.positions, clip.skeleton))
     return props + tuple(prop for prop in others if prop.name not in known)
+
+
+def draw_parts(task: RenderTask, parts: Parts, fingerprint: str) -> list[list[Coded]]:
+    """Draw some frames of a task.
+
+    Numbered pictures are written; pictures of a video or a GIF are returned.
+
+    Raises:
+        InputError: The task cannot be drawn, or a picture cannot be written.
+    """
+    suffix = task.out.suffix.lower()
+    if suffix == ".png":
+        for part in parts:
+            _write_missing(task, part, fingerprint)
+        return [[] for _ in parts]
+    if suffix == ".gif":
+        return [[(encode_png(p), True) for p in _pictures(task, k)] for k in parts]
+    rate = _opened(task)[0].rate
+    return [encode_video(_pictures(task, k), task.look.pixels, rate) for k in parts]
+
+
+def _write_missing(task: RenderTask, numbers: range, fingerprint: str) -> None:
+    paths = {n: frame_path(task.out, n) for n in numbers}
+    missing = [n for n, path in paths.items() if not is_drawn(path, fingerprint)]
+    for number, picture in zip(missing, _pictures(task, missing), strict=True):
+        write_frame(picture, paths[number], fingerprint)
+
+
+def _pictures(task: RenderTask, numbers: Sequence[int]) -> Iterator[Pixels]:
+    for number in numbers:
+        if given_up():
+            raise InputError(f"{task.clip}: interrupted")
+        yield _opened(task)[1].render(number)
+
+
+# The task at hand, kept ready: the next part is often of the same.
+_open: list[tuple[RenderTask, Composition, OffscreenRenderer]] = []
+
+
+def _opened(task: RenderTask) -> tuple[Composition, OffscreenRenderer]:
+    """Return the task ready to be drawn; the one before it is closed."""
+    if not _open or _open[0][0] != task:
+        from .video_model import ClipModel, OffscreenRenderer
+
+        _close()
+        made = Composition(task)
+        model = ClipModel(
+            made.drawing,
+            size=task.look.pixels,
+            samples=task.look.samples or 0,
+            toward=made.camera.toward,
+            translucent=made.drawing.raw is not None and task.look.place == "over",
+        )
+        renderer = OffscreenRenderer(model, made.camera, shadows=task.look.shadows)
+        _open.append((task, made, renderer))
+    return _open[0][1:]
+
+
+@atexit.register
+def _close() -> None:
+    """Release what OpenGL holds: after Python's shutdown that is too late."""
+    while _open:
+        _open.pop()[2].close()

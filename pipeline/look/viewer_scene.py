@@ -16,8 +16,13 @@ from kinefilter.characters.rotations import IDENTITY
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_path
-from .drawing import Drawing
-from .figures import StickFigure, segment_poses, segment_starts, skin_triangles
+from .drawing import (
+    Drawing,
+    StickFigure,
+    segment_poses,
+    segment_starts,
+    skin_triangles,
+)
 
 Update = Callable[[int], None]
 """Puts something where it is in a frame."""
