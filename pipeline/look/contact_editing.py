@@ -30,44 +30,44 @@ _LABELS = tuple(name.replace("Left", " L").replace("Right", " R") for name in CO
 
 
 class ContactEdits:
-    """Contacts (CONTACTS), shape (T, 4), and what they were before each change."""
+    """Contacts (CONTACTS), read-only, shape (T, 4), and what they were before."""
 
     def __init__(self, contacts: Flags) -> None:
-        self._contacts = self._saved = _read_only_copy(contacts)
         self._before: deque[Flags] = deque(maxlen=_STEPS)
-
-    @property
-    def contacts(self) -> Flags:
-        """The contacts as they are now, read-only, shape (T, 4)."""
-        return self._contacts
+        self._keep(contacts)
+        self._saved = self.contacts
 
     @property
     def unsaved(self) -> bool:
         """Whether they differ from those that were last saved."""
-        return not np.array_equal(self._contacts, self._saved)
+        return not np.array_equal(self.contacts, self._saved)
 
     def put(self, part: str, first: int, last: int, *, stands: bool) -> None:
         """Set whether a part (PARTS) stands in the frames from first to last."""
-        edited = self._contacts.copy()
+        edited = self.contacts.copy()
         edited[max(first, 0) : last + 1, list(PARTS[part])] = stands
         self.replace(edited)
 
     def replace(self, contacts: Flags) -> None:
         """Take other contacts, shape (T, 4), as one step that can be undone."""
-        if not np.array_equal(contacts, self._contacts):
-            self._before.append(self._contacts)
-            self._contacts = _read_only_copy(contacts)
+        if not np.array_equal(contacts, self.contacts):
+            self._before.append(self.contacts)
+            self._keep(contacts)
+
+    def _keep(self, contacts: Flags) -> None:
+        self.contacts = np.array(contacts, dtype=np.bool_)
+        self.contacts.flags.writeable = False
 
     def undo(self) -> bool:
         """Take back the last change; return whether there was one."""
         if not self._before:
             return False
-        self._contacts = self._before.pop()
+        self.contacts = self._before.pop()
         return True
 
     def mark_saved(self) -> None:
         """Note that the contacts were saved as they are."""
-        self._saved = self._contacts
+        self._saved = self.contacts
 
 
 class Timeline:
@@ -93,12 +93,6 @@ class Timeline:
             bars = _bars(self._contacts[near.start : near.stop])
             strips.append(_strip("close-up", bars, near, frame, chosen))
         return "".join(strips)
-
-
-def _read_only_copy(contacts: Flags) -> Flags:
-    copy = np.array(contacts, dtype=np.bool_)
-    copy.flags.writeable = False
-    return copy
 
 
 def _strip(

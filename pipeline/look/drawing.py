@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,24 +43,22 @@ _UP = np.array([0.0, 1.0, 0.0])  # the axis of the cylinder that is drawn as a b
 _CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
 
 
-@dataclass(frozen=True, eq=False)
-class Sticks:
-    """A stick figure in one frame; what is missing is at the origin."""
+class Sticks(NamedTuple):
+    """A stick figure in one frame; joints that are missing are at the origin.
+
+    J joints have positions [m] (J, 3) and colors by reliability (J, 3), None if the
+    figure has one color. S bones (Skeleton.segments) have centers [m] (S, 3), lengths
+    [m] (S,), and rotations that turn +y along them, quaternions wxyz (S, 4). What is
+    not there is not to be drawn.
+    """
 
     joints: Array
-    """Joint positions [m], shape (J, 3)."""
     joint_there: NDArray[np.bool_]
-    """Whether each joint is to be drawn, shape (J,)."""
     joint_colors: Array | None
-    """Colors by reliability, shape (J, 3); None: the figure has one color."""
     centers: Array
-    """Middles of the bones (Skeleton.segments) [m], shape (S, 3)."""
     lengths: Array
-    """Lengths of the bones [m], shape (S,)."""
     rotations: Array
-    """Rotations that turn +y along the bones, quaternions wxyz, shape (S, 4)."""
     bone_there: NDArray[np.bool_]
-    """Whether each bone is to be drawn, shape (S,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,17 +227,13 @@ def corners_of(prop: Prop, count: int) -> Array:
     return np.broadcast_to(placed, (count, *placed.shape[1:]))
 
 
-def rgb(color: str) -> Array:
-    """Return red, green and blue, 0 to 1, of a color such as #d73027, shape (3,)."""
+def _rgb(color: str) -> Array:
     return np.array(list(bytes.fromhex(color[1:]))) / 255.0
 
 
 def reliability_colors(reliability: Array) -> Array:
     """Return the colors of reliability in [0, 1] or NaN (unknown), shape (..., 3)."""
-    low, middle, high = map(rgb, RELIABILITY)
-    colors = [
-        np.interp(reliability, (0.0, 0.5, 1.0), channel)
-        for channel in zip(low, middle, high, strict=True)
-    ]
+    red_green_blue = np.stack([_rgb(color) for color in RELIABILITY]).T
+    colors = [np.interp(reliability, (0.0, 0.5, 1.0), c) for c in red_green_blue]
     known = np.isfinite(reliability)[..., None]
-    return np.where(known, np.stack(colors, axis=-1), rgb(UNKNOWN))
+    return np.where(known, np.stack(colors, axis=-1), _rgb(UNKNOWN))

@@ -92,8 +92,12 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         "physics": _packed(_millimeters(clip.moved_by_physics), "<i2"),
         "contacts": _packed(clip.contacts, "u1"),
         "curves": [
-            _curve("speed, m/s", comparison, 1),
-            _curve("jitter, m/s³", comparison, 3),
+            {
+                "name": name,
+                "raw": _packed(_derivative(clip.time, comparison.raw, order), "<f4"),
+                "clean": _packed(_derivative(clip.time, clip.positions, order), "<f4"),
+            }
+            for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
         ],
         "metrics": _metrics(comparison, limits),
     }
@@ -129,16 +133,6 @@ def _millimeters(meters: Array) -> Array:
     return np.where(np.isfinite(meters), near, _MISSING)
 
 
-def _curve(name: str, comparison: Comparison, order: int) -> dict[str, Any]:
-    """Return the mean magnitude of a derivative of the joints, raw and clean."""
-    time, clean = comparison.clip.time, comparison.clip.positions
-    return {
-        "name": name,
-        "raw": _packed(_derivative(time, comparison.raw, order), "<f4"),
-        "clean": _packed(_derivative(time, clean, order), "<f4"),
-    }
-
-
 def _derivative(time: Array, positions: Array, order: int) -> Array:
     """Return the mean over joints of the magnitude of a difference over dt^order, (T,).
 
@@ -147,13 +141,9 @@ def _derivative(time: Array, positions: Array, order: int) -> Array:
     """
     values = np.full(len(time), np.nan)
     size, nominal = even_differences(time, positions, order)
-    known = ~np.isnan(size)
-    total = np.where(known, size, 0.0).sum(axis=1)
-    count = known.sum(axis=1)
-    first = order // 2  # the difference belongs to the frame in its middle
-    values[first : first + len(size)] = np.where(
-        count > 0, total / np.maximum(count, 1) / nominal**order, np.nan
-    )
+    known = ~np.isnan(size).all(axis=1)
+    middle = np.flatnonzero(known) + order // 2  # of the frames of each difference
+    values[middle] = np.nanmean(size[known], axis=1) / nominal**order
     return values
 
 

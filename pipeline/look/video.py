@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -78,7 +78,14 @@ def render_clips(
             the only clip is wrong. Of several clips, those that are wrong are left out.
     """
     look = look or Look()
-    paths = _checked(clips, out, look)
+    if look.compare is not None and len(clips) > 1:
+        raise InputError("--compare is the take of one clip; draw them one at a time")
+    if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
+        raise InputError(
+            f"--size {look.size}: a video's width and height are even; add a pixel"
+        )
+    check_camera(look.camera)
+    paths = output_paths(clips, out)
     with ThreadPoolExecutor(1) as beside:  # drivers are slow to start
         asked = beside.submit(find_backend)
         planned, failures = _planned(clips, paths, look)
@@ -133,8 +140,13 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
             "of the same name one at a time"
         )
     for path in paths:
-        if numbered:
-            _make_folder(path.parent)
+        try:
+            if numbered:
+                path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
+            ) from error
         check_folder(path)
     return paths
 
@@ -149,27 +161,6 @@ def stretches(count: int, share: int) -> list[Parts]:
     parts = [range(k, min(k + _PART, count)) for k in range(0, count, _PART)]
     size = max(1, min(share // _STRETCHES, _LONGEST) // _PART)
     return [tuple(parts[k : k + size]) for k in range(0, len(parts), size)]
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made ({error.strerror}); write elsewhere"
-        ) from error
-
-
-def _checked(clips: Sequence[Path], out: Path, look: Look) -> list[Path]:
-    """Return the outputs; raise what is wrong with all clips before any work."""
-    if look.compare is not None and len(clips) > 1:
-        raise InputError("--compare is the take of one clip; draw them one at a time")
-    if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
-        raise InputError(
-            f"--size {look.size}: a video's width and height are even; add a pixel"
-        )
-    check_camera(look.camera)
-    return output_paths(clips, out)
 
 
 def _planned(
@@ -223,14 +214,21 @@ def _drawn(
 
 def _finished(job: _Job, steps: Iterator[int]) -> str | None:
     """Write a job's file from its parts; return what went wrong."""
-    out, pixels, parts = job.task.out, job.task.look.pixels, _results(job, steps)
+    out, pixels = job.task.out, job.task.look.pixels
+
+    def drawn() -> Iterator[list[Coded]]:
+        for future, parts in job.futures.items():
+            yield from future.result()
+            for _ in range(sum(map(len, parts))):
+                next(steps, None)
+
     try:
         if out.suffix.lower() == ".mp4":
-            write_mp4(parts, out, pixels, job.rate)
+            write_mp4(drawn(), out, pixels, job.rate)
         elif out.suffix.lower() == ".gif":
-            write_gif(parts, out, pixels, job.rate)
+            write_gif(drawn(), out, pixels, job.rate)
         else:
-            list(parts)
+            deque(drawn(), maxlen=0)
     except BrokenProcessPool:
         raise
     except Exception as error:  # the other clips are drawn, whatever it is
@@ -240,10 +238,3 @@ def _finished(job: _Job, steps: Iterator[int]) -> str | None:
             return str(error)
         return f"{job.task.clip}: cannot be drawn ({type(error).__name__}: {error})"
     return None
-
-
-def _results(job: _Job, steps: Iterator[int]) -> Iterator[list[Coded]]:
-    for future, parts in job.futures.items():
-        yield from future.result()
-        for _ in range(sum(map(len, parts))):
-            next(steps, None)
