@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.look.video_task import Parts, RenderTask
 
 
-def draw_or_die(task: RenderTask, parts: Parts, fingerprint: str) -> list[list[Coded]]:
+def draw_or_die(task: RenderTask, parts: Parts) -> list[list[Coded]]:
     if task.clip.stem == "deadly":
         os._exit(1)
-    task.out.with_name(f"{task.clip.stem}.drawn").write_text(fingerprint)
+    task.out.with_name(f"{task.clip.stem}.drawn").write_text(task.fingerprint)
     return [[] for _ in parts]
 
 

@@ -127,7 +127,7 @@ def test_pictures_of_another_opengl_or_version_are_of_another_shot(
 
     def fingerprint(backend: Backend) -> str:
         out = tmp_path / "%d.png"
-        return RenderTask(clip, out, SMALL).drawn_by(backend).fingerprint()
+        return RenderTask(clip, out, SMALL).drawn_by(backend).fingerprint
 
     one = Backend("osmesa", "llvmpipe (LLVM 15)")
     first = fingerprint(one)
@@ -282,7 +282,7 @@ def test_who_only_waits_for_pictures_loads_no_opengl() -> None:
         (["-o", "a.mp4", "--jobs", "0"], "--jobs 0"),
         (["-o", "a.mp4", "--compare", "absent.csv"], "absent.csv"),
         (["-o", "a.mp4", "--compare", "v2.csv"], "kinect_v2"),
-        (["-o", "a.mp4", "--compare", "late.csv"], "it was made of"),
+        (["-o", "a.mp4", "--compare", "late.csv"], "clip was made of"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_in_one_line(

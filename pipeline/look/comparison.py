@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
-from kinefilter.pipeline.metrics import Quality, measure
 from kinefilter.pipeline.target.feet import feet_of
 from kinefilter.pipeline.target.floor import leveled, to_world
 
@@ -103,17 +102,22 @@ def compare(clip: Clip, take: Take) -> Comparison:
         InputError: The clip was not made from the take, or does not say where its floor
             was, or has numbers that are not finite, or too few frames to be a motion.
     """
+    # It loads MuJoCo, which must not happen where pictures are only waited for.
+    from kinefilter.pipeline.metrics import measure
+
     clip = in_time_of(clip, take)
     _check(clip, take)
     raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
     distinct = np.concatenate([[True], np.diff(clip.time) > 0])
     time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
-    seen, positions = raw[distinct], clip.positions[distinct]
-    before = measure(time, seen, seen, clip.body, stands)
-    after = measure(time, positions, seen, clip.body, stands)
-    return Comparison(
-        clip=clip, raw=raw, before=_by_name(before), after=_by_name(after)
-    )
+    seen = raw[distinct]
+    figures = []
+    for positions in (seen, clip.positions[distinct]):
+        found = asdict(measure(time, positions, seen, clip.body, stands))
+        found["skate"] = found["skate_mm_per_frame"] * 1e-3
+        figures.append({name: float(found[name]) for name in METRICS})
+    before, after = figures
+    return Comparison(clip=clip, raw=raw, before=before, after=after)
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
@@ -174,12 +178,6 @@ def _has_states(clip: Clip) -> bool:
 def _keeps_frame(clip: Clip) -> bool:
     """Return whether a clip says how its take was leveled."""
     return bool(np.isfinite([clip.tilt, clip.floor]).all())
-
-
-def _by_name(quality: Quality) -> dict[str, float]:
-    figures = asdict(quality)
-    figures["skate"] = figures["skate_mm_per_frame"] * 1e-3
-    return {name: float(figures[name]) for name in METRICS}
 
 
 def _check(clip: Clip, take: Take) -> None:

@@ -104,13 +104,9 @@ def _strip(
         min(max(k - frames.start, 0), len(frames)) for k in (chosen[0], chosen[1] + 1)
     )
     mark = (frame - frames.start + 0.5) * scale
-    labels = "".join(
-        f'<div style="height:{_ROW}px;line-height:{_ROW}px">{label}</div>'
-        for label in _LABELS
-    )
     return (
         '<div style="display:flex;gap:6px;font-size:11px;margin:4px 8px">'
-        f'<div style="flex:none">{labels}</div>'
+        f'<div style="flex:none;line-height:{_ROW}px">{"<br>".join(_LABELS)}</div>'
         f'<svg id="{name}" viewBox="0 0 {_WIDTH} {height}" width="100%" '
         f'height="{height}" preserveAspectRatio="none" '
         'style="background:rgba(128,128,128,0.12)">'

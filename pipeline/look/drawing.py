@@ -35,12 +35,12 @@ TERMS = ("#7b4fb5", "#d9622b", "#20908d", "#8a8f29")
 """Terms that decide reliability (Term); the others have UNKNOWN."""
 UNKNOWN = "#999999"
 """What nothing is known about."""
+CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
+"""Corners of a cube with sides of 2 about the origin, shape (8, 3)."""
 
 _HIDDEN = ("cleaned", "physics")  # at first: the skin shows where they are
 _GAP = 0.35  # m between the raw figure and the character, a guess by eye
-_FORCE_ASIDE = 0.55  # m from the pelvis to the bar of the external force
 _UP = np.array([0.0, 1.0, 0.0])  # the axis of the cylinder that is drawn as a bone
-_CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
 
 
 class Sticks(NamedTuple):
@@ -115,9 +115,7 @@ class Drawing:
         clip = self.clip
         found = {}
         if self.raw is not None:
-            found["raw"] = StickFigure(
-                clip.skeleton, self.raw, reliability=clip.reliability
-            )
+            found["raw"] = StickFigure(clip.skeleton, self.raw, None, clip.reliability)
         before = self.target if self.simulated else clip.positions
         if before is not None:
             found["cleaned"] = StickFigure(clip.skeleton, before, CLEANED)
@@ -142,11 +140,6 @@ class Drawing:
         if self.raw is None:
             return np.zeros(3)
         return offset_beside(self.clip.positions, -left_of(self.clip))
-
-    @property
-    def force_places(self) -> Array:
-        """Where the bar of the external force stands on the floor [m], shape (T, 3)."""
-        return self.clip.root * [1.0, 0.0, 1.0] + _FORCE_ASIDE * left_of(self.clip)
 
 
 def offset_beside(positions: Array, way: Array, room: float = 0.0) -> Array:
@@ -210,16 +203,11 @@ def skin_triangles(body: Body) -> tuple[Skin, NDArray[np.int64]]:
     return skin, np.concatenate([first, second])
 
 
-def corners_around(points: Array, room: float) -> Array:
-    """Return the corners of cubes about points (T, N, 3) [m], shape (T, 8 N, 3)."""
-    return (points[:, :, None] + room * _CORNERS).reshape(len(points), -1, 3)
-
-
 def corners_of(prop: Prop, count: int) -> Array:
     """Return the corners of a prop's boxes [m], world frame, shape (T, 8 S, 3)."""
     corners = np.concatenate(
         [
-            shape.position + rotate(shape.rotation, _CORNERS * shape.half_extents)
+            shape.position + rotate(shape.rotation, CORNERS * shape.half_extents)
             for shape in prop.shapes
         ]
     )

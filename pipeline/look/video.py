@@ -48,7 +48,6 @@ class _Job:
     task: RenderTask
     frames: int
     rate: float
-    fingerprint: str = ""
     futures: dict[Future[list[list[Coded]]], Parts] = field(default_factory=dict)
 
 
@@ -88,13 +87,16 @@ def render_clips(
     paths = output_paths(clips, out)
     with ThreadPoolExecutor(1) as beside:  # drivers are slow to start
         asked = beside.submit(find_backend)
-        planned, failures = _planned(clips, paths, look)
+        planned, failures, written = [], [], []
+        for clip, path in zip(clips, paths, strict=True):
+            try:
+                planned.append(_planned(RenderTask(clip, path, look)))
+            except InputError as error:
+                failures.append(str(error))
         backend = asked.result()
     for job in planned:
         job.task = job.task.drawn_by(backend)
-        job.fingerprint = job.task.fingerprint()
     steps = iter(progress("draw", sum(job.frames for job in planned)))
-    written = []
     for job, failure in _drawn(planned, backend, jobs or cores(), steps):
         if failure is None:
             written.append(job.task.out)
@@ -163,24 +165,14 @@ def stretches(count: int, share: int) -> list[Parts]:
     return [tuple(parts[k : k + size]) for k in range(0, len(parts), size)]
 
 
-def _planned(
-    clips: Sequence[Path], paths: Sequence[Path], look: Look
-) -> tuple[list[_Job], list[str]]:
-    """Return what is to be drawn, and messages for what cannot be."""
-    planned, failures = [], []
-    for clip, path in zip(clips, paths, strict=True):
-        task = RenderTask(clip, path, look)
-        try:
-            made = Composition(task)
-            if path.suffix.lower() == ".gif" and made.rate > FASTEST_GIF:
-                raise InputError(
-                    f"{clip}: a GIF has at most {FASTEST_GIF:g} frames a second, not "
-                    f"{made.rate:g}; lower --fps or raise --every"
-                )
-            planned.append(_Job(task, len(made), made.rate))
-        except InputError as error:
-            failures.append(str(error))
-    return planned, failures
+def _planned(task: RenderTask) -> _Job:
+    made = Composition(task)
+    if task.out.suffix.lower() == ".gif" and made.rate > FASTEST_GIF:
+        raise InputError(
+            f"{task.clip}: a GIF has at most {FASTEST_GIF:g} frames a second, not "
+            f"{made.rate:g}; lower --fps or raise --every"
+        )
+    return _Job(task, len(made.drawing.clip), made.rate)
 
 
 def _drawn(
@@ -194,7 +186,7 @@ def _drawn(
         try:
             for job in planned:
                 job.futures = {
-                    pool.submit(draw_parts, job.task, parts, job.fingerprint): parts
+                    pool.submit(draw_parts, job.task, parts): parts
                     for parts in stretches(job.frames, share)
                 }
             for job in planned:

@@ -5,6 +5,7 @@ Nothing is simulated: every segment and prop is a body that is put where the cli
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -20,7 +21,7 @@ from .cameras import CameraPath
 from .drawing import Drawing, segment_poses, segment_starts, skin_triangles
 from .video_files import Pixels
 
-_FLOOR_GROUP = 1  # of the geoms that a camera at rest sees the same in every frame
+_FLOOR_GROUP = 1  # of the geoms (stage.xml) that stay the same while the camera does
 _SKIN = (0.80, 0.76, 0.70)  # nearly gray: a figure inside keeps its colors
 _TRANSLUCENT = 0.35  # opacity of the skin where a figure is drawn inside it
 _JOINT, _BONE = 0.032, 0.012  # m, radii of the raw figure
@@ -28,30 +29,7 @@ _BONE_COLOR = (0.25, 0.25, 0.28)
 _LIGHT_AWAY = 4.0  # m, above everything
 _LEAST_REACH = 1.5  # m from the middle of the clip that is lit
 _MORE_GEOMS = 100  # room for those that MuJoCo itself adds to the model's
-_STAGE = f"""
-<mujoco>
-  <visual>
-    <headlight ambient="0.42 0.42 0.42" diffuse="0.3 0.3 0.3" specular="0 0 0"/>
-    <map znear="0.02" zfar="60" fogstart="4" fogend="14" shadowclip="1.5"/>
-    <!-- more slices and stacks are slow and hardly visible -->
-    <quality shadowsize="4096" numslices="16" numstacks="8"/>
-    <rgba fog="0.97 0.98 0.99 1" haze="0.97 0.98 0.99 1"/>
-  </visual>
-  <asset>
-    <texture name="sky" type="skybox" builtin="gradient" width="128" height="128"
-        rgb1="0.97 0.98 0.99" rgb2="0.80 0.85 0.91"/>
-    <texture name="tiles" type="2d" builtin="checker" mark="edge" width="512"
-        height="512" rgb1="0.80 0.81 0.82" rgb2="0.85 0.86 0.87"
-        markrgb="0.66 0.67 0.69"/>
-    <!-- squares of half a meter: two of them are a period of the texture -->
-    <material name="tiles" texture="tiles" texuniform="true" texrepeat="1 1"
-        specular="0"/>
-  </asset>
-  <worldbody>
-    <geom name="floor" type="plane" size="0 0 1" material="tiles"
-        group="{_FLOOR_GROUP}"/>
-  </worldbody>
-</mujoco>"""
+_STAGE = Path(__file__).with_name("stage.xml")  # sky, floor and fog
 
 
 class ClipModel:
@@ -70,7 +48,7 @@ class ClipModel:
         toward: Array,
         translucent: bool = False,
     ) -> None:
-        clip, spec = drawing.clip, mujoco.MjSpec.from_string(_STAGE)
+        clip, spec = drawing.clip, mujoco.MjSpec.from_file(str(_STAGE))
         spec.visual.global_.offwidth, spec.visual.global_.offheight = size
         spec.visual.quality.offsamples = samples
         spread = clip.positions - clip.root.mean(axis=0)

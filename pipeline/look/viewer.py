@@ -22,7 +22,7 @@ from kinefilter.pipeline.progress import Progress
 from .contact_editing import PARTS, ContactEdits, Timeline
 from .drawing import Drawing
 from .viewer_scene import ViewerScene
-from .viewer_server import address_of, opened_server
+from .viewer_server import opened_server
 
 CleanAgain = Callable[[Path, Progress], Drawing]
 """Cleans the take once more, with the contacts of a file."""
@@ -38,33 +38,26 @@ _SHORTEST = 1.0 / 60.0  # s between two pictures: screens show no more
 
 
 class Playback:
-    """A place in a motion, at rest or running with a clock; the end leads back."""
+    """A place in a motion, at rest or ``playing`` with a clock; the end leads back."""
 
     def __init__(self, time: Array) -> None:
-        self._since = time - time[0]
         steps = np.diff(time)
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-        self._length = float(self._since[-1]) + step  # the last frame is seen as well
-        self._frame = 0
-        self._began: float | None = None  # clock at which frame 0 was or would be
-        self._speed = 1.0
-
-    @property
-    def playing(self) -> bool:
-        """Whether time runs."""
-        return self._began is not None
+        self._starts = time - time[0]
+        self._ends = np.append(self._starts[1:], self._starts[-1] + step)
+        self._frame, self._speed, self.playing = 0, 1.0, False
+        self._began = 0.0  # clock at which frame 0 was or would be, while it plays
 
     def frame(self, clock: float) -> int:
         """Return the frame that is shown at a time of the clock [s]."""
-        if self._began is None:
+        if not self.playing:
             return self._frame
-        now = self._now(clock, self._began)
-        return int(np.searchsorted(self._since, now, side="right")) - 1
+        return int(np.searchsorted(self._ends[:-1], self._now(clock), side="right"))
 
     def play(self, clock: float) -> None:
         """Go on from the present frame, or from the first if it is the last."""
         if not self.playing:
-            last = self._frame == len(self._since) - 1
+            last = self._frame == len(self._starts) - 1
             self._start(0 if last else self._frame, clock)
 
     def pause(self, clock: float) -> None:
@@ -73,30 +66,27 @@ class Playback:
 
     def seek(self, frame: int) -> None:
         """Stay at a frame, or at the nearest there is."""
-        self._frame = min(max(frame, 0), len(self._since) - 1)
-        self._began = None
+        self._frame = min(max(frame, 0), len(self._starts) - 1)
+        self.playing = False
 
     def change_speed(self, speed: float, clock: float) -> None:
         """Play ``speed`` times as fast from now on."""
-        playing, frame = self.playing, self.frame(clock)
-        self._speed = speed
-        if playing:
+        frame, self._speed = self.frame(clock), speed
+        if self.playing:
             self._start(frame, clock)
 
     def until_next(self, clock: float) -> float | None:
         """Return how long [s] the present picture stays; None at rest."""
-        if self._began is None:
+        if not self.playing:
             return None
-        now = self._now(clock, self._began)
-        after = int(np.searchsorted(self._since, now, side="right"))
-        end = self._since[after] if after < len(self._since) else self._length
-        return max(float(end - now) / self._speed, _SHORTEST)
+        left = self._ends[self.frame(clock)] - self._now(clock)
+        return max(float(left) / self._speed, _SHORTEST)
 
-    def _now(self, clock: float, began: float) -> float:
-        return (clock - began) * self._speed % self._length
+    def _now(self, clock: float) -> float:
+        return (clock - self._began) * self._speed % float(self._ends[-1])
 
     def _start(self, frame: int, clock: float) -> None:
-        self._began = clock - float(self._since[frame]) / self._speed
+        self._began, self.playing = clock - self._starts[frame] / self._speed, True
 
 
 class Viewer:
@@ -125,7 +115,10 @@ class Viewer:
     @property
     def address(self) -> str:
         """What a browser opens."""
-        return address_of(self._server)
+        host = self._server.get_host()
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+        name = f"[{host}]" if ":" in host else host
+        return f"http://{name}:{self._server.get_port()}"
 
     def run(self) -> None:
         """Do what the page asks for, until ``stop``."""
@@ -155,7 +148,7 @@ class Viewer:
         gui.main_panel.dock_right()
         last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
         self._status = gui.add_html("")
-        self._frame = gui.add_slider("frame", 1, last, 1, 1)
+        self._frame: Any = gui.add_slider("frame", 1, last, 1, 1)
         self._on(self._frame.on_update, lambda k: self._playback.seek(int(k) - 1))
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="key K")
         self._on(self._play.on_click, self._play_or_pause)
@@ -175,7 +168,7 @@ class Viewer:
         )
         with gui.add_folder("Foot contacts"):
             self._picture = gui.add_html("")
-            self._span = gui.add_multi_slider("frames", 1, last, 1, (1, last))
+            self._span: Any = gui.add_multi_slider("frames", 1, last, 1, (1, last))
             self._on(self._span.on_update, lambda _: None)  # draws the timeline again
             ends = gui.add_button_group("set", ("from here", "to here", "all"))
             self._on(ends.on_click, self._set_end)
@@ -188,7 +181,7 @@ class Viewer:
             )
             self._on(again.on_click, self._clean_again)
             self._said = gui.add_html("")
-            self._busy = gui.add_progress_bar(0.0, visible=False, animated=True)
+            self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
         with gui.add_folder("Show"):
             layers = drawing.layers
             beside = {_BESIDE: True} if "raw" in layers else {}
@@ -220,7 +213,7 @@ class Viewer:
         with self._server.atomic():
             self._scene.show(frame)
             if self._asked.empty():  # or a slider that is being pulled would jump back
-                _put(self._frame, frame + 1)
+                self._frame.value = frame + 1
             self._status.content = status_html(self._clip, frame)
             self._picture.content = self._timeline.html(frame, self._first_and_last)
             self._play.label = "Pause" if playing else "Play"
@@ -249,13 +242,13 @@ class Viewer:
         """Let the frames to edit begin or end at the present one."""
         first, last = self._first_and_last
         here = self._playback.frame(perf_counter())
-        spans = {
-            "from here": (here, max(here, last)),
-            "to here": (min(first, here), here),
-            "all": (0, len(self._clip) - 1),
-        }
-        first, last = spans[which]
-        _put(self._span, (first + 1, last + 1))
+        if which == "from here":
+            first, last = here, max(here, last)
+        elif which == "to here":
+            first, last = min(first, here), here
+        else:
+            first, last = 0, len(self._clip) - 1
+        self._span.value = (first + 1, last + 1)
 
     def _edit(self, button: str) -> None:
         """Change the contacts, or take the last change back."""
@@ -305,7 +298,7 @@ class Viewer:
         for step in range(count):
             if perf_counter() - shown > _PROGRESS_EVERY:
                 self._busy.visible = True
-                _put(self._busy, 100.0 * step / count)
+                self._busy.value = 100.0 * step / count
                 shown = perf_counter()
             yield step
 
@@ -363,8 +356,3 @@ def opened_viewer(
     """
     with opened_server(bind, port) as server:
         yield Viewer(server, drawing, save, again)
-
-
-def _put(widget: Any, value: object) -> None:
-    """Set a widget's value, which viser declares as constant for mypy."""
-    widget.value = value

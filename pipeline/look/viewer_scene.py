@@ -20,6 +20,7 @@ from .drawing import (
     Color,
     Drawing,
     StickFigure,
+    left_of,
     segment_poses,
     segment_starts,
     skin_triangles,
@@ -35,6 +36,7 @@ _TRANSLUCENT = 0.4  # opacity of the skin where a figure is inside it
 _DISK, _THICK = 0.055, 0.006  # m, radius and height of what marks a standing foot
 _STANDS = (0, 100, 36)
 _BAR = 0.025  # m, radius of the bar, which is as high as a force of 1 body weight per m
+_ASIDE = 0.55  # m from the pelvis to the bar
 _FORCE = (214, 92, 60)
 _LEAST_FORCE = 0.01  # body weights: a shorter bar could not be seen
 _ASPECT = 1.0  # of the scene beside the panel, or more: there is room for a label
@@ -184,7 +186,7 @@ def _add_force(scene: viser.SceneApi, drawing: Drawing) -> tuple[Any, Update]:
     group = scene.add_frame("/force", show_axes=False)
     bar = scene.add_mesh_simple("/force/bar", mesh.vertices, mesh.faces, color=_FORCE)
     label = scene.add_label("/force/label", "", anchor="bottom-center")
-    places = drawing.force_places
+    places = drawing.clip.root * [1.0, 0.0, 1.0] + _ASIDE * left_of(drawing.clip)
 
     def update(frame: int) -> None:
         force = float(np.nan_to_num(drawing.clip.external_force[frame]))
