@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -164,7 +163,18 @@ def _from_file(camera: str) -> CameraPath:
             f"{path}: unknown {', '.join(sorted(unknown))}; known: position, target, "
             "fov"
         )
-    position, target = (_vector(path, table, name) for name in ("position", "target"))
+    places = []
+    for name in ("position", "target"):
+        place = table.get(name)
+        if not (isinstance(place, list) and len(place) == 3) or not all(
+            isinstance(v, int | float) and abs(v) < _FARTHEST for v in place
+        ):
+            raise InputError(
+                f"{path}: {name} is {place!r}; expected three numbers [x, y, z] in "
+                "meters, y up"
+            )
+        places.append(np.array(place, dtype=np.float64))
+    position, target = places
     fov = table.get("fov", _FOV)
     if not isinstance(fov, int | float) or not _FOVS[0] <= fov <= _FOVS[1]:
         raise InputError(
@@ -176,15 +186,3 @@ def _from_file(camera: str) -> CameraPath:
             "position or target sideways"
         )
     return CameraPath(position[None], target[None], float(fov))
-
-
-def _vector(path: Path, table: dict[str, Any], name: str) -> Array:
-    value = table.get(name)
-    if not (isinstance(value, list) and len(value) == 3) or not all(
-        isinstance(v, int | float) and abs(v) < _FARTHEST for v in value
-    ):
-        raise InputError(
-            f"{path}: {name} is {value!r}; expected three numbers [x, y, z] in meters, "
-            "y up"
-        )
-    return np.array(value, dtype=np.float64)

@@ -53,9 +53,19 @@ def write_report(
     Raises:
         InputError: The file cannot be written.
     """
-    page = _html(contents_of(comparison, limits))
+    contents = contents_of(comparison, limits)
+    page = _template("page.html").replace("@STYLE@", _template("page.css"))
+    page = page.replace("@SCRIPT@", "\n".join(map(_template, _SCRIPTS)))
+    # What comes from files is put in last, so that none of it is taken for a mark.
+    head, body = page.split("@TITLE@")
+    middle, end = body.split("@DATA@")
+    title = html.escape(f"kinefilter: {contents['source']}")
+    data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
+    for mark in "<>&":  # none may end the script element
+        data = data.replace(mark, f"\\u{ord(mark):04x}")
     with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="replace")
+        whole = head + title + middle + data + end
+        temporary.write_text(whole, encoding="utf-8", errors="replace")
 
 
 def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:
@@ -101,20 +111,6 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         ],
         "metrics": _metrics(comparison, limits),
     }
-
-
-def _html(contents: dict[str, Any]) -> str:
-    """Return the HTML that shows contents; no name in them becomes markup."""
-    page = _template("page.html").replace("@STYLE@", _template("page.css"))
-    page = page.replace("@SCRIPT@", "\n".join(map(_template, _SCRIPTS)))
-    # What comes from files is put in last, so that none of it is taken for a mark.
-    head, body = page.split("@TITLE@")
-    middle, end = body.split("@DATA@")
-    title = html.escape(f"kinefilter: {contents['source']}")
-    data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
-    for mark in "<>&":  # none may end the script element
-        data = data.replace(mark, f"\\u{ord(mark):04x}")
-    return head + title + middle + data + end
 
 
 def _template(name: str) -> str:

@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -66,15 +67,12 @@ def write_mp4(
     with _media_file(path, {"movflags": "+faststart"}) as file:
         stream = file.add_stream("libx264", rate=_fraction(rate))
         _x264(stream.codec_context, size, rate)
-        number = 0
-        for part in parts:
-            for data, keyframe in part:
-                packet: Any = av.Packet(data)
-                packet.stream, packet.time_base = stream, 1 / _fraction(rate)
-                packet.pts = packet.dts = number
-                packet.duration, packet.is_keyframe = 1, keyframe
-                file.mux(packet)
-                number += 1
+        for number, (data, keyframe) in enumerate(chain.from_iterable(parts)):
+            packet: Any = av.Packet(data)
+            packet.stream, packet.time_base = stream, 1 / _fraction(rate)
+            packet.pts = packet.dts = number
+            packet.duration, packet.is_keyframe = 1, keyframe
+            file.mux(packet)
 
 
 def write_gif(
@@ -226,12 +224,12 @@ def _filtered(
         colors.push(palette)
         colors.push(None)
     for number, data in enumerate([*pictures, None]):
-        if data is None:
-            source.push(None)
-        else:
+        frame = None
+        if data is not None:
             codec: Any = av.CodecContext.create("png", "r")
             (frame,) = codec.decode(av.Packet(data)) + codec.decode(None)
-            source.push(_frame(frame.to_ndarray(format="rgb24"), number, _STEP))
+            frame = _frame(frame.to_ndarray(format="rgb24"), number, _STEP)
+        source.push(frame)
         while True:
             try:
                 yield sink.pull()

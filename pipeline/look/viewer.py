@@ -207,7 +207,6 @@ class Viewer:
         self._choose()
 
     def _show(self) -> None:
-        """Draw the present frame."""
         frame = self._playback.frame(perf_counter())
         playing = self._playback.playing
         with self._server.atomic():

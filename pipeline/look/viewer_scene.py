@@ -68,7 +68,7 @@ class ViewerScene:
             self._layers[name] = _add_sticks(scene, name, figure)
         self._layers["contacts"] = self._add_contacts(scene, drawing.clip)
         if drawing.simulated:
-            self._layers["forces"] = _add_force(scene, drawing)
+            self._layers["forces"] = _add_force(scene, drawing.clip)
         if drawing.clip.props:
             self._layers["things"] = _add_props(scene, drawing.clip)
         self._shown = set(self._layers)
@@ -179,17 +179,17 @@ def _add_props(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     return group, update
 
 
-def _add_force(scene: viser.SceneApi, drawing: Drawing) -> tuple[Any, Update]:
+def _add_force(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     """Add a bar beside the character, as high as the external force is large."""
     mesh = _cylinder(_BAR, 1.0, sections=24)
     mesh.apply_translation([0.0, 0.5, 0.0])
     group = scene.add_frame("/force", show_axes=False)
     bar = scene.add_mesh_simple("/force/bar", mesh.vertices, mesh.faces, color=_FORCE)
     label = scene.add_label("/force/label", "", anchor="bottom-center")
-    places = drawing.clip.root * [1.0, 0.0, 1.0] + _ASIDE * left_of(drawing.clip)
+    places = clip.root * [1.0, 0.0, 1.0] + _ASIDE * left_of(clip)
 
     def update(frame: int) -> None:
-        force = float(np.nan_to_num(drawing.clip.external_force[frame]))
+        force = float(np.nan_to_num(clip.external_force[frame]))
         height = max(force, _LEAST_FORCE)
         group.position = places[frame]
         bar.scale = (1.0, height, 1.0)
