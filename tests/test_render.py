@@ -21,7 +21,6 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import render as command
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.look import Look, render_clips, video, video_task
-from kinefilter.pipeline.look.video_files import frame_path
 from kinefilter.pipeline.look.video_opengl import Backend, find_backend
 from kinefilter.pipeline.look.video_task import RenderTask
 
@@ -101,7 +100,7 @@ def test_pictures_that_are_there_are_kept_and_others_drawn_again(
 ) -> None:
     clip, out = tmp_path / "clip.npz", tmp_path / "frames" / "%03d.png"
     write_clip(make_clip(4), clip)
-    files = [frame_path(out, k) for k in range(4)]
+    files = [out.with_name(f"{k:03d}.png") for k in range(4)]
 
     def made() -> list[tuple[int, int]]:
         return [(f.stat().st_ino, f.stat().st_mtime_ns) for f in files]

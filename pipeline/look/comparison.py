@@ -62,13 +62,10 @@ class Comparison(Drawing):
 def read_comparison(
     clip_path: Path, take_path: Path, *, body: int | None = None
 ) -> Comparison:
-    """Read a clip and its take.
+    """Read a clip, in any format that ``write_clip`` writes, and its take.
 
-    Args:
-        clip_path: The clip, in any format that ``write_clip`` writes.
-        take_path: The take.
-        body: Which person of the take, counted from 1; None: who is seen in most
-            frames.
+    ``body`` is which person of the take, counted from 1; None: who is seen in most
+    frames.
 
     Raises:
         InputError: One cannot be read, or they do not belong together.

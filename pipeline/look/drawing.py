@@ -191,11 +191,6 @@ def segment_starts(skeleton: Skeleton) -> list[int]:
     return [p if p >= 0 else j for j, p in enumerate(skeleton.parents)]
 
 
-def segment_poses(motion: Motion) -> tuple[Array, Array]:
-    """Return where segments start [m], (T, J, 3), and their rotations, (T, J, 4)."""
-    return motion.positions[:, segment_starts(motion.skeleton)], motion.rotations
-
-
 def skin_triangles(body: Body) -> tuple[Skin, NDArray[np.int64]]:
     """Return the skin of a body and its faces as triangles, shape (2 Q, 3)."""
     skin = skin_of(body)

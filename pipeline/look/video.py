@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,12 +17,13 @@ from kinefilter.pipeline.workers import cores, workers
 
 from .cameras import check_camera
 from .options import Look
-from .video_files import FASTEST_GIF, Coded, is_numbered, write_gif, write_mp4
+from .video_files import FASTEST_GIF, Coded, write_gif, write_mp4
 from .video_opengl import Backend, find_backend
 from .video_task import Composition, Parts, RenderTask, draw_parts
 
 _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"
+_NUMBERED = re.compile(r"[^%]*%0?\d*d[^%]*")  # such as %05d.png
 _PART = 60  # frames: each part of a video begins with a keyframe, to which players jump
 _STRETCHES = 4
 """Stretches that each process draws, about. With fewer, one process is left with the
@@ -122,7 +124,7 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
             f"{out}: unknown extension {out.suffix!r}; known: {', '.join(_EXTENSIONS)}"
         )
     numbered = out.suffix.lower() == ".png"
-    if numbered and not is_numbered(out.name):
+    if numbered and not _NUMBERED.fullmatch(out.name):
         raise InputError(
             f"{out}: pictures need a place for their number in their name, such as "
             f"{out.with_name(out.stem + '-%05d.png')}"

@@ -6,7 +6,6 @@ parts from several processes follow one another in one file.
 
 from __future__ import annotations
 
-import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -37,7 +36,6 @@ _HUNDREDTH = Fraction(1, 100)  # s, the time unit of a GIF
 _STEP = Fraction(1, 1000)  # s; filters want a time base but only use the order
 _HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
 _KEY = b"kinefilter\0"
-_NUMBER = re.compile(r"%0?\d*d")
 
 
 def encode_video(
@@ -111,16 +109,6 @@ def encode_png(picture: Pixels) -> bytes:
     codec.options = {"compression_level": "4", "pred": "up"}
     packets = codec.encode(_frame(picture, 0, codec.time_base)) + codec.encode(None)
     return b"".join(bytes(packet) for packet in packets)
-
-
-def is_numbered(name: str) -> bool:
-    """Tell whether a file's name has a place for a number, such as %05d."""
-    return len(_NUMBER.findall(name)) == 1 and name.count("%") == 1
-
-
-def frame_path(pattern: Path, number: int) -> Path:
-    """Return the file of a frame, by its number from 0."""
-    return pattern.with_name(pattern.name % number)
 
 
 def write_frame(picture: Pixels, path: Path, fingerprint: str) -> None:

@@ -18,7 +18,7 @@ from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import matrix_from_wxyz
 
 from .cameras import CameraPath
-from .drawing import Drawing, segment_poses, segment_starts, skin_triangles
+from .drawing import Drawing, segment_starts, skin_triangles
 from .video_files import Pixels
 
 _FLOOR_GROUP = 1  # of the geoms (stage.xml) that stay the same while the camera does
@@ -65,11 +65,11 @@ class ClipModel:
             spec.worldbody.add_geom(name=name, size=[0.01, 0.01, 0.01])
         self.model = model = spec.compile()
         self.data = mujoco.MjData(model)
-        count, (positions, turns) = len(clip), segment_poses(clip)
+        count, positions = len(clip), clip.positions[:, segment_starts(clip.skeleton)]
         places = [np.broadcast_to(p.positions, (count, 3))[:, None] for p in clip.props]
         self._positions = to_mujoco(np.concatenate([positions, *places], axis=1))
         others = [np.broadcast_to(p.rotations, (count, 4))[:, None] for p in clip.props]
-        self._rotations = to_mujoco(np.concatenate([turns, *others], axis=1))
+        self._rotations = to_mujoco(np.concatenate([clip.rotations, *others], axis=1))
         if self._raw is not None:
             ids = [model.geom(name).id for name in names]
             self._joints, self._bones = np.split(np.array(ids), [len(clip.skeleton)])

@@ -33,7 +33,6 @@ from .video_files import (
     Pixels,
     encode_png,
     encode_video,
-    frame_path,
     is_drawn,
     write_frame,
 )
@@ -180,14 +179,13 @@ def draw_parts(task: RenderTask, parts: Parts) -> list[list[Coded]]:
     Raises:
         InputError: The task cannot be drawn, or a picture cannot be written.
     """
-    suffix = task.out.suffix.lower()
+    out, suffix = task.out, task.out.suffix.lower()
     if suffix == ".png":
-        paths = {n: frame_path(task.out, n) for part in parts for n in part}
+        paths = {n: out.with_name(out.name % n) for part in parts for n in part}
         made = task.fingerprint
         missing = {n: path for n, path in paths.items() if not is_drawn(path, made)}
-        for picture, path in zip(
-            _pictures(task, missing), missing.values(), strict=True
-        ):
+        drawn = zip(_pictures(task, missing), missing.values(), strict=True)
+        for picture, path in drawn:
             write_frame(picture, path, made)
         return [[] for _ in parts]
     if suffix == ".gif":

@@ -21,7 +21,6 @@ from .drawing import (
     Drawing,
     StickFigure,
     left_of,
-    segment_poses,
     segment_starts,
     skin_triangles,
 )
@@ -132,6 +131,7 @@ def _add_sticks(
 
 def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     body, joints = clip.body, len(clip.skeleton)
+    starts = segment_starts(clip.skeleton)
     skin, triangles = skin_triangles(body)
     weights = np.zeros((len(skin.points), joints))
     np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
@@ -140,11 +140,11 @@ def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
         skin.points,
         triangles,
         bone_wxyzs=np.tile(IDENTITY, (joints, 1)),
-        bone_positions=body.rest_positions[segment_starts(clip.skeleton)],
+        bone_positions=body.rest_positions[starts],
         skin_weights=weights,
         color=_SKIN,
     )
-    positions, rotations = segment_poses(clip)
+    positions, rotations = clip.positions[:, starts], clip.rotations
 
     def update(frame: int) -> None:
         for joint, bone in enumerate(mesh.bones):
