@@ -70,33 +70,28 @@ class ContactEdits:
         self._saved = self.contacts
 
 
-class Timeline:
-    """When each part of the feet stands, as four rows of bars over time.
+def timeline_html(contacts: Flags, frame: int, chosen: tuple[int, int]) -> str:
+    """Return HTML of when each part of the feet stands, as four rows of bars over time.
 
-    Long motions have a close-up of the frames around the present one.
+    One frame is marked, and the first to last chosen are shaded. Long motions have a
+    close-up of the frames around the marked one.
     """
-
-    def __init__(self, contacts: Flags) -> None:
-        self._contacts = contacts
-        # However long the motion, no more steps are sent than can be seen.
-        columns = min(len(contacts), _WIDTH)
-        starts = np.arange(columns) * len(contacts) // columns
-        self._bars = _bars(np.logical_or.reduceat(contacts, starts, axis=0))
-
-    def html(self, frame: int, chosen: tuple[int, int]) -> str:
-        """Return HTML with one frame marked and the first to last chosen shaded."""
-        count = len(self._contacts)
-        strips = [_strip("timeline", self._bars, range(count), frame, chosen)]
-        if count > 2 * _CLOSE:
-            first = min(max(frame - _CLOSE // 2, 0), count - _CLOSE)
-            near = range(first, first + _CLOSE)
-            bars = _bars(self._contacts[near.start : near.stop])
-            strips.append(_strip("close-up", bars, near, frame, chosen))
-        return "".join(strips)
+    count = len(contacts)
+    # However long the motion, no more steps are sent than can be seen.
+    columns = min(count, _WIDTH)
+    starts = np.arange(columns) * count // columns
+    seen = np.logical_or.reduceat(contacts, starts, axis=0)
+    strips = _strip("timeline", seen, range(count), frame, chosen)
+    if count > 2 * _CLOSE:
+        first = min(max(frame - _CLOSE // 2, 0), count - _CLOSE)
+        near = range(first, first + _CLOSE)
+        seen = contacts[first : first + _CLOSE]
+        strips += _strip("close-up", seen, near, frame, chosen)
+    return strips
 
 
 def _strip(
-    name: str, bars: str, frames: range, frame: int, chosen: tuple[int, int]
+    name: str, contacts: Flags, frames: range, frame: int, chosen: tuple[int, int]
 ) -> str:
     """Return rows with their labels, the chosen frames shaded and one frame marked."""
     height, scale = _ROW * len(CONTACTS), _WIDTH / len(frames)
@@ -112,7 +107,7 @@ def _strip(
         'style="background:rgba(128,128,128,0.12)">'
         f'<rect x="{first * scale:.1f}" width="{(end - first) * scale:.1f}" '
         f'height="{height}" fill="rgba(128,128,128,0.25)"/>'
-        f"{bars}"
+        f"{_bars(contacts)}"
         f'<path d="M{mark:.1f} 0V{height}" stroke="#d9342b" stroke-width="2" '
         'vector-effect="non-scaling-stroke"/></svg></div>'
     )

@@ -19,7 +19,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import write_contacts
 from kinefilter.pipeline.progress import Progress
 
-from .contact_editing import PARTS, ContactEdits, Timeline
+from .contact_editing import PARTS, ContactEdits, timeline_html
 from .drawing import Drawing
 from .viewer_scene import ViewerScene
 from .viewer_server import opened_server
@@ -202,8 +202,7 @@ class Viewer:
     def _look_at(self, drawing: Drawing) -> None:
         self._clip = drawing.clip
         with self._server.atomic():
-            self._scene = ViewerScene(self._server, drawing, self._edits.contacts)
-        self._timeline = Timeline(self._edits.contacts)
+            self._scene = ViewerScene(self._server, drawing, self._edits)
         self._choose()
 
     def _show(self) -> None:
@@ -214,7 +213,9 @@ class Viewer:
             if self._asked.empty():  # or a slider that is being pulled would jump back
                 self._frame.value = frame + 1
             self._status.content = status_html(self._clip, frame)
-            self._picture.content = self._timeline.html(frame, self._first_and_last)
+            self._picture.content = timeline_html(
+                self._edits.contacts, frame, self._first_and_last
+            )
             self._play.label = "Pause" if playing else "Play"
             icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
             if self._play.icon != icon:
@@ -257,8 +258,6 @@ class Viewer:
         else:
             first, last = self._first_and_last
             edits.put(self._part.value, first, last, stands=button == "stands")
-        self._scene.contacts = edits.contacts
-        self._timeline = Timeline(edits.contacts)
         self._say("not saved" if edits.unsaved else "")
 
     def _save_contacts(self, _: object = None) -> bool:

@@ -16,6 +16,7 @@ from kinefilter.characters.rotations import IDENTITY
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_path
+from .contact_editing import ContactEdits
 from .drawing import (
     Color,
     Drawing,
@@ -48,24 +49,20 @@ _UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * [[1.0], [1.0], [-1.0], [1.0]]  # from z to 
 
 
 class ViewerScene:
-    """Everything that is drawn, in layers (Drawing.layers) that are shown or hidden.
-
-    ``contacts`` (T, 4) are those that are being edited.
-    """
+    """Everything that is drawn, in layers (Drawing.layers) that are shown or hidden."""
 
     def __init__(
-        self, server: viser.ViserServer, drawing: Drawing, contacts: NDArray[np.bool_]
+        self, server: viser.ViserServer, drawing: Drawing, edits: ContactEdits
     ) -> None:
         scene = server.scene
         scene.reset()
-        self.contacts = contacts
         self._offset = drawing.raw_offset
         self._sun = _set_stage(server, drawing.clip, self._offset)
         self._skin, update = _add_skin(scene, drawing.clip)
         self._layers: dict[str, tuple[Any, Update]] = {"skin": (self._skin, update)}
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
-        self._layers["contacts"] = self._add_contacts(scene, drawing.clip)
+        self._layers["contacts"] = _add_contacts(scene, drawing.clip, edits)
         if drawing.simulated:
             self._layers["forces"] = _add_force(scene, drawing.clip)
         if drawing.clip.props:
@@ -89,19 +86,22 @@ class ViewerScene:
         for name in self._shown:
             self._layers[name][1](frame)
 
-    def _add_contacts(self, scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
-        """Add a disk on the floor under every heel and toe that stands."""
-        feet = ankles_and_toes(clip.skeleton)
-        parts = [j for pair in zip(*feet, strict=True) for j in pair]
-        places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
-        disk = _cylinder(_DISK, _THICK, sections=32)
-        disks = _add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
 
-        def update(frame: int) -> None:
-            disks.batched_positions = places[frame]
-            disks.batched_scales = self.contacts[frame][:, None].repeat(3, axis=1)
+def _add_contacts(
+    scene: viser.SceneApi, clip: Clip, edits: ContactEdits
+) -> tuple[Any, Update]:
+    """Add a disk on the floor under every heel and toe that stands."""
+    feet = ankles_and_toes(clip.skeleton)
+    parts = [j for pair in zip(*feet, strict=True) for j in pair]
+    places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
+    disk = _cylinder(_DISK, _THICK, sections=32)
+    disks = _add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
 
-        return disks, update
+    def update(frame: int) -> None:
+        disks.batched_positions = places[frame]
+        disks.batched_scales = edits.contacts[frame][:, None].repeat(3, axis=1)
+
+    return disks, update
 
 
 def _add_sticks(
