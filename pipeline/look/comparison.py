@@ -139,8 +139,9 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
     apart = np.abs(take.time[nearest] - times)
     if np.median(apart) > _APART:
         raise InputError(
-            f"--compare {path}: from {take.time[0]:.2f} to {take.time[-1]:.2f} s, but "
-            f"the clip from {times[0]:.2f} to {times[-1]:.2f} s; {_TRY}"
+            f"--compare {path}: the take runs from {take.time[0]:.2f} to "
+            f"{take.time[-1]:.2f} s, but the clip from {times[0]:.2f} to "
+            f"{times[-1]:.2f} s; {_TRY}"
         )
     try:
         placed = (in_clip_frame if _keeps_frame(clip) else leveled_to_clip)(take, clip)
