@@ -10,14 +10,13 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.batch.manifest import Row
     from kinefilter.pipeline.batch.plan import Job
     from kinefilter.pipeline.look.video_files import Coded
-    from kinefilter.pipeline.look.video_task import RenderTask
-    from kinefilter.pipeline.look.video_worker import Parts
+    from kinefilter.pipeline.look.video_task import Parts, RenderTask
 
 
-def draw_or_die(task: RenderTask, parts: Parts, fingerprint: str) -> list[list[Coded]]:
+def draw_or_die(task: RenderTask, parts: Parts) -> list[list[Coded]]:
     if task.clip.stem == "deadly":
         os._exit(1)
-    task.out.with_name(f"{task.clip.stem}.drawn").write_text(fingerprint)
+    task.out.with_name(f"{task.clip.stem}.drawn").write_text(task.fingerprint)
     return [[] for _ in parts]
 
 

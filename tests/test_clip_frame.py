@@ -23,8 +23,12 @@ from kinefilter.pipeline.failures import unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
 from kinefilter.pipeline.formats.resample import resampled
 from kinefilter.pipeline.look import compare
-from kinefilter.pipeline.look.comparison import METRICS
-from kinefilter.pipeline.look.placing import in_clip_frame, raw_positions, same_stamps
+from kinefilter.pipeline.look.comparison import (
+    METRICS,
+    in_clip_frame,
+    raw_positions,
+    same_stamps,
+)
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -169,6 +173,23 @@ def test_at_another_rate_the_take_is_placed_as_exactly(tmp_path: Path) -> None:
     write_take_csv(take, tmp_path / "take.csv")
     found = raw_positions(tmp_path / "take.csv", resampled(clip, 15.0), take.time)
     np.testing.assert_allclose(found, in_clip_frame(take, clip), atol=1e-8)
+
+
+@pytest.mark.parametrize(("suffix", "off"), [(".usdc", 1e-5), (".bvh", 0.02)])
+def test_files_that_start_at_0_show_a_take_that_starts_later(
+    suffix: str, off: float, tmp_path: Path
+) -> None:
+    take = _seen("walk", 0.0, -0.9)
+    take = replace(take, time=take.time + 1.5)
+    write_take_csv(take, tmp_path / "take.csv")
+    clip = clean(take, QUICK).clip
+    write_clip(clip, tmp_path / f"clip{suffix}")
+    shown = read_clip(tmp_path / f"clip{suffix}")
+    assert shown.time[0] == 0.0
+    frames = np.arange(40, 80)
+    found = raw_positions(tmp_path / "take.csv", shown, shown.time[frames])
+    expected = in_clip_frame(take, clip)[frames]
+    np.testing.assert_allclose(found, expected, atol=off)
 
 
 def test_a_clip_of_an_older_version_is_read_and_says_nothing(

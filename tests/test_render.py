@@ -21,7 +21,6 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import render as command
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.look import Look, render_clips, video, video_task
-from kinefilter.pipeline.look.video_files import frame_path
 from kinefilter.pipeline.look.video_opengl import Backend, find_backend
 from kinefilter.pipeline.look.video_task import RenderTask
 
@@ -101,7 +100,7 @@ def test_pictures_that_are_there_are_kept_and_others_drawn_again(
 ) -> None:
     clip, out = tmp_path / "clip.npz", tmp_path / "frames" / "%03d.png"
     write_clip(make_clip(4), clip)
-    files = [frame_path(out, k) for k in range(4)]
+    files = [out.with_name(f"{k:03d}.png") for k in range(4)]
 
     def made() -> list[tuple[int, int]]:
         return [(f.stat().st_ino, f.stat().st_mtime_ns) for f in files]
@@ -127,7 +126,7 @@ def test_pictures_of_another_opengl_or_version_are_of_another_shot(
 
     def fingerprint(backend: Backend) -> str:
         out = tmp_path / "%d.png"
-        return RenderTask(clip, out, SMALL).drawn_by(backend).fingerprint()
+        return RenderTask(clip, out, SMALL).drawn_by(backend).fingerprint
 
     one = Backend("osmesa", "llvmpipe (LLVM 15)")
     first = fingerprint(one)
@@ -282,7 +281,7 @@ def test_who_only_waits_for_pictures_loads_no_opengl() -> None:
         (["-o", "a.mp4", "--jobs", "0"], "--jobs 0"),
         (["-o", "a.mp4", "--compare", "absent.csv"], "absent.csv"),
         (["-o", "a.mp4", "--compare", "v2.csv"], "kinect_v2"),
-        (["-o", "a.mp4", "--compare", "late.csv"], "it was made of"),
+        (["-o", "a.mp4", "--compare", "late.csv"], "clip was made of"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_in_one_line(

@@ -20,10 +20,10 @@ from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.look import Drawing, Look
 from kinefilter.pipeline.look.cameras import axes_toward
-from kinefilter.pipeline.look.figures import corners_of
-from kinefilter.pipeline.look.palette import (
+from kinefilter.pipeline.look.drawing import (
     RELIABILITY,
     UNKNOWN,
+    corners_of,
     reliability_colors,
 )
 from kinefilter.pipeline.look.video_model import ClipModel, figure_names
@@ -181,7 +181,7 @@ import sys, numpy as np
 from pathlib import Path
 from kinefilter.pipeline.look import Look
 from kinefilter.pipeline.look.video_model import ClipModel
-from kinefilter.pipeline.look.video_offscreen import OffscreenRenderer
+from kinefilter.pipeline.look.video_model import OffscreenRenderer
 from kinefilter.pipeline.look.video_task import Composition, RenderTask
 
 def renderer(camera):

@@ -20,9 +20,8 @@ from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.contacts import read_contacts, write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look import Drawing, cleaned, opened_viewer, read_drawing
-from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, Timeline
-from kinefilter.pipeline.look.playback import Playback
-from kinefilter.pipeline.look.viewer import status_html
+from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, timeline_html
+from kinefilter.pipeline.look.viewer import Playback, status_html
 
 QUICK = CleanConfig(method="none", physics=False)
 TIME = np.array([5.0, 5.1, 5.2, 5.2, 5.5, 5.6])  # a repeated stamp and a gap
@@ -127,7 +126,7 @@ def test_nobody_changes_contacts_past_the_edits() -> None:
 def test_the_timeline_has_a_bar_for_each_stance_and_a_mark_at_the_frame() -> None:
     contacts = np.zeros((100, 4), dtype=bool)
     contacts[10:30, 0] = contacts[50:100, 0] = contacts[20:25, 3] = True
-    html = Timeline(contacts).html(75, (20, 39))
+    html = timeline_html(contacts, 75, (20, 39))
     rows = re.findall(r'class="stands" d="([^"]*)"', html)
     bars = [re.findall(r"M([\d.]+) \d+h([\d.]+)", row) for row in rows]
     assert [len(row) for row in bars] == [2, 0, 0, 1]
@@ -140,8 +139,8 @@ def test_the_timeline_has_a_bar_for_each_stance_and_a_mark_at_the_frame() -> Non
 def test_of_a_long_motion_the_frames_around_are_shown_closer() -> None:
     contacts = np.zeros((3000, 4), dtype=bool)
     contacts[1000:1030, 1] = True
-    html = Timeline(contacts).html(1010, (1005, 2999))
-    assert Timeline(contacts[:600]).html(10, (0, 599)).count("<svg") == 1
+    html = timeline_html(contacts, 1010, (1005, 2999))
+    assert timeline_html(contacts[:600], 10, (0, 599)).count("<svg") == 1
     near = html.split('id="close-up"')[1]
     # 300 frames around the marked one, from 860 on, two steps each.
     assert re.findall(r'class="stands" d="([^"]*)"', near)[1] == "M280.0 24h60.0"
@@ -150,13 +149,13 @@ def test_of_a_long_motion_the_frames_around_are_shown_closer() -> None:
     whole = html.split('id="close-up"')[0]
     assert re.findall(r'class="stands" d="([^"]*)"', whole)[1] == "M200.0 24h6.0"
     for frame, first in ((0, 0), (2999, 2700)):  # it stays within the motion
-        near = Timeline(contacts).html(frame, (0, 2999)).split('id="close-up"')[1]
+        near = timeline_html(contacts, frame, (0, 2999)).split('id="close-up"')[1]
         assert f'd="M{2 * (frame - first) + 1}.0 0V' in near
 
 
 def test_the_picture_of_an_hour_stays_small() -> None:
     contacts = np.random.default_rng(0).random((108_000, 4)) < 0.5
-    assert len(Timeline(contacts).html(70_000, (0, 107_999))) < 50_000
+    assert len(timeline_html(contacts, 70_000, (0, 107_999))) < 50_000
 
 
 def test_the_status_names_the_least_reliable_joint_and_the_force(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,9 +11,6 @@ from kinefilter.characters import InputError, Motion
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.formats.files import read_toml
-
-CAMERAS = ("front", "side", "three-quarter", "orbit", "follow")
-"""Cameras that place themselves."""
 
 _FOV = 28.0  # degrees, vertical: a normal lens, 48 mm on 35 mm film
 _FOVS = (1.0, 170.0)  # degrees
@@ -26,10 +22,14 @@ _DIRECTIONS = {
     "orbit": (35.0, 12.0),
     "follow": (35.0, 12.0),
 }
+CAMERAS = tuple(_DIRECTIONS)
+"""Cameras that place themselves."""
+
 _TURN = 12.0  # s that an orbit takes, about
 _LAG = 0.5  # s over which a following camera averages the character's place
 _AZIMUTHS = 24  # at which an orbit is checked to show everything
 _FARTHEST = 1e6  # m from the origin, where single precision is already coarse
+_AHEAD = np.array([0.0, 0.0, 1.0])  # where a character with no heading faces
 _MARGIN = 0.06  # of the picture, on every side
 
 
@@ -79,7 +79,9 @@ def camera_path(
     if camera not in CAMERAS:
         return _from_file(camera)
     around, up = np.radians(_DIRECTIONS[camera])
-    azimuth = _facing(motion) + around
+    headings = rotate(motion.rotations[:, motion.skeleton.root], _AHEAD)
+    x, _, z = headings.mean(axis=0)
+    azimuth = np.arctan2(x, z) + around
     toward = _direction(azimuth, up)
     if camera == "follow":
         from scipy.ndimage import gaussian_filter1d  # takes long to load
@@ -114,13 +116,6 @@ def axes_toward(toward: Array) -> tuple[Array, Array]:
     right = np.cross([0.0, 1.0, 0.0], toward)
     right /= np.linalg.norm(right)
     return right, np.cross(toward, right)
-
-
-def _facing(motion: Motion) -> float:
-    """Return the mean heading of the character [rad], 0 for +z, from z to x."""
-    turns = motion.rotations[:, motion.skeleton.root]
-    x, _, z = rotate(turns, np.array([0.0, 0.0, 1.0])).mean(axis=0)
-    return float(np.arctan2(x, z))
 
 
 def _direction(azimuth: float, elevation: float) -> Array:
@@ -168,7 +163,18 @@ def _from_file(camera: str) -> CameraPath:
             f"{path}: unknown {', '.join(sorted(unknown))}; known: position, target, "
             "fov"
         )
-    position, target = (_vector(path, table, name) for name in ("position", "target"))
+    places = []
+    for name in ("position", "target"):
+        place = table.get(name)
+        if not (isinstance(place, list) and len(place) == 3) or not all(
+            isinstance(v, int | float) and abs(v) < _FARTHEST for v in place
+        ):
+            raise InputError(
+                f"{path}: {name} is {place!r}; expected three numbers [x, y, z] in "
+                "meters, y up"
+            )
+        places.append(np.array(place, dtype=np.float64))
+    position, target = places
     fov = table.get("fov", _FOV)
     if not isinstance(fov, int | float) or not _FOVS[0] <= fov <= _FOVS[1]:
         raise InputError(
@@ -180,16 +186,3 @@ def _from_file(camera: str) -> CameraPath:
             "position or target sideways"
         )
     return CameraPath(position[None], target[None], float(fov))
-
-
-def _vector(path: Path, table: dict[str, Any], name: str) -> Array:
-    value = table.get(name)
-    numbers = isinstance(value, list) and all(
-        isinstance(v, int | float) and abs(v) < _FARTHEST for v in value
-    )
-    if not numbers or not isinstance(value, list) or len(value) != 3:
-        raise InputError(
-            f"{path}: {name} is {value!r}; expected three numbers [x, y, z] in meters, "
-            "y up"
-        )
-    return np.array(value, dtype=np.float64)

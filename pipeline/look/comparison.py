@@ -1,4 +1,7 @@
-"""A clip beside the take that it was made from, and the metrics of both."""
+"""A clip beside the take that it was made from, in one frame, and the metrics of both.
+
+The take is brought to the clip: leveled, its floor at y = 0, frame for frame.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
-from kinefilter.pipeline.metrics import Quality, measure
 from kinefilter.pipeline.target.feet import feet_of
+from kinefilter.pipeline.target.floor import leveled, to_world
 
 from .drawing import Drawing, read_finite_clip
-from .placing import in_clip_frame, leveled_to_clip, same_stamps
 
 METRICS = {
     "skate": "feet on the floor slide, m per frame",
@@ -38,6 +41,10 @@ _TRY = "give the take that the clip was made of"
 _SKEW = 1e-6  # s between stamps of the same frames: rounding
 _DRIFT = 0.1  # s between stamps and the constant rate of a file without them
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall is as large
+_ROUNDING = 1e-3  # m: some takes are kept in whole millimeters
+_APART = 0.1  # s, at most, between a frame and the measurement shown for it
+_LEAST_TILT = np.radians(1.5)  # a smaller tilt comes from what cleaning moved
+_STEPS = 8  # of Newton's method: each squares the error of the angle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,13 +62,10 @@ class Comparison(Drawing):
 def read_comparison(
     clip_path: Path, take_path: Path, *, body: int | None = None
 ) -> Comparison:
-    """Read a clip and its take.
+    """Read a clip, in any format that ``write_clip`` writes, and its take.
 
-    Args:
-        clip_path: The clip, in any format that ``write_clip`` writes.
-        take_path: The take.
-        body: Which person of the take, counted from 1; None: who is seen in most
-            frames.
+    ``body`` is which person of the take, counted from 1; None: who is seen in most
+    frames.
 
     Raises:
         InputError: One cannot be read, or they do not belong together.
@@ -95,34 +99,86 @@ def compare(clip: Clip, take: Take) -> Comparison:
         InputError: The clip was not made from the take, or does not say where its floor
             was, or has numbers that are not finite, or too few frames to be a motion.
     """
-    # BVH and CSV do not keep what was done to the take.
-    provenance = bool(np.isfinite(clip.moved_by_correction).any())
-    # USD does not keep the sensor's states.
-    states = provenance and bool((clip.state != State.TRACKED).any())
-    if not states and len(clip) == len(take):
-        # USD starts at 0, and BVH has a constant rate.
-        off = float(np.ptp(clip.time - take.time))
-        if off < (_SKEW if provenance else _DRIFT):
-            clip = replace(clip, time=take.time)
-    _check(clip, take, states=states)
-    raw = (in_clip_frame if provenance else leveled_to_clip)(take, clip)
+    # It loads MuJoCo, which must not happen where pictures are only waited for.
+    from kinefilter.pipeline.metrics import measure
+
+    clip = in_time_of(clip, take)
+    _check(clip, take)
+    raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
     distinct = np.concatenate([[True], np.diff(clip.time) > 0])
     time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
-    seen, positions = raw[distinct], clip.positions[distinct]
-    before = measure(time, seen, seen, clip.body, stands)
-    after = measure(time, positions, seen, clip.body, stands)
-    return Comparison(
-        clip=clip, raw=raw, before=_by_name(before), after=_by_name(after)
-    )
+    seen = raw[distinct]
+    figures = []
+    for positions in (seen, clip.positions[distinct]):
+        found = asdict(measure(time, positions, seen, clip.body, stands))
+        found["skate"] = found["skate_mm_per_frame"] * 1e-3
+        figures.append({name: float(found[name]) for name in METRICS})
+    before, after = figures
+    return Comparison(clip=clip, raw=raw, before=before, after=after)
 
 
-def _by_name(quality: Quality) -> dict[str, float]:
-    figures = asdict(quality)
-    figures["skate"] = figures["skate_mm_per_frame"] * 1e-3
-    return {name: float(figures[name]) for name in METRICS}
+def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
+    """Read the take of a clip and return its joints in the clip's frame.
+
+    Positions [m] at some times [s] of the clip, NaN where nothing was measured, shape
+    (T, J, 3).
+
+    Raises:
+        InputError: The file is no take, or not the one that the clip was made from.
+    """
+    take = read_take(path)
+    if take.skeleton.name != clip.skeleton.name:
+        raise InputError(
+            f"--compare {path}: a take of {take.skeleton.name}, but the clip has "
+            f"{clip.skeleton.name}; {_TRY}"
+        )
+    own, clip = clip.time, in_time_of(clip, take)
+    if clip.time is not own:
+        times = np.interp(times, own, clip.time)
+    nearest = nearest_frames(take.time, times)
+    apart = np.abs(take.time[nearest] - times)
+    if np.median(apart) > _APART:
+        raise InputError(
+            f"--compare {path}: the take runs from {take.time[0]:.2f} to "
+            f"{take.time[-1]:.2f} s, but the clip from {times[0]:.2f} to "
+            f"{times[-1]:.2f} s; {_TRY}"
+        )
+    try:
+        placed = (in_clip_frame if _keeps_frame(clip) else leveled_to_clip)(take, clip)
+    except InputError as error:
+        raise InputError(f"--compare {path}: {error}") from None
+    return np.where((apart > _APART)[:, None, None], np.nan, placed[nearest])
 
 
-def _check(clip: Clip, take: Take, *, states: bool) -> None:
+def in_time_of(clip: Clip, take: Take) -> Clip:
+    """Return the clip with the time stamps of its take, if it has lost them.
+
+    USD starts at 0, and BVH has a constant rate besides. A clip that has its own time
+    stamps, or does not fit those of the take, is returned as it is.
+    """
+    if not _has_states(clip) and len(clip) == len(take):
+        off = float(np.ptp(clip.time - take.time))
+        if off < (_SKEW if _has_provenance(clip) else _DRIFT):
+            return replace(clip, time=take.time)
+    return clip
+
+
+def _has_provenance(clip: Clip) -> bool:
+    """Return whether a clip says how far its joints moved; BVH and CSV do not."""
+    return bool(np.isfinite(clip.moved_by_correction).any())
+
+
+def _has_states(clip: Clip) -> bool:
+    """Return whether a clip keeps the sensor's states; USD does not."""
+    return _has_provenance(clip) and bool((clip.state != State.TRACKED).any())
+
+
+def _keeps_frame(clip: Clip) -> bool:
+    """Return whether a clip says how its take was leveled."""
+    return bool(np.isfinite([clip.tilt, clip.floor]).all())
+
+
+def _check(clip: Clip, take: Take) -> None:
     if clip.skeleton != take.skeleton:
         raise InputError(
             f"the clip is of {clip.skeleton.name}, the take of {take.skeleton.name}; "
@@ -139,7 +195,7 @@ def _check(clip: Clip, take: Take, *, states: bool) -> None:
         raise InputError(
             f"the time stamps of clip and take differ; {_TRY} (and without --fps)"
         )
-    if states and not np.array_equal(clip.state, take.state):
+    if _has_states(clip) and not np.array_equal(clip.state, take.state):
         raise InputError(f"the tracking states of clip and take differ; {_TRY}")
     rates = clip.reliability
     if not np.isfinite(clip.positions).all() or (
@@ -149,3 +205,107 @@ def _check(clip: Clip, take: Take, *, states: bool) -> None:
     for name, positions in (("clip", clip.positions), ("take", take.positions)):
         if (np.abs(positions) > _FARTHEST).any():
             raise InputError(f"the {name} has joints over {_FARTHEST:g} m away; {_TRY}")
+
+
+def same_stamps(clip: Clip, take: Take) -> bool:
+    """Return whether a clip and a take have frames at the same times."""
+    return len(clip) == len(take) and np.allclose(
+        clip.time, take.time, rtol=0.0, atol=_SKEW
+    )
+
+
+def nearest_frames(stamps: Array, times: Array) -> NDArray[np.intp]:
+    """Return which of some time stamps [s] is nearest to each time, shape (T,)."""
+    return np.searchsorted(0.5 * (stamps[:-1] + stamps[1:]), times)
+
+
+def in_clip_frame(take: Take, clip: Clip) -> Array:
+    """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
+
+    The take is leveled as cleaning leveled it. Where both have the same frames, the
+    distances that the clip keeps show whether it was made from this take.
+
+    Raises:
+        InputError: The clip does not keep its tilt and floor, or it was made from
+            another take.
+    """
+    if not _keeps_frame(clip):
+        raise InputError(
+            "the clip does not say where its floor was (older versions of kinefilter "
+            "did not keep it); clean the take again"
+        )
+    positions = to_world(take.positions, clip.tilt, clip.floor)
+    if same_stamps(clip, take):
+        _check_made_from(clip, positions)
+    return positions
+
+
+def leveled_to_clip(take: Take, clip: Clip) -> Array:
+    """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
+
+    For clips that do not keep their tilt and floor (BVH, CSV): both are estimated from
+    the heights of the joints.
+
+    Raises:
+        InputError: The take has no joints in the time of the clip.
+    """
+    frames = nearest_frames(take.time, clip.time)
+    raw, clean = take.positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)
+    known = np.isfinite(raw).all(axis=1)
+    if not known.any():
+        raise InputError("the take holds no joint in the time of the clip")
+    return to_world(take.positions, *_tilt_and_floor(raw[known], clean[known]))
+
+
+def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
+    """Return the tilt [rad] and the floor's height [m] between points (N, 3).
+
+    Robust least squares of the heights, by Newton's method.
+    """
+    tilt, used = 0.0, np.ones(len(raw), dtype=np.bool_)
+    for _ in range(_STEPS):
+        turned = leveled(raw, tilt)
+        rise = clean[:, 1] - turned[:, 1]
+        columns = np.stack([-turned[:, 2], np.ones(len(raw))], axis=1)
+        step = np.linalg.lstsq(columns[used], rise[used], rcond=None)[0]
+        tilt += float(step[0])
+        off = np.abs(rise - columns @ step)
+        used = off <= 3.0 * np.median(off) + 1e-9
+    if abs(tilt) < _LEAST_TILT:
+        tilt = 0.0
+    turned = leveled(raw, tilt)
+    return tilt, float(np.median(turned[:, 1] - clean[:, 1]))
+
+
+def _check_made_from(clip: Clip, measured: Array) -> None:
+    """Raise an InputError unless joints (T, J, 3) were measured where a clip says."""
+    beyond = _disagreement(clip, measured)
+    if np.isnan(beyond).all():
+        raise InputError("the take holds no joint that the clip was made of")
+    # Where the tracker took left for right, cleaning put them back.
+    exchanged = _disagreement(clip, measured[:, clip.skeleton.mirror])
+    most = np.minimum(*(np.nan_to_num(b).max(axis=1) for b in (beyond, exchanged)))
+    wrong = np.flatnonzero(most > _ROUNDING)
+    if len(wrong):
+        worst = int(most.argmax())
+        joint = clip.skeleton.joints[int(np.nanargmax(beyond[worst]))]
+        raise InputError(
+            f"in {len(wrong)} of {len(clip)} frames joints are not where the clip says "
+            f"that they were measured: {joint} in frame {worst + 1} is "
+            f"{most[worst] * 100:.1f} cm or more from there; give the take, and the "
+            "person in it, that the clip was made of"
+        )
+
+
+def _disagreement(clip: Clip, measured: Array) -> Array:
+    """Return how far joints are from where a clip allows them to be [m], shape (T, J).
+
+    A joint that correction moved by c and then physics by p is c - p to c + p away from
+    its measurement. NaN where nothing was measured, and in frames that repeat a time
+    stamp, of which only the first was used.
+    """
+    away = np.linalg.norm(clip.positions - measured, axis=2)
+    off = np.abs(away - clip.moved_by_correction)
+    off -= np.nan_to_num(clip.moved_by_physics)
+    off[1:][np.diff(clip.time) == 0.0] = np.nan
+    return np.asarray(off)

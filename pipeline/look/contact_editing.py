@@ -30,79 +30,68 @@ _LABELS = tuple(name.replace("Left", " L").replace("Right", " R") for name in CO
 
 
 class ContactEdits:
-    """Contacts (CONTACTS), shape (T, 4), and what they were before each change."""
+    """Contacts (CONTACTS), read-only, shape (T, 4), and what they were before."""
 
     def __init__(self, contacts: Flags) -> None:
-        self._contacts = self._saved = _read_only_copy(contacts)
         self._before: deque[Flags] = deque(maxlen=_STEPS)
-
-    @property
-    def contacts(self) -> Flags:
-        """The contacts as they are now, read-only, shape (T, 4)."""
-        return self._contacts
+        self._keep(contacts)
+        self._saved = self.contacts
 
     @property
     def unsaved(self) -> bool:
         """Whether they differ from those that were last saved."""
-        return not np.array_equal(self._contacts, self._saved)
+        return not np.array_equal(self.contacts, self._saved)
 
     def put(self, part: str, first: int, last: int, *, stands: bool) -> None:
         """Set whether a part (PARTS) stands in the frames from first to last."""
-        edited = self._contacts.copy()
+        edited = self.contacts.copy()
         edited[max(first, 0) : last + 1, list(PARTS[part])] = stands
         self.replace(edited)
 
     def replace(self, contacts: Flags) -> None:
         """Take other contacts, shape (T, 4), as one step that can be undone."""
-        if not np.array_equal(contacts, self._contacts):
-            self._before.append(self._contacts)
-            self._contacts = _read_only_copy(contacts)
+        if not np.array_equal(contacts, self.contacts):
+            self._before.append(self.contacts)
+            self._keep(contacts)
+
+    def _keep(self, contacts: Flags) -> None:
+        self.contacts = np.array(contacts, dtype=np.bool_)
+        self.contacts.flags.writeable = False
 
     def undo(self) -> bool:
         """Take back the last change; return whether there was one."""
         if not self._before:
             return False
-        self._contacts = self._before.pop()
+        self.contacts = self._before.pop()
         return True
 
     def mark_saved(self) -> None:
         """Note that the contacts were saved as they are."""
-        self._saved = self._contacts
+        self._saved = self.contacts
 
 
-class Timeline:
-    """When each part of the feet stands, as four rows of bars over time.
+def timeline_html(contacts: Flags, frame: int, chosen: tuple[int, int]) -> str:
+    """Return HTML of when each part of the feet stands, as four rows of bars over time.
 
-    Long motions have a close-up of the frames around the present one.
+    One frame is marked, and the first to last chosen are shaded. Long motions have a
+    close-up of the frames around the marked one.
     """
-
-    def __init__(self, contacts: Flags) -> None:
-        self._contacts = contacts
-        # However long the motion, no more steps are sent than can be seen.
-        columns = min(len(contacts), _WIDTH)
-        starts = np.arange(columns) * len(contacts) // columns
-        self._bars = _bars(np.logical_or.reduceat(contacts, starts, axis=0))
-
-    def html(self, frame: int, chosen: tuple[int, int]) -> str:
-        """Return HTML with one frame marked and the first to last chosen shaded."""
-        count = len(self._contacts)
-        strips = [_strip("timeline", self._bars, range(count), frame, chosen)]
-        if count > 2 * _CLOSE:
-            first = min(max(frame - _CLOSE // 2, 0), count - _CLOSE)
-            near = range(first, first + _CLOSE)
-            bars = _bars(self._contacts[near.start : near.stop])
-            strips.append(_strip("close-up", bars, near, frame, chosen))
-        return "".join(strips)
-
-
-def _read_only_copy(contacts: Flags) -> Flags:
-    copy = np.array(contacts, dtype=np.bool_)
-    copy.flags.writeable = False
-    return copy
+    count = len(contacts)
+    # However long the motion, no more steps are sent than can be seen.
+    columns = min(count, _WIDTH)
+    starts = np.arange(columns) * count // columns
+    seen = np.logical_or.reduceat(contacts, starts, axis=0)
+    strips = _strip("timeline", seen, range(count), frame, chosen)
+    if count > 2 * _CLOSE:
+        first = min(max(frame - _CLOSE // 2, 0), count - _CLOSE)
+        near = range(first, first + _CLOSE)
+        seen = contacts[first : first + _CLOSE]
+        strips += _strip("close-up", seen, near, frame, chosen)
+    return strips
 
 
 def _strip(
-    name: str, bars: str, frames: range, frame: int, chosen: tuple[int, int]
+    name: str, contacts: Flags, frames: range, frame: int, chosen: tuple[int, int]
 ) -> str:
     """Return rows with their labels, the chosen frames shaded and one frame marked."""
     height, scale = _ROW * len(CONTACTS), _WIDTH / len(frames)
@@ -110,19 +99,15 @@ def _strip(
         min(max(k - frames.start, 0), len(frames)) for k in (chosen[0], chosen[1] + 1)
     )
     mark = (frame - frames.start + 0.5) * scale
-    labels = "".join(
-        f'<div style="height:{_ROW}px;line-height:{_ROW}px">{label}</div>'
-        for label in _LABELS
-    )
     return (
         '<div style="display:flex;gap:6px;font-size:11px;margin:4px 8px">'
-        f'<div style="flex:none">{labels}</div>'
+        f'<div style="flex:none;line-height:{_ROW}px">{"<br>".join(_LABELS)}</div>'
         f'<svg id="{name}" viewBox="0 0 {_WIDTH} {height}" width="100%" '
         f'height="{height}" preserveAspectRatio="none" '
         'style="background:rgba(128,128,128,0.12)">'
         f'<rect x="{first * scale:.1f}" width="{(end - first) * scale:.1f}" '
         f'height="{height}" fill="rgba(128,128,128,0.25)"/>'
-        f"{bars}"
+        f"{_bars(contacts)}"
         f'<path d="M{mark:.1f} 0V{height}" stroke="#d9342b" stroke-width="2" '
         'vector-effect="non-scaling-stroke"/></svg></div>'
     )

@@ -1,6 +1,6 @@
 """What is drawn: a clip, and its motion before correction and before physics.
 
-Videos, the viewer and the report page all draw a ``Drawing``, each in its own medium.
+Videos, the viewer and the report page all draw a ``Drawing`` in the same colors.
 """
 
 from __future__ import annotations
@@ -8,24 +8,89 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, InputError, Motion, Take
+from kinefilter.characters import Body, Clip, InputError, Motion, Prop, Skeleton, Take
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import rotate
+from kinefilter.characters.rotations import between, rotate
+from kinefilter.characters.skin import Skin, skin_of
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip
 from kinefilter.pipeline.progress import Progress, silent
 
-from .figures import StickFigure
+Color = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
 
-CLEANED, PHYSICS = (0.36, 0.27, 0.72), (0.93, 0.47, 0.13)
+CLEANED, PHYSICS = (92, 69, 184), (237, 120, 33)
 """Colors of the stick figures before and after physics."""
+RELIABILITY = ("#d73027", "#fee090", "#3f74b5")
+"""Reliability 0, 0.5 and 1: red, pale yellow and blue, which color-blind people can
+tell apart."""
+ORIGINS = ("#4d7fbf", "#f0a028", "#c8285a")
+"""Joints that were measured, corrected and filled (Origin)."""
+TERMS = ("#7b4fb5", "#d9622b", "#20908d", "#8a8f29")
+"""Terms that decide reliability (Term); the others have UNKNOWN."""
+UNKNOWN = "#999999"
+"""What nothing is known about."""
+CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
+"""Corners of a cube with sides of 2 about the origin, shape (8, 3)."""
 
 _HIDDEN = ("cleaned", "physics")  # at first: the skin shows where they are
 _GAP = 0.35  # m between the raw figure and the character, a guess by eye
-_FORCE_ASIDE = 0.55  # m from the pelvis to the bar of the external force
+_UP = np.array([0.0, 1.0, 0.0])  # the axis of the cylinder that is drawn as a bone
+
+
+class Sticks(NamedTuple):
+    """A stick figure in one frame; joints that are missing are at the origin.
+
+    J joints have positions [m] (J, 3) and colors by reliability (J, 3), None if the
+    figure has one color. S bones (Skeleton.segments) have centers [m] (S, 3), lengths
+    [m] (S,), and rotations that turn +y along them, quaternions wxyz (S, 4). What is
+    not there is not to be drawn.
+    """
+
+    joints: Array
+    joint_there: NDArray[np.bool_]
+    joint_colors: Array | None
+    centers: Array
+    lengths: Array
+    rotations: Array
+    bone_there: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class StickFigure:
+    """Joints and bones in every frame."""
+
+    skeleton: Skeleton
+    """The joints."""
+    positions: Array
+    """Joint positions [m], world frame, NaN where missing, shape (T, J, 3)."""
+    color: Color | None = None
+    """Color of joints and bones; None: bones are gray."""
+    reliability: Array | None = None
+    """Reliability that colors the joints, NaN where unknown, shape (T, J)."""
+
+    def at(self, frame: int) -> Sticks:
+        """Return the figure in one frame."""
+        points = self.positions[frame]
+        there = np.isfinite(points).all(axis=-1)
+        points = np.where(there[:, None], points, 0.0)
+        ends, starts = self.skeleton.segments, self.skeleton.segment_parents
+        bones = points[ends] - points[starts]
+        rates = None if self.reliability is None else self.reliability[frame]
+        return Sticks(
+            joints=points,
+            joint_there=there,
+            joint_colors=None if rates is None else reliability_colors(rates),
+            centers=0.5 * (points[ends] + points[starts]),
+            lengths=np.linalg.norm(bones, axis=-1),
+            rotations=between(_UP, bones),
+            bone_there=there[ends] & there[starts],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +115,7 @@ class Drawing:
         clip = self.clip
         found = {}
         if self.raw is not None:
-            found["raw"] = StickFigure(
-                clip.skeleton, self.raw, reliability=clip.reliability
-            )
+            found["raw"] = StickFigure(clip.skeleton, self.raw, None, clip.reliability)
         before = self.target if self.simulated else clip.positions
         if before is not None:
             found["cleaned"] = StickFigure(clip.skeleton, before, CLEANED)
@@ -77,11 +140,6 @@ class Drawing:
         if self.raw is None:
             return np.zeros(3)
         return offset_beside(self.clip.positions, -left_of(self.clip))
-
-    @property
-    def force_places(self) -> Array:
-        """Where the bar of the external force stands on the floor [m], shape (T, 3)."""
-        return self.clip.root * [1.0, 0.0, 1.0] + _FORCE_ASIDE * left_of(self.clip)
 
 
 def offset_beside(positions: Array, way: Array, room: float = 0.0) -> Array:
@@ -126,3 +184,39 @@ def read_finite_clip(path: Path) -> Clip:
     if not (np.isfinite(clip.positions).all() and np.isfinite(clip.rotations).all()):
         raise InputError(f"{path}: has numbers that are not finite; write it again")
     return clip
+
+
+def segment_starts(skeleton: Skeleton) -> list[int]:
+    """Return the joint at which each segment starts; the root's starts at itself."""
+    return [p if p >= 0 else j for j, p in enumerate(skeleton.parents)]
+
+
+def skin_triangles(body: Body) -> tuple[Skin, NDArray[np.int64]]:
+    """Return the skin of a body and its faces as triangles, shape (2 Q, 3)."""
+    skin = skin_of(body)
+    first, second = skin.quads[:, [0, 1, 2]], skin.quads[:, [0, 2, 3]]
+    return skin, np.concatenate([first, second])
+
+
+def corners_of(prop: Prop, count: int) -> Array:
+    """Return the corners of a prop's boxes [m], world frame, shape (T, 8 S, 3)."""
+    corners = np.concatenate(
+        [
+            shape.position + rotate(shape.rotation, CORNERS * shape.half_extents)
+            for shape in prop.shapes
+        ]
+    )
+    placed = prop.positions[:, None] + rotate(prop.rotations[:, None], corners)
+    return np.broadcast_to(placed, (count, *placed.shape[1:]))
+
+
+def _rgb(color: str) -> Array:
+    return np.array(list(bytes.fromhex(color[1:]))) / 255.0
+
+
+def reliability_colors(reliability: Array) -> Array:
+    """Return the colors of reliability in [0, 1] or NaN (unknown), shape (..., 3)."""
+    red_green_blue = np.stack([_rgb(color) for color in RELIABILITY]).T
+    colors = [np.interp(reliability, (0.0, 0.5, 1.0), c) for c in red_green_blue]
+    known = np.isfinite(reliability)[..., None]
+    return np.where(known, np.stack(colors, axis=-1), _rgb(UNKNOWN))

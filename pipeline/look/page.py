@@ -20,8 +20,8 @@ from kinefilter.pipeline.formats.files import atomic_path, check_folder
 from kinefilter.pipeline.metrics import even_differences
 
 from .comparison import METRICS, Comparison
+from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 from .metric_limits import Limit
-from .palette import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 
 _SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
 _MISSING = -(2**15)  # of the int16 that a position is written as
@@ -53,9 +53,19 @@ def write_report(
     Raises:
         InputError: The file cannot be written.
     """
-    page = _html(contents_of(comparison, limits))
+    contents = contents_of(comparison, limits)
+    page = _template("page.html").replace("@STYLE@", _template("page.css"))
+    page = page.replace("@SCRIPT@", "\n".join(map(_template, _SCRIPTS)))
+    # What comes from files is put in last, so that none of it is taken for a mark.
+    head, body = page.split("@TITLE@")
+    middle, end = body.split("@DATA@")
+    title = html.escape(f"kinefilter: {contents['source']}")
+    data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
+    for mark in "<>&":  # none may end the script element
+        data = data.replace(mark, f"\\u{ord(mark):04x}")
     with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="replace")
+        whole = head + title + middle + data + end
+        temporary.write_text(whole, encoding="utf-8", errors="replace")
 
 
 def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:
@@ -92,25 +102,15 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         "physics": _packed(_millimeters(clip.moved_by_physics), "<i2"),
         "contacts": _packed(clip.contacts, "u1"),
         "curves": [
-            _curve("speed, m/s", comparison, 1),
-            _curve("jitter, m/s³", comparison, 3),
+            {
+                "name": name,
+                "raw": _packed(_derivative(clip.time, comparison.raw, order), "<f4"),
+                "clean": _packed(_derivative(clip.time, clip.positions, order), "<f4"),
+            }
+            for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
         ],
         "metrics": _metrics(comparison, limits),
     }
-
-
-def _html(contents: dict[str, Any]) -> str:
-    """Return the HTML that shows contents; no name in them becomes markup."""
-    page = _template("page.html").replace("@STYLE@", _template("page.css"))
-    page = page.replace("@SCRIPT@", "\n".join(map(_template, _SCRIPTS)))
-    # What comes from files is put in last, so that none of it is taken for a mark.
-    head, body = page.split("@TITLE@")
-    middle, end = body.split("@DATA@")
-    title = html.escape(f"kinefilter: {contents['source']}")
-    data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
-    for mark in "<>&":  # none may end the script element
-        data = data.replace(mark, f"\\u{ord(mark):04x}")
-    return head + title + middle + data + end
 
 
 def _template(name: str) -> str:
@@ -129,16 +129,6 @@ def _millimeters(meters: Array) -> Array:
     return np.where(np.isfinite(meters), near, _MISSING)
 
 
-def _curve(name: str, comparison: Comparison, order: int) -> dict[str, Any]:
-    """Return the mean magnitude of a derivative of the joints, raw and clean."""
-    time, clean = comparison.clip.time, comparison.clip.positions
-    return {
-        "name": name,
-        "raw": _packed(_derivative(time, comparison.raw, order), "<f4"),
-        "clean": _packed(_derivative(time, clean, order), "<f4"),
-    }
-
-
 def _derivative(time: Array, positions: Array, order: int) -> Array:
     """Return the mean over joints of the magnitude of a difference over dt^order, (T,).
 
@@ -147,13 +137,9 @@ def _derivative(time: Array, positions: Array, order: int) -> Array:
     """
     values = np.full(len(time), np.nan)
     size, nominal = even_differences(time, positions, order)
-    known = ~np.isnan(size)
-    total = np.where(known, size, 0.0).sum(axis=1)
-    count = known.sum(axis=1)
-    first = order // 2  # the difference belongs to the frame in its middle
-    values[first : first + len(size)] = np.where(
-        count > 0, total / np.maximum(count, 1) / nominal**order, np.nan
-    )
+    known = ~np.isnan(size).all(axis=1)
+    middle = np.flatnonzero(known) + order // 2  # of the frames of each difference
+    values[middle] = np.nanmean(size[known], axis=1) / nominal**order
     return values
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import re
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -16,13 +17,13 @@ from kinefilter.pipeline.workers import cores, workers
 
 from .cameras import check_camera
 from .options import Look
-from .video_files import FASTEST_GIF, Coded, is_numbered, write_gif, write_mp4
+from .video_files import FASTEST_GIF, Coded, write_gif, write_mp4
 from .video_opengl import Backend, find_backend
-from .video_task import Composition, RenderTask
-from .video_worker import Parts, draw_parts
+from .video_task import Composition, Parts, RenderTask, draw_parts
 
 _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"
+_NUMBERED = re.compile(r"[^%]*%0?\d*d[^%]*")  # such as %05d.png
 _PART = 60  # frames: each part of a video begins with a keyframe, to which players jump
 _STRETCHES = 4
 """Stretches that each process draws, about. With fewer, one process is left with the
@@ -49,7 +50,6 @@ class _Job:
     task: RenderTask
     frames: int
     rate: float
-    fingerprint: str = ""
     futures: dict[Future[list[list[Coded]]], Parts] = field(default_factory=dict)
 
 
@@ -79,16 +79,26 @@ def render_clips(
             the only clip is wrong. Of several clips, those that are wrong are left out.
     """
     look = look or Look()
-    paths = _checked(clips, out, look)
+    if look.compare is not None and len(clips) > 1:
+        raise InputError("--compare is the take of one clip; draw them one at a time")
+    if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
+        raise InputError(
+            f"--size {look.size}: a video's width and height are even; add a pixel"
+        )
+    check_camera(look.camera)
+    paths = output_paths(clips, out)
     with ThreadPoolExecutor(1) as beside:  # drivers are slow to start
         asked = beside.submit(find_backend)
-        planned, failures = _planned(clips, paths, look)
+        planned, failures, written = [], [], []
+        for clip, path in zip(clips, paths, strict=True):
+            try:
+                planned.append(_planned(RenderTask(clip, path, look)))
+            except InputError as error:
+                failures.append(str(error))
         backend = asked.result()
     for job in planned:
         job.task = job.task.drawn_by(backend)
-        job.fingerprint = job.task.fingerprint()
     steps = iter(progress("draw", sum(job.frames for job in planned)))
-    written = []
     for job, failure in _drawn(planned, backend, jobs or cores(), steps):
         if failure is None:
             written.append(job.task.out)
@@ -114,7 +124,7 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
             f"{out}: unknown extension {out.suffix!r}; known: {', '.join(_EXTENSIONS)}"
         )
     numbered = out.suffix.lower() == ".png"
-    if numbered and not is_numbered(out.name):
+    if numbered and not _NUMBERED.fullmatch(out.name):
         raise InputError(
             f"{out}: pictures need a place for their number in their name, such as "
             f"{out.with_name(out.stem + '-%05d.png')}"
@@ -134,8 +144,13 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
             "of the same name one at a time"
         )
     for path in paths:
-        if numbered:
-            _make_folder(path.parent)
+        try:
+            if numbered:
+                path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
+            ) from error
         check_folder(path)
     return paths
 
@@ -152,45 +167,14 @@ def stretches(count: int, share: int) -> list[Parts]:
     return [tuple(parts[k : k + size]) for k in range(0, len(parts), size)]
 
 
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
+def _planned(task: RenderTask) -> _Job:
+    made = Composition(task)
+    if task.out.suffix.lower() == ".gif" and made.rate > FASTEST_GIF:
         raise InputError(
-            f"{folder}: cannot be made ({error.strerror}); write elsewhere"
-        ) from error
-
-
-def _checked(clips: Sequence[Path], out: Path, look: Look) -> list[Path]:
-    """Return the outputs; raise what is wrong with all clips before any work."""
-    if look.compare is not None and len(clips) > 1:
-        raise InputError("--compare is the take of one clip; draw them one at a time")
-    if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
-        raise InputError(
-            f"--size {look.size}: a video's width and height are even; add a pixel"
+            f"{task.clip}: a GIF has at most {FASTEST_GIF:g} frames a second, not "
+            f"{made.rate:g}; lower --fps or raise --every"
         )
-    check_camera(look.camera)
-    return output_paths(clips, out)
-
-
-def _planned(
-    clips: Sequence[Path], paths: Sequence[Path], look: Look
-) -> tuple[list[_Job], list[str]]:
-    """Return what is to be drawn, and messages for what cannot be."""
-    planned, failures = [], []
-    for clip, path in zip(clips, paths, strict=True):
-        task = RenderTask(clip, path, look)
-        try:
-            made = Composition(task)
-            if path.suffix.lower() == ".gif" and made.rate > FASTEST_GIF:
-                raise InputError(
-                    f"{clip}: a GIF has at most {FASTEST_GIF:g} frames a second, not "
-                    f"{made.rate:g}; lower --fps or raise --every"
-                )
-            planned.append(_Job(task, len(made), made.rate))
-        except InputError as error:
-            failures.append(str(error))
-    return planned, failures
+    return _Job(task, len(made.drawing.clip), made.rate)
 
 
 def _drawn(
@@ -204,7 +188,7 @@ def _drawn(
         try:
             for job in planned:
                 job.futures = {
-                    pool.submit(draw_parts, job.task, parts, job.fingerprint): parts
+                    pool.submit(draw_parts, job.task, parts): parts
                     for parts in stretches(job.frames, share)
                 }
             for job in planned:
@@ -224,14 +208,21 @@ def _drawn(
 
 def _finished(job: _Job, steps: Iterator[int]) -> str | None:
     """Write a job's file from its parts; return what went wrong."""
-    out, pixels, parts = job.task.out, job.task.look.pixels, _results(job, steps)
+    out, pixels = job.task.out, job.task.look.pixels
+
+    def drawn() -> Iterator[list[Coded]]:
+        for future, parts in job.futures.items():
+            yield from future.result()
+            for _ in range(sum(map(len, parts))):
+                next(steps, None)
+
     try:
         if out.suffix.lower() == ".mp4":
-            write_mp4(parts, out, pixels, job.rate)
+            write_mp4(drawn(), out, pixels, job.rate)
         elif out.suffix.lower() == ".gif":
-            write_gif(parts, out, pixels, job.rate)
+            write_gif(drawn(), out, pixels, job.rate)
         else:
-            list(parts)
+            deque(drawn(), maxlen=0)
     except BrokenProcessPool:
         raise
     except Exception as error:  # the other clips are drawn, whatever it is
@@ -241,10 +232,3 @@ def _finished(job: _Job, steps: Iterator[int]) -> str | None:
             return str(error)
         return f"{job.task.clip}: cannot be drawn ({type(error).__name__}: {error})"
     return None
-
-
-def _results(job: _Job, steps: Iterator[int]) -> Iterator[list[Coded]]:
-    for future, parts in job.futures.items():
-        yield from future.result()
-        for _ in range(sum(map(len, parts))):
-            next(steps, None)

@@ -6,12 +6,12 @@ parts from several processes follow one another in one file.
 
 from __future__ import annotations
 
-import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +34,8 @@ _X264 = {"preset": "veryfast", "crf": "18", "bf": "0", "threads": "1"}
 _LARGEST_RATE = 100_000  # denominator of a frame rate
 _HUNDREDTH = Fraction(1, 100)  # s, the time unit of a GIF
 _STEP = Fraction(1, 1000)  # s; filters want a time base but only use the order
-_PALETTE_SIDE = 16  # pixels: a palette is a picture of its 256 colors
 _HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
 _KEY = b"kinefilter\0"
-_NUMBER = re.compile(r"%0?\d*d")
 
 
 def encode_video(
@@ -67,15 +65,12 @@ def write_mp4(
     with _media_file(path, {"movflags": "+faststart"}) as file:
         stream = file.add_stream("libx264", rate=_fraction(rate))
         _x264(stream.codec_context, size, rate)
-        number = 0
-        for part in parts:
-            for data, keyframe in part:
-                packet: Any = av.Packet(data)
-                packet.stream, packet.time_base = stream, 1 / _fraction(rate)
-                packet.pts = packet.dts = number
-                packet.duration, packet.is_keyframe = 1, keyframe
-                file.mux(packet)
-                number += 1
+        for number, (data, keyframe) in enumerate(chain.from_iterable(parts)):
+            packet: Any = av.Packet(data)
+            packet.stream, packet.time_base = stream, 1 / _fraction(rate)
+            packet.pts = packet.dts = number
+            packet.duration, packet.is_keyframe = 1, keyframe
+            file.mux(packet)
 
 
 def write_gif(
@@ -87,12 +82,17 @@ def write_gif(
         InputError: The file cannot be written.
     """
     pictures = [data for part in parts for data, _ in part]
+    # One palette for all keeps a floor that does not change from flickering, and so
+    # does ordered dither: diffusing errors would change the whole floor in every frame.
+    (palette,) = _filtered(pictures, size, "palettegen", "reserve_transparent=0")
+    dither = "dither=bayer:bayer_scale=5"
+    shown = _filtered(pictures, size, "paletteuse", dither, palette)
     with _media_file(path, {"loop": "0"}) as file:
         stream = file.add_stream("gif", rate=_fraction(rate))
         stream.width, stream.height = size
         stream.pix_fmt = "pal8"
         stream.codec_context.time_base = _HUNDREDTH
-        for number, frame in enumerate(_with_palette(pictures, size)):
+        for number, frame in enumerate(shown):
             frame.pts = round(number / (_fraction(rate) * _HUNDREDTH))
             frame.time_base = _HUNDREDTH
             file.mux(stream.encode(frame))
@@ -109,16 +109,6 @@ def encode_png(picture: Pixels) -> bytes:
     codec.options = {"compression_level": "4", "pred": "up"}
     packets = codec.encode(_frame(picture, 0, codec.time_base)) + codec.encode(None)
     return b"".join(bytes(packet) for packet in packets)
-
-
-def is_numbered(name: str) -> bool:
-    """Tell whether a file's name has a place for a number, such as %05d."""
-    return len(_NUMBER.findall(name)) == 1 and name.count("%") == 1
-
-
-def frame_path(pattern: Path, number: int) -> Path:
-    """Return the file of a frame, by its number from 0."""
-    return pattern.with_name(pattern.name % number)
 
 
 def write_frame(picture: Pixels, path: Path, fingerprint: str) -> None:
@@ -196,55 +186,38 @@ def _media_file(path: Path, options: dict[str, str]) -> Iterator[Any]:
         ) from error
 
 
-def _with_palette(pictures: Sequence[bytes], size: tuple[int, int]) -> Iterator[Any]:
-    """Yield a frame of color indices for each PNG, all with the palette of all.
-
-    One palette keeps a floor that does not change from flickering.
-    """
+def _filtered(
+    pictures: Sequence[bytes],
+    size: tuple[int, int],
+    name: str,
+    options: str,
+    palette: Any = None,
+) -> Iterator[Any]:
+    """Yield what a filter makes of PNG pictures and, if it takes one, of a palette."""
     import av
 
-    graph = av.filter.Graph()
-    source, sink = _source(graph, size, "rgb24"), graph.add("buffersink")
-    count = graph.add("palettegen", "reserve_transparent=0")
-    source.link_to(count)
-    count.link_to(sink)
-    graph.configure()
-    (palette,) = _filtered(pictures, source, sink)
-    palette.pts, palette.time_base = 0, _STEP
-    graph = av.filter.Graph()
-    source, sink = _source(graph, size, "rgb24"), graph.add("buffersink")
-    colors = _source(graph, (_PALETTE_SIDE, _PALETTE_SIDE), "bgra")
-    # Ordered dither: diffusing errors would change the whole floor in every frame.
-    use = graph.add("paletteuse", "dither=bayer:bayer_scale=5")
-    source.link_to(use, 0, 0)
-    colors.link_to(use, 0, 1)
-    use.link_to(sink)
-    graph.configure()
-    colors.push(palette)
-    colors.push(None)
-    yield from _filtered(pictures, source, sink)
-
-
-def _source(graph: Any, size: tuple[int, int], layout: str) -> Any:
-    import av
-
+    graph: Any = av.filter.Graph()
+    node, sink = graph.add(name, options), graph.add("buffersink")
+    node.link_to(sink)
     width, height = size
-    return graph.add_buffer(
-        width=width, height=height, format=av.VideoFormat(layout), time_base=_STEP
-    )
-
-
-def _filtered(pictures: Sequence[bytes], source: Any, sink: Any) -> Iterator[Any]:
-    """Yield what a filter makes of PNG pictures."""
-    import av
-
+    layout = av.VideoFormat("rgb24")
+    source = graph.add_buffer(None, width, height, layout, time_base=_STEP)
+    source.link_to(node)
+    if palette is not None:
+        palette.pts, palette.time_base = 0, _STEP
+        colors = graph.add_buffer(palette, time_base=_STEP)
+        colors.link_to(node, 0, 1)
+    graph.configure()
+    if palette is not None:
+        colors.push(palette)
+        colors.push(None)
     for number, data in enumerate([*pictures, None]):
-        if data is None:
-            source.push(None)
-        else:
+        frame = None
+        if data is not None:
             codec: Any = av.CodecContext.create("png", "r")
             (frame,) = codec.decode(av.Packet(data)) + codec.decode(None)
-            source.push(_frame(frame.to_ndarray(format="rgb24"), number, _STEP))
+            frame = _frame(frame.to_ndarray(format="rgb24"), number, _STEP)
+        source.push(frame)
         while True:
             try:
                 yield sink.pull()

@@ -1,42 +1,35 @@
-"""A drawing as a MuJoCo model: skin, raw figure, props, floor and light.
+"""A drawing as a MuJoCo model (skin, raw figure, props, floor, light), drawn.
 
 Nothing is simulated: every segment and prop is a body that is put where the clip says.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Prop, Shape, Skeleton
+from kinefilter.characters import Body, Prop, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import matrix_from_wxyz
 
-from .drawing import Drawing
-from .figures import segment_poses, segment_starts, skin_triangles
+from .cameras import CameraPath
+from .drawing import Drawing, segment_starts, skin_triangles
+from .video_files import Pixels
 
-FLOOR_GROUP = 1
-"""Group of the geoms that a camera at rest sees the same in every frame."""
-
+_FLOOR_GROUP = 1  # of the geoms (stage.xml) that stay the same while the camera does
 _SKIN = (0.80, 0.76, 0.70)  # nearly gray: a figure inside keeps its colors
 _TRANSLUCENT = 0.35  # opacity of the skin where a figure is drawn inside it
 _JOINT, _BONE = 0.032, 0.012  # m, radii of the raw figure
 _BONE_COLOR = (0.25, 0.25, 0.28)
-_SKY = ((0.97, 0.98, 0.99), (0.80, 0.85, 0.91))  # at the horizon, overhead
-_TILES = ((0.80, 0.81, 0.82), (0.85, 0.86, 0.87))
-_LINES = (0.66, 0.67, 0.69)
-_TILES_A_METER = 1.0  # squares of half a meter, two of them a period of the texture
-_FACETS = (16, 8)  # around and along round shapes: more are slow and hardly visible
 _LIGHT_AWAY = 4.0  # m, above everything
 _LEAST_REACH = 1.5  # m from the middle of the clip that is lit
-_KINDS = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
-}
+_MORE_GEOMS = 100  # room for those that MuJoCo itself adds to the model's
+_STAGE = Path(__file__).with_name("stage.xml")  # sky, floor and fog
 
 
 class ClipModel:
@@ -55,35 +48,30 @@ class ClipModel:
         toward: Array,
         translucent: bool = False,
     ) -> None:
-        clip, spec = drawing.clip, mujoco.MjSpec()
+        clip, spec = drawing.clip, mujoco.MjSpec.from_file(str(_STAGE))
         spec.visual.global_.offwidth, spec.visual.global_.offheight = size
         spec.visual.quality.offsamples = samples
         spread = clip.positions - clip.root.mean(axis=0)
         spec.stat.extent = max(_LEAST_REACH, np.linalg.norm(spread, axis=-1).max())
         spec.stat.center = middle = to_mujoco(clip.root).mean(axis=0)
-        _add_floor_and_sky(spec)
         level = toward * [1.0, 0.0, 1.0]
         _add_light(spec, to_mujoco(level / np.linalg.norm(level)), middle)
         _add_character(spec, clip.body, _TRANSLUCENT if translucent else 1.0)
         for prop in clip.props:
             _add_prop(spec, prop)
         self._raw = drawing.figures.get("raw")
-        for name in figure_names(clip.skeleton) if self._raw is not None else ():
+        names = figure_names(clip.skeleton) if self._raw is not None else []
+        for name in names:
             spec.worldbody.add_geom(name=name, size=[0.01, 0.01, 0.01])
         self.model = model = spec.compile()
         self.data = mujoco.MjData(model)
-        poses = [segment_poses(clip)]
-        poses += [
-            (
-                np.broadcast_to(p.positions, (len(clip), 3))[:, None],
-                np.broadcast_to(p.rotations, (len(clip), 4))[:, None],
-            )
-            for p in clip.props
-        ]
-        self._positions = to_mujoco(np.concatenate([p for p, _ in poses], axis=1))
-        self._rotations = to_mujoco(np.concatenate([q for _, q in poses], axis=1))
+        count, positions = len(clip), clip.positions[:, segment_starts(clip.skeleton)]
+        places = [np.broadcast_to(p.positions, (count, 3))[:, None] for p in clip.props]
+        self._positions = to_mujoco(np.concatenate([positions, *places], axis=1))
+        others = [np.broadcast_to(p.rotations, (count, 4))[:, None] for p in clip.props]
+        self._rotations = to_mujoco(np.concatenate([clip.rotations, *others], axis=1))
         if self._raw is not None:
-            ids = [model.geom(name).id for name in figure_names(clip.skeleton)]
+            ids = [model.geom(name).id for name in names]
             self._joints, self._bones = np.split(np.array(ids), [len(clip.skeleton)])
             model.geom_type[self._bones] = mujoco.mjtGeom.mjGEOM_CAPSULE
             model.geom_size[self._joints] = _JOINT
@@ -109,55 +97,92 @@ class ClipModel:
         data.geom_xmat[self._bones] = turned.reshape(-1, 9)
 
 
+class OffscreenRenderer:
+    """Draws one frame after another; floor and sky only once if the camera stays.
+
+    Without a GPU, filling floor and sky is most of the work. A picture of the rest
+    alone, put before them where it is nearer, is the same to the pixel.
+    With shadows, everything is drawn in every frame.
+    """
+
+    def __init__(
+        self, clip_model: ClipModel, camera: CameraPath, *, shadows: bool = False
+    ) -> None:
+        model = clip_model.model
+        self._clip_model, self._path = clip_model, camera
+        width, height = model.vis.global_.offwidth, model.vis.global_.offheight
+        self._context = mujoco.GLContext(width, height)
+        self._context.make_current()
+        self._buffer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._buffer)
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+        self._view = mujoco.MjvScene(model, maxgeom=model.ngeom + _MORE_GEOMS)
+        flags = self._view.flags
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+        flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
+        self._camera = mujoco.MjvCamera()
+        model.vis.global_.fovy = camera.fov
+        opaque = bool((model.skin_rgba[:, 3] == 1.0).all())
+        samples = model.vis.quality.offsamples
+        self._background: tuple[Pixels, NDArray[np.float32]] | None = None
+        if camera.stays and opaque and not (shadows or samples):
+            self._pose(0)
+            self._background = self._draw(floor=True, rest=False)
+
+    def render(self, frame: int) -> Pixels:
+        """Return the picture of a frame, shape (height, width, 3)."""
+        self._context.make_current()
+        self._pose(frame)
+        if self._background is None:
+            return self._draw(floor=True, rest=True)[0][::-1]
+        behind, depths = self._background
+        pixels, depth = self._draw(floor=False, rest=True)
+        nearer = depth < depths
+        picture = behind.copy()
+        picture[nearer] = pixels[nearer]
+        return picture[::-1]
+
+    def close(self) -> None:
+        """Release what OpenGL holds."""
+        self._buffer.free()
+        self._context.free()
+
+    def _pose(self, frame: int) -> None:
+        self._clip_model.pose(frame)
+        position, target = (to_mujoco(p) for p in self._path.at(frame))
+        toward = target - position
+        self._camera.lookat[:] = target
+        self._camera.distance = float(np.linalg.norm(toward))
+        self._camera.azimuth = float(np.degrees(np.arctan2(toward[1], toward[0])))
+        level = float(np.hypot(toward[0], toward[1]))
+        self._camera.elevation = float(np.degrees(np.arctan2(toward[2], level)))
+
+    def _draw(self, *, floor: bool, rest: bool) -> tuple[Pixels, NDArray[np.float32]]:
+        """Return colors and, of floor or rest alone, depths, the lowest row first."""
+        options: Any = mujoco.MjvOption()
+        options.geomgroup[:] = rest
+        options.geomgroup[_FLOOR_GROUP] = floor
+        options.skingroup[:] = rest
+        self._view.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = floor
+        model, data, view = self._clip_model.model, self._clip_model.data, self._view
+        # Without this the scene's light and floor follow the camera of before.
+        mujoco.mjv_updateCamera(model, data, self._camera, view)
+        what = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(model, data, options, None, self._camera, what, view)
+        mujoco.mjr_render(self._rect, view, self._buffer)
+        shape = (self._rect.height, self._rect.width)
+        pixels = np.empty((*shape, 3), dtype=np.uint8)
+        depth = np.empty(shape, dtype=np.float32)
+        asked = None if floor and rest else depth
+        mujoco.mjr_readPixels(pixels, asked, self._rect, self._buffer)
+        return pixels, depth
+
+
 def figure_names(skeleton: Skeleton) -> list[str]:
     """Return the names of the raw figure's geoms: the joints, then the bones."""
     joints = [f"joint:{joint}" for joint in skeleton.joints]
     return joints + [f"bone:{skeleton.joints[j]}" for j in skeleton.segments]
-
-
-def _add_floor_and_sky(spec: mujoco.MjSpec) -> None:
-    horizon, overhead = _SKY
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=horizon,
-        rgb2=overhead,
-        width=128,
-        height=128,
-    )
-    spec.add_texture(
-        name="tiles",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=_TILES[0],
-        rgb2=_TILES[1],
-        markrgb=_LINES,
-        width=512,
-        height=512,
-    )
-    tiles = spec.add_material(
-        name="tiles", texuniform=True, texrepeat=[_TILES_A_METER] * 2, specular=0.0
-    )
-    tiles.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],
-        material="tiles",
-        group=FLOOR_GROUP,
-    )
-    visual = spec.visual
-    visual.headlight.ambient = [0.42] * 3
-    visual.headlight.diffuse = [0.30] * 3
-    visual.headlight.specular = [0.0] * 3
-    visual.map.znear, visual.map.zfar = 0.02, 60.0  # of the extent
-    visual.map.fogstart, visual.map.fogend = 4.0, 14.0
-    visual.map.shadowclip = 1.5
-    visual.quality.shadowsize = 4096
-    visual.quality.numslices, visual.quality.numstacks = _FACETS
-    visual.rgba.fog = visual.rgba.haze = [*horizon, 1.0]
 
 
 def _add_light(spec: mujoco.MjSpec, front: Array, middle: Array) -> None:
@@ -202,7 +227,7 @@ def _add_prop(spec: mujoco.MjSpec, prop: Prop) -> None:
     body = spec.worldbody.add_body(name=f"prop:{prop.name}", mocap=True)
     for k, shape in enumerate(prop.shapes):
         geom = body.add_geom(
-            type=_KINDS[shape.kind],
+            type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}"),
             pos=to_mujoco(shape.position),
             quat=to_mujoco(shape.rotation),
             rgba=[*shape.color, 1.0],
@@ -215,12 +240,7 @@ def _add_prop(spec: mujoco.MjSpec, prop: Prop) -> None:
             # It may be open.
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         else:
-            geom.size = _mujoco_size(shape)
-
-
-def _mujoco_size(shape: Shape) -> Array:
-    """Return the size as MuJoCo has it: of round shapes radius, then half height."""
-    depth, width, height = to_mujoco(shape.size)
-    if shape.kind in ("cylinder", "capsule"):
-        return np.array([width, height, 0.0])
-    return np.array([depth, width, height])
+            depth, width, height = to_mujoco(shape.size)
+            if shape.kind in ("cylinder", "capsule"):  # radius, then half height
+                depth, width, height = width, height, 0.0
+            geom.size = [depth, width, height]

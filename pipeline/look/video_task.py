@@ -1,27 +1,48 @@
-"""A clip to draw, and what is in each of its pictures; without OpenGL."""
+"""A clip to draw, what is in each of its pictures, and a process that draws them.
+
+MuJoCo is imported only where something is drawn: it then chooses its OpenGL, which only
+processes that draw may have.
+"""
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import json
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, Prop
-from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.resample import resampled
 from kinefilter.pipeline.settings import hash_of
 from kinefilter.pipeline.target.floor import place_of
+from kinefilter.pipeline.workers import given_up
 
-from .cameras import CameraPath, axes_toward, camera_path
-from .drawing import Drawing, offset_beside, read_finite_clip
-from .figures import corners_around, corners_of
+from .cameras import axes_toward, camera_path
+from .comparison import raw_positions
+from .drawing import CORNERS, Drawing, corners_of, offset_beside, read_finite_clip
 from .options import Look
-from .placing import raw_positions
+from .video_files import (
+    Coded,
+    Pixels,
+    encode_png,
+    encode_video,
+    is_drawn,
+    write_frame,
+)
 from .video_opengl import Backend
+
+if TYPE_CHECKING:
+    from .video_model import OffscreenRenderer
+
+Parts = tuple[range, ...]
+"""Frames of a clip in parts, counted from the first that is drawn."""
 
 _SKIN = 0.13  # m from a joint to the skin, at most: the head's, about
 _GPU_SAMPLES = 4  # edges are smooth, and a GPU is hardly slower
@@ -39,13 +60,14 @@ class RenderTask:
     """A video, a GIF, or pictures with their number in the name (``%05d.png``)."""
     look: Look
     """How it is drawn."""
-    renderer: str = ""
-    """The OpenGL that draws."""
+    fingerprint: str = ""
+    """Hash of all that decides the pictures, once the backend is known."""
 
     def drawn_by(self, backend: Backend) -> RenderTask:
-        """Return the task with the options that the look leaves to the backend.
+        """Return the task with its fingerprint and the options left to the backend.
 
-        Without a GPU, shadows and samples multiply the time.
+        Without a GPU, shadows and samples multiply the time. In the fingerprint, files
+        count by their content; those that a scene includes do not count.
         """
         soft, look = backend.software, self.look
         samples = 0 if soft else _GPU_SAMPLES
@@ -54,27 +76,17 @@ class RenderTask:
             shadows=look.shadows or not soft,
             samples=samples if look.samples is None else look.samples,
         )
-        return replace(self, look=look, renderer=str(backend))
-
-    def fingerprint(self) -> str:
-        """Return a hash of all that decides the pictures.
-
-        Files count by their content; those that a scene includes do not count.
-        """
-        look = self.look
         named = (look.compare or "", look.camera, look.scene or "")
+        files = (self.clip, *map(Path, named))
         known = {
             **asdict(look),
-            "renderer": self.renderer,
+            "renderer": str(backend),
             "kinefilter": version("kinefilter"),
-            "files": [
-                hash_of(file)
-                for file in (self.clip, *map(Path, named))
-                if file.is_file()
-            ],
+            "files": [hash_of(file) for file in files if file.is_file()],
         }
         text = json.dumps(known, sort_keys=True, default=str)
-        return hashlib.sha256(text.encode()).hexdigest()[:32]
+        fingerprint = hashlib.sha256(text.encode()).hexdigest()[:32]
+        return replace(self, look=look, fingerprint=fingerprint)
 
 
 class Composition:
@@ -86,43 +98,31 @@ class Composition:
 
     def __init__(self, task: RenderTask) -> None:
         look, whole = task.look, read_finite_clip(task.clip)
-        self._look = look
         clip, self.rate = shown_frames(whole, look)
         """Frames a second [1/s]."""
         if look.scene is not None:
             clip = replace(clip, props=props_around(whole, clip.props, look.scene))
-        raw = None
+        width, height = look.pixels
+        seen_by = partial(
+            camera_path, look.camera, clip, aspect=width / height, rate=self.rate
+        )
+        joints, raw = clip.positions, None
+        cubes = joints[:, :, None] + _SKIN * CORNERS
+        points = [cubes.reshape(len(clip), -1, 3)]
+        points += [corners_of(prop, len(clip)) for prop in clip.props]
         if look.compare is not None:
             raw = raw_positions(look.compare, whole, clip.time)
             if look.place == "beside":
-                right, _ = axes_toward(self._camera(clip, clip.positions).toward)
-                raw = raw + offset_beside(clip.positions, -right, 2.0 * _SKIN)
-        self.drawing = Drawing(clip, raw)
-        """The frames that are drawn."""
-        self.camera = self._camera(clip, self._points())
-        """Where everything is seen from."""
-
-    def __len__(self) -> int:
-        return len(self.drawing.clip)
-
-    def _camera(self, clip: Clip, points: Array) -> CameraPath:
-        width, height = self._look.pixels
-        return camera_path(
-            self._look.camera, clip, points, aspect=width / height, rate=self.rate
-        )
-
-    def _points(self) -> Array:
-        """Return points [m] that are to be in the picture, shape (T, N, 3)."""
-        clip, raw = self.drawing.clip, self.drawing.raw
-        joints = clip.positions
-        points = [corners_around(joints, _SKIN)]
-        if raw is not None:
+                right, _ = axes_toward(seen_by(joints).toward)
+                raw = raw + offset_beside(joints, -right, 2.0 * _SKIN)
             # Raw joints that leap away or are missing count where the character is.
             place = joints + np.nanmedian(raw - joints, axis=(0, 1))
             near = np.linalg.norm(raw - place, axis=-1) < _ASTRAY
             points.append(np.where(near[..., None], raw, place))
-        points += [corners_of(prop, len(joints)) for prop in clip.props]
-        return np.concatenate(points, axis=1)
+        self.drawing = Drawing(clip, raw)
+        """The frames that are drawn."""
+        self.camera = seen_by(np.concatenate(points, axis=1))
+        """Where everything is seen from."""
 
 
 def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
@@ -169,3 +169,63 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     known = {prop.name for prop in props}
     others = things.props(place_of(clip.positions, clip.skeleton))
     return props + tuple(prop for prop in others if prop.name not in known)
+
+
+def draw_parts(task: RenderTask, parts: Parts) -> list[list[Coded]]:
+    """Draw some frames of a task.
+
+    Numbered pictures are written; pictures of a video or a GIF are returned.
+
+    Raises:
+        InputError: The task cannot be drawn, or a picture cannot be written.
+    """
+    out, suffix = task.out, task.out.suffix.lower()
+    if suffix == ".png":
+        paths = {n: out.with_name(out.name % n) for part in parts for n in part}
+        made = task.fingerprint
+        missing = {n: path for n, path in paths.items() if not is_drawn(path, made)}
+        drawn = zip(_pictures(task, missing), missing.values(), strict=True)
+        for picture, path in drawn:
+            write_frame(picture, path, made)
+        return [[] for _ in parts]
+    if suffix == ".gif":
+        return [[(encode_png(p), True) for p in _pictures(task, k)] for k in parts]
+    rate = _opened(task)[0].rate
+    return [encode_video(_pictures(task, k), task.look.pixels, rate) for k in parts]
+
+
+def _pictures(task: RenderTask, numbers: Iterable[int]) -> Iterator[Pixels]:
+    for number in numbers:
+        if given_up():
+            raise InputError(f"{task.clip}: interrupted")
+        yield _opened(task)[1].render(number)
+
+
+# The task at hand, kept ready: the next part is often of the same.
+_open: list[tuple[RenderTask, Composition, OffscreenRenderer]] = []
+
+
+def _opened(task: RenderTask) -> tuple[Composition, OffscreenRenderer]:
+    """Return the task ready to be drawn; the one before it is closed."""
+    if not _open or _open[0][0] != task:
+        from .video_model import ClipModel, OffscreenRenderer
+
+        _close()
+        made = Composition(task)
+        model = ClipModel(
+            made.drawing,
+            size=task.look.pixels,
+            samples=task.look.samples or 0,
+            toward=made.camera.toward,
+            translucent=made.drawing.raw is not None and task.look.place == "over",
+        )
+        renderer = OffscreenRenderer(model, made.camera, shadows=task.look.shadows)
+        _open.append((task, made, renderer))
+    return _open[0][1:]
+
+
+@atexit.register
+def _close() -> None:
+    """Release what OpenGL holds: after Python's shutdown that is too late."""
+    while _open:
+        _open.pop()[2].close()

@@ -15,14 +15,14 @@ import numpy as np
 import viser
 
 from kinefilter.characters import Clip, InputError, Term
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import write_contacts
 from kinefilter.pipeline.progress import Progress
 
-from .contact_editing import PARTS, ContactEdits, Timeline
+from .contact_editing import PARTS, ContactEdits, timeline_html
 from .drawing import Drawing
-from .playback import Playback
 from .viewer_scene import ViewerScene
-from .viewer_server import address_of, opened_server
+from .viewer_server import opened_server
 
 CleanAgain = Callable[[Path, Progress], Drawing]
 """Cleans the take once more, with the contacts of a file."""
@@ -34,6 +34,59 @@ _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 _BESIDE = "raw beside"  # checkbox: the raw take stands beside the character
 _SHADOWS = "shadows"  # checkbox: they are half of the work where no GPU draws
 _PROGRESS_EVERY = 0.1  # s between two reports of progress
+_SHORTEST = 1.0 / 60.0  # s between two pictures: screens show no more
+
+
+class Playback:
+    """A place in a motion, at rest or ``playing`` with a clock; the end leads back."""
+
+    def __init__(self, time: Array) -> None:
+        steps = np.diff(time)
+        step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        self._starts = time - time[0]
+        self._ends = np.append(self._starts[1:], self._starts[-1] + step)
+        self._frame, self._speed, self.playing = 0, 1.0, False
+        self._began = 0.0  # clock at which frame 0 was or would be, while it plays
+
+    def frame(self, clock: float) -> int:
+        """Return the frame that is shown at a time of the clock [s]."""
+        if not self.playing:
+            return self._frame
+        return int(np.searchsorted(self._ends[:-1], self._now(clock), side="right"))
+
+    def play(self, clock: float) -> None:
+        """Go on from the present frame, or from the first if it is the last."""
+        if not self.playing:
+            last = self._frame == len(self._starts) - 1
+            self._start(0 if last else self._frame, clock)
+
+    def pause(self, clock: float) -> None:
+        """Stay at the present frame."""
+        self.seek(self.frame(clock))
+
+    def seek(self, frame: int) -> None:
+        """Stay at a frame, or at the nearest there is."""
+        self._frame = min(max(frame, 0), len(self._starts) - 1)
+        self.playing = False
+
+    def change_speed(self, speed: float, clock: float) -> None:
+        """Play ``speed`` times as fast from now on."""
+        frame, self._speed = self.frame(clock), speed
+        if self.playing:
+            self._start(frame, clock)
+
+    def until_next(self, clock: float) -> float | None:
+        """Return how long [s] the present picture stays; None at rest."""
+        if not self.playing:
+            return None
+        left = self._ends[self.frame(clock)] - self._now(clock)
+        return max(float(left) / self._speed, _SHORTEST)
+
+    def _now(self, clock: float) -> float:
+        return (clock - self._began) * self._speed % float(self._ends[-1])
+
+    def _start(self, frame: int, clock: float) -> None:
+        self._began, self.playing = clock - self._starts[frame] / self._speed, True
 
 
 class Viewer:
@@ -62,7 +115,10 @@ class Viewer:
     @property
     def address(self) -> str:
         """What a browser opens."""
-        return address_of(self._server)
+        host = self._server.get_host()
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+        name = f"[{host}]" if ":" in host else host
+        return f"http://{name}:{self._server.get_port()}"
 
     def run(self) -> None:
         """Do what the page asks for, until ``stop``."""
@@ -92,7 +148,7 @@ class Viewer:
         gui.main_panel.dock_right()
         last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
         self._status = gui.add_html("")
-        self._frame = gui.add_slider("frame", 1, last, 1, 1)
+        self._frame: Any = gui.add_slider("frame", 1, last, 1, 1)
         self._on(self._frame.on_update, lambda k: self._playback.seek(int(k) - 1))
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="key K")
         self._on(self._play.on_click, self._play_or_pause)
@@ -112,7 +168,7 @@ class Viewer:
         )
         with gui.add_folder("Foot contacts"):
             self._picture = gui.add_html("")
-            self._span = gui.add_multi_slider("frames", 1, last, 1, (1, last))
+            self._span: Any = gui.add_multi_slider("frames", 1, last, 1, (1, last))
             self._on(self._span.on_update, lambda _: None)  # draws the timeline again
             ends = gui.add_button_group("set", ("from here", "to here", "all"))
             self._on(ends.on_click, self._set_end)
@@ -125,7 +181,7 @@ class Viewer:
             )
             self._on(again.on_click, self._clean_again)
             self._said = gui.add_html("")
-            self._busy = gui.add_progress_bar(0.0, visible=False, animated=True)
+            self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
         with gui.add_folder("Show"):
             layers = drawing.layers
             beside = {_BESIDE: True} if "raw" in layers else {}
@@ -146,20 +202,20 @@ class Viewer:
     def _look_at(self, drawing: Drawing) -> None:
         self._clip = drawing.clip
         with self._server.atomic():
-            self._scene = ViewerScene(self._server, drawing, self._edits.contacts)
-        self._timeline = Timeline(self._edits.contacts)
+            self._scene = ViewerScene(self._server, drawing, self._edits)
         self._choose()
 
     def _show(self) -> None:
-        """Draw the present frame."""
         frame = self._playback.frame(perf_counter())
         playing = self._playback.playing
         with self._server.atomic():
             self._scene.show(frame)
             if self._asked.empty():  # or a slider that is being pulled would jump back
-                _put(self._frame, frame + 1)
+                self._frame.value = frame + 1
             self._status.content = status_html(self._clip, frame)
-            self._picture.content = self._timeline.html(frame, self._first_and_last)
+            self._picture.content = timeline_html(
+                self._edits.contacts, frame, self._first_and_last
+            )
             self._play.label = "Pause" if playing else "Play"
             icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
             if self._play.icon != icon:
@@ -186,13 +242,13 @@ class Viewer:
         """Let the frames to edit begin or end at the present one."""
         first, last = self._first_and_last
         here = self._playback.frame(perf_counter())
-        spans = {
-            "from here": (here, max(here, last)),
-            "to here": (min(first, here), here),
-            "all": (0, len(self._clip) - 1),
-        }
-        first, last = spans[which]
-        _put(self._span, (first + 1, last + 1))
+        if which == "from here":
+            first, last = here, max(here, last)
+        elif which == "to here":
+            first, last = min(first, here), here
+        else:
+            first, last = 0, len(self._clip) - 1
+        self._span.value = (first + 1, last + 1)
 
     def _edit(self, button: str) -> None:
         """Change the contacts, or take the last change back."""
@@ -202,8 +258,6 @@ class Viewer:
         else:
             first, last = self._first_and_last
             edits.put(self._part.value, first, last, stands=button == "stands")
-        self._scene.contacts = edits.contacts
-        self._timeline = Timeline(edits.contacts)
         self._say("not saved" if edits.unsaved else "")
 
     def _save_contacts(self, _: object = None) -> bool:
@@ -242,7 +296,7 @@ class Viewer:
         for step in range(count):
             if perf_counter() - shown > _PROGRESS_EVERY:
                 self._busy.visible = True
-                _put(self._busy, 100.0 * step / count)
+                self._busy.value = 100.0 * step / count
                 shown = perf_counter()
             yield step
 
@@ -300,8 +354,3 @@ def opened_viewer(
     """
     with opened_server(bind, port) as server:
         yield Viewer(server, drawing, save, again)
-
-
-def _put(widget: Any, value: object) -> None:
-    """Set a widget's value, which viser declares as constant for mypy."""
-    widget.value = value

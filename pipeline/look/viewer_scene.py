@@ -16,20 +16,28 @@ from kinefilter.characters.rotations import IDENTITY
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_path
-from .drawing import Drawing
-from .figures import StickFigure, segment_poses, segment_starts, skin_triangles
+from .contact_editing import ContactEdits
+from .drawing import (
+    Color,
+    Drawing,
+    StickFigure,
+    left_of,
+    segment_starts,
+    skin_triangles,
+)
 
 Update = Callable[[int], None]
 """Puts something where it is in a frame."""
 
 _JOINT, _BONE = 0.026, 0.011  # m, radii of stick figures
-_BONE_COLOR = (0.32, 0.33, 0.37)
-_SKIN = (0.84, 0.80, 0.75)  # nearly gray: a figure inside keeps its colors
+_BONE_COLOR = (82, 84, 94)
+_SKIN = (214, 204, 191)  # nearly gray: a figure inside keeps its colors
 _TRANSLUCENT = 0.4  # opacity of the skin where a figure is inside it
 _DISK, _THICK = 0.055, 0.006  # m, radius and height of what marks a standing foot
-_STANDS = (0.0, 100 / 255, 36 / 255)
+_STANDS = (0, 100, 36)
 _BAR = 0.025  # m, radius of the bar, which is as high as a force of 1 body weight per m
-_FORCE = (214 / 255, 92 / 255, 60 / 255)
+_ASIDE = 0.55  # m from the pelvis to the bar
+_FORCE = (214, 92, 60)
 _LEAST_FORCE = 0.01  # body weights: a shorter bar could not be seen
 _ASPECT = 1.0  # of the scene beside the panel, or more: there is room for a label
 _FRAMES = 1000  # at least, of a long motion, that the first view is to hold
@@ -37,29 +45,26 @@ _ROOM = 0.15  # m between a joint and the skin's farthest point
 _SKY = ((0.80, 0.86, 0.92), (0.97, 0.98, 0.99))  # overhead, at the horizon
 _SKY_ROWS = 64
 _FLOOR = 12.0  # m, the side of what catches shadows
+_UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * [[1.0], [1.0], [-1.0], [1.0]]  # from z to y
 
 
 class ViewerScene:
-    """Everything that is drawn, in layers (Drawing.layers) that are shown or hidden.
-
-    ``contacts`` (T, 4) are those that are being edited.
-    """
+    """Everything that is drawn, in layers (Drawing.layers) that are shown or hidden."""
 
     def __init__(
-        self, server: viser.ViserServer, drawing: Drawing, contacts: NDArray[np.bool_]
+        self, server: viser.ViserServer, drawing: Drawing, edits: ContactEdits
     ) -> None:
         scene = server.scene
         scene.reset()
-        self.contacts = contacts
         self._offset = drawing.raw_offset
         self._sun = _set_stage(server, drawing.clip, self._offset)
         self._skin, update = _add_skin(scene, drawing.clip)
         self._layers: dict[str, tuple[Any, Update]] = {"skin": (self._skin, update)}
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
-        self._layers["contacts"] = self._add_contacts(scene, drawing.clip)
+        self._layers["contacts"] = _add_contacts(scene, drawing.clip, edits)
         if drawing.simulated:
-            self._layers["forces"] = _add_force(scene, drawing)
+            self._layers["forces"] = _add_force(scene, drawing.clip)
         if drawing.clip.props:
             self._layers["things"] = _add_props(scene, drawing.clip)
         self._shown = set(self._layers)
@@ -81,19 +86,22 @@ class ViewerScene:
         for name in self._shown:
             self._layers[name][1](frame)
 
-    def _add_contacts(self, scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
-        """Add a disk on the floor under every heel and toe that stands."""
-        feet = ankles_and_toes(clip.skeleton)
-        parts = [j for pair in zip(*feet, strict=True) for j in pair]
-        places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
-        disk = _cylinder(_DISK, _THICK, sections=32)
-        disks = _add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
 
-        def update(frame: int) -> None:
-            disks.batched_positions = _float32(places[frame])
-            disks.batched_scales = _sizes(self.contacts[frame])
+def _add_contacts(
+    scene: viser.SceneApi, clip: Clip, edits: ContactEdits
+) -> tuple[Any, Update]:
+    """Add a disk on the floor under every heel and toe that stands."""
+    feet = ankles_and_toes(clip.skeleton)
+    parts = [j for pair in zip(*feet, strict=True) for j in pair]
+    places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
+    disk = _cylinder(_DISK, _THICK, sections=32)
+    disks = _add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
 
-        return disks, update
+    def update(frame: int) -> None:
+        disks.batched_positions = places[frame]
+        disks.batched_scales = edits.contacts[frame][:, None].repeat(3, axis=1)
+
+    return disks, update
 
 
 def _add_sticks(
@@ -110,14 +118,11 @@ def _add_sticks(
 
     def update(frame: int) -> None:
         now = figure.at(frame)
-        joints.batched_positions = _float32(now.joints)
-        joints.batched_scales = _sizes(now.joint_there)
-        bones.batched_positions = _float32(now.centers)
-        bones.batched_wxyzs = _float32(now.rotations)
+        joints.batched_positions = now.joints
+        joints.batched_scales = now.joint_there[:, None].repeat(3, axis=1)
+        bones.batched_positions, bones.batched_wxyzs = now.centers, now.rotations
         there = now.bone_there
-        bones.batched_scales = _float32(
-            np.stack([there, there * now.lengths, there], axis=1)
-        )
+        bones.batched_scales = np.stack([there, there * now.lengths, there], axis=1)
         if now.joint_colors is not None:
             joints.batched_colors = _bytes(now.joint_colors)
 
@@ -126,6 +131,7 @@ def _add_sticks(
 
 def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     body, joints = clip.body, len(clip.skeleton)
+    starts = segment_starts(clip.skeleton)
     skin, triangles = skin_triangles(body)
     weights = np.zeros((len(skin.points), joints))
     np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
@@ -134,11 +140,11 @@ def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
         skin.points,
         triangles,
         bone_wxyzs=np.tile(IDENTITY, (joints, 1)),
-        bone_positions=body.rest_positions[segment_starts(clip.skeleton)],
+        bone_positions=body.rest_positions[starts],
         skin_weights=weights,
-        color=_color(_SKIN),
+        color=_SKIN,
     )
-    positions, rotations = segment_poses(clip)
+    positions, rotations = clip.positions[:, starts], clip.rotations
 
     def update(frame: int) -> None:
         for joint, bone in enumerate(mesh.bones):
@@ -159,7 +165,7 @@ def _add_props(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
                 f"/things/{n}/{k}",
                 mesh.vertices,
                 mesh.faces,
-                color=_color(shape.color),
+                color=tuple(_bytes(shape.color).tolist()),
                 flat_shading=shape.kind in ("box", "mesh"),
                 position=shape.position,
                 wxyz=shape.rotation,
@@ -173,19 +179,17 @@ def _add_props(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     return group, update
 
 
-def _add_force(scene: viser.SceneApi, drawing: Drawing) -> tuple[Any, Update]:
+def _add_force(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     """Add a bar beside the character, as high as the external force is large."""
     mesh = _cylinder(_BAR, 1.0, sections=24)
     mesh.apply_translation([0.0, 0.5, 0.0])
     group = scene.add_frame("/force", show_axes=False)
-    bar = scene.add_mesh_simple(
-        "/force/bar", mesh.vertices, mesh.faces, color=_color(_FORCE)
-    )
+    bar = scene.add_mesh_simple("/force/bar", mesh.vertices, mesh.faces, color=_FORCE)
     label = scene.add_label("/force/label", "", anchor="bottom-center")
-    places = drawing.force_places
+    places = clip.root * [1.0, 0.0, 1.0] + _ASIDE * left_of(clip)
 
     def update(frame: int) -> None:
-        force = float(np.nan_to_num(drawing.clip.external_force[frame]))
+        force = float(np.nan_to_num(clip.external_force[frame]))
         height = max(force, _LEAST_FORCE)
         group.position = places[frame]
         bar.scale = (1.0, height, 1.0)
@@ -246,11 +250,11 @@ def _add_batch(
     name: str,
     mesh: trimesh.Trimesh,
     count: int,
-    color: tuple[float, float, float],
+    color: Color,
     *,
     shadow: bool = True,
-) -> viser.BatchedMeshHandle:
-    """Add many copies of a mesh, hidden until they have a place."""
+) -> Any:
+    """Add copies of a mesh, hidden until they have a place; viser casts arrays."""
     return scene.add_batched_meshes_simple(
         name,
         mesh.vertices,
@@ -258,7 +262,7 @@ def _add_batch(
         batched_wxyzs=np.tile(IDENTITY, (count, 1)),
         batched_positions=np.zeros((count, 3)),
         batched_scales=np.zeros((count, 3)),
-        batched_colors=_bytes(np.tile(color, (count, 1))),
+        batched_colors=np.full((count, 3), color, dtype=np.uint8),
         cast_shadow=shadow,
         lod="off",
     )
@@ -276,7 +280,7 @@ def _surface(shape: Shape) -> trimesh.Trimesh:
         mesh = trimesh.creation.icosphere(subdivisions=3)
         mesh.vertices = mesh.vertices * shape.size
     elif shape.kind == "capsule":
-        mesh = _upright(trimesh.creation.capsule(radius=radius, height=2.0 * half))
+        mesh = trimesh.creation.capsule(2.0 * half, radius, transform=_UPRIGHT)
     else:
         mesh = _cylinder(radius, 2.0 * half, sections=32)
     return mesh
@@ -284,32 +288,9 @@ def _surface(shape: Shape) -> trimesh.Trimesh:
 
 def _cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
     """Return a cylinder about the y axis [m], centered."""
-    return _upright(
-        trimesh.creation.cylinder(radius=radius, height=height, sections=sections)
-    )
-
-
-def _upright(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Turn a mesh that is round about z so that it is round about y."""
-    turn = np.eye(4)
-    turn[:3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
-    mesh.apply_transform(turn)
-    return mesh
-
-
-def _sizes(there: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the scales of copies that are there (1) or not (0), shape (N, 3)."""
-    return np.repeat(there[:, None], 3, axis=1).astype(np.float32)
-
-
-def _float32(values: Array) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
+    make: Callable[..., trimesh.Trimesh] = trimesh.creation.cylinder
+    return make(radius, height, sections, transform=_UPRIGHT)
 
 
 def _bytes(colors: Any) -> NDArray[np.uint8]:
     return np.rint(np.asarray(colors) * 255.0).astype(np.uint8)
-
-
-def _color(color: Any) -> tuple[int, int, int]:
-    red, green, blue = _bytes(color).tolist()
-    return red, green, blue

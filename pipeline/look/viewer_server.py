@@ -77,14 +77,6 @@ def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
         console.quiet = quiet
 
 
-def address_of(server: viser.ViserServer) -> str:
-    """Return the address that a browser opens."""
-    host = server.get_host()
-    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-    name = f"[{host}]" if ":" in host else host
-    return f"http://{name}:{server.get_port()}"
-
-
 def may_connect(origin: str | None, host: str | None, *, loopback: bool) -> bool:
     """Tell whether a page from an origin may talk to the host that it names."""
     if origin is None or host is None:
