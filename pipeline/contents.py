@@ -63,10 +63,8 @@ def contents_of(
     """Return what a file holds, ready for ``json.dump``.
 
     Always ``file``, ``kind`` and ``format``; for takes ``unit``, ``notes`` and
-    ``bodies``, for others what there is to say. ``format`` is one of ``read_take``'s.
-
-    Raises:
-        InputError: The file is missing, malformed or of no known kind.
+    ``bodies``. ``format`` is one of ``read_take``'s. Raises InputError if the file is
+    missing, malformed or of no known kind.
     """
     file, name = check_file(path), os.fspath(path)
     with file.open("rb") as opened:
@@ -88,7 +86,6 @@ def contents_of(
 
 
 def _of_npz(name: str) -> dict[str, Any]:
-    """Return what an npz holds: a clip, pairs, a model or a motion database."""
     arrays = array_names(name)
     for array, describe in (
         ("moved_by_physics", _of_clip),
@@ -310,7 +307,6 @@ def _state_table(parts: dict[str, dict[str, float]]) -> Table:
 
 
 def _failures(failures: list[dict[str, Any]]) -> list[RenderableType]:
-    """Return a line for each kind of failure of a part of the body."""
     counts = Counter((f["part"], f["kind"].replace("_", " ")) for f in failures)
     return [
         f"  tracker failure: {part} {kind}, {count} time{'s' * (count > 1)}"

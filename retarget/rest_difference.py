@@ -45,15 +45,7 @@ def segment_of(skeleton: Skeleton, part: str) -> int:
 
 
 def turned(motion: Motion, rig: TargetRig) -> dict[int, Array]:
-    """Return the world rotation since the rest pose of every joint that a part turns.
-
-    Args:
-        motion: The motion.
-        rig: The skeleton.
-
-    Returns:
-        By joint: unit quaternions wxyz, shape (T, 4).
-    """
+    """Return the world rotation (T, 4) since the rest pose of joints by index."""
     facing, turns = heading(rig), {}
     for part, joints in rig.parts.items():
         if part == "spine":

@@ -66,10 +66,6 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     the arm, and that from hip to ankle over the length of the leg, are the clip's. A
     foot that stands (``clip.contacts``) is held still, up to 1.75 % of the leg from
     there, and where its leg is too short the hips sink.
-
-    Args:
-        clip: The motion.
-        rig: The skeleton.
     """
     motion = _Motion(clip, rig)
     goals = [motion.limb_end(side, _LEG) for side in SIDES]
@@ -177,7 +173,6 @@ class _Motion:
         return near_stance(time, heel_stands | toe_stands)
 
     def _contacts(self, side: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return when heel and toes of a foot stand, each of shape (T,)."""
         heel, toe = (f"{part}{side.capitalize()}" for part in ("Heel", "Toe"))
         contacts = self.clip.contacts
         return contacts[:, CONTACTS.index(heel)], contacts[:, CONTACTS.index(toe)]
@@ -239,20 +234,12 @@ class _Motion:
 def bent_limb(
     start: Array, goal: Array, toward: Array, lengths: Array
 ) -> tuple[Array, Array]:
-    """Return where middle and end of a limb of two bones are, in closed form.
+    """Return where middle and end [m] of a limb of two bones are, in closed form.
 
     The law of cosines says how far along the line to the goal the middle is, and how
-    far aside. A goal out of reach is approached as far as the bones go.
-
-    Args:
-        start: Where the limb begins [m], shape (..., 3).
-        goal: Where it should end [m], shape (..., 3).
-        toward: Direction to which the middle bends, of any length but not along the
-            limb, shape (..., 3).
-        lengths: Lengths of the two bones [m], shape (2,).
-
-    Returns:
-        Middle and end [m], each of shape (..., 3).
+    far aside. A goal out of reach is approached as far as the bones go. ``toward`` is
+    the direction to which the middle bends, of any length but not along the limb;
+    points are (..., 3), lengths [m] (2,).
     """
     first, second = lengths
     line = goal - start

@@ -91,11 +91,7 @@ class RigMap:
 
 
 def load_rig_map(rig: str) -> RigMap:
-    """Return one of RIGS, or the map in a TOML file.
-
-    Raises:
-        InputError: There is no such rig or file, or the file is no map.
-    """
+    """Return one of RIGS, or the map in a TOML file, or raise InputError."""
     if rig in RIGS:
         return _embedded(rig)
     path = Path(rig)
@@ -171,7 +167,6 @@ def _vector(offset: Any, where: str) -> tuple[float, float, float]:
 
 
 def _check(bones: tuple[MapBone, ...], source: str) -> None:
-    """Raise an InputError for a map that no skeleton can follow."""
     seen: set[str] = set()
     for bone in bones:
         if bone.parent is not None and bone.parent not in seen:
@@ -248,12 +243,7 @@ def matching_source_rig(
     """Return the rig that joints are of, and which of its joints are missing.
 
     The first whose joints are all there; if there is none, the one that lacks the
-    smallest share of its own.
-
-    Args:
-        names: Names of the joints that there are.
-        skeleton: The Kinect's joints that are wanted.
-        known: Names of the data files to try, the most particular first.
+    smallest share of its own. ``known`` are data files, the most particular first.
     """
     rigs = [_own(skeleton), *(load_source_rig(name, skeleton) for name in known)]
     lacks = [sorted(rig.needed - set(names)) for rig in rigs]

@@ -79,10 +79,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     """Return the skeleton that a map describes, in a person's size.
 
     Thighs, shins and arms have the person's lengths, the rest of the skeleton is scaled
-    to the stature. The soles are on y = 0.
-
-    Raises:
-        InputError: The map lacks offsets.
+    to the stature. The soles are on y = 0. Raises InputError if the map lacks offsets.
     """
     bones = [bone for bone in rig_map.bones if bone.offset is not None]
     names = tuple(bone.name for bone in bones)
@@ -117,12 +114,7 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     """Return a skeleton with its parts found by the names of a map.
 
     The floor is y = 0 where toes (or ankles) are just over it. Otherwise it is as far
-    under them as the person's, or the file's lowest point if that is lower.
-
-    Args:
-        rig_map: The names.
-        rest: The skeleton.
-        body: The person whose soles it gets if nobody knows better.
+    under them as the person's soles, or the file's lowest point if that is lower.
 
     Raises:
         InputError: The skeleton has not one root, or joints are missing, ambiguous,

@@ -71,7 +71,6 @@ def _lines(lines: Iterator[str], comments: str) -> Iterator[tuple[int, list[str]
 
 
 def _numbers(words: list[str], count: int) -> list[float] | None:
-    """Return as many finite numbers, or None."""
     try:
         numbers = [float(word) for word in words]
     except ValueError:
@@ -180,10 +179,9 @@ def _turned(angles: Array, axes: str) -> Array:
 
 
 def read_amc(path: str | os.PathLike[str], skeleton: Acclaim) -> Mocap:
-    """Read an AMC file: where its bones end, and how they are turned.
+    """Read where the bones of an AMC file end and how they are turned.
 
-    Raises:
-        InputError: The file is missing, malformed or of another skeleton.
+    Raises InputError if it is missing, malformed or of another skeleton.
     """
     source = os.fspath(path)
     values = _amc_values(source, skeleton)

@@ -73,11 +73,7 @@ about z, after which a take faces the sensor as takes of Kinect v2 do."""
 
 
 def read_azure(source: str) -> Recording:
-    """Read a JSON file of bodies.
-
-    Raises:
-        InputError: It is no such JSON, or a frame in it is malformed.
-    """
+    """Read a JSON file of bodies; raises InputError where it is malformed."""
     try:
         text = read_limited(source, _LARGEST)
         root = json.loads(text, object_hook=_slim, parse_int=float)
@@ -136,7 +132,6 @@ def _numbers(item: Any) -> NDArray[np.float64] | None:
 
 
 def _check_names(names: Any, source: str) -> None:
-    """Raise InputError if the file says that its joints are others."""
     if names is None:
         return
     found = [str(name) for name in names] if isinstance(names, list) else []

@@ -102,10 +102,7 @@ class Bvh:
 
     @cached_property
     def positions(self) -> Array:
-        """World position of each joint in the file's unit, shape (T, N, 3).
-
-        A position channel takes the place of that coordinate of the offset.
-        """
+        """World position of each joint in the file's unit, shape (T, N, 3)."""
         world = np.empty((len(self), len(self.names), 3))
         for n, parent in enumerate(self.parents):
             local = np.broadcast_to(self.offsets[n], (len(self), 3)).copy()
@@ -124,14 +121,10 @@ class Bvh:
 
 
 def wxyz_from_euler(angles: Array, axes: str) -> Array:
-    """Return the rotation of turns about a node's own axes, in the order given.
+    """Return the rotation, wxyz (..., 4), of angles [rad], shape (..., A).
 
-    Args:
-        angles: Angles [rad], shape (..., A).
-        axes: Axis of each angle, such as ``ZYX``: about z first, then the turned y.
-
-    Returns:
-        Unit quaternions wxyz, shape (..., 4).
+    The axes are a node's own: of ``ZYX``, the first angle turns about z, the second
+    about the turned y.
     """
     half = np.asarray(angles, dtype=np.float64) / 2.0
     rotation = np.zeros((*half.shape[:-1], 4))
@@ -145,11 +138,7 @@ def wxyz_from_euler(angles: Array, axes: str) -> Array:
 
 
 def read_bvh(path: str | os.PathLike[str]) -> Bvh:
-    """Read a BVH file, gzipped or not.
-
-    Raises:
-        InputError: The file is missing or malformed; the message names the line.
-    """
+    """Read a BVH file, gzipped or not; raises InputError, which names the line."""
     source = os.fspath(path)
     with open_text(path) as file:
         lines = enumerate(file, start=1)
@@ -170,7 +159,6 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
 
 
 def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> Array:
-    """Return the rows after the motion's header, as many as it says."""
     columns = tuple(
         f"{name}.{channel}"
         for name, channels in zip(tree.names, tree.channels, strict=True)
@@ -214,7 +202,6 @@ def _check_size(frames: float, frame_time: float, tree: _Hierarchy) -> None:
 
 
 def _header_number(lines: _Lines, key: str, source: str) -> float:
-    """Return the number of a line ``key number`` of the motion's header."""
     row, line = next(lines, (0, ""))
     words, value = key.split(), line.split()
     try:

@@ -26,20 +26,10 @@ def write_bvh(
 ) -> None:
     """Write a rig's rotations and the path of its root, or of its pelvis.
 
-    The format itself has neither axes nor a unit; by default they are those of every
-    other file that kinefilter writes, y up and METERS. Angles are in degrees and
-    continuous over time: they pass 360 rather than jump. Every frame of the clip is
-    one frame of the file, at the mean frame time, as the format knows no other.
-
-    Args:
-        clip: When the frames are.
-        moved: The motion.
-        path: The file.
-        export: Axes, unit, rotation order, and the frame rate if the clip has been
-            brought to one.
-
-    Raises:
-        InputError: The file cannot be written.
+    The format has neither axes nor a unit; ``export`` chooses them. Angles [deg] are
+    continuous over time: they pass 360 rather than jump. Each frame of the clip is one
+    frame of the file, at the mean frame time. Raises InputError if it cannot be
+    written.
     """
     rig = moved.rig.without_axes()
     motion = _motion(moved, rig, export)
@@ -61,7 +51,6 @@ def write_bvh(
 
 
 def _frame_time(clip: Clip) -> float:
-    """Return the mean time between frames [s]."""
     duration = float(clip.time[-1] - clip.time[0])
     return duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
 
@@ -90,7 +79,6 @@ def _motion(moved: RigMotion, rig: Rig, export: Export) -> Array:
 def _hierarchy(
     rig: Rig, offsets: Array, order: list[str], node: int, depth: int
 ) -> Iterator[str]:
-    """Yield the lines of a node and all below it."""
     pad, inner = "\t" * depth, "\t" * (depth + 1)
     moves = node == rig.mover or not depth
     channels = ["Xposition", "Yposition", "Zposition", *order] if moves else order
@@ -115,17 +103,11 @@ def _offset(vector: Array) -> str:
 
 
 def continuous_euler(rotations: Array, axes: str) -> Array:
-    """Return angles about an axis, the turned second and the twice turned third.
+    """Return angles [rad] about an axis, the turned second and the twice turned third.
 
     Of the two triples that give the same rotation, and of all their full turns, each
-    frame gets the one nearest to the frame before.
-
-    Args:
-        rotations: Unit quaternions wxyz over time, shape (T, 4).
-        axes: The three axes in their order, such as ``ZYX``.
-
-    Returns:
-        Angles [rad], unbounded, shape (T, 3).
+    frame gets the one nearest to the frame before, so angles (T, 3) are unbounded.
+    Rotations are wxyz, shape (T, 4); the axes are given in order, such as ``ZYX``.
     """
     # The axes renamed to z, y, x: half of the orders are its mirror images, in which
     # every turn goes the other way.

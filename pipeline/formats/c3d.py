@@ -29,11 +29,7 @@ _LARGEST = 2**30  # bytes
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Mocap:
-    """Read the points of a C3D file.
-
-    Raises:
-        InputError: The file is missing or malformed, or ezc3d is not installed.
-    """
+    """Read a C3D file; raises InputError if it is malformed or ezc3d is missing."""
     source = os.fspath(path)
     _check_header(source)
     require("ezc3d", f"{source}: C3D", "c3d")
@@ -55,11 +51,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Mocap:
 
 
 def arrays_of(path: str) -> dict[str, NDArray[Any]]:
-    """Return points, residuals, labels and rate of a file (see ``guarded``).
-
-    Raises:
-        InputError: ezc3d does not read the file.
-    """
+    """Return points, residuals, labels and rate of a file, or raise InputError."""
     import ezc3d
 
     try:

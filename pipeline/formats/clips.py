@@ -37,12 +37,7 @@ _EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
 
 
 def check_writable(path: str | os.PathLike[str], export: Export | None = None) -> None:
-    """Raise, before any work is done, what write_clip would raise after it.
-
-    Raises:
-        InputError: The extension is unknown, what was chosen does not go with it, or
-            nothing can be written there.
-    """
+    """Raise, before any work is done, the InputError that write_clip would raise."""
     suffix = Path(path).suffix
     if suffix.lower() not in _EXTENSIONS:
         raise InputError(
@@ -65,18 +60,13 @@ def check_writable(path: str | os.PathLike[str], export: Export | None = None) -
 def write_clip(
     clip: Clip, path: str | os.PathLike[str], export: Export | None = None
 ) -> None:
-    """Write a clip as USD, BVH, CSV or npz.
+    """Write a clip as USD, BVH, CSV or npz, whole or not at all.
 
     USD holds a skinned character in T-pose, rotations and props, BVH the skeleton and
-    rotations; CSV joint positions and the sensor's states; npz the whole clip. On a
-    rig of somebody else's, USD and BVH hold its skeleton and rotations.
-
-    Args:
-        clip: The motion.
-        path: The file; its extension is one of ``.usda``, ``.usdc``, ``.usd``,
-            ``.usdz``, ``.bvh``, ``.csv`` and ``.npz``. It appears whole or not at all.
-        export: Axes, unit, frame rate and so on; by default meters, y up, and the
-            frames of the clip.
+    rotations; CSV joint positions and the sensor's states; npz the whole clip. On
+    another rig, USD and BVH hold its skeleton and rotations. The extension decides:
+    ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.bvh``, ``.csv`` or ``.npz``. By
+    default units are meters, y is up, and frames are the clip's.
 
     Raises:
         InputError: The extension is unknown, what was chosen does not go with it, or
@@ -99,18 +89,15 @@ def write_clip(
 
 
 def read_clip(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip from any file that write_clip writes.
+    """Read a clip from any file that write_clip writes; CSV and BVH may be gzipped.
 
     npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
     states, the name of the take, stature and mass; its time starts at 0. BVH holds
-    places and rotations alone, CSV places: the body is measured from them, nothing is
-    known of contacts and props, and every joint counts as reliable.
-
-    Args:
-        path: The file; CSV and BVH may be gzipped.
+    positions and rotations alone, CSV positions: the body is measured from them,
+    contacts and props are unknown, and every joint counts as reliable.
 
     Raises:
-        InputError: The file is missing, of another kind or damaged, of somebody else's
+        InputError: The file is missing, of another kind or damaged, on another
             skeleton, or a raw take in which joints are missing.
     """
     file = check_file(path)
@@ -153,10 +140,7 @@ def _of_own_bvh(bvh: Bvh, source: str) -> Clip | None:
 
 
 def _posed(take: Take) -> Clip:
-    """Return a clip of the same postures, on a body as long as the median says.
-
-    A joint that the file never has is where it is at rest.
-    """
+    """Return the same postures on a body of median lengths, absent joints at rest."""
     skeleton, shape = take.skeleton, take.positions.shape[:2]
     lacks = np.asarray(~np.isfinite(take.positions).all(axis=-1))
     missing = np.argwhere(lacks & ~lacks.all(axis=0))
@@ -179,7 +163,6 @@ def _posed(take: Take) -> Clip:
 
 
 def _moved(clip: Clip, export: Export) -> RigMotion:
-    """Return the motion on the rig that was chosen."""
     if export.rig is None:
         return motion_of(clip)
     rig = target_rig(export.rig, export.target, clip.body)

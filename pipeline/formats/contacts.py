@@ -20,10 +20,9 @@ _ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 
 
 def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
-    """Write when which part of a foot stands: 1 on the floor, 0 not, a row a frame.
+    """Write 1 where a part of a foot is on the floor, else 0, one row per frame.
 
-    Raises:
-        InputError: The file cannot be written.
+    Raises InputError if the file cannot be written.
     """
     rows = zip(clip.time.tolist(), clip.contacts.astype(int).tolist(), strict=True)
     with (
@@ -36,17 +35,11 @@ def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
 
 
 def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_]:
-    """Return the contacts (CONTACTS) of a file at some times, shape (T, 4).
+    """Return the contacts (CONTACTS) of a file at times [s] (T,), shape (T, 4).
 
-    Each time gets the last row at or before it: a file may have a row per frame, or
-    one per change.
-
-    Args:
-        path: What ``write_contacts`` wrote, edited or not, or a clip as npz.
-        time: Time stamps [s], shape (T,).
-
-    Raises:
-        InputError: The file is missing, is no such table, or is of another time.
+    The file is one of ``write_contacts``, edited or not, or a clip as npz. Each time
+    gets the last row at or before it: a file may have a row per frame, or one per
+    change. Raises InputError if it is missing, no such table, or of another time.
     """
     if Path(path).suffix.lower() == ".npz":
         clip = read_npz(path)
@@ -69,11 +62,7 @@ def claims_contacts(path: str | os.PathLike[str]) -> bool:
 
 
 def contact_table(path: str | os.PathLike[str]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return times [s], shape (T,), and contacts (CONTACTS), shape (T, 4), of a table.
-
-    Raises:
-        InputError: The file is missing or no such table.
-    """
+    """Return times [s] (T,) and contacts (T, 4) of a table; raises InputError."""
     source = os.fspath(path)
     with open_text(path) as file:
         header = tuple(cell.strip() for cell in next(iter(file), "").split(","))

@@ -82,11 +82,7 @@ class Export:
         return 0.01 if self.units == "cm" else 1.0
 
     def check(self, suffix: str) -> None:
-        """Raise an InputError for what was chosen in vain for a kind of file.
-
-        Args:
-            suffix: The file's extension in lower case, such as ``.usda``.
-        """
+        """Raise InputError for an option that files of a suffix (``.usda``) ignore."""
         for field in fields(self):
             chosen = getattr(self, field.name) != field.default
             if chosen and field.name not in _FOLLOWED[suffix]:

@@ -30,11 +30,7 @@ _MOST_BLANK = 10_000  # lines in a row
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Return ``path`` if a file may be written there.
-
-    Raises:
-        InputError: Its folder is missing or read-only, or it is a folder itself.
-    """
+    """Return ``path`` if a file may be written there, else raise InputError."""
     path = Path(path)
     if not path.parent.is_dir():
         raise InputError(
@@ -54,10 +50,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` that takes its place on success.
 
     An older file stays as it was until then, and for good if the block raises. The
-    temporary path ends in the same suffix, for writers that go by it.
-
-    Raises:
-        InputError: The folder is missing or read-only, or the system cannot write.
+    temporary path ends in the same suffix. Raises InputError if it cannot be written.
     """
     target = check_folder(path)
     temporary = target.with_name(f".{uuid.uuid4().hex}{target.suffix}")
@@ -76,11 +69,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_file(path: str | os.PathLike[str]) -> Path:
-    """Return ``path`` if there is a file to read.
-
-    Raises:
-        InputError: There is none, or it is a folder.
-    """
+    """Return ``path`` if there is a file to read, else raise InputError."""
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file")
@@ -93,12 +82,8 @@ def check_file(path: str | os.PathLike[str]) -> Path:
 def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
     """Yield the lines of a file of UTF-8 text, unzipped where it is gzip's.
 
-    Whatever goes wrong while the block reads is raised as an InputError. However long
-    the file claims to be, a line at a time is in memory.
-
-    Raises:
-        InputError: There is no such file, it cannot be read, it is not UTF-8 text, a
-            line has no end, or there is more of it than of any recording.
+    One line at a time is in memory. Raises InputError, also while the block reads, if
+    the file is missing, unreadable, not UTF-8 text, too long, or a line has no end.
     """
     path = check_file(path)
     with _readable(path) as stream:
@@ -107,21 +92,13 @@ def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
 
 
 def beginning(path: str | os.PathLike[str], most: int = 100) -> str:
-    """Return the first characters of a text, of 60,000, leading blanks left out.
-
-    Raises:
-        InputError: As ``open_text``.
-    """
+    """Return the first characters of a text, without leading blanks."""
     with _readable(check_file(path)) as stream:
         return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
 def read_limited(path: str | os.PathLike[str], most: int) -> str:
-    """Return a file's text, unzipped where it is gzip's.
-
-    Raises:
-        InputError: As ``open_text``, or the text has more bytes than ``most``.
-    """
+    """Return a file's text, unzipped; raises InputError beyond ``most`` bytes."""
     path = check_file(path)
     with _readable(path, most) as stream:
         return stream.read().decode("utf-8-sig")
@@ -197,15 +174,9 @@ def read_toml(path: str | os.PathLike[str], expected: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str, name: str, expected: str) -> dict[str, Any]:
-    """Return the table that a text describes.
+    """Return the table that TOML describes; raises InputError if it is malformed.
 
-    Args:
-        text: TOML.
-        name: Where it is, for messages.
-        expected: What to write instead of what is wrong, for messages.
-
-    Raises:
-        InputError: It is no TOML.
+    ``name`` says where the text is and ``expected`` what to write instead.
     """
     try:
         return tomllib.loads(text)

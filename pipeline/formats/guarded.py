@@ -28,12 +28,8 @@ _REFUSED = 3  # exit code: the message is on the standard error
 def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
     """Return the arrays that a function of this package makes of a file.
 
-    Args:
-        reader: Its module and name, such as ``c3d:arrays_of``; it takes the path.
-        path: The file.
-
-    Raises:
-        InputError: The reader refuses the file, fails, or needs too much.
+    The reader is a module and a name, such as ``usd_reader:clip_arrays``. Raises
+    InputError if it refuses the file, fails, or needs too much.
     """
     command = [sys.executable, "-m", _NAME, reader, path]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
@@ -58,7 +54,6 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
 
 
 def _main(reader: str, path: str) -> int:
-    """Read a file and write its arrays to the standard output."""
     try:
         import resource
     except ImportError:  # Windows has no such limit; the time's stays

@@ -65,12 +65,8 @@ def kinect_motion(
 ) -> KinectMotion:
     """Return the joints of a Kinect in mocap.
 
-    Which axis points up is seen from the head, which mostly is above the hips: y or z.
-
-    Args:
-        mocap: The motion.
-        skeleton: The Kinect's joints.
-        known: Names of the rigs to look for (``retarget/source_rigs``).
+    The axis (y or z) that mostly points from hips to head is up. ``known`` are the rigs
+    to look for (``retarget/source_rigs``).
 
     Raises:
         InputError: The joints are of no rig, or are in no frame.

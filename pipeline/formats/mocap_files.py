@@ -30,11 +30,7 @@ _BVH_RIGS = ("cmu", "motionbuilder", "jointed")  # the most particular first
 
 
 def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Return the files that hold motion, and the ASF files, which hold none.
-
-    Raises:
-        InputError: No file holds motion.
-    """
+    """Return the files with motion and the ASF files; raises InputError if only ASF."""
     skeletons = [file for file in files if file.suffix.lower() == ".asf"]
     motions = [file for file in files if file not in skeletons]
     if not motions:
@@ -43,12 +39,10 @@ def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
 
 def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> Mocap:
-    """Read a BVH, AMC or C3D file; BVH and AMC may be gzipped.
+    """Read a BVH, AMC or C3D file, told apart by content; BVH and AMC may be gzipped.
 
-    Args:
-        path: The file; what it holds decides, not its name.
-        skeletons: ASF files, for AMC: the one whose name the motion's begins with, or
-            the only one; without any, one beside the motion.
+    The ASF file for an AMC is the one of ``skeletons`` whose name the motion's begins
+    with, or the only one; without any, one beside the motion.
 
     Raises:
         InputError: The file is missing or malformed, or there is no skeleton for it.
@@ -69,7 +63,6 @@ def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> 
 
 
 def _skeleton_for(path: Path, skeletons: Sequence[Path]) -> Path:
-    """Return the ASF file for an AMC file; raises InputError without one."""
     given = skeletons or sorted(path.parent.glob("*.asf"))
     fitting = [asf for asf in given if path.name.startswith(asf.stem)]
     if fitting:
@@ -89,11 +82,7 @@ def read_bvh_mocap(source: str) -> Mocap:
 
 
 def read_bvh_take(source: str) -> Recording:
-    """Read a BVH file as a take.
-
-    Raises:
-        InputError: The file is malformed, or its joints have names of no known rig.
-    """
+    """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
     mocap = read_bvh_mocap(source)
     check_length(len(mocap.positions), source)
     names = [bare_name(name) for name in mocap.names]

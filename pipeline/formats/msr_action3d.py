@@ -34,11 +34,7 @@ _PIXELS = 20.0  # a person is less meters wide, and more pixels
 
 
 def read_msr_action3d(source: str) -> Recording:
-    """Read a file of real-world coordinates.
-
-    Raises:
-        InputError: A row is malformed, frames are incomplete, or it holds pixels.
-    """
+    """Read a file of real-world coordinates; raises InputError if it is malformed."""
     blocks, count = [], 0
     with open_rows(source) as (row, line, lines):
         for block in RowReader(source, _COLUMNS).blocks(chain([line], lines), row):

@@ -43,11 +43,7 @@ _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
 
 def array_names(path: str | os.PathLike[str]) -> set[str]:
-    """Return the names of the arrays in an npz file.
-
-    Raises:
-        InputError: The file is missing or no zip archive.
-    """
+    """Return the names of the arrays in an npz file, or raise InputError."""
     source = os.fspath(check_file(path))
     try:
         with zipfile.ZipFile(source) as archive:
@@ -61,12 +57,8 @@ def read_arrays(
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays of an npz file, without running anything in it.
 
-    The sizes that the archive and the arrays claim are compared before memory is
-    given, so that a small file cannot ask for much.
-
-    Args:
-        path: The file.
-        expected: What it should be, for messages.
+    The sizes that archive and arrays claim are compared before memory is allocated, so
+    a small file cannot ask for much. ``expected`` completes the message.
 
     Raises:
         InputError: The file is missing, damaged, holds objects, or more than 2 GB.
@@ -132,9 +124,6 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
     Besides them there are ``skeleton``, ``joints`` and ``source``, and for each prop
     ``prop:K:name``, ``positions``, ``rotations``, ``kinds`` and, for each of its
     shapes, ``prop:K:L:size`` and so on. Equal clips give equal bytes.
-
-    Raises:
-        InputError: The file cannot be written.
     """
     arrays: dict[str, Any] = {name: getattr(clip, name) for name in _ARRAYS + _FRAME}
     measures: dict[str, Any] = {name: getattr(clip.body, name) for name in _BODY}
@@ -152,11 +141,7 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
 
 
 def read_npz(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip that write_clip wrote as npz.
-
-    Raises:
-        InputError: There is no such file, or it holds no clip.
-    """
+    """Read a clip that write_clip wrote as npz; raises InputError of other files."""
     name = os.fspath(path)
     arrays = read_arrays(path, "a clip that kinefilter wrote")
     try:

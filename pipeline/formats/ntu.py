@@ -32,11 +32,7 @@ _JOINT_VALUES = 12
 
 
 def read_ntu(source: str) -> Recording:
-    """Read a .skeleton file.
-
-    Raises:
-        InputError: A line is malformed or missing, or nobody is seen.
-    """
+    """Read a .skeleton file; raises InputError where it is malformed."""
     sightings: list[Sighting] = []
     with open_rows(source) as (row, line, lines):
         reader = _Reader(source, lines, row)
@@ -98,7 +94,6 @@ class _Reader:
         return Sighting(frame, body, values[:, :3], values[:, -1].astype(np.uint8))
 
     def _joint(self) -> list[float]:
-        """Read a joint: x, y, z and tracking state."""
         words = self.line().split()
         if len(words) != _JOINT_VALUES:
             self.fail(

@@ -65,8 +65,7 @@ class Recording:
     def take(self, body: int | None = None) -> Take:
         """Return the take of a person, counted from 1; None: the main person.
 
-        Raises:
-            InputError: There is no such person.
+        Raises InputError if there is no such person.
         """
         if body is None:
             return self.takes[self.main]
@@ -88,11 +87,7 @@ def numbered(path: _Path, body: int | None) -> _Path:
 
 @contextmanager
 def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
-    """Yield number and text of a file's first line that is not blank, and those after.
-
-    Raises:
-        InputError: As ``open_text``, or the file is empty.
-    """
+    """Yield number and text of a file's first filled line, and the lines after it."""
     with open_text(source) as lines:
         for row, line in enumerate(lines, start=1):
             if line.strip():
@@ -104,14 +99,10 @@ def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
 def missing_marked(
     positions: Array, state: NDArray[np.uint8]
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Return positions and states with what is missing as NaN and not tracked.
+    """Return positions [m] (..., 3) and states (...), NaN and not tracked if missing.
 
     Missing is what is not tracked, not a number or exactly at the origin, where the
     sensors put what they do not see.
-
-    Args:
-        positions: Joint positions [m], shape (..., 3).
-        state: Tracking states (State), shape (...).
     """
     seen = np.isfinite(positions).all(-1) & (positions != 0).any(-1) & (state > 0)
     return (
@@ -165,10 +156,7 @@ def check_rate(time: Array, source: str) -> None:
 
 
 def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
-    """Raise InputError where time stamps [s] (T,) go backwards.
-
-    For the message, ``where`` names an index and ``what`` the frames of the file.
-    """
+    """Raise InputError where time stamps [s] (T,) go backwards."""
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
         k = int(backwards[0]) + 1
@@ -226,14 +214,9 @@ def takes_of(
     """Return a take for every person, in the order in which they appear.
 
     A person is the bodies of one number, and those that are new near to where and soon
-    after one was lost. A take goes from the first frame of its person to the last;
-    every joint is missing in frames between that do not have the person.
-
-    Args:
-        time: Time stamp of every frame of the recording [s], shape (T,).
-        sightings: The bodies in it, in the order of the frames.
-        skeleton: The joints.
-        source: The file, for messages.
+    after one was lost. A take goes from its person's first frame to the last; every
+    joint is missing in frames between without the person. Sightings are in the order of
+    the frames, whose time stamps [s] have shape (T,).
 
     Raises:
         InputError: Nobody is seen, a body is in a frame twice, or it is not a take.
@@ -256,7 +239,6 @@ def takes_of(
 def _people(
     time: Array, sightings: Sequence[Sighting], source: str
 ) -> list[list[Sighting]]:
-    """Return the sightings of each person, in the order in which they appear."""
     tracks: dict[int, list[Sighting]] = {}
     for sighting in sightings:
         track = tracks.setdefault(sighting.body, [])

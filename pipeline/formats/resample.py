@@ -21,15 +21,11 @@ _NEAREST = ("state", "deciding_term", "origin", "contacts")
 
 
 def resampled(clip: Clip, fps: float) -> Clip:
-    """Return a clip with frames a constant time apart, from its first to its last.
+    """Return a clip with ``fps`` frames a second, from its first to its last.
 
-    Positions between frames lie on a line, rotations on the shortest arc, joints where
-    the bones then put them. Numbers are interpolated too; what has no middle, such as
-    contacts, is that of the nearest frame.
-
-    Args:
-        clip: The motion; of frames with the same time, the last counts.
-        fps: Frames a second.
+    Positions and numbers between frames are interpolated on a line, rotations on the
+    shortest arc; what has no middle, such as contacts, is the nearest frame's. Of
+    frames with the same time, the last counts.
     """
     known = np.flatnonzero(np.append(np.diff(clip.time) > 0.0, True))
     stamps = clip.time[known]
@@ -76,11 +72,7 @@ def resampled(clip: Clip, fps: float) -> Clip:
 
 
 def in_strict_t(clip: Clip) -> Clip:
-    """Return the same motion with a rest posture in which every bone is square.
-
-    Every joint stays where it is: rotations that turned the person's own rest posture
-    turn the strict one.
-    """
+    """Return the same motion with a rest posture in which every bone is square."""
     body = clip.body
     square = standard_body(body.skeleton).directions
     turns = between(square, body.directions)

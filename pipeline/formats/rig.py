@@ -92,9 +92,7 @@ class Rig:
     def local_rotation(self, rotations: Array, node: int) -> Array:
         """Return one node's rotation relative to its parent's, wxyz, shape (..., 4).
 
-        Args:
-            rotations: World rotations of a clip's segments, wxyz, shape (..., J, 4).
-            node: Index of the node; the root's are world rotations.
+        Rotations are those of a clip's segments in the world, (..., J, 4).
         """
         world = self._world(rotations, node)
         parent = self.parents[node]
@@ -108,10 +106,7 @@ class Rig:
 
     @cached_property
     def at_rest(self) -> tuple[Array, Array]:
-        """Each node's place [m] and rotation in its parent, shapes (N, 3) and (N, 4).
-
-        The root's are those in the world.
-        """
+        """Each node's place [m] (N, 3) and rotation (N, 4) in its parent (or world)."""
         still = np.tile(IDENTITY, (int(self.segments.max()) + 1, 1))
         places = self.offsets.copy()
         places[0] = self.root
@@ -190,16 +185,9 @@ def motion_of_rig(
 ) -> Motion:
     """Return what a skeleton's own rig does as a motion.
 
-    Args:
-        skeleton: The joints.
-        offsets: Vector [m] from each node's parent in the rest pose, shape (N, 3).
-        rotations: World rotation of each node, wxyz, shape (T, N, 4).
-        root: Position of the root [m], shape (T, 3).
-        time: Time stamps [s], shape (T,).
-        source: Where it came from, for messages.
-
-    Raises:
-        InputError: No person has such segments.
+    Offsets from each node's parent in the rest pose [m] are (N, 3), world rotations of
+    the nodes (T, N, 4), positions of the root [m] (T, 3), time stamps [s] (T,). Raises
+    InputError if no person has such segments.
     """
     rig = rig_of(standard_body(skeleton))
     bones = offsets[[rig.names.index(joint) for joint in skeleton.joints]].copy()

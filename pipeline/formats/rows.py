@@ -41,13 +41,8 @@ class RowReader:
     def blocks(self, lines: Iterable[str], first_row: int) -> Iterator[Block]:
         """Yield the rows in order, blank lines left out.
 
-        Args:
-            lines: The lines, the first being number ``first_row`` of the file.
-            first_row: Line number counted from 1.
-
-        Raises:
-            InputError: A row has the wrong number of columns, or a cell holds text or
-                an infinite number.
+        The first of the lines has number ``first_row``, counted from 1. Raises
+        InputError for a wrong number of columns, text, or an infinite number.
         """
         numbered = enumerate(lines, start=first_row)
         while chunk := list(islice(numbered, _BLOCK_LINES)):
@@ -74,7 +69,6 @@ class RowReader:
         return block
 
     def _cells(self, row: int, text: str) -> list[float]:
-        """Return the numbers of a row, or raise on the first cell that is none."""
         cells = text.split(",")
         if len(cells) != len(self.columns):
             raise InputError(

@@ -53,13 +53,10 @@ def _columns(skeleton: Skeleton) -> tuple[str, ...]:
 def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
     """Write time [s], joint positions [m] and states, one row per frame.
 
-    The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` with the joints in
-    the sensor's order. In a clip, the state of a joint that was not measured as it is
-    is inferred. Positions have nine decimals, time as many as it needs to read
-    back the same; a missing coordinate is an empty cell.
-
-    Raises:
-        InputError: The file cannot be written.
+    The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` in the sensor's
+    order. In a clip, a joint that was not measured as it is counts as inferred.
+    Positions have nine decimals, time reads back the same; a missing coordinate is an
+    empty cell.
     """
     state = motion.state
     if isinstance(motion, Clip):
@@ -84,13 +81,7 @@ def take_header(skeleton: Skeleton) -> str:
 
 
 def take_rows(time: Array, positions: Array, state: NDArray[np.uint8]) -> str:
-    """Return the lines of some frames.
-
-    Args:
-        time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
-        state: Tracking states (State), shape (T, J).
-    """
+    """Return the lines of frames, shapes (T,), (T, J, 3) and (T, J)."""
     count, joints = state.shape
     row = ",".join(["%r", *["%.9f,%.9f,%.9f,%d"] * joints]) + "\n"
     each = np.concatenate([positions, state[..., None]], axis=-1)
@@ -202,11 +193,7 @@ def _msrc_12(_line: str, _source: str) -> _Layout:
 
 
 def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
-    """Read a recording whose layout follows from its first line.
-
-    Raises:
-        InputError: A row is malformed, or the whole is no take in meters.
-    """
+    """Read a recording whose layout follows from its first line."""
     with open_rows(source) as (row, line, lines):
         layout = lay_out(line, source)
         if not layout.has_header:

@@ -129,11 +129,8 @@ def read_recording(
 def claims_take(path: str | os.PathLike[str]) -> bool:
     """Return whether a file claims by how it begins to be a recording.
 
-    Names of joints in a header, or numbers, tell a recording that may be damaged from
-    notes and other tables.
-
-    Raises:
-        InputError: The file is missing, empty, or cannot be read as text.
+    Names of joints in a header, or numbers, tell a damaged recording from notes and
+    other tables. Raises InputError if it is missing, empty, or not text.
     """
     start = beginning(path, _AZURE_BEGINNING)
     if start.startswith("{"):

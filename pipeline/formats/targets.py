@@ -27,15 +27,9 @@ _MOST_JOINTS = 1000  # as in BVH
 def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
     """Return the skeleton that a clip is written on.
 
-    Args:
-        rig: Name of a map, or its file.
-        target: File with the skeleton at rest; None: the map's own, in the person's
-            size.
-        body: The person.
-
-    Raises:
-        InputError: Map or file cannot be read, or the file's skeleton is not of the
-            map's names.
+    ``rig`` is the name of a map, or its file; ``target`` a file with the skeleton at
+    rest, None for the map's own in the person's size. Raises InputError if either
+    cannot be read, or the file's joints do not have the map's names.
     """
     rig_map = load_rig_map(rig)
     if target is None:
@@ -76,7 +70,7 @@ def _meters(places: Array, names: Sequence[str], rig_map: RigMap) -> float:
 
 
 def _usd_rest(path: Path) -> RestPose:
-    """Return the rest pose of the first skeleton of a USD file, y up, in meters."""
+    """Return the first skeleton of a USD file at rest, y up, in meters."""
     from pxr import Tf, Usd, UsdGeom, UsdSkel
 
     source = str(path)

@@ -82,15 +82,9 @@ def write_usd(
 ) -> None:
     """Write a clip as a UsdSkel character in T-pose, its animation and its props.
 
-    A frame's time code is its time since the first frame times
-    ``timeCodesPerSecond``. Frames with the same time share a sample, the last one's.
-
-    Args:
-        clip: The motion, and what is known of it.
-        moved: The rig that it is written on, and what that does.
-        path: The file; ``.usda`` is text, ``.usdc`` and ``.usd`` are binary, ``.usdz``
-            is a package of one binary layer.
-        export: Axes, unit, frame rate and, perhaps, the character's own layer.
+    A frame's time code is its time since the first frame times ``timeCodesPerSecond``.
+    Frames with the same time share a sample, the last one's. ``.usda`` is text,
+    ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package of one binary layer.
 
     Raises:
         InputError: The file cannot be written, or the character does not fit.
@@ -242,10 +236,7 @@ def _samples(
 def _write_extents(
     layer: Any, clip: Clip, moved: RigMotion, export: Export, codes: Array
 ) -> None:
-    """Write the boxes around joints, skin, and skin and props, in each frame.
-
-    What has no skin has a box around its joints.
-    """
+    """Write the boxes around joints, skin, and skin and props, in each frame."""
     from pxr import Sdf
 
     joints = np.empty((len(clip), 2, 3))
@@ -286,7 +277,6 @@ def _margins(clip: Clip) -> Array:
 
 
 def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
-    """Write the attributes that say where the motion came from."""
     from pxr import Sdf, Vt
 
     types = Sdf.ValueTypeNames

@@ -38,11 +38,7 @@ def set_axes(stage: Any, export: Export) -> None:
 
 
 def joint_paths(rig: Rig) -> list[str]:
-    """Return the path of each node from the root on, as UsdSkel names joints.
-
-    What USD does not allow in names, such as the colon of ``mixamorig:Hips``, becomes
-    an underscore.
-    """
+    """Return the path of each node from the root on, as UsdSkel names joints."""
     from pxr import Tf
 
     paths: list[str] = []
@@ -53,11 +49,7 @@ def joint_paths(rig: Rig) -> list[str]:
 
 
 def write_character(body: Body, path: Path, export: Export) -> None:
-    """Write a layer with nothing but the character, for clips to refer to.
-
-    Raises:
-        pxr.Tf.ErrorException: The file cannot be written.
-    """
+    """Write a layer with nothing but the character, for clips to refer to."""
     from pxr import Kind, Sdf, Usd
 
     stage = Usd.Stage.Open(Sdf.Layer.CreateNew(str(path)))

@@ -88,15 +88,9 @@ def read_usd_positions(
 ) -> tuple[Array, tuple[str, ...], Array]:
     """Return where UsdSkel puts the joints of the first animated skeleton.
 
-    Args:
-        path: A USD file.
-
-    Returns:
-        Time of each sample since time code 0 [s], shape (T,); joint names, shape (N,);
-        world positions [m], stage axes, shape (T, N, 3).
-
-    Raises:
-        InputError: The file cannot be opened or has no animated skeleton.
+    Time of each sample since time code 0 [s], shape (T,); joint names, shape (N,);
+    world positions [m], stage axes, shape (T, N, 3). Raises InputError if the file
+    cannot be opened or has no animated skeleton.
     """
     from pxr import Gf, UsdGeom
 
@@ -113,11 +107,7 @@ def read_usd_positions(
 
 
 def usd_contents(path: str) -> dict[str, Any]:
-    """Return units, axis, rate, joints and duration of the first animated skeleton.
-
-    Raises:
-        InputError: The file is no USD, or has no animated skeleton.
-    """
+    """Return units, axis, rate, joints and duration of the first animated skeleton."""
     check_usd(path)
     found = read_guarded("usd_reader:contents_arrays", path)
     contents: dict[str, Any] = json.loads(str(found["json"]))
@@ -202,11 +192,7 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 
 def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return what a file says of a clip, y up, in meters, frames along the first axis.
-
-    Raises:
-        InputError: As read_usd_clip.
-    """
+    """Return what a file says of a clip, y up, in meters, or raise InputError."""
     from pxr import UsdGeom, UsdSkel
 
     with _refused(path):
@@ -318,7 +304,6 @@ def _provenance(
 def _props(
     stage: Any, codes: Sequence[float], axes: Callable[[Array], Array], meters: float
 ) -> dict[str, NDArray[Any]]:
-    """Return props as ``npz`` names their arrays."""
     folder = stage.GetPrimAtPath(f"{CHARACTER}/Props")
     arrays: dict[str, NDArray[Any]] = {}
     for k, prim in enumerate(folder.GetChildren() if folder else ()):
@@ -335,10 +320,7 @@ def _props(
 
 
 def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
-    """Return where a prim is, (T, 3), and its rotations wxyz, (T, 4), in its parent.
-
-    T is 1 for what never moves.
-    """
+    """Return a prim's places (T, 3) and rotations wxyz (T, 4); T is 1 at rest."""
     translate, orient = (
         prim.GetAttribute(f"xformOp:{name}") for name in ("translate", "orient")
     )
