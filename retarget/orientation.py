@@ -48,7 +48,7 @@ def rotations_from_positions(
 
 
 def hang_missing(positions: Array, body: Body) -> Array:
-    """Return postures in which missing (NaN) joints hang on their parents as at rest."""
+    """Return postures in which missing (NaN) joints hang on parents as at rest."""
     skeleton, hung = body.skeleton, positions.copy()
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         missing = ~np.isfinite(hung[..., j, :]).all(axis=-1, keepdims=True)

@@ -108,7 +108,7 @@ def load_rig_map(rig: str) -> RigMap:
             f"{rig}: cannot be read ({error.strerror}); expected a map (.toml)"
         ) from None
     except UnicodeDecodeError:
-        raise InputError(f"{rig}: is no text; expected a map (.toml)") from None
+        raise InputError(f"{rig}: is not text; expected a map (.toml)") from None
     return _parsed(text, rig)
 
 
@@ -126,7 +126,7 @@ def _parsed(text: str, source: str) -> RigMap:
     try:
         table = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{source}: is no TOML ({error}); correct it") from None
+        raise InputError(f"{source}: is not TOML ({error}); correct it") from None
     rows, prefix = table.get("bones"), table.get("prefix", "")
     if not isinstance(rows, dict) or not isinstance(prefix, str):
         raise InputError(
@@ -152,9 +152,8 @@ def _bone(name: str, row: Any, source: str) -> MapBone:
         )
     if parent is not None and not isinstance(parent, str):
         raise InputError(f"{where}: parent is {parent!r}, expected a bone's name")
-    return MapBone(
-        name, parent, part, None if offset is None else _vector(offset, where)
-    )
+    vector = None if offset is None else _vector(offset, where)
+    return MapBone(name, parent, part, vector)
 
 
 def _vector(offset: Any, where: str) -> tuple[float, float, float]:
@@ -185,6 +184,12 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
             raise InputError(
                 f"{source}: {count} bones are turned_by {part!r}, expected one"
             )
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first twelve names, for messages."""
+    some = ", ".join(name[:30] for name in names[:12])
+    return some + (", ..." if len(names) > 12 else "")
 
 
 # Where motion comes from

@@ -24,9 +24,8 @@ from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.build import database_from_mocap
 from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
-from kinefilter.pipeline.formats.c3d import read_c3d
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
-from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap
+from kinefilter.pipeline.formats.mocap_files import RIGS, read_c3d, read_mocap
 from kinefilter.retarget.rig_map import load_source_rig, matching_source_rig
 
 Array = NDArray[np.float64]

@@ -22,10 +22,9 @@ from kinefilter.retarget.retargeting import retarget
 
 from .bvh import Bvh, meters_by_leg, read_bvh
 from .bvh_writer import write_bvh
-from .export import USD_SUFFIXES, Export, with_y_up
+from .export import USD_SUFFIXES, Export, in_strict_t, resampled, with_y_up
 from .files import check_file, check_folder
 from .npz import read_npz, write_npz
-from .resample import in_strict_t, resampled
 from .rig import RigMotion, motion_of, motion_of_rig, own_skeleton, retargeted_motion
 from .sheets import write_take_csv
 from .takes import read_take

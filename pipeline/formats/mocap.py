@@ -10,7 +10,7 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.retarget.rig_map import SourceRig, matching_source_rig
+from kinefilter.retarget.rig_map import SourceRig, listed, matching_source_rig
 
 _Z_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """Minus a quarter turn about x, wxyz: what pointed along z points along y."""
@@ -76,7 +76,7 @@ def kinect_motion(
     if missing:
         raise InputError(
             f"{mocap.source}: no joint {missing[0]!r} ({len(missing)} missing); "
-            f"expected {_expected(rig)}; found {_listed(names)}"
+            f"expected {_expected(rig)}; found {listed(names)}"
         )
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
     turned = mocap.rotations is not None and all(
@@ -105,12 +105,7 @@ def _expected(rig: SourceRig) -> str:
         "jointed": "the names of a skeleton of joints",
     }
     title = titles.get(rig.name, f"the joint names of {rig.name}")
-    return f"{title} ({_listed(sorted(rig.needed))})"
-
-
-def _listed(names: Sequence[str]) -> str:
-    some = ", ".join(name[:30] for name in names[:6])
-    return some + (", ..." if len(names) > 6 else "")
+    return f"{title} ({listed(sorted(rig.needed))})"
 
 
 def _z_is_up(positions: Array, skeleton: Skeleton, source: str) -> bool:

@@ -51,10 +51,10 @@ FORMATS = {
     "kinect-v1": Format("sheets:read_kinect_v1", lambda line: ";" in line),
     "msrc-12": Format("sheets:read_msrc_12", lambda line: len(_words(line)) == 81),
     "msr-action3d": Format(
-        "msr_action3d:read_msr_action3d",
+        "datasets:read_msr_action3d",
         lambda line: len(_words(line)) == 4 and "," not in line,
     ),
-    "ntu": Format("ntu:read_ntu", lambda line: line.strip().isdigit()),
+    "ntu": Format("datasets:read_ntu", lambda line: line.strip().isdigit()),
     "azure": Format("azure:read_azure", lambda line: line.startswith("{")),
     "bvh": Format(
         "mocap_files:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]
@@ -82,8 +82,8 @@ def read_take(
     - ``msrc-12``: no header, time in microseconds, then x, y, z and state of Kinect
       v1's 20 joints in the SDK's order, split by blanks or commas. Where no state is 2,
       1 says that there is a joint (Fothergill et al. 2012, CHI).
-    - ``msr-action3d``, ``ntu`` and ``azure``: see the modules of these names. ``bvh``:
-      see ``mocap_files``.
+    - ``msr-action3d`` and ``ntu``: see ``datasets``. ``azure``: see the module of this
+      name. ``bvh``: see ``mocap_files``.
 
     A joint that is not tracked, not a number or exactly at the origin, where the
     sensors put what they do not see, is missing: NaN and state 0.

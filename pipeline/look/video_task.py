@@ -12,7 +12,7 @@ import numpy as np
 
 from kinefilter.characters import Clip, InputError, Prop
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.formats.resample import resampled
+from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.settings import hash_of
 from kinefilter.pipeline.target.floor import place_of
 
