@@ -86,23 +86,42 @@ def contents_of(
 
 
 def _of_npz(name: str) -> dict[str, Any]:
-    arrays = array_names(name)
-    for array, describe in (
-        ("moved_by_physics", _of_clip),
-        ("mocap", _of_pairs),
-        ("trained_on", _of_model),
-        ("labels", _of_database),
-    ):
-        if array in arrays:
-            return {"format": "npz"} | describe(name)
+    arrays, contents = array_names(name), {"format": "npz"}
+    if "moved_by_physics" in arrays:
+        return contents | _of_clip(read_npz(name))
+    if "mocap" in arrays:
+        pairs = read_pairs(name)
+        return contents | {
+            "kind": "pairs",
+            "skeleton": pairs[0].take.skeleton.name if pairs else None,
+            "clips": len(pairs),
+            "frames": sum(len(pair.take) for pair in pairs),
+            "people": sorted({pair.subject for pair in pairs}),
+        }
+    if "trained_on" in arrays:
+        model = load_model(Path(name))
+        return contents | {
+            "kind": "model",
+            "skeleton": model.skeleton.name,
+            "method": model.method,
+            "learned_from": model.source,
+        }
+    if "labels" in arrays:
+        base = PostureDatabase.load(Path(name))
+        return contents | {
+            "kind": "database",
+            "skeleton": base.skeleton.name,
+            "postures": len(base),
+            "motions": len(set(base.labels.tolist())),
+            "recorded": base.recorded,
+        }
     raise InputError(
-        f"{name}: an npz of {', '.join(sorted(arrays)[:5])[:100] or 'nothing'}, which "
-        "is no clip, pairs file, model or motion database of kinefilter"
+        f"{name}: not a kinefilter clip, pairs file, model or motion database; it has "
+        f"the arrays {', '.join(sorted(arrays)[:5])[:100] or '(none)'}"
     )
 
 
-def _of_clip(name: str) -> dict[str, Any]:
-    clip = read_npz(name)
+def _of_clip(clip: Clip) -> dict[str, Any]:
     force = clip.external_force[np.isfinite(clip.external_force)]
     return {
         "kind": "clip",
@@ -135,38 +154,6 @@ def _of_contacts(path: Path) -> dict[str, Any]:
 
 def _standing(contacts: NDArray[np.bool_]) -> dict[str, float]:
     return dict(zip(CONTACTS, contacts.mean(axis=0).tolist(), strict=True))
-
-
-def _of_pairs(name: str) -> dict[str, Any]:
-    pairs = read_pairs(name)
-    return {
-        "kind": "pairs",
-        "skeleton": pairs[0].take.skeleton.name if pairs else None,
-        "clips": len(pairs),
-        "frames": sum(len(pair.take) for pair in pairs),
-        "people": sorted({pair.subject for pair in pairs}),
-    }
-
-
-def _of_model(name: str) -> dict[str, Any]:
-    model = load_model(Path(name))
-    return {
-        "kind": "model",
-        "skeleton": model.skeleton.name,
-        "method": model.method,
-        "learned_from": model.source,
-    }
-
-
-def _of_database(name: str) -> dict[str, Any]:
-    base = PostureDatabase.load(Path(name))
-    return {
-        "kind": "database",
-        "skeleton": base.skeleton.name,
-        "postures": len(base),
-        "motions": len(set(base.labels.tolist())),
-        "recorded": base.recorded,
-    }
 
 
 def _of_mocap(mocap: Mocap) -> dict[str, Any]:
@@ -207,6 +194,7 @@ def contents_of_take(take: Take) -> dict[str, Any]:
     names = ("time", "positions", "state")
     distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
     failures = find_failures(distinct) if len(distinct) > 1 else ()
+    rows = [(f.kind.name.lower(), f.part, f.start, f.end) for f in failures]
     never = np.flatnonzero(absent).tolist()
     return {
         "skeleton": take.skeleton.name,
@@ -215,14 +203,7 @@ def contents_of_take(take: Take) -> dict[str, Any]:
         "frames_without_anyone": int(np.sum(~seen)),
         "joints_never_seen": [take.skeleton.joints[j] for j in never],
         "states": _states(take),
-        "failures": [
-            dict(
-                zip(
-                    _FAILURE, (f.kind.name.lower(), f.part, f.start, f.end), strict=True
-                )
-            )
-            for f in failures
-        ],
+        "failures": [dict(zip(_FAILURE, row, strict=True)) for row in rows],
     }
 
 
@@ -245,16 +226,14 @@ def _timing(time: Array) -> dict[str, Any]:
 
 def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
     """Return the share of every tracking state in each part of the body."""
-    parts: dict[str, list[int]] = {"trunk": [], **{part: [] for part in _PARTS}}
-    for j, joint in enumerate(motion.skeleton.joints):
-        limb = [p for p, names in _PARTS.items() if joint in names]
-        parts[limb[0] if limb else "trunk"].append(j)
+    part_of = {joint: part for part, joints in _PARTS.items() for joint in joints}
+    parts = np.array([part_of.get(j, "trunk") for j in motion.skeleton.joints])
     return {
         part: {
-            state.name.lower(): float(np.mean(motion.state[:, joints] == state))
+            state.name.lower(): float(np.mean(motion.state[:, parts == part] == state))
             for state in State
         }
-        for part, joints in parts.items()
+        for part in ("trunk", *_PARTS)
     }
 
 
@@ -263,10 +242,8 @@ def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
 
 def as_tables(contents: dict[str, Any]) -> RenderableType:
     """Return the contents of a file (``contents_of``) as lines and tables."""
-    lines = [
-        f"{contents['file']}: {contents['kind']}, {contents['format']}",
-        *_facts(contents),
-    ]
+    title = f"{contents['file']}: {contents['kind']}, {contents['format']}"
+    lines = [title, *_facts(contents)]
     bodies = contents.get("bodies", [])
     for body in bodies:
         most = ", seen in most frames" * (body["most_seen"] and len(bodies) > 1)
@@ -283,7 +260,13 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
     ]
     if "states" in facts:
         lines.append(_state_table(facts["states"]))
-    return lines + (_failures(facts["failures"]) if "failures" in facts else [])
+    if "failures" in facts:
+        found = [(f["part"], f["kind"].replace("_", " ")) for f in facts["failures"]]
+        lines += [
+            f"  tracker failure: {part} {kind}, {count} time{'s' * (count > 1)}"
+            for (part, kind), count in Counter(found).items()
+        ] or ["  no tracker failure found"]
+    return lines
 
 
 def _told(value: Any) -> str:
@@ -304,11 +287,3 @@ def _state_table(parts: dict[str, dict[str, float]]) -> Table:
     for part, shares in parts.items():
         table.add_row(part, *(f"{share:.0%}" for share in shares.values()))
     return table
-
-
-def _failures(failures: list[dict[str, Any]]) -> list[RenderableType]:
-    counts = Counter((f["part"], f["kind"].replace("_", " ")) for f in failures)
-    return [
-        f"  tracker failure: {part} {kind}, {count} time{'s' * (count > 1)}"
-        for (part, kind), count in counts.items()
-    ] or ["  no tracker failure found"]

@@ -72,13 +72,9 @@ class Bvh:
     @property
     def joints(self) -> list[int]:
         """Indices of the joints without the end sites."""
-        return [
-            n
-            for n, (name, parent) in enumerate(
-                zip(self.names, self.parents, strict=True)
-            )
-            if self.channels[n] or parent < 0 or name != f"{self.names[parent]}End"
-        ]
+        names, parents = self.names, self.parents
+        ends = [f"{names[parent]}End" if parent >= 0 else None for parent in parents]
+        return [n for n in range(len(names)) if self.channels[n] or names[n] != ends[n]]
 
     @cached_property
     def rest_positions(self) -> Array:
@@ -170,7 +166,7 @@ def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> Array:
     for block in reader.blocks((line for _, line in lines), tree.row + 3):
         unknown, large = np.isnan(block.values), np.abs(block.values) > LARGEST_NUMBER
         for column in np.flatnonzero((unknown | large).any(axis=0)).tolist():
-            words = "is no number; expected one"
+            words = "is not a number; expected one"
             reader.refuse(block, column, unknown[:, column], words)
             words = "is {:.3g}; delete the frame"
             reader.refuse(block, column, large[:, column], words)

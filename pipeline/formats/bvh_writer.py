@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ def write_bvh(
     frame of the file, at the mean frame time. Raises InputError if it cannot be
     written.
     """
-    rig = moved.rig.without_axes()
+    rig = replace(moved.rig, axes=None)  # BVH has no rotations at rest
     motion = _motion(moved, rig, export)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     with (
@@ -43,23 +44,17 @@ def write_bvh(
         offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
         order = [f"{axis}rotation" for axis in export.rotation_order.upper()]
         file.writelines(f"{line}\n" for line in _hierarchy(rig, offsets, order, 0, 0))
-        frame_time = 1.0 / export.fps if export.fps else _frame_time(clip)
+        duration = float(clip.time[-1] - clip.time[0])
+        mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
+        frame_time = 1.0 / export.fps if export.fps else mean
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
         for start in range(0, len(motion), _FRAMES_AT_ONCE):
             numbers = motion[start : start + _FRAMES_AT_ONCE]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 
 
-def _frame_time(clip: Clip) -> float:
-    duration = float(clip.time[-1] - clip.time[0])
-    return duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
-
-
 def _motion(moved: RigMotion, rig: Rig, export: Export) -> Array:
-    """Return places and angles [deg] of each frame, shape (T, 3 + 3 N).
-
-    A rig whose root stays has three more columns for the place of that.
-    """
+    """Return positions of root and mover, and angles [deg], one row per frame."""
     order = export.rotation_order.upper()
     moving = sorted({0, rig.mover})
     motion = np.empty((len(moved.path), 3 * (len(rig) + len(moving))))

@@ -25,7 +25,7 @@ from .bvh_writer import write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, resampled, with_y_up
 from .files import check_file, check_folder
 from .npz import read_npz, write_npz
-from .rig import RigMotion, motion_of, motion_of_rig, own_skeleton, retargeted_motion
+from .rig import motion_of, motion_of_rig, own_skeleton, retargeted_motion
 from .sheets import write_take_csv
 from .takes import read_take
 from .targets import target_rig
@@ -44,16 +44,16 @@ def check_writable(path: str | os.PathLike[str], export: Export | None = None) -
             f"known: {', '.join(_EXTENSIONS)}"
         )
     check_folder(path)
-    if export is not None:
-        export.check(suffix.lower())
-        character = export.character
-        if character is not None:
-            if character.suffix.lower() not in USD_SUFFIXES[:3]:
-                known = "expected .usda, .usdc or .usd"
-                raise InputError(f"--character {character}: {known}")
-            check_folder(character)
-        if export.rig is not None:
-            target_rig(export.rig, export.target, standard_body(KINECT_V2))
+    if export is None:
+        return
+    export.check(suffix.lower())
+    if export.character is not None:
+        if export.character.suffix.lower() not in USD_SUFFIXES[:3]:
+            known = "expected .usda, .usdc or .usd"
+            raise InputError(f"--character {export.character}: {known}")
+        check_folder(export.character)
+    if export.rig is not None:
+        target_rig(export.rig, export.target, standard_body(KINECT_V2))
 
 
 def write_clip(
@@ -83,8 +83,12 @@ def write_clip(
     elif suffix == ".npz":
         write_npz(clip, path)
     else:
+        moved = motion_of(clip)
+        if export.rig is not None:
+            rig = target_rig(export.rig, export.target, clip.body)
+            moved = retargeted_motion(rig, retarget(clip, rig))
         write = write_bvh if suffix == ".bvh" else write_usd
-        write(clip, _moved(clip, export), path, export)
+        write(clip, moved, path, export)
 
 
 def read_clip(path: str | os.PathLike[str]) -> Clip:
@@ -140,7 +144,7 @@ def _of_own_bvh(bvh: Bvh, source: str) -> Clip | None:
 
 def _posed(take: Take) -> Clip:
     """Return the same postures on a body of median lengths, absent joints at rest."""
-    skeleton, shape = take.skeleton, take.positions.shape[:2]
+    skeleton = take.skeleton
     lacks = np.asarray(~np.isfinite(take.positions).all(axis=-1))
     missing = np.argwhere(lacks & ~lacks.all(axis=0))
     if len(missing):
@@ -158,11 +162,4 @@ def _posed(take: Take) -> Clip:
     motion = Motion(
         time=take.time, body=body, root=root, rotations=rotations, source=take.source
     )
-    return Clip.of(motion, state=take.state, reliability=np.ones(shape))
-
-
-def _moved(clip: Clip, export: Export) -> RigMotion:
-    if export.rig is None:
-        return motion_of(clip)
-    rig = target_rig(export.rig, export.target, clip.body)
-    return retargeted_motion(rig, retarget(clip, rig))
+    return Clip.of(motion, state=take.state, reliability=np.ones(lacks.shape))

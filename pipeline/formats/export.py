@@ -64,13 +64,10 @@ class Export:
     def __post_init__(self) -> None:
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
             raise InputError(
-                f"--fps {self.fps:g}: expected {_SLOWEST:g} to {_FASTEST:g} frames a "
-                "second"
+                f"--fps {self.fps:g}: expected {_SLOWEST:g} to {_FASTEST:g} frames/s"
             )
         if self.target is not None and self.rig is None:
-            raise InputError(
-                f"--target {self.target}: say with --rig how its joints are called"
-            )
+            raise InputError(f"--target {self.target}: name its joints with --rig")
         if self.rig is not None and (self.rest != "own" or self.character is not None):
             flag = "--character" if self.rest == "own" else "--rest"
             raise InputError(

@@ -33,15 +33,11 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
     """Return ``path`` if a file may be written there, else raise InputError."""
     path = Path(path)
     if not path.parent.is_dir():
-        raise InputError(
-            f"{path}: folder {path.parent} does not exist; create it or write elsewhere"
-        )
+        raise InputError(f"{path}: folder {path.parent} does not exist; create it")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not os.access(path.parent, os.W_OK):
-        raise InputError(
-            f"{path}: folder {path.parent} is not writable; write elsewhere"
-        )
+        raise InputError(f"{path}: folder {path.parent} is read-only; write elsewhere")
     return path
 
 
@@ -122,7 +118,7 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedRead
         ) from None
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise InputError(
-            f"{path}: damaged gzip file ({error}); copy or download it again"
+            f"{path}: damaged gzip file ({error}); copy it again"
         ) from None
     except OSError as error:
         reason = error.strerror or str(error)
@@ -143,8 +139,7 @@ class _Counted(io.RawIOBase):
         self._left -= len(data)
         if self._left < 0:
             raise InputError(
-                f"{self._path}: holds more than {self._most / 1e6:.0f} MB of text, "
-                "which no recording does; cut it into shorter takes"
+                f"{self._path}: more than {self._most / 1e6:.0f} MB of text; split it"
             )
         buffer[: len(data)] = data
         return len(data)
@@ -182,4 +177,4 @@ def parse_toml(text: str, name: str, expected: str) -> dict[str, Any]:
         return tomllib.loads(text)
     # Not its own error alone: numbers of thousands of digits, brackets in thousands.
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{name}: no TOML ({error}); {expected}") from None
+        raise InputError(f"{name}: not TOML ({error}); {expected}") from None

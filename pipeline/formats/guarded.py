@@ -39,15 +39,13 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
         )
     except subprocess.TimeoutExpired:
         raise InputError(
-            f"{path}: took longer than {_SECONDS:.0f} s to read; it is damaged, or "
-            "should be cut into shorter files"
+            f"{path}: takes over {_SECONDS:.0f} s to read; it is damaged or too long"
         ) from None
     if done.returncode == _REFUSED:
         raise InputError(done.stderr.decode("utf-8", "replace").splitlines()[-1])
     if done.returncode != 0:
         raise InputError(
-            f"{path}: its reader failed (code {done.returncode}); the file is damaged "
-            "or too large, export it again"
+            f"{path}: damaged or too large (reader code {done.returncode}); export it"
         )
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as file:
         return {key: file[key] for key in file.files}

@@ -25,7 +25,6 @@ class Mocap:
     """Joints in motion, in the file's own axes and unit."""
 
     names: tuple[str, ...]
-    """Names of the joints."""
     positions: Array
     """Joint positions, NaN where missing, shape (T, N, 3)."""
     rotations: Array | None
@@ -34,7 +33,6 @@ class Mocap:
     frame_time: float
     """Time between frames [s]."""
     source: str
-    """The file, for messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,6 @@ class KinectMotion:
     frame_time: float
     """Time between frames [s]."""
     rig: str
-    """Name of the rig whose joints were found."""
 
 
 def bare_name(name: str) -> str:
@@ -112,9 +109,7 @@ def _z_is_up(positions: Array, skeleton: Skeleton, source: str) -> bool:
     spine = positions[:, skeleton.index("Head")] - positions[:, skeleton.root]
     spine = spine[np.isfinite(spine).all(axis=1)]
     if not len(spine):
-        raise InputError(
-            f"{source}: no frame has head and hips; give motion of a whole body"
-        )
+        raise InputError(f"{source}: no frame has head and hips; give whole bodies")
     middle = np.median(spine, axis=0)
     return bool(np.abs(middle).argmax() == 2 and middle[2] > 0.0)
 

@@ -68,8 +68,7 @@ def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> 
     if first[:1] in ("#", ":"):
         return read_amc(path, read_asf(_skeleton_for(path, skeletons)))
     raise InputError(
-        f"{path}: no mocap: expected BVH (HIERARCHY ...), AMC (:FULLY-SPECIFIED) with "
-        "its ASF, or C3D"
+        f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, or C3D"
     )
 
 
@@ -180,6 +179,5 @@ def _check_header(source: str) -> None:
         )
     if frames * points > MOST_CELLS:
         raise InputError(
-            f"{source}: {frames} frames of {points} points are more than any "
-            "recording has; cut it into shorter files"
+            f"{source}: {frames} frames of {points} points are too many; split it"
         )

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import os
 import zipfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import fields
+from itertools import count
 from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    Body,
-    Clip,
-    InputError,
-    Prop,
-    Shape,
-    skeleton_named,
-)
+from kinefilter.characters import Body, Clip, InputError, Prop, Shape, skeleton_named
 
 from .files import atomic_path, check_file
 
@@ -91,25 +86,19 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(member) as file:
         _check_header(file, member.file_size)
     with archive.open(member) as file:
-        array = npy.read_array(file, allow_pickle=False)
-    return np.asarray(array)
+        return np.asarray(npy.read_array(file, allow_pickle=False))
 
 
 def _check_header(file: IO[bytes], size: int) -> None:
     """Raise ValueError if an array would be larger than the archive holds of it."""
     version = npy.read_magic(file)
-    read = {
-        (1, 0): npy.read_array_header_1_0,
-        (2, 0): npy.read_array_header_2_0,
-    }.get(version)
-    if read is None:
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    if version not in readers:
         raise ValueError(f"version {version}")
-    shape, _, dtype = read(file, max_header_size=_LONGEST_HEADER)
-    needed = dtype.itemsize
-    for length in shape:
-        needed *= max(length, 0)
+    shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
+    needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
     if needed > size or dtype.kind not in _KINDS:
-        raise ValueError("larger than the archive says, or no numbers or text")
+        raise ValueError("larger than the archive says, or not numbers or text")
 
 
 def _unreadable(source: str, error: Exception, expected: str) -> InputError:
@@ -150,12 +139,11 @@ def read_npz(path: str | os.PathLike[str]) -> Clip:
         raise InputError(f"{name}: {error}") from None
     except KeyError as error:
         raise InputError(
-            f"{name}: holds no clip (no array {error.args[0]}); expected an npz that "
-            "kinefilter wrote"
+            f"{name}: not a kinefilter clip (no array {error.args[0]}); write it again"
         ) from None
     except (ValueError, TypeError, IndexError):
         raise InputError(
-            f"{name}: its arrays are no clip; expected an npz that kinefilter wrote"
+            f"{name}: its arrays do not make a clip; write it again"
         ) from None
 
 
@@ -166,9 +154,9 @@ def _clip(archive: dict[str, Any]) -> Clip:
     frame = {name: archive.get(name, np.nan) for name in _FRAME}
     for name, array in (*arrays.items(), *measures.items(), *frame.items()):
         if np.asarray(array).dtype.kind not in "biuf":
-            raise InputError(f"{name} holds no numbers; write the clip again")
+            raise InputError(f"{name} is not numbers; write the clip again")
     if arrays["time"].dtype.kind != "f":
-        raise InputError("time holds no numbers; write the clip again")
+        raise InputError("time is not numbers; write the clip again")
     numbers = {name: measures[name].item() for name in ("height", "mass")}
     positions = arrays.pop("positions")
     if positions.shape != (len(arrays["time"]), len(skeleton), 3):
@@ -199,16 +187,13 @@ def _props_as_arrays(props: tuple[Prop, ...]) -> dict[str, Any]:
 
 def props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
     """Yield the props whose arrays are named as ``write_npz`` names them."""
-    k = 0
-    while f"prop:{k}:name" in archive:
+    for k in count():
+        if f"prop:{k}:name" not in archive:
+            return
+        kinds, name = archive[f"prop:{k}:kinds"].tolist(), archive[f"prop:{k}:name"]
         shapes = [
             Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
-            for n, kind in enumerate(archive[f"prop:{k}:kinds"].tolist())
+            for n, kind in enumerate(kinds)
         ]
-        yield Prop(
-            str(archive[f"prop:{k}:name"]),
-            tuple(shapes),
-            archive[f"prop:{k}:positions"],
-            archive[f"prop:{k}:rotations"],
-        )
-        k += 1
+        moves = (archive[f"prop:{k}:{path}"] for path in ("positions", "rotations"))
+        yield Prop(str(name), tuple(shapes), *moves)

@@ -199,7 +199,6 @@ class Sighting:
     """A body in a frame."""
 
     frame: int
-    """Index of the frame."""
     body: int
     """The tracker's number for the body."""
     positions: Array
@@ -248,21 +247,7 @@ def _people(
                 "delete one of them"
             )
         track.append(sighting)
-    parts = list(tracks.values())
-    after = _continued(time, parts)
-    people = []
-    for k in sorted(set(range(len(parts))) - set(after.values())):
-        person = list(parts[k])
-        while k in after:
-            k = after[k]
-            person += parts[k]
-        people.append(person)
-    return people
-
-
-def _continued(time: Array, parts: list[list[Sighting]]) -> dict[int, int]:
-    """Return which part goes on after which, the nearest pairs first."""
-    pairs = []
+    parts, pairs = list(tracks.values()), []
     for k, lost in enumerate(parts):
         for m, new in enumerate(parts):
             gap = time[new[0].frame] - time[lost[-1].frame]
@@ -274,7 +259,14 @@ def _continued(time: Array, parts: list[list[Sighting]]) -> dict[int, int]:
     for _, k, m in sorted(pairs):
         if k not in after and m not in after.values():
             after[k] = m
-    return after
+    people = []
+    for k in sorted(set(range(len(parts))) - set(after.values())):
+        person = list(parts[k])
+        while k in after:
+            k = after[k]
+            person += parts[k]
+        people.append(person)
+    return people
 
 
 def _place(sighting: Sighting) -> Array:

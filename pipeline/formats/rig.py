@@ -12,14 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    SKELETONS,
-    Body,
-    Clip,
-    Motion,
-    Skeleton,
-    standard_body,
-)
+from kinefilter.characters import SKELETONS, Body, Clip, Motion, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.body_size import measured_body
@@ -122,10 +115,6 @@ class Rig:
             world[:, n] = multiply(world[:, parent], local[:, n])
         return world
 
-    def without_axes(self) -> Rig:
-        """Return the rig for formats whose rest pose has no rotations."""
-        return replace(self, axes=None)
-
     def local_rotations(self, rotations: Array) -> Array:
         """Return every node's rotation as ``local_rotation`` does, (..., N, 4)."""
         nodes = [self.local_rotation(rotations, n) for n in range(len(self))]
@@ -135,36 +124,24 @@ class Rig:
 def rig_of(body: Body) -> Rig:
     """Return the rig of a body."""
     skeleton = body.skeleton
-    names: list[str] = []
-    parents: list[int] = []
-    offsets: list[Array] = []
-    segments: list[int] = []
-
-    def add(name: str, parent: int, offset: Array, segment: int) -> int:
-        names.append(name)
-        parents.append(parent)
-        offsets.append(offset)
-        segments.append(segment)
-        return len(names) - 1
+    nodes: list[tuple[str, int, Array, int]] = []  # name, parent, offset, segment
 
     def add_joint(joint: int, parent: int) -> None:
         children, name = skeleton.children[joint], skeleton.joints[joint]
         branches = len(children) > 1 or joint == skeleton.root
         segment = joint if branches or not children else children[0]
-        node = add(name, parent, body.rest_offsets[joint], segment)
+        node = len(nodes)
+        nodes.append((name, parent, body.rest_offsets[joint], segment))
         for child in children:
-            pivot = f"{skeleton.joints[child]}Pivot"
-            turns = add(pivot, node, np.zeros(3), child) if branches else node
-            add_joint(child, turns)
+            if branches:
+                pivot = f"{skeleton.joints[child]}Pivot"
+                nodes.append((pivot, node, np.zeros(3), child))
+            add_joint(child, len(nodes) - 1 if branches else node)
 
     add_joint(skeleton.root, -1)
-    return Rig(
-        names=tuple(names),
-        parents=tuple(parents),
-        offsets=np.array(offsets),
-        segments=np.array(segments),
-        root=body.rest_positions[skeleton.root],
-    )
+    names, parents, offsets, segments = zip(*nodes, strict=True)
+    root = body.rest_positions[skeleton.root]
+    return Rig(names, parents, np.array(offsets), np.array(segments), root)
 
 
 def own_skeleton(names: Sequence[str]) -> Skeleton | None:
@@ -195,13 +172,9 @@ def motion_of_rig(
     lengths = np.linalg.norm(bones, axis=1)
     directions = bones / np.maximum(lengths, 1e-12)[:, None]
     person = measured_body(skeleton, lengths, directions, source=source)
-    return Motion(
-        time=time,
-        body=replace(person, lengths=lengths, directions=directions),
-        root=root,
-        rotations=rotations[:, rig.starts],
-        source=source,
-    )
+    body = replace(person, lengths=lengths, directions=directions)
+    turns = rotations[:, rig.starts]
+    return Motion(time=time, body=body, root=root, rotations=turns, source=source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +182,6 @@ class RigMotion:
     """What a rig does."""
 
     rig: Rig
-    """The rig."""
     rotations: Array
     """World rotations of its segments since the rest pose, wxyz, shape (T, S, 4)."""
     path: Array
@@ -229,15 +201,8 @@ def retargeted_motion(target: TargetRig, motion: Retargeted) -> RigMotion:
     rest, mover = target.rest, target.joint("pelvis")
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0
-    rig = Rig(
-        names=rest.names,
-        parents=rest.parents,
-        offsets=offsets,
-        segments=np.arange(len(rest)),
-        root=rest.positions[0],
-        axes=rest.axes,
-        mover=mover,
-    )
+    segments, root = np.arange(len(rest)), rest.positions[0]
+    rig = Rig(rest.names, rest.parents, offsets, segments, root, rest.axes, mover)
     above = rig.parents[mover]
     path = motion.positions[:, mover]
     if above >= 0:

@@ -73,9 +73,8 @@ def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
         file.write(take_header(motion.skeleton))
         for start in range(0, len(motion), _FRAMES_AT_ONCE):
             some = slice(start, start + _FRAMES_AT_ONCE)
-            file.write(
-                take_rows(motion.time[some], motion.positions[some], state[some])
-            )
+            rows = take_rows(motion.time[some], motion.positions[some], state[some])
+            file.write(rows)
 
 
 def take_header(skeleton: Skeleton) -> str:
@@ -120,20 +119,17 @@ def _kinefilter(line: str, source: str) -> _Layout:
     joints = tuple(dict.fromkeys(c.rpartition(".")[0] or c for c in columns[1:]))
     skeleton = _skeleton_with(joints, source)
     needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
-    unknown = set(columns).difference(_columns(skeleton), needed)
-    for column in columns:
-        if column in unknown:
-            raise InputError(
-                f"{source}: row 1, column {column[:40]!r} is unknown; expected "
-                "Joint.x, Joint.y, Joint.z or Joint.state"
-            )
-    present = set(columns)
-    for column in needed:
-        if column not in present:
-            raise InputError(
-                f"{source}: row 1 has no column {column}; add it or delete the other "
-                "columns of that joint"
-            )
+    known, present = {*_columns(skeleton), *needed}, set(columns)
+    if unknown := [column for column in columns if column not in known]:
+        raise InputError(
+            f"{source}: row 1, column {unknown[0][:40]!r} is unknown; expected "
+            "Joint.x, Joint.y, Joint.z or Joint.state"
+        )
+    if missing := [column for column in needed if column not in present]:
+        raise InputError(
+            f"{source}: row 1 has no column {missing[0]}; add it or delete the other "
+            "columns of that joint"
+        )
     return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
 
 
@@ -242,32 +238,22 @@ def _frames(
         positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
         state[:, j] = State.TRACKED
         if f"{joint}.state" in index:
-            state[:, j] = _states(block, index[f"{joint}.state"], reader)
+            column = index[f"{joint}.state"]
+            given = values[:, column]
+            # An empty cell says nothing against the joint.
+            states = np.where(np.isnan(given), State.TRACKED, given)
+            words = "is {:g}, expected a tracking state: 0 not tracked, 1 inferred, "
+            unknown = ~np.isin(states, list(State))
+            reader.refuse(block, column, unknown, words + "2 tracked")
+            state[:, j] = states
     time = np.zeros(len(values))
     if "time" in index:
         time = values[:, index["time"]]
-        for wrong, words in (
-            (np.isnan(time), "is empty, expected a time; delete the row"),
-            (
-                np.abs(time) > _LATEST,
-                "is {:.3g}, expected a time; correct or delete the row",
-            ),
-        ):
-            reader.refuse(block, index["time"], wrong, words)
+        words = "is empty, expected a time; delete the row"
+        reader.refuse(block, index["time"], np.isnan(time), words)
+        words = "is {:.3g}, expected a time; correct or delete the row"
+        reader.refuse(block, index["time"], np.abs(time) > _LATEST, words)
     return block.rows, time, *missing_marked(positions, state)
-
-
-def _states(block: Block, column: int, reader: RowReader) -> Array:
-    """Return the states in a column; an empty cell says nothing against the joint."""
-    values = block.values[:, column]
-    states = np.where(np.isnan(values), State.TRACKED, values)
-    reader.refuse(
-        block,
-        column,
-        ~np.isin(states, list(State)),
-        "is {:g}, expected a tracking state: 0 not tracked, 1 inferred, 2 tracked",
-    )
-    return states
 
 
 # Foot contacts, as a table that people can edit

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 
 from kinefilter.characters import InputError, Take
@@ -20,16 +19,6 @@ _AZURE_KEYS = ('"bone_list"', '"joint_names"', '"timestamp_usec"', '"joint_posit
 _AZURE_BEGINNING = 2**16  # characters: a bone list is a tenth of it
 
 
-@dataclass(frozen=True)
-class Format:
-    """A layout of files that hold takes."""
-
-    reader: str
-    """Module of this package and function in it that makes a Recording of a path."""
-    begins: Callable[[str], bool]
-    """Whether a file of this layout can begin with a line."""
-
-
 def _cells(line: str) -> list[str]:
     return line.strip().split(",")
 
@@ -38,29 +27,29 @@ def _words(line: str) -> list[str]:
     return line.replace(",", " ").split()
 
 
-FORMATS = {
-    "kinefilter": Format(
+FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
+    "kinefilter": (
         "sheets:read_kinefilter",
         lambda line: _cells(line)[0].strip().strip('"').lower() == "time",
     ),
-    "kinect-v2": Format(
+    "kinect-v2": (
         "sheets:read_kinect_v2",
         # The recorder ends every cell with a comma, the last one too.
         lambda line: ";" not in line and len(_cells(line)) - _V2_CELLS in (0, 1),
     ),
-    "kinect-v1": Format("sheets:read_kinect_v1", lambda line: ";" in line),
-    "msrc-12": Format("sheets:read_msrc_12", lambda line: len(_words(line)) == 81),
-    "msr-action3d": Format(
+    "kinect-v1": ("sheets:read_kinect_v1", lambda line: ";" in line),
+    "msrc-12": ("sheets:read_msrc_12", lambda line: len(_words(line)) == 81),
+    "msr-action3d": (
         "datasets:read_msr_action3d",
         lambda line: len(_words(line)) == 4 and "," not in line,
     ),
-    "ntu": Format("datasets:read_ntu", lambda line: line.strip().isdigit()),
-    "azure": Format("azure:read_azure", lambda line: line.startswith("{")),
-    "bvh": Format(
-        "mocap_files:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]
-    ),
+    "ntu": ("datasets:read_ntu", lambda line: line.strip().isdigit()),
+    "azure": ("azure:read_azure", lambda line: line.startswith("{")),
+    "bvh": ("mocap_files:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]),
 }
-"""Every format by its name; a file is of the first that can begin as it does."""
+"""By the name of a format: module of this package and function in it that makes a
+Recording of a path, and whether a file can begin with a line. The first that can is
+the format of a file."""
 
 
 def read_take(
@@ -120,7 +109,7 @@ def read_recording(
     if format is not None and format not in FORMATS:
         raise InputError(f"unknown take format {format!r}; known: {', '.join(FORMATS)}")
     name = format or _detected(_first_line(source), source)
-    module, _, function = FORMATS[name].reader.partition(":")
+    module, _, function = FORMATS[name][0].partition(":")
     read = getattr(import_module(f".{module}", __package__), function)
     recording: Recording = read(source)
     return recording
@@ -162,8 +151,8 @@ def _first_line(source: str) -> str:
 
 def _detected(line: str, source: str) -> str:
     """Return the format of a file by its first line."""
-    for name, known in FORMATS.items():
-        if known.begins(line):
+    for name, (_, begins) in FORMATS.items():
+        if begins(line):
             return name
     raise InputError(
         f"{source}: row 1 is of no known layout ({len(_cells(line))} comma-separated "
