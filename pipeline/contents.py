@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.table import Table
 
@@ -46,7 +45,6 @@ _PARTS = {
     for side in ("Left", "Right")
 }
 _USD = (b"#usda", b"PXR-USDC")
-_MOCAP = (".amc", ".c3d")
 _FAILURE = ("kind", "part", "start_s", "end_s")
 _LISTED = 30  # names of joints on a terminal
 _SHOWN_APART = (
@@ -60,11 +58,10 @@ def contents_of(
     *,
     format: str | None = None,  # noqa: A002 - the word that users know
 ) -> dict[str, Any]:
-    """Return what a file holds, ready for ``json.dump``.
+    """Return what a file holds, ready for ``json.dump``, or raise InputError.
 
     Always ``file``, ``kind`` and ``format``; for takes ``unit``, ``notes`` and
-    ``bodies``. ``format`` is one of ``read_take``'s. Raises InputError if the file is
-    missing, malformed or of no known kind.
+    ``bodies``. ``format`` is one of ``read_take``'s.
     """
     file, name = check_file(path), os.fspath(path)
     with file.open("rb") as opened:
@@ -76,7 +73,7 @@ def contents_of(
         contents = {"kind": "clip", "format": "usd"} | usd_contents(name)
     elif packed:
         contents = _of_npz(name)
-    elif file.name.lower().removesuffix(".gz").endswith(_MOCAP):
+    elif file.name.lower().removesuffix(".gz").endswith((".amc", ".c3d")):
         contents = _of_mocap(read_mocap(file))
     elif claims_contacts(file):
         contents = _of_contacts(file)
@@ -122,6 +119,7 @@ def _of_npz(name: str) -> dict[str, Any]:
 
 
 def _of_clip(clip: Clip) -> dict[str, Any]:
+    standing = clip.contacts.mean(axis=0).tolist()
     force = clip.external_force[np.isfinite(clip.external_force)]
     return {
         "kind": "clip",
@@ -134,7 +132,7 @@ def _of_clip(clip: Clip) -> dict[str, Any]:
         "mass_kg": clip.body.mass,
         "reliability": float(clip.reliability.mean()),
         "origin": {o.name.lower(): float(np.mean(clip.origin == o)) for o in Origin},
-        "standing": _standing(clip.contacts),
+        "standing": dict(zip(CONTACTS, standing, strict=True)),
         "external_force_body_weights": float(force.mean()) if len(force) else None,
         "states": _states(clip),
     }
@@ -142,18 +140,15 @@ def _of_clip(clip: Clip) -> dict[str, Any]:
 
 def _of_contacts(path: Path) -> dict[str, Any]:
     time, contacts = contact_table(path)
+    shares = contacts.mean(axis=0).tolist()
     return {
         "kind": "contacts",
         "format": "csv",
         "rows": len(time),
         "start_s": float(time[0]),
         "seconds": float(time[-1] - time[0]),
-        "share_of_rows_on_the_floor": _standing(contacts),
+        "share_of_rows_on_the_floor": dict(zip(CONTACTS, shares, strict=True)),
     }
-
-
-def _standing(contacts: NDArray[np.bool_]) -> dict[str, float]:
-    return dict(zip(CONTACTS, contacts.mean(axis=0).tolist(), strict=True))
 
 
 def _of_mocap(mocap: Mocap) -> dict[str, Any]:
@@ -188,19 +183,18 @@ def _of_recording(recording: Recording) -> dict[str, Any]:
 
 def contents_of_take(take: Take) -> dict[str, Any]:
     """Return what is in a take: time, states of parts of the body, failures."""
-    seen = (take.state > State.NOT_TRACKED).any(axis=1)
-    absent = (take.state == State.NOT_TRACKED).all(axis=0)
+    lacks = take.state == State.NOT_TRACKED
     moving = np.concatenate([[True], np.diff(take.time) > 0])
     names = ("time", "positions", "state")
     distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
     failures = find_failures(distinct) if len(distinct) > 1 else ()
     rows = [(f.kind.name.lower(), f.part, f.start, f.end) for f in failures]
-    never = np.flatnonzero(absent).tolist()
+    never = np.flatnonzero(lacks.all(axis=0)).tolist()
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
         **_timing(take.time),
-        "frames_without_anyone": int(np.sum(~seen)),
+        "frames_without_anyone": int(np.sum(lacks.all(axis=1))),
         "joints_never_seen": [take.skeleton.joints[j] for j in never],
         "states": _states(take),
         "failures": [dict(zip(_FAILURE, row, strict=True)) for row in rows],
@@ -259,7 +253,11 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
         if key not in _SHOWN_APART
     ]
     if "states" in facts:
-        lines.append(_state_table(facts["states"]))
+        names = [state.name.lower().replace("_", " ") for state in State]
+        table = Table("part", *names, title="tracking states", title_justify="left")
+        for part, shares in facts["states"].items():
+            table.add_row(part, *(f"{share:.0%}" for share in shares.values()))
+        lines.append(table)
     if "failures" in facts:
         found = [(f["part"], f["kind"].replace("_", " ")) for f in facts["failures"]]
         lines += [
@@ -278,12 +276,3 @@ def _told(value: Any) -> str:
         more = f", ... ({len(value)})" if len(value) > _LISTED else ""
         return ", ".join(map(str, value[:_LISTED])) + more or "none"
     return "unknown" if value is None else str(value)
-
-
-def _state_table(parts: dict[str, dict[str, float]]) -> Table:
-    states = next(iter(parts.values()))
-    columns = ("part", *(state.replace("_", " ") for state in states))
-    table = Table(*columns, title="tracking states", title_justify="left")
-    for part, shares in parts.items():
-        table.add_row(part, *(f"{share:.0%}" for share in shares.values()))
-    return table

@@ -33,8 +33,6 @@ _FREEDOMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 @dataclass(eq=False)
 class _Bone:
-    """A bone, or the root, which has no length."""
-
     direction: Array = field(default_factory=lambda: np.zeros(3))
     length: float = 0.0
     axis: Array = field(default_factory=lambda: IDENTITY)
@@ -49,7 +47,6 @@ class Acclaim:
     bones: dict[str, _Bone]
     """By name, every parent before its children, the root first."""
     degrees: bool
-    """Angles are in degrees."""
     source: str
 
 
@@ -171,10 +168,7 @@ def _turned(angles: Array, axes: str) -> Array:
 
 
 def read_amc(path: str | os.PathLike[str], skeleton: Acclaim) -> Mocap:
-    """Read where the bones of an AMC file end and how they are turned.
-
-    Raises InputError if it is missing, malformed or of another skeleton.
-    """
+    """Read where an AMC file's bones end and how they turn; raises InputError."""
     source = os.fspath(path)
     values = _amc_values(source, skeleton)
     frames = len(values[_ROOT])

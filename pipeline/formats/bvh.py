@@ -142,7 +142,16 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         tree.read(lines)
         frames = _header_number(lines, "Frames:", source)
         frame_time = _header_number(lines, "Frame Time:", source)
-        _check_size(frames, frame_time, tree)
+        if frames * len(tree.names) > MOST_CELLS:
+            raise InputError(
+                f"{source}: {frames:g} frames of {len(tree.names)} joints are more "
+                "than any recording has; correct 'Frames:' or cut it into shorter files"
+            )
+        if not _FRAME_TIMES[0] <= frame_time <= _FRAME_TIMES[1]:
+            raise InputError(
+                f"{source}: frame time is {frame_time:g} s, expected one between two "
+                "frames of a recording, such as 0.0333; correct 'Frame Time:'"
+            )
         motion = _motion(lines, tree, frames)
     return Bvh(
         tuple(tree.names),
@@ -182,21 +191,6 @@ def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> Array:
     return np.concatenate(motion)
 
 
-def _check_size(frames: float, frame_time: float, tree: _Hierarchy) -> None:
-    """Raise InputError for a motion that nobody records, before it is read."""
-    if frames * len(tree.names) > MOST_CELLS:
-        raise InputError(
-            f"{tree.source}: {frames:g} frames of {len(tree.names)} joints are more "
-            "than any recording has; correct 'Frames:' or cut it into shorter files"
-        )
-    shortest, longest = _FRAME_TIMES
-    if not shortest <= frame_time <= longest:
-        raise InputError(
-            f"{tree.source}: frame time is {frame_time:g} s, expected one between two "
-            f"frames of a recording, such as 0.0333; correct 'Frame Time:'"
-        )
-
-
 def _header_number(lines: _Lines, key: str, source: str) -> float:
     row, line = next(lines, (0, ""))
     words, value = key.split(), line.split()
@@ -212,8 +206,6 @@ def _header_number(lines: _Lines, key: str, source: str) -> float:
 
 @dataclass(eq=False)
 class _Hierarchy:
-    """The joints read so far."""
-
     source: str
     row: int = 0
     names: list[str] = field(default_factory=list)

@@ -25,7 +25,7 @@ from .bvh_writer import write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, resampled, with_y_up
 from .files import check_file, check_folder
 from .npz import read_npz, write_npz
-from .rig import motion_of, motion_of_rig, own_skeleton, retargeted_motion
+from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
 from .sheets import write_take_csv
 from .takes import read_take
 from .targets import target_rig
@@ -65,11 +65,8 @@ def write_clip(
     rotations; CSV joint positions and the sensor's states; npz the whole clip. On
     another rig, USD and BVH hold its skeleton and rotations. The extension decides:
     ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.bvh``, ``.csv`` or ``.npz``. By
-    default units are meters, y is up, and frames are the clip's.
-
-    Raises:
-        InputError: The extension is unknown, what was chosen does not go with it, or
-            nothing can be written there.
+    default units are meters, y is up, and frames are the clip's. Raises InputError if
+    the extension is unknown, an option does not go with it, or nothing can be written.
     """
     export = export or Export()
     check_writable(path, export)
@@ -83,7 +80,8 @@ def write_clip(
     elif suffix == ".npz":
         write_npz(clip, path)
     else:
-        moved = motion_of(clip)
+        root = clip.positions[:, clip.skeleton.root]
+        moved = RigMotion(rig_of(clip.body), clip.rotations, root, clip.positions)
         if export.rig is not None:
             rig = target_rig(export.rig, export.target, clip.body)
             moved = retargeted_motion(rig, retarget(clip, rig))
@@ -97,11 +95,9 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
     npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
     states, the name of the take, stature and mass; its time starts at 0. BVH holds
     positions and rotations alone, CSV positions: the body is measured from them,
-    contacts and props are unknown, and every joint counts as reliable.
-
-    Raises:
-        InputError: The file is missing, of another kind or damaged, on another
-            skeleton, or a raw take in which joints are missing.
+    contacts and props are unknown, and every joint counts as reliable. Raises
+    InputError if the file is missing, damaged, of another kind or skeleton, or a raw
+    take.
     """
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")

@@ -95,35 +95,34 @@ def read_ntu(source: str) -> Recording:
             bodies = reader.whole(reader.line(), "the number of bodies")
             sightings += [reader.body(frame) for _ in range(bodies)]
         check_length(count, source)
-        reader.expect_end(count)
+        if reader.line_or_end():
+            reader.fail(f"goes on after {count} frames; correct row 1")
     time = np.arange(count) / _NTU_FRAMES_PER_SECOND
     return Recording(takes_of(time, sightings, KINECT_V2, source), "ntu")
 
 
 @dataclass
 class _Reader:
-    """Takes one line after the other and says which is wrong."""
-
     source: str
     lines: Iterator[str]
     row: int
     frame: str = ""
 
-    def line(self) -> str:
+    def line_or_end(self) -> str:
         for line in self.lines:
             self.row += 1
             if line.strip():
                 return line
-        raise InputError(
-            f"{self.source}: row {self.row} ends the file in {self.frame}; the file "
-            "may be cut off, download it again or correct row 1"
-        )
+        return ""
 
-    def expect_end(self, count: int) -> None:
-        for line in self.lines:
-            self.row += 1
-            if line.strip():
-                self.fail(f"goes on after {count} frames; correct row 1")
+    def line(self) -> str:
+        line = self.line_or_end()
+        if not line:
+            self.fail(
+                f"ends the file in {self.frame}; the file may be cut off, download it "
+                "again or correct row 1"
+            )
+        return line
 
     def whole(self, line: str, meaning: str) -> int:
         """Return the whole number that a line is, 0 or more."""

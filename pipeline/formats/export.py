@@ -149,9 +149,8 @@ def resampled(clip: Clip, fps: float) -> Clip:
         found = np.empty((count, *rotations.shape[1:]))
         for start in range(0, count, _CHUNK):
             some = slice(start, start + _CHUNK)
-            found[some] = slerp(
-                rotations[before[some]], rotations[after[some]], part[some]
-            )
+            start_end = rotations[before[some]], rotations[after[some]]
+            found[some] = slerp(*start_end, part[some])
         return found
 
     nearest = np.where(share < 0.5, before, after)
@@ -174,9 +173,5 @@ def in_strict_t(clip: Clip) -> Clip:
     """Return the same motion with a rest posture in which every bone is square."""
     body = clip.body
     square = standard_body(body.skeleton).directions
-    turns = between(square, body.directions)
-    return replace(
-        clip,
-        rotations=multiply(clip.rotations, turns),
-        body=replace(body, directions=square),
-    )
+    rotations = multiply(clip.rotations, between(square, body.directions))
+    return replace(clip, rotations=rotations, body=replace(body, directions=square))

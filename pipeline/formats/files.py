@@ -126,8 +126,6 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedRead
 
 
 class _Counted(io.RawIOBase):
-    """Bytes of a file, up to a limit."""
-
     def __init__(self, stream: IO[bytes], most: int, path: Path) -> None:
         self._stream, self._left, self._path, self._most = stream, most, path, most
 
@@ -155,11 +153,8 @@ def _lines(file: TextIO, path: Path) -> Iterator[str]:
                 f"{path}: row {row} is binary; expected a text file, export it as CSV"
             )
         if len(line) == _LONGEST_LINE or blank > _MOST_BLANK:
-            raise InputError(
-                f"{path}: row {row} "
-                + ("follows only blank rows" if blank else "does not end")
-                + "; expected a text file of recorded frames"
-            )
+            wrong = "follows only blank rows" if blank else "does not end"
+            raise InputError(f"{path}: row {row} {wrong}; expected recorded frames")
         yield line
 
 

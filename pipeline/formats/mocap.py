@@ -63,10 +63,8 @@ def kinect_motion(
     """Return the joints of a Kinect in mocap.
 
     The axis (y or z) that mostly points from hips to head is up. ``known`` are the rigs
-    to look for (``retarget/source_rigs``).
-
-    Raises:
-        InputError: The joints are of no rig, or are in no frame.
+    to look for (``retarget/source_rigs``). Raises InputError if the joints are of no
+    known rig, or are in no frame.
     """
     names = [bare_name(name) for name in mocap.names]
     rig, missing = matching_source_rig(names, skeleton, known)

@@ -53,10 +53,8 @@ def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> 
     """Read a BVH, AMC or C3D file, told apart by content; BVH and AMC may be gzipped.
 
     The ASF file for an AMC is the one of ``skeletons`` whose name the motion's begins
-    with, or the only one; without any, one beside the motion.
-
-    Raises:
-        InputError: The file is missing or malformed, or there is no skeleton for it.
+    with, or the only one; without any, one beside the motion. Raises InputError if the
+    file is missing or malformed, or there is no skeleton for it.
     """
     path = check_file(path)
     with path.open("rb") as file:
@@ -156,10 +154,7 @@ def c3d_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 
 def _check_header(source: str) -> None:
-    """Raise InputError for a file that is not as long as its header says.
-
-    ezc3d believes the header: of a damaged one it asks for any amount of memory.
-    """
+    """Raise InputError for a wrong length in the header, which ezc3d believes."""
     path = check_file(source)
     size = path.stat().st_size
     with path.open("rb") as file:

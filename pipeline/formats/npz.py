@@ -7,6 +7,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from itertools import count
 from typing import IO, Any
@@ -37,14 +38,31 @@ _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
 
-def array_names(path: str | os.PathLike[str]) -> set[str]:
-    """Return the names of the arrays in an npz file, or raise InputError."""
+@contextmanager
+def _archive(
+    path: str | os.PathLike[str], expected: str = "a file that kinefilter wrote"
+) -> Iterator[zipfile.ZipFile]:
     source = os.fspath(check_file(path))
     try:
         with zipfile.ZipFile(source) as archive:
-            return {name.removesuffix(".npy") for name in archive.namelist()}
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise _unreadable(source, error, "a file that kinefilter wrote") from None
+            yield archive
+    except InputError:
+        raise
+    except (
+        *(OSError, EOFError, ValueError, TypeError, MemoryError, OverflowError),
+        *(zipfile.BadZipFile, zlib.error, NotImplementedError, SyntaxError),
+        RuntimeError,  # an archive with a password
+    ) as error:
+        name = type(error).__name__
+        raise InputError(
+            f"{source}: cannot be read as npz ({name}); expected {expected}"
+        ) from None
+
+
+def array_names(path: str | os.PathLike[str]) -> set[str]:
+    """Return the names of the arrays in an npz file, or raise InputError."""
+    with _archive(path) as archive:
+        return {name.removesuffix(".npy") for name in archive.namelist()}
 
 
 def read_arrays(
@@ -53,33 +71,18 @@ def read_arrays(
     """Return the arrays of an npz file, without running anything in it.
 
     The sizes that archive and arrays claim are compared before memory is allocated, so
-    a small file cannot ask for much. ``expected`` completes the message.
-
-    Raises:
-        InputError: The file is missing, damaged, holds objects, or more than 2 GB.
+    a small file cannot ask for much. Raises InputError if the file is missing, damaged,
+    holds objects, or more than 2 GB.
     """
-    source = os.fspath(check_file(path))
-    try:
-        with zipfile.ZipFile(source) as archive:
-            members = archive.infolist()
-            size = sum(member.file_size for member in members)
-            if size > _LARGEST or len(members) > _MOST_ARRAYS:
-                raise InputError(
-                    f"{source}: {len(members)} arrays of {size / 1e6:.0f} MB are more "
-                    "than kinefilter writes; is it the right file?"
-                )
-            return {
-                member.filename.removesuffix(".npy"): _array(archive, member)
-                for member in members
-            }
-    except InputError:
-        raise
-    except (
-        *(OSError, EOFError, ValueError, TypeError, MemoryError, OverflowError),
-        *(zipfile.BadZipFile, zlib.error, NotImplementedError, SyntaxError),
-        RuntimeError,  # an archive with a password
-    ) as error:
-        raise _unreadable(source, error, expected) from None
+    with _archive(path, expected) as archive:
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if size > _LARGEST or len(members) > _MOST_ARRAYS:
+            raise InputError(
+                f"{os.fspath(path)}: {len(members)} arrays of {size / 1e6:.0f} MB are "
+                "more than kinefilter writes; is it the right file?"
+            )
+        return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
@@ -99,12 +102,6 @@ def _check_header(file: IO[bytes], size: int) -> None:
     needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
     if needed > size or dtype.kind not in _KINDS:
         raise ValueError("larger than the archive says, or not numbers or text")
-
-
-def _unreadable(source: str, error: Exception, expected: str) -> InputError:
-    return InputError(
-        f"{source}: cannot be read as npz ({type(error).__name__}); expected {expected}"
-    )
 
 
 def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:

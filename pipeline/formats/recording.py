@@ -63,17 +63,13 @@ class Recording:
         return [self.main + 1 if body is None else body]
 
     def take(self, body: int | None = None) -> Take:
-        """Return the take of a person, counted from 1; None: the main person.
-
-        Raises InputError if there is no such person.
-        """
+        """Return a person's take, from 1, or raise InputError; None: the main one."""
         if body is None:
             return self.takes[self.main]
         if not 1 <= body <= len(self.takes):
             raise InputError(
-                f"{self.takes[0].source}: has no body {body}, there "
-                + ("is 1" if len(self.takes) == 1 else f"are {len(self.takes)}")
-                + "; 'kinefilter info' lists them"
+                f"{self.takes[0].source}: has no body {body}, only {len(self.takes)}; "
+                "'kinefilter info' lists them"
             )
         return self.takes[body - 1]
 
@@ -182,8 +178,7 @@ def check_extent(positions: Array, source: str) -> None:
         unit, factor = ("milli", 1000) if span > 600 else ("centi", 100)
         raise InputError(
             f"{source}: the skeleton spans {span:.0f} m in a typical frame, expected a "
-            f"person in meters; if the file is in {unit}meters, divide positions by "
-            f"{factor}"
+            f"person in meters; if it is in {unit}meters, divide positions by {factor}"
         )
     distance = np.fmax.reduce(np.abs(positions[seen]).reshape(len(seen), -1), axis=1)
     far = seen[distance > _FARTHEST]
@@ -215,10 +210,8 @@ def takes_of(
     A person is the bodies of one number, and those that are new near to where and soon
     after one was lost. A take goes from its person's first frame to the last; every
     joint is missing in frames between without the person. Sightings are in the order of
-    the frames, whose time stamps [s] have shape (T,).
-
-    Raises:
-        InputError: Nobody is seen, a body is in a frame twice, or it is not a take.
+    the frames, whose time stamps [s] have shape (T,). Raises InputError if nobody is
+    seen, a body is in a frame twice, or it is not a take.
     """
     check_length(len(time), source)
     check_rate(time, source)

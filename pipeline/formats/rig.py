@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import SKELETONS, Body, Clip, Motion, Skeleton, standard_body
+from kinefilter.characters import SKELETONS, Body, Motion, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.body_size import measured_body
@@ -188,12 +188,6 @@ class RigMotion:
     """Place of the node ``rig.mover`` in its parent [m], shape (T, 3)."""
     positions: Array
     """World positions of joints, all that differ [m], shape (T, J, 3)."""
-
-
-def motion_of(clip: Clip) -> RigMotion:
-    """Return a clip's motion on its own rig."""
-    path = clip.positions[:, clip.skeleton.root]
-    return RigMotion(rig_of(clip.body), clip.rotations, path, clip.positions)
 
 
 def retargeted_motion(target: TargetRig, motion: Retargeted) -> RigMotion:

@@ -86,10 +86,7 @@ class RowReader:
     def refuse(
         self, block: Block, column: int, wrong: NDArray[np.bool_], words: str
     ) -> None:
-        """Raise the InputError of the first row (R,) whose cell is wrong, if any is.
-
-        The words are the rest of the sentence; ``{}`` in them is the cell's number.
-        """
+        """Raise InputError for the first wrong row (R,); ``{}`` is its number."""
         if wrong.any():
             k = int(np.argmax(wrong))
             self._fail(block.rows[k], column, words.format(block.values[k, column]))

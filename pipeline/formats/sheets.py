@@ -181,18 +181,18 @@ def _kinect_v1(line: str, source: str) -> _Layout:
 
 
 def _msrc_12(_line: str, _source: str) -> _Layout:
-    def normalize(line: str) -> str:
-        return ",".join(line.replace(",", " ").split())
-
     columns = _columns(KINECT_V1)
-    return _Layout("msrc-12", KINECT_V1, columns, normalize, 1e-6, weighted=True)
+    return _Layout("msrc-12", KINECT_V1, columns, _commas, 1e-6, weighted=True)
+
+
+def _commas(line: str) -> str:
+    return ",".join(line.replace(",", " ").split())
 
 
 # Reading
 
 
 def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
-    """Read a recording whose layout follows from its first line."""
     with open_rows(source) as (row, line, lines):
         layout = lay_out(line, source)
         if not layout.has_header:
@@ -263,10 +263,7 @@ _ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 
 
 def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
-    """Write 1 where a part of a foot is on the floor, else 0, one row per frame.
-
-    Raises InputError if the file cannot be written.
-    """
+    """Write 1 where a part of a foot is on the floor, else 0, one row per frame."""
     rows = zip(clip.time.tolist(), clip.contacts.astype(int).tolist(), strict=True)
     with (
         atomic_path(path) as temporary,
@@ -291,9 +288,8 @@ def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_
         stamps, flags = contact_table(path)
     if stamps[0] > time[-1] + _ROUNDED or (len(stamps) > 1 and stamps[-1] < time[0]):
         raise InputError(
-            f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, lie "
-            f"outside of the take's, {time[0]:.3f} to {time[-1]:.3f} s; give the "
-            "contacts of this take"
+            f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, are "
+            f"outside the take's, {time[0]:.3f} to {time[-1]:.3f} s; give this take's"
         )
     rows = np.searchsorted(stamps, time + _ROUNDED, side="right") - 1
     return np.asarray(flags[np.maximum(rows, 0)])
@@ -312,8 +308,7 @@ def contact_table(path: str | os.PathLike[str]) -> tuple[Array, NDArray[np.bool_
         if header != _CONTACT_HEADER:
             raise InputError(
                 f"{source}: row 1 is {','.join(header)[:60]!r}; expected the header "
-                f"{','.join(_CONTACT_HEADER)} that 'kinefilter clean --save-contacts' "
-                "writes"
+                f"{','.join(_CONTACT_HEADER)} of 'kinefilter clean --save-contacts'"
             )
         blocks = list(RowReader(source, _CONTACT_HEADER, str.strip).blocks(file, 2))
     values = np.concatenate([np.empty((0, 5)), *(block.values for block in blocks)])

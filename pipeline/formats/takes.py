@@ -77,15 +77,9 @@ def read_take(
     A joint that is not tracked, not a number or exactly at the origin, where the
     sensors put what they do not see, is missing: NaN and state 0.
 
-    Args:
-        path: The file.
-        format: One of the names above, to not go by content.
-        body: Which person, counted from 1 in the order in which they appear; by default
-            the one who is seen in most frames.
-
-    Raises:
-        InputError: The file is missing, malformed, empty of joints or not in meters;
-            the message says where.
+    ``format`` overrides the content. ``body`` is a person, counted from 1 in order of
+    appearance; by default the one who is seen in most frames. Raises InputError, which
+    says where, if the file is missing, malformed, without joints or not in meters.
     """
     return read_recording(path, format=format).take(body)
 
@@ -127,17 +121,10 @@ def claims_take(path: str | os.PathLike[str]) -> bool:
     line = _first_line(os.fspath(path))
     try:
         name = _detected(line, os.fspath(path))
-    except InputError:
-        return False
-    if name in ("kinefilter", "kinect-v1"):
-        return _JOINTS.search(line) is not None
-    return name == "bvh" or _all_numbers(line)
-
-
-def _all_numbers(line: str) -> bool:
-    try:
-        return bool([float(word) for word in _words(line)])
-    except ValueError:
+        if name in ("kinefilter", "kinect-v1"):
+            return _JOINTS.search(line) is not None
+        return name == "bvh" or bool([float(word) for word in _words(line)])
+    except (InputError, ValueError):
         return False
 
 
@@ -150,7 +137,6 @@ def _first_line(source: str) -> str:
 
 
 def _detected(line: str, source: str) -> str:
-    """Return the format of a file by its first line."""
     for name, (_, begins) in FORMATS.items():
         if begins(line):
             return name

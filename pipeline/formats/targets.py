@@ -39,10 +39,7 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
 
 
 def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
-    """Return the skeleton of a BVH file, in the unit in which the legs are a person's.
-
-    Without legs the unit is meters: whoever looks for the joints says what is missing.
-    """
+    """Return a BVH file's skeleton, in the unit in which it has a person's legs."""
     bvh = read_bvh(path)
     joints, meters = bvh.joints, 1.0
     index = {n: k for k, n in enumerate(joints)}

@@ -87,9 +87,7 @@ def write_usd(
     A frame's time code is its time since the first frame times ``timeCodesPerSecond``.
     Frames with the same time share a sample, the last one's. ``.usda`` is text,
     ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package of one binary layer.
-
-    Raises:
-        InputError: The file cannot be written, or the character does not fit.
+    Raises InputError if the file cannot be written, or the character does not fit.
     """
     from pxr import Sdf, Tf
 
@@ -121,7 +119,6 @@ def write_usd(
 def _character_reference(
     clip: Clip, path: Path, export: Export, files: ExitStack
 ) -> str | None:
-    """Return how the clip calls its character's layer, which is there then."""
     if export.character is None:
         return None
     if export.character.exists():

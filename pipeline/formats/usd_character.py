@@ -114,8 +114,7 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
     if up != export.up or not np.isclose(unit, export.meters_per_unit):
         raise InputError(
             f"{path}: the character has {up} up and units of {unit:g} m, the clip "
-            f"{export.up} up and {export.meters_per_unit:g} m; give --up and --units "
-            "of the character"
+            f"{export.up} up and {export.meters_per_unit:g} m; set --up and --units"
         )
 
 
@@ -172,10 +171,7 @@ def vectors(values: NDArray[Any]) -> Any:
 
 
 def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
-    """Return the matrices of places [m] (N, 3) and rotations (N, 4), None: identity.
-
-    USD's vectors are rows, so a matrix is the transpose of the usual one.
-    """
+    """Return matrices of places [m] (N, 3) and rotations (N, 4), None: identity."""
     from pxr import Vt
 
     matrices = np.tile(np.eye(4), (len(places), 1, 1))

@@ -91,14 +91,11 @@ def usd_contents(path: str) -> dict[str, Any]:
 
 
 def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip that kinefilter wrote as USD on its own skeleton.
+    """Read a clip that kinefilter wrote as USD on its skeleton, or raise InputError.
 
     Axes and unit are undone; frame rate and rest pose are the file's, and time starts
     at 0. USD does not hold the sensor's states (all joints count as tracked), nor
     stature and mass, which follow from the segments.
-
-    Raises:
-        InputError: The file is missing or damaged, or of another skeleton.
     """
     source = os.fspath(path)
     check_usd(source)
@@ -176,8 +173,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         if skeleton is None:
             raise InputError(
                 f"{path}: its skeleton ({', '.join(names[:3])[:60]}, ...) is not one "
-                "of kinefilter's own; clean the take without --rig, or write it as "
-                ".npz, to have a clip that can be read again"
+                "of kinefilter's own; write it without --rig or as .npz to read it"
             )
         meters = UsdGeom.GetStageMetersPerUnit(stage)
         turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
@@ -239,7 +235,6 @@ def _samples(attribute: Any, codes: Sequence[float]) -> NDArray[Any]:
 def _provenance(
     character: Any, codes: Sequence[float], skeleton: Skeleton, path: str
 ) -> dict[str, NDArray[Any]]:
-    """Return what ``usd`` wrote, as far as it is there."""
     for name, ours in name_tables(skeleton).items():
         theirs = character.GetAttribute(f"kinefilter:{name}").Get()
         if theirs is not None and list(theirs) != ours[: len(theirs)]:
