@@ -35,8 +35,7 @@ from .formats.usd_reader import usd_contents
 from .models import load_model
 from .pairs import read_pairs
 
-_GAP = 1.5
-"""Time steps longer than this many usual ones hold frames that never arrived."""
+_GAP = 1.5  # usual time steps; longer ones hold frames that never arrived
 _ARM = ("Shoulder", "Elbow", "Wrist", "Hand", "HandTip", "Thumb")
 _LEG = ("Hip", "Knee", "Ankle", "Foot")
 _PARTS = {
@@ -152,7 +151,6 @@ def _of_contacts(path: Path) -> dict[str, Any]:
 
 
 def _of_mocap(mocap: Mocap) -> dict[str, Any]:
-    """Return what mocap for databases holds; its joints may be of no known rig."""
     time = np.arange(len(mocap.positions), dtype=np.float64) * mocap.frame_time
     contents = {
         "kind": "mocap",
@@ -189,20 +187,18 @@ def contents_of_take(take: Take) -> dict[str, Any]:
     distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
     failures = find_failures(distinct) if len(distinct) > 1 else ()
     rows = [(f.kind.name.lower(), f.part, f.start, f.end) for f in failures]
-    never = np.flatnonzero(lacks.all(axis=0)).tolist()
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
         **_timing(take.time),
         "frames_without_anyone": int(np.sum(lacks.all(axis=1))),
-        "joints_never_seen": [take.skeleton.joints[j] for j in never],
+        "joints_never_seen": np.array(take.skeleton.joints)[lacks.all(axis=0)].tolist(),
         "states": _states(take),
         "failures": [dict(zip(_FAILURE, row, strict=True)) for row in rows],
     }
 
 
 def _timing(time: Array) -> dict[str, Any]:
-    """Return frames, duration, rate, and what is wrong with the time stamps [s]."""
     steps = np.diff(time)
     forward = steps[steps > 0]
     usual = float(np.median(forward)) if len(forward) else 0.0
@@ -219,7 +215,6 @@ def _timing(time: Array) -> dict[str, Any]:
 
 
 def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
-    """Return the share of every tracking state in each part of the body."""
     part_of = {joint: part for part, joints in _PARTS.items() for joint in joints}
     parts = np.array([part_of.get(j, "trunk") for j in motion.skeleton.joints])
     return {
@@ -229,9 +224,6 @@ def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
         }
         for part in ("trunk", *_PARTS)
     }
-
-
-# For a terminal
 
 
 def as_tables(contents: dict[str, Any]) -> RenderableType:

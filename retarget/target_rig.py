@@ -134,7 +134,7 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
 def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:
     """Return a rig's toes and their height [m] over a person's soles.
 
-    What has no toes has ankles.
+    Of a rig without toes, its ankles.
     """
     toes = [rig.joint(f"{s} toes") for s in SIDES if f"{s} toes" in rig.parts]
     if toes:

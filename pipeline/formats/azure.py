@@ -81,7 +81,7 @@ def read_azure(source: str) -> Recording:
             "cut off, export it again"
         ) from None
     except (ValueError, RecursionError):
-        raise InputError(f"{source}: not JSON of a sensor; export it again") from None
+        raise InputError(f"{source}: not JSON from a sensor; export it again") from None
     frames = root.get("frames") if isinstance(root, dict) else None
     if not isinstance(frames, list):
         raise InputError(

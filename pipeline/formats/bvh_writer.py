@@ -32,7 +32,7 @@ def write_bvh(
     frame of the file, at the mean frame time. Raises InputError if it cannot be
     written.
     """
-    rig = replace(moved.rig, axes=None)  # BVH has no rotations at rest
+    rig = replace(moved.rig, axes=None)  # a BVH skeleton is not rotated at rest
     motion = _motion(moved, rig, export)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     with (

@@ -17,12 +17,12 @@ from kinefilter.characters import InputError
 
 _GZIP_MAGIC = b"\x1f\x8b"
 
-_LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; longer is no recording
+_LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; a recording is shorter
 LARGEST_TOML = 2**16
 """Bytes of a TOML file that somebody wrote by hand."""
 _LARGEST_RATIO = 100
 """Text that is this many times as long as its gzip file, and longer than
-``_ANY_RATIO``, is no recording: numbers give 2 to 10. A guess."""
+``_ANY_RATIO``, is not a recording: numbers give 2 to 10. A guess."""
 _ANY_RATIO = 2**25
 _LONGEST_LINE = 1_000_000  # characters; a binary file may have no line end at all
 _BEGINNING = 2**16  # bytes in which a text begins

@@ -45,7 +45,7 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
         raise InputError(done.stderr.decode("utf-8", "replace").splitlines()[-1])
     if done.returncode != 0:
         raise InputError(
-            f"{path}: damaged or too large (reader code {done.returncode}); export it"
+            f"{path}: the reader failed (code {done.returncode}); damaged or too large?"
         )
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as file:
         return {key: file[key] for key in file.files}
@@ -54,7 +54,7 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
 def _main(reader: str, path: str) -> int:
     try:
         import resource
-    except ImportError:  # Windows has no such limit; the time's stays
+    except ImportError:  # Windows has no such limit; the time limit still holds
         pass
     else:
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))

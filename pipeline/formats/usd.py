@@ -247,7 +247,7 @@ def _write_extents(
     with Sdf.ChangeBlock():
         for path, boxes in extents.items():
             prim = Sdf.CreatePrimInLayer(layer, path)
-            # Whoever asks at no time in particular gets the box around all times.
+            # Readers that ask without a time get the box around all frames.
             attribute = prim.attributes.get("extent") or Sdf.AttributeSpec(
                 prim, "extent", Sdf.ValueTypeNames.Float3Array
             )

@@ -45,7 +45,7 @@ def check_usd(path: str) -> None:
     """Raise InputError for a file that no reader of USD should be asked to open."""
     size = check_file(path).stat().st_size
     if size > _LARGEST:
-        raise InputError(f"{path}: {size / 1e6:.0f} MB of USD are no clip")
+        raise InputError(f"{path}: {size / 1e6:.0f} MB is more than any USD clip has")
     if Path(path).suffix.lower() != ".usdz":
         return
     try:
