@@ -137,7 +137,7 @@ class _Counted(io.RawIOBase):
         self._left -= len(data)
         if self._left < 0:
             raise InputError(
-                f"{self._path}: more than {self._most / 1e6:.0f} MB of text; split it"
+                f"{self._path}: more than {self._most / 1e6:.3g} MB of text; split it"
             )
         buffer[: len(data)] = data
         return len(data)
