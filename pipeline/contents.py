@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.table import Table
 
@@ -27,17 +26,16 @@ from kinefilter.characters.arrays import Array
 from .database import PostureDatabase
 from .failures import find_failures
 from .formats import Recording, read_recording
-from .formats.contacts import claims_contacts, contact_table
 from .formats.files import check_file
 from .formats.mocap import Mocap, kinect_motion
 from .formats.mocap_files import RIGS, read_mocap
 from .formats.npz import array_names, read_npz
+from .formats.sheets import claims_contacts, contact_table
 from .formats.usd_reader import usd_contents
 from .models import load_model
 from .pairs import read_pairs
 
-_GAP = 1.5
-"""Time steps longer than this many usual ones hold frames that never arrived."""
+_GAP = 1.5  # usual time steps; longer ones hold frames that never arrived
 _ARM = ("Shoulder", "Elbow", "Wrist", "Hand", "HandTip", "Thumb")
 _LEG = ("Hip", "Knee", "Ankle", "Foot")
 _PARTS = {
@@ -46,7 +44,6 @@ _PARTS = {
     for side in ("Left", "Right")
 }
 _USD = (b"#usda", b"PXR-USDC")
-_MOCAP = (".amc", ".c3d")
 _FAILURE = ("kind", "part", "start_s", "end_s")
 _LISTED = 30  # names of joints on a terminal
 _SHOWN_APART = (
@@ -60,13 +57,10 @@ def contents_of(
     *,
     format: str | None = None,  # noqa: A002 - the word that users know
 ) -> dict[str, Any]:
-    """Return what a file holds, ready for ``json.dump``.
+    """Return what a file holds, ready for ``json.dump``, or raise InputError.
 
     Always ``file``, ``kind`` and ``format``; for takes ``unit``, ``notes`` and
-    ``bodies``, for others what there is to say. ``format`` is one of ``read_take``'s.
-
-    Raises:
-        InputError: The file is missing, malformed or of no known kind.
+    ``bodies``. ``format`` is one of ``read_take``'s.
     """
     file, name = check_file(path), os.fspath(path)
     with file.open("rb") as opened:
@@ -78,7 +72,7 @@ def contents_of(
         contents = {"kind": "clip", "format": "usd"} | usd_contents(name)
     elif packed:
         contents = _of_npz(name)
-    elif file.name.lower().removesuffix(".gz").endswith(_MOCAP):
+    elif file.name.lower().removesuffix(".gz").endswith((".amc", ".c3d")):
         contents = _of_mocap(read_mocap(file))
     elif claims_contacts(file):
         contents = _of_contacts(file)
@@ -88,24 +82,43 @@ def contents_of(
 
 
 def _of_npz(name: str) -> dict[str, Any]:
-    """Return what an npz holds: a clip, pairs, a model or a motion database."""
-    arrays = array_names(name)
-    for array, describe in (
-        ("moved_by_physics", _of_clip),
-        ("mocap", _of_pairs),
-        ("trained_on", _of_model),
-        ("labels", _of_database),
-    ):
-        if array in arrays:
-            return {"format": "npz"} | describe(name)
+    arrays, contents = array_names(name), {"format": "npz"}
+    if "moved_by_physics" in arrays:
+        return contents | _of_clip(read_npz(name))
+    if "mocap" in arrays:
+        pairs = read_pairs(name)
+        return contents | {
+            "kind": "pairs",
+            "skeleton": pairs[0].take.skeleton.name if pairs else None,
+            "clips": len(pairs),
+            "frames": sum(len(pair.take) for pair in pairs),
+            "people": sorted({pair.subject for pair in pairs}),
+        }
+    if "trained_on" in arrays:
+        model = load_model(Path(name))
+        return contents | {
+            "kind": "model",
+            "skeleton": model.skeleton.name,
+            "method": model.method,
+            "learned_from": model.source,
+        }
+    if "labels" in arrays:
+        base = PostureDatabase.load(Path(name))
+        return contents | {
+            "kind": "database",
+            "skeleton": base.skeleton.name,
+            "postures": len(base),
+            "motions": len(set(base.labels.tolist())),
+            "recorded": base.recorded,
+        }
     raise InputError(
-        f"{name}: an npz of {', '.join(sorted(arrays)[:5])[:100] or 'nothing'}, which "
-        "is no clip, pairs file, model or motion database of kinefilter"
+        f"{name}: not a kinefilter clip, pairs file, model or motion database; it has "
+        f"the arrays {', '.join(sorted(arrays)[:5])[:100] or '(none)'}"
     )
 
 
-def _of_clip(name: str) -> dict[str, Any]:
-    clip = read_npz(name)
+def _of_clip(clip: Clip) -> dict[str, Any]:
+    standing = clip.contacts.mean(axis=0).tolist()
     force = clip.external_force[np.isfinite(clip.external_force)]
     return {
         "kind": "clip",
@@ -118,7 +131,7 @@ def _of_clip(name: str) -> dict[str, Any]:
         "mass_kg": clip.body.mass,
         "reliability": float(clip.reliability.mean()),
         "origin": {o.name.lower(): float(np.mean(clip.origin == o)) for o in Origin},
-        "standing": _standing(clip.contacts),
+        "standing": dict(zip(CONTACTS, standing, strict=True)),
         "external_force_body_weights": float(force.mean()) if len(force) else None,
         "states": _states(clip),
     }
@@ -126,54 +139,18 @@ def _of_clip(name: str) -> dict[str, Any]:
 
 def _of_contacts(path: Path) -> dict[str, Any]:
     time, contacts = contact_table(path)
+    shares = contacts.mean(axis=0).tolist()
     return {
         "kind": "contacts",
         "format": "csv",
         "rows": len(time),
         "start_s": float(time[0]),
         "seconds": float(time[-1] - time[0]),
-        "share_of_rows_on_the_floor": _standing(contacts),
-    }
-
-
-def _standing(contacts: NDArray[np.bool_]) -> dict[str, float]:
-    return dict(zip(CONTACTS, contacts.mean(axis=0).tolist(), strict=True))
-
-
-def _of_pairs(name: str) -> dict[str, Any]:
-    pairs = read_pairs(name)
-    return {
-        "kind": "pairs",
-        "skeleton": pairs[0].take.skeleton.name if pairs else None,
-        "clips": len(pairs),
-        "frames": sum(len(pair.take) for pair in pairs),
-        "people": sorted({pair.subject for pair in pairs}),
-    }
-
-
-def _of_model(name: str) -> dict[str, Any]:
-    model = load_model(Path(name))
-    return {
-        "kind": "model",
-        "skeleton": model.skeleton.name,
-        "method": model.method,
-        "learned_from": model.source,
-    }
-
-
-def _of_database(name: str) -> dict[str, Any]:
-    base = PostureDatabase.load(Path(name))
-    return {
-        "kind": "database",
-        "skeleton": base.skeleton.name,
-        "postures": len(base),
-        "motions": len(set(base.labels.tolist())),
-        "recorded": base.recorded,
+        "share_of_rows_on_the_floor": dict(zip(CONTACTS, shares, strict=True)),
     }
 
 
 def _of_mocap(mocap: Mocap) -> dict[str, Any]:
-    """Return what mocap for databases holds; its joints may be of no known rig."""
     time = np.arange(len(mocap.positions), dtype=np.float64) * mocap.frame_time
     contents = {
         "kind": "mocap",
@@ -204,33 +181,24 @@ def _of_recording(recording: Recording) -> dict[str, Any]:
 
 def contents_of_take(take: Take) -> dict[str, Any]:
     """Return what is in a take: time, states of parts of the body, failures."""
-    seen = (take.state > State.NOT_TRACKED).any(axis=1)
-    absent = (take.state == State.NOT_TRACKED).all(axis=0)
+    lacks = take.state == State.NOT_TRACKED
     moving = np.concatenate([[True], np.diff(take.time) > 0])
     names = ("time", "positions", "state")
     distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
     failures = find_failures(distinct) if len(distinct) > 1 else ()
-    never = np.flatnonzero(absent).tolist()
+    rows = [(f.kind.name.lower(), f.part, f.start, f.end) for f in failures]
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
         **_timing(take.time),
-        "frames_without_anyone": int(np.sum(~seen)),
-        "joints_never_seen": [take.skeleton.joints[j] for j in never],
+        "frames_without_anyone": int(np.sum(lacks.all(axis=1))),
+        "joints_never_seen": np.array(take.skeleton.joints)[lacks.all(axis=0)].tolist(),
         "states": _states(take),
-        "failures": [
-            dict(
-                zip(
-                    _FAILURE, (f.kind.name.lower(), f.part, f.start, f.end), strict=True
-                )
-            )
-            for f in failures
-        ],
+        "failures": [dict(zip(_FAILURE, row, strict=True)) for row in rows],
     }
 
 
 def _timing(time: Array) -> dict[str, Any]:
-    """Return frames, duration, rate, and what is wrong with the time stamps [s]."""
     steps = np.diff(time)
     forward = steps[steps > 0]
     usual = float(np.median(forward)) if len(forward) else 0.0
@@ -247,29 +215,21 @@ def _timing(time: Array) -> dict[str, Any]:
 
 
 def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
-    """Return the share of every tracking state in each part of the body."""
-    parts: dict[str, list[int]] = {"trunk": [], **{part: [] for part in _PARTS}}
-    for j, joint in enumerate(motion.skeleton.joints):
-        limb = [p for p, names in _PARTS.items() if joint in names]
-        parts[limb[0] if limb else "trunk"].append(j)
+    part_of = {joint: part for part, joints in _PARTS.items() for joint in joints}
+    parts = np.array([part_of.get(j, "trunk") for j in motion.skeleton.joints])
     return {
         part: {
-            state.name.lower(): float(np.mean(motion.state[:, joints] == state))
+            state.name.lower(): float(np.mean(motion.state[:, parts == part] == state))
             for state in State
         }
-        for part, joints in parts.items()
+        for part in ("trunk", *_PARTS)
     }
-
-
-# For a terminal
 
 
 def as_tables(contents: dict[str, Any]) -> RenderableType:
     """Return the contents of a file (``contents_of``) as lines and tables."""
-    lines = [
-        f"{contents['file']}: {contents['kind']}, {contents['format']}",
-        *_facts(contents),
-    ]
+    title = f"{contents['file']}: {contents['kind']}, {contents['format']}"
+    lines = [title, *_facts(contents)]
     bodies = contents.get("bodies", [])
     for body in bodies:
         most = ", seen in most frames" * (body["most_seen"] and len(bodies) > 1)
@@ -285,8 +245,18 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
         if key not in _SHOWN_APART
     ]
     if "states" in facts:
-        lines.append(_state_table(facts["states"]))
-    return lines + (_failures(facts["failures"]) if "failures" in facts else [])
+        names = [state.name.lower().replace("_", " ") for state in State]
+        table = Table("part", *names, title="tracking states", title_justify="left")
+        for part, shares in facts["states"].items():
+            table.add_row(part, *(f"{share:.0%}" for share in shares.values()))
+        lines.append(table)
+    if "failures" in facts:
+        found = [(f["part"], f["kind"].replace("_", " ")) for f in facts["failures"]]
+        lines += [
+            f"  tracker failure: {part} {kind}, {count} time{'s' * (count > 1)}"
+            for (part, kind), count in Counter(found).items()
+        ] or ["  no tracker failure found"]
+    return lines
 
 
 def _told(value: Any) -> str:
@@ -298,21 +268,3 @@ def _told(value: Any) -> str:
         more = f", ... ({len(value)})" if len(value) > _LISTED else ""
         return ", ".join(map(str, value[:_LISTED])) + more or "none"
     return "unknown" if value is None else str(value)
-
-
-def _state_table(parts: dict[str, dict[str, float]]) -> Table:
-    states = next(iter(parts.values()))
-    columns = ("part", *(state.replace("_", " ") for state in states))
-    table = Table(*columns, title="tracking states", title_justify="left")
-    for part, shares in parts.items():
-        table.add_row(part, *(f"{share:.0%}" for share in shares.values()))
-    return table
-
-
-def _failures(failures: list[dict[str, Any]]) -> list[RenderableType]:
-    """Return a line for each kind of failure of a part of the body."""
-    counts = Counter((f["part"], f["kind"].replace("_", " ")) for f in failures)
-    return [
-        f"  tracker failure: {part} {kind}, {count} time{'s' * (count > 1)}"
-        for (part, kind), count in counts.items()
-    ] or ["  no tracker failure found"]

@@ -36,7 +36,7 @@ from .correct.one_euro import OneEuro
 from .draft import Draft
 from .factory import make_corrector, make_scorer
 from .failures import distrust, find_failures, unmirrored
-from .formats.contacts import read_contacts
+from .formats.sheets import read_contacts
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress

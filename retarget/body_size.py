@@ -43,19 +43,9 @@ def measured_body(
 
     Left and right share the mean of what was measured. What was not measured takes
     average proportions, and so does what is off them by a factor of 1.6 or more, along
-    the trunk 4.
-
-    Args:
-        skeleton: The joints.
-        lengths: Segment lengths [m], NaN where unknown, shape (J,).
-        directions: Rest directions of segments, unit vectors, NaN where those of the
-            average body hold, shape (J, 3).
-        height: Stature [m]; by default from the measured lengths.
-        mass: Body mass [kg]; by default from the stature.
-        source: Where the lengths came from, for messages.
-
-    Raises:
-        InputError: Height or mass is not a human's.
+    the trunk 4. Segment lengths [m] and unit rest directions are NaN where unknown,
+    shapes (J,) and (J, 3); stature [m] follows from the lengths and mass [kg] from the
+    stature unless given. Raises InputError if height or mass is not a human's.
     """
     average = standard_body(skeleton).lengths
     known = np.where(lengths > 0, lengths, np.nan)
@@ -101,11 +91,7 @@ def _head_to_ankle(skeleton: Skeleton) -> NDArray[np.intp]:
 
 
 class Standardizer:
-    """Brings postures to the standard body and view, frame by frame, and back.
-
-    Args:
-        body: The person.
-    """
+    """Brings a person's postures to the standard body and view, and back."""
 
     def __init__(self, body: Body) -> None:
         self.body = body
@@ -131,28 +117,14 @@ class Standardizer:
         """Return a posture on the standard body, root at the origin, facing +z.
 
         A missing root or heading is that of the frame before; a joint whose parent is
-        missing hangs on the parent's last known bone.
-
-        Args:
-            positions: Joint positions [m], world frame, NaN where missing, (J, 3).
-            weights: Confidence in each joint, shape (J,).
-
-        Returns:
-            Positions [m], NaN where missing, shape (J, 3), and the view taken out.
+        missing hangs on the parent's last known bone. Positions [m] are NaN where
+        missing, shape (J, 3), weights (J,); the second result is the view taken out.
         """
         standard, view = self.steps(positions[None], weights[None])
         return standard[0], view.at(0)
 
     def steps(self, positions: Array, weights: Array) -> tuple[Array, HeadingFrame]:
-        """Return the next frames of a motion as ``step`` gives them, all at once.
-
-        Args:
-            positions: Joint positions [m], world frame, NaN where missing, (T, J, 3).
-            weights: Confidence in each joint, shape (T, J).
-
-        Returns:
-            Positions [m], NaN where missing, shape (T, J, 3), and the views, (T,).
-        """
+        """Return the next frames, (T, J, 3) and (T, J), as ``step`` does one by one."""
         skeleton = self.body.skeleton
         missing = np.isnan(positions[..., 0])
         root = _held(positions[:, skeleton.root], self._root)

@@ -20,9 +20,6 @@ class BoneLengths:
     Newton's method on the length constraints with the shortest step, as SHAKE solves
     them (Ryckaert, Ciccotti & Berendsen 1977, J. Comput. Phys. 23), all at once; where
     that does not get there, bones keep their directions and are laid from the root on.
-
-    Args:
-        body: Whose lengths they are.
     """
 
     def __init__(self, body: Body) -> None:
@@ -38,15 +35,11 @@ class BoneLengths:
         self._incidence[rows, self._starts] = -1.0
 
     def project(self, positions: Array, firmness: Array) -> Array:
-        """Return positions with the body's segment lengths.
+        """Return positions [m] (T, J, 3) with the body's segment lengths.
 
-        Args:
-            positions: Joint positions [m], shape (T, J, 3).
-            firmness: How hard each joint is to move, 0 for an invented one, 1 for a
-                measured one, more for what is to stay, shape (T, J).
-
-        Raises:
-            InputError: A joint is nowhere: all that hangs on it would be invented.
+        Firmness (T, J) is how hard each joint is to move: 0 for an invented one, 1 for
+        a measured one, more for what is to stay. Raises InputError if a joint is
+        missing.
         """
         if not np.isfinite(positions).all():
             raise InputError(
@@ -101,7 +94,6 @@ class BoneLengths:
         return np.where(there, directions, self._rest), lengths - self._lengths
 
     def _walk(self, points: Array, directions: Array) -> Array:
-        """Lay the bones one after the other from the root, in their directions."""
         walked = points.copy()
         bones = directions * self._lengths[:, None]
         for k, (j, p) in enumerate(zip(self._ends, self._starts, strict=True)):

@@ -14,9 +14,6 @@ class Hands:
 
     Who moves an elbow or a wrist turns the forearm. A hand that was measured stays
     where it is; one that was invented would hang bent if it did not turn too.
-
-    Args:
-        skeleton: Whose hands they are.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -30,13 +27,10 @@ class Hands:
     def carried(
         self, before: Array, after: Array, confidence: Array, body: Body
     ) -> Array:
-        """Return the postures after, hands less trusted turned as their forearms were.
+        """Return postures (..., J, 3), less trusted hands turned as their forearms.
 
-        Args:
-            before: Joint positions [m], shape (..., J, 3).
-            after: Those after joints were moved, shape (..., J, 3).
-            confidence: How far each joint stays where it is, in [0, 1], shape (..., J).
-            body: Whose bone lengths hands have.
+        ``before`` and ``after`` are positions [m] before and after joints were moved;
+        ``confidence`` (..., J) in [0, 1] is how far each hand's joint stays in place.
         """
         carried = after.copy()
         for elbow, wrist, hand in self._arms:

@@ -62,12 +62,8 @@ def find_yaw(positions: Array, weights: Array, skeleton: Skeleton) -> Array:
     """Return the heading [rad] of postures, NaN where nothing shows it.
 
     The left-to-right lines through hips and shoulders, projected on the floor and
-    weighted by how far both ends can be trusted, give the direction.
-
-    Args:
-        positions: Joint positions [m], y up, NaN where missing, shape (..., J, 3).
-        weights: Confidence in each joint, shape (..., J).
-        skeleton: The joints.
+    weighted by how far both ends can be trusted, give the direction. Positions [m], y
+    up, NaN where missing, are (..., J, 3), weights (..., J).
     """
     pairs = np.array([skeleton.index(p + s) for p in _ACROSS for s in _SIDES])
     left, right = pairs[::2], pairs[1::2]

@@ -25,20 +25,12 @@ _X = np.array([1.0, 0.0, 0.0])
 def rotations_from_positions(
     positions: Array, body: Body, prior: Array | None = None
 ) -> Array:
-    """Return segment rotations whose bones point as the positions say.
+    """Return segment rotations, wxyz (..., J, 4), whose bones point as positions say.
 
-    Positions leave the twist about each bone open. It comes from the prior, which is
-    turned by the smallest rotation that brings its bone into line; without a prior it
-    comes from the parent segment, turned likewise.
-
-    Args:
-        positions: Joint positions [m], world frame, shape (..., J, 3).
-        body: The rest posture that identity rotations stand for.
-        prior: World segment rotations of a similar posture, wxyz, shape (..., J, 4):
-            Shum 2013, section VII.B takes the neighbors' in the posture database.
-
-    Returns:
-        World segment rotations, wxyz, shape (..., J, 4).
+    Positions leave the twist about each bone open. It comes from the prior (rotations
+    of a similar posture; Shum 2013, section VII.B, takes the neighbors' in the posture
+    database), turned by the smallest rotation that brings its bone into line; without a
+    prior it comes from the parent segment, turned likewise.
     """
     skeleton, root = body.skeleton, body.skeleton.root
     rest = body.rest_offsets
@@ -56,12 +48,7 @@ def rotations_from_positions(
 
 
 def hang_missing(positions: Array, body: Body) -> Array:
-    """Return postures in which missing joints hang on their parents as at rest.
-
-    Args:
-        positions: Joint positions [m], NaN where missing, shape (..., J, 3).
-        body: The rest posture and lengths of what is missing.
-    """
+    """Return postures in which missing (NaN) joints hang on parents as at rest."""
     skeleton, hung = body.skeleton, positions.copy()
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         missing = ~np.isfinite(hung[..., j, :]).all(axis=-1, keepdims=True)
@@ -88,7 +75,6 @@ def _pelvis(positions: Array, body: Body) -> Array:
 
 @lru_cache(maxsize=4)
 def _from_rest_pelvis(body: Body) -> Array:
-    """Return the inverse of the pelvis' frame in the rest posture."""
     return inverse(_pelvis_frame(body.rest_positions, body.skeleton)[0])
 
 

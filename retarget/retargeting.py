@@ -1,4 +1,10 @@
-"""A motion on another skeleton: directions kept, proportions its own, feet planted."""
+"""A motion on another skeleton: directions kept, proportions its own, feet planted.
+
+Where a limb of the target points in its rest pose and where ours points in the T-pose
+differ by a constant rotation, so its bone is turned as our segment is, twist included,
+after that. Trunk, shoulders and feet have another shape on every skeleton: there each
+rest pose counts as upright and flat, and only headings differ.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import CONTACTS, Clip
+from kinefilter.characters import CONTACTS, Body, Clip, Motion, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.frozen import freeze
 from kinefilter.characters.rotations import (
     IDENTITY,
+    about_y,
     between,
     inverse,
     multiply,
@@ -19,14 +26,23 @@ from kinefilter.characters.rotations import (
     slerp,
 )
 
-from .rest_difference import heading, segment_of, turned
 from .rig_map import SIDES
 from .smooth_step import smooth_step
 from .stance import held, near_stance
 from .target_rig import TargetRig
 
+_SEGMENTS = {
+    "clavicle": "Shoulder",
+    "upper arm": "Elbow",
+    "lower arm": "Wrist",
+    "hand": "Hand",
+    "thigh": "Knee",
+    "shin": "Ankle",
+    "foot": "Foot",
+    "toes": "Foot",
+}
+_ENDS = {"upper arm": "lower arm", "lower arm": "hand", "thigh": "shin", "shin": "foot"}
 _Limb = tuple[str, str, str]
-
 _ARM: _Limb = ("upper arm", "lower arm", "hand")
 _LEG: _Limb = ("thigh", "shin", "foot")
 _JOINTS = {_ARM: ("Shoulder", "Elbow", "Wrist"), _LEG: ("Hip", "Knee", "Ankle")}
@@ -66,10 +82,6 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     the arm, and that from hip to ankle over the length of the leg, are the clip's. A
     foot that stands (``clip.contacts``) is held still, up to 1.75 % of the leg from
     there, and where its leg is too short the hips sink.
-
-    Args:
-        clip: The motion.
-        rig: The skeleton.
     """
     motion = _Motion(clip, rig)
     goals = [motion.limb_end(side, _LEG) for side in SIDES]
@@ -177,7 +189,6 @@ class _Motion:
         return near_stance(time, heel_stands | toe_stands)
 
     def _contacts(self, side: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return when heel and toes of a foot stand, each of shape (T,)."""
         heel, toe = (f"{part}{side.capitalize()}" for part in ("Heel", "Toe"))
         contacts = self.clip.contacts
         return contacts[:, CONTACTS.index(heel)], contacts[:, CONTACTS.index(toe)]
@@ -239,20 +250,12 @@ class _Motion:
 def bent_limb(
     start: Array, goal: Array, toward: Array, lengths: Array
 ) -> tuple[Array, Array]:
-    """Return where middle and end of a limb of two bones are, in closed form.
+    """Return where middle and end [m] of a limb of two bones are, in closed form.
 
     The law of cosines says how far along the line to the goal the middle is, and how
-    far aside. A goal out of reach is approached as far as the bones go.
-
-    Args:
-        start: Where the limb begins [m], shape (..., 3).
-        goal: Where it should end [m], shape (..., 3).
-        toward: Direction to which the middle bends, of any length but not along the
-            limb, shape (..., 3).
-        lengths: Lengths of the two bones [m], shape (2,).
-
-    Returns:
-        Middle and end [m], each of shape (..., 3).
+    far aside. A goal out of reach is approached as far as the bones go. ``toward`` is
+    the direction to which the middle bends, of any length but not along the limb;
+    points are (..., 3), lengths [m] (2,).
     """
     first, second = lengths
     line = goal - start
@@ -264,3 +267,55 @@ def bent_limb(
     across = toward - np.sum(toward * along, axis=-1, keepdims=True) * along
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), _SHORT)
     return start + share * along + aside * across, start + reach * along
+
+
+def segment_of(skeleton: Skeleton, part: str) -> int:
+    """Return the index of the segment, by the joint it ends at, that turns a part."""
+    side, _, limb = part.partition(" ")
+    if limb:
+        return skeleton.index(f"{_SEGMENTS[limb]}{side.capitalize()}")
+    head, chest = skeleton.index("Head"), skeleton.girdle
+    neck = head if skeleton.parents[head] == chest else skeleton.parents[head]
+    return {"pelvis": skeleton.root, "neck": neck, "head": head}[part]
+
+
+def turned(motion: Motion, rig: TargetRig) -> dict[int, Array]:
+    """Return the world rotation (T, 4) since the rest pose of joints by index."""
+    facing, turns = heading(rig), {}
+    for part, joints in rig.parts.items():
+        if part == "spine":
+            continue
+        segment = motion.rotations[:, segment_of(motion.skeleton, part)]
+        turn = multiply(segment, _difference(rig, part, motion.body, facing))
+        turns.update(dict.fromkeys(joints, turn))
+    lower = motion.rotations[:, motion.skeleton.parents[motion.skeleton.girdle]]
+    upper = motion.rotations[:, motion.skeleton.girdle]
+    spine = rig.parts["spine"]
+    for k, joint in enumerate(spine):
+        # From the lowest, which the lower spine turns, to the chest.
+        share = k / (len(spine) - 1) if len(spine) > 1 else 1.0
+        turn = slerp(lower, upper, np.full(len(motion), share))
+        turns[joint] = multiply(turn, facing)
+    return turns
+
+
+def heading(rig: TargetRig) -> Array:
+    """Return the rotation about y after which the rest pose faces +z, wxyz, (4,)."""
+    x, _, z = rig.bone("right thigh", "left thigh")
+    return about_y(np.arctan2(z, x))
+
+
+def _difference(rig: TargetRig, part: str, body: Body, facing: Array) -> Array:
+    """Return the rotation from the target's rest pose to our T-pose, wxyz, (4,)."""
+    side, _, limb = part.partition(" ")
+    if limb == "hand":
+        return _difference(rig, f"{side} lower arm", body, facing)
+    ours = body.rest_offsets[segment_of(body.skeleton, part)]
+    if limb in _ENDS:
+        theirs = rotate(facing, rig.bone(part, f"{side} {_ENDS[limb]}"))
+        return multiply(between(theirs, ours), facing)
+    if limb in ("foot", "toes") and f"{side} toes" in rig.parts:
+        theirs = rotate(facing, rig.bone(f"{side} foot", f"{side} toes"))
+        level = np.array([1.0, 0.0, 1.0])
+        return multiply(between(level * theirs, level * ours), facing)
+    return facing

@@ -91,11 +91,7 @@ class RigMap:
 
 
 def load_rig_map(rig: str) -> RigMap:
-    """Return one of RIGS, or the map in a TOML file.
-
-    Raises:
-        InputError: There is no such rig or file, or the file is no map.
-    """
+    """Return one of RIGS, or the map in a TOML file, or raise InputError."""
     if rig in RIGS:
         return _embedded(rig)
     path = Path(rig)
@@ -112,7 +108,7 @@ def load_rig_map(rig: str) -> RigMap:
             f"{rig}: cannot be read ({error.strerror}); expected a map (.toml)"
         ) from None
     except UnicodeDecodeError:
-        raise InputError(f"{rig}: is no text; expected a map (.toml)") from None
+        raise InputError(f"{rig}: is not text; expected a map (.toml)") from None
     return _parsed(text, rig)
 
 
@@ -130,7 +126,7 @@ def _parsed(text: str, source: str) -> RigMap:
     try:
         table = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{source}: is no TOML ({error}); correct it") from None
+        raise InputError(f"{source}: is not TOML ({error}); correct it") from None
     rows, prefix = table.get("bones"), table.get("prefix", "")
     if not isinstance(rows, dict) or not isinstance(prefix, str):
         raise InputError(
@@ -156,9 +152,8 @@ def _bone(name: str, row: Any, source: str) -> MapBone:
         )
     if parent is not None and not isinstance(parent, str):
         raise InputError(f"{where}: parent is {parent!r}, expected a bone's name")
-    return MapBone(
-        name, parent, part, None if offset is None else _vector(offset, where)
-    )
+    vector = None if offset is None else _vector(offset, where)
+    return MapBone(name, parent, part, vector)
 
 
 def _vector(offset: Any, where: str) -> tuple[float, float, float]:
@@ -171,7 +166,6 @@ def _vector(offset: Any, where: str) -> tuple[float, float, float]:
 
 
 def _check(bones: tuple[MapBone, ...], source: str) -> None:
-    """Raise an InputError for a map that no skeleton can follow."""
     seen: set[str] = set()
     for bone in bones:
         if bone.parent is not None and bone.parent not in seen:
@@ -190,6 +184,12 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
             raise InputError(
                 f"{source}: {count} bones are turned_by {part!r}, expected one"
             )
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first twelve names, for messages."""
+    some = ", ".join(name[:30] for name in names[:12])
+    return some + (", ..." if len(names) > 12 else "")
 
 
 # Where motion comes from
@@ -248,12 +248,7 @@ def matching_source_rig(
     """Return the rig that joints are of, and which of its joints are missing.
 
     The first whose joints are all there; if there is none, the one that lacks the
-    smallest share of its own.
-
-    Args:
-        names: Names of the joints that there are.
-        skeleton: The Kinect's joints that are wanted.
-        known: Names of the data files to try, the most particular first.
+    smallest share of its own. ``known`` are data files, the most particular first.
     """
     rigs = [_own(skeleton), *(load_source_rig(name, skeleton) for name in known)]
     lacks = [sorted(rig.needed - set(names)) for rig in rigs]

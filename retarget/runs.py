@@ -7,12 +7,7 @@ from numpy.typing import NDArray
 
 
 def runs(flags: NDArray[np.bool_], shortest: int = 1) -> list[slice]:
-    """Return the spans in which flags, shape (T,), are true without a break.
-
-    Args:
-        flags: Whether it holds in each frame, shape (T,).
-        shortest: Spans of fewer frames are left out.
-    """
+    """Return the spans of ``shortest`` or more frames in which flags (T,) are true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
     pairs = edges.reshape(-1, 2).tolist()
     return [slice(a, b) for a, b in pairs if b - a >= shortest]

@@ -19,12 +19,7 @@ _TINY = 1e-12
 
 
 def near_stance(time: Array, stands: NDArray[np.bool_]) -> Array:
-    """Return 1 while something stands, falling to 0 in 0.15 s before and after, (T,).
-
-    Args:
-        time: Time stamps [s], never decreasing, shape (T,).
-        stands: Whether it stands, shape (T,).
-    """
+    """Return 1 (T,) while something stands, falling to 0 in 0.15 s before and after."""
     last = np.maximum.accumulate(np.where(stands, time, -np.inf))
     following = np.minimum.accumulate(np.where(stands, time, np.inf)[::-1])[::-1]
     return 1.0 - smooth_step(np.minimum(time - last, following - time) / _BLEND)
@@ -33,20 +28,12 @@ def near_stance(time: Array, stands: NDArray[np.bool_]) -> Array:
 def held(
     time: Array, path: Array, stands: NDArray[np.bool_], height: float, slack: float
 ) -> Array:
-    """Return how a part of a foot has to be moved so that it rests while it stands.
+    """Return the move [m] (T, 3) by which a part of a foot rests while it stands.
 
-    Steps keep their own path but for their beginning and end.
-
-    Args:
-        time: Time stamps [s], never decreasing, shape (T,).
-        path: Where it would be [m], y up, floor at 0, shape (T, 3).
-        stands: Whether it stands, shape (T,).
-        height: How high it is while it stands [m].
-        slack: How far aside from its path it may rest [m]. Beyond, it is dragged along,
-            or a body that drifts away would pull its leg straight.
-
-    Returns:
-        Its move [m], shape (T, 3).
+    Steps keep their own path but for their beginning and end. The path (T, 3) [m] has y
+    up, floor at 0; a standing part is at ``height`` [m] and may rest ``slack`` [m]
+    aside from its path. Beyond, it is dragged along, or a body that drifts away would
+    pull its leg straight.
     """
     moves, stances = np.zeros((len(time), 3)), runs(stands)
     for stance in stances:

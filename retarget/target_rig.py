@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,14 +9,13 @@ import numpy as np
 from kinefilter.characters import Body, InputError
 from kinefilter.characters.arrays import Array
 
-from .rig_map import CHAINS, OPTIONAL, PARTS, SIDES, MapBone, RigMap
+from .rig_map import CHAINS, OPTIONAL, PARTS, SIDES, MapBone, RigMap, listed
 
 _ON_FLOOR = 0.1
 """Lengths of a leg: a lowest joint that is no higher over y = 0 stands on that floor.
 A guess; rigs whose root is at the origin have it a whole leg below."""
 _SHORTEST = 1e-3  # of the leg's length: limbs that are shorter have no direction
 _LEGS = (0.01, 100.0)  # m, of what somebody animates
-_MOST_NAMED = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +77,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     """Return the skeleton that a map describes, in a person's size.
 
     Thighs, shins and arms have the person's lengths, the rest of the skeleton is scaled
-    to the stature. The soles are on y = 0.
-
-    Raises:
-        InputError: The map lacks offsets.
+    to the stature. The soles are on y = 0. Raises InputError if the map lacks offsets.
     """
     bones = [bone for bone in rig_map.bones if bone.offset is not None]
     names = tuple(bone.name for bone in bones)
@@ -117,12 +112,7 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     """Return a skeleton with its parts found by the names of a map.
 
     The floor is y = 0 where toes (or ankles) are just over it. Otherwise it is as far
-    under them as the person's, or the file's lowest point if that is lower.
-
-    Args:
-        rig_map: The names.
-        rest: The skeleton.
-        body: The person whose soles it gets if nobody knows better.
+    under them as the person's soles, or the file's lowest point if that is lower.
 
     Raises:
         InputError: The skeleton has not one root, or joints are missing, ambiguous,
@@ -131,7 +121,7 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     roots = [rest.names[n] for n, parent in enumerate(rest.parents) if parent < 0]
     if len(roots) != 1:
         raise InputError(
-            f"{rest.source}: has {len(roots)} roots ({_listed(roots)}), expected one; "
+            f"{rest.source}: has {len(roots)} roots ({listed(roots)}), expected one; "
             "hang them under one joint"
         )
     parts = _found(rig_map, rest)
@@ -144,7 +134,7 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
 def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:
     """Return a rig's toes and their height [m] over a person's soles.
 
-    What has no toes has ankles.
+    Of a rig without toes, its ankles.
     """
     toes = [rig.joint(f"{s} toes") for s in SIDES if f"{s} toes" in rig.parts]
     if toes:
@@ -190,8 +180,8 @@ def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
             missing.append(" or ".join(wanted))
     if missing:
         raise InputError(
-            f"{rest.source}: no joint {_listed(missing)}, which {rig_map.name} has; "
-            f"found {_listed(rest.names)}; give the rig of these names or a map "
+            f"{rest.source}: no joint {listed(missing)}, which {rig_map.name} has; "
+            f"found {listed(rest.names)}; give the rig of these names or a map "
             "(.toml)"
         )
     return {part: tuple(sorted(places)) for part, places in parts.items() if places}
@@ -239,8 +229,3 @@ def _floor(rig: TargetRig, body: Body) -> float:
     legs = [body.skeleton.index(f"{j}Left") for j in ("Knee", "Ankle")]
     floor = lowest - height * rig.leg_length / float(body.lengths[legs].sum())
     return floor if rig.rest.lowest is None else min(floor, rig.rest.lowest)
-
-
-def _listed(names: Sequence[str]) -> str:
-    some = ", ".join(name[:30] for name in names[:_MOST_NAMED])
-    return some + (", ..." if len(names) > _MOST_NAMED else "")

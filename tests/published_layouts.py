@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take
-from kinefilter.pipeline.formats import azure, msr_action3d
+from kinefilter.pipeline.formats import azure, datasets
 
 Array = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ def azure_json(
 
 
 def msr_action3d_text(take: Take, confidence: float = 1.0) -> str:
-    order = [KINECT_V1.index(joint) for joint in msr_action3d.JOINTS]
+    order = [KINECT_V1.index(joint) for joint in datasets.MSR_JOINTS]
     rows = np.nan_to_num(take.positions[:, order]).reshape(-1, 3).tolist()
     return "".join(f"{x!r} {y!r} {z!r} {confidence}\n" for x, y, z in rows)
 

@@ -25,7 +25,7 @@ from kinefilter.characters import (
 from kinefilter.characters.rotations import rotate
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.formats import Export, write_clip
-from kinefilter.pipeline.formats.resample import in_strict_t, resampled
+from kinefilter.pipeline.formats.export import in_strict_t, resampled
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]

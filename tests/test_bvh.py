@@ -181,7 +181,7 @@ def test_a_zipped_bvh_is_the_same_bvh(tmp_path: Path) -> None:
         ("Frames: 2", "Frames: 3", "line 19 ends the motion after 2 frames"),
         ("1 2 3 0", "1 2 3", "row 18 has 9 columns, expected 10"),
         ("1 2 3", "1 b 3", "row 18, column Hips.Yposition is 'b'"),
-        ("1 2 3", "1 nan 3", "row 18, column Hips.Yposition is no number"),
+        ("1 2 3", "1 nan 3", "row 18, column Hips.Yposition is not a number"),
         ("Frames: 2", "Frames: 1", "line 19 ends the motion after 2 frames"),
         ("Frames: 2", "Frames: 1e18", "1e+18 frames of 3 joints are more"),
         ("OFFSET 1 0 0", f"OFFSET {'1' * 2_000_000}", "row 7 does not end"),

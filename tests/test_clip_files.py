@@ -20,7 +20,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector
 from kinefilter.pipeline.formats import Export, read_clip, write_clip
-from kinefilter.pipeline.formats.resample import in_strict_t, resampled
+from kinefilter.pipeline.formats.export import in_strict_t, resampled
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]

@@ -21,7 +21,7 @@ from kinefilter.characters import (
 from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.failures import unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
-from kinefilter.pipeline.formats.resample import resampled
+from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.look import compare
 from kinefilter.pipeline.look.comparison import (
     METRICS,

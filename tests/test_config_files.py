@@ -57,7 +57,7 @@ def test_every_kind_of_value_is_taken() -> None:
         ("model = 3", "expected the path of a file"),
         ("[clean]\ncutoff = 3", "unknown key 'clean'"),
         ("cutoff = 0.01", "f.toml: --cutoff 0.01"),
-        ("cutoff =", "f.toml: no TOML"),
+        ("cutoff =", "f.toml: not TOML"),
     ],
 )
 def test_what_a_file_must_not_say_is_refused_by_name(text: str, words: str) -> None:

@@ -87,11 +87,11 @@ def azure_with(**changes: object) -> str:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (azure_json([made_up(3)])[:5000], ["no JSON", "cut off"]),
+        (azure_json([made_up(3)])[:5000], ["not JSON", "cut off"]),
         ("{}", ["without 'frames'"]),
         ('{"frames": {}}', ["without 'frames'"]),
         ("[" * 100_000, ["row 1"]),
-        ('{"a":' * 100_000, ["no JSON"]),
+        ('{"a":' * 100_000, ["not JSON"]),
         ('{"frames": [1, 2]}', ["frame 1", "timestamp_usec"]),
         (azure_with(joint_names=["PELVIS"]), ["joint_names", "32"]),
         (azure_with(joint_names=["X"] * 10**6), ["joint_names", "1000000"]),

@@ -270,7 +270,7 @@ def test_npz_that_holds_no_clip_is_refused(make_clip: MakeClip, tmp_path: Path) 
     with pytest.raises(InputError, match="cannot be read as npz"):
         read_clip(write_text(tmp_path / "text.npz", "text"))
     np.savez(tmp_path / "other.npz", time=np.arange(3))
-    with pytest.raises(InputError, match="holds no clip"):
+    with pytest.raises(InputError, match="not a kinefilter clip"):
         read_clip(tmp_path / "other.npz")
     np.save(tmp_path / "array.npy", np.arange(3))
     (tmp_path / "array.npy").rename(tmp_path / "array.npz")

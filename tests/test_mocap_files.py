@@ -24,9 +24,8 @@ from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.build import database_from_mocap
 from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
-from kinefilter.pipeline.formats.c3d import read_c3d
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
-from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap
+from kinefilter.pipeline.formats.mocap_files import RIGS, read_c3d, read_mocap
 from kinefilter.retarget.rig_map import load_source_rig, matching_source_rig
 
 Array = NDArray[np.float64]
@@ -122,7 +121,7 @@ def test_amc_bones_end_where_matrices_put_them(tmp_path: Path) -> None:
         ("axis 0 0 90 XYZ", "axis 0 0 90 XXZ", ["axis"]),
         ("dof ry\n", "dof rq\n", ["degrees of freedom 'rq'"]),
         ("lower tip", "lower tip lower", ["second parent"]),
-        ("lower tip", "lower top", ["'top'", "no bone"]),
+        ("lower tip", "lower top", ["'top'", "not a bone"]),
         ("name lower", "name upper", ["'upper' again"]),
         ("orientation 0 0 0", "orientation 0 5 0", ["turns the root"]),
     ],
@@ -141,7 +140,7 @@ def test_damaged_asf_files_are_refused_naming_the_line(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", ["no mocap"]),
+        ("", ["not mocap"]),
         (":DEGREES\n", ["no frames"]),
         (ARM_MOTION.replace("lower 40\n", ""), ["ends frame 1", "'lower'"]),
         (ARM_MOTION[:-8], ["ends frame 2", "'lower'"]),

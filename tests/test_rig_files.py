@@ -337,7 +337,7 @@ def test_a_damaged_map_or_target_is_followed_or_refused(
         ("clip.bvh", ["--rig", "none.toml"], "none.toml"),
         ("clip.csv", ["--rig", "mixamo"], "--rig means nothing to a .csv"),
         ("clip.npz", ["--rig", "mixamo"], "--rig means nothing to a .npz"),
-        ("clip.bvh", ["--target", "rest.bvh"], "say with --rig"),
+        ("clip.bvh", ["--target", "rest.bvh"], "name its joints with --rig"),
         ("clip.bvh", ["--rig", "vrm", "--target", "rest.fbx"], "expected .bvh, .usda"),
         ("clip.bvh", ["--rig", "vrm", "--target", "rest.bvh"], "rest.bvh"),
         ("clip.bvh", ["--rig", "vrm", "--rest", "t"], "--rest is about"),

@@ -135,7 +135,7 @@ def test_a_map_without_neck_clavicles_and_toes_is_a_map(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("[bones]", "[bones", "is no TOML"),
+        ("[bones]", "[bones", "is not TOML"),
         ("[bones]", "[joints]", "expected a table [bones]"),
         ("[bones]", "scale = 2\n[bones]", "unknown 'scale'"),
         ("[bones]", "prefix = 3\n[bones]", "a text 'prefix'"),
@@ -172,8 +172,8 @@ def test_a_bad_map_is_refused_naming_file_and_bone(
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"\xff\xfe\x00", "is no text"),
-        (b"a = [" + b"[" * 100_000, "is no TOML"),
+        (b"\xff\xfe\x00", "is not text"),
+        (b"a = [" + b"[" * 100_000, "is not TOML"),
         (None, r"cannot be read \(No such file or directory\)"),
     ],
 )

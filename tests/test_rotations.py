@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from kinefilter.characters import rotations
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_x,
@@ -317,9 +316,3 @@ def test_continuous_undoes_sign_flips_of_a_smooth_turn() -> None:
 def test_the_identity_cannot_be_overwritten() -> None:
     with pytest.raises(ValueError, match="read-only"):
         IDENTITY[0] = 2.0
-
-
-def test_all_names_are_sorted_and_there() -> None:
-    assert sorted(rotations.__all__) == list(rotations.__all__)
-    for name in rotations.__all__:
-        assert hasattr(rotations, name)

@@ -35,8 +35,7 @@ from kinefilter.pipeline.formats import (
 )
 from kinefilter.pipeline.formats.bvh import wxyz_from_euler
 from kinefilter.pipeline.formats.bvh_writer import continuous_euler
-from kinefilter.pipeline.formats.export import RotationOrder
-from kinefilter.pipeline.formats.resample import in_strict_t, resampled
+from kinefilter.pipeline.formats.export import RotationOrder, in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import Clip, Skeleton
 from kinefilter.pipeline.formats import Export, write_clip
-from kinefilter.pipeline.formats.resample import resampled
+from kinefilter.pipeline.formats.export import resampled
 
 MakeClip = Callable[..., Clip]
 MILLIMETER = 1e-3

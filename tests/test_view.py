@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
 from kinefilter.pipeline.formats import write_clip
-from kinefilter.pipeline.formats.contacts import read_contacts, write_contacts
+from kinefilter.pipeline.formats.sheets import read_contacts, write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look import Drawing, cleaned, opened_viewer, read_drawing
 from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, timeline_html

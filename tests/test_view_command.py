@@ -22,7 +22,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands.view import View
 from kinefilter.pipeline.formats import write_clip
-from kinefilter.pipeline.formats.contacts import write_contacts
+from kinefilter.pipeline.formats.sheets import write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look import read_drawing
 from kinefilter.pipeline.look.viewer_server import may_connect, opened_server

@@ -18,7 +18,7 @@ from browser import Browser
 from numpy.typing import NDArray
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.pipeline.formats.contacts import read_contacts
+from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look import Drawing, Viewer, cleaned, opened_viewer
 from kinefilter.pipeline.progress import Progress

@@ -1,18 +1,17 @@
 """Files in and out: the only place with foreign axes, units and layouts.
 
-Each layout is described where it is read: ``sheets`` (a frame a row), ``ntu``,
-``azure``, ``msr_action3d``, ``mocap_files`` (BVH), ``acclaim`` and ``c3d``. Repeated
-time stamps, dropped frames and joints that are missing now and then, or always, are
-normal. Who is lost and back within 2 s and 0.5 m is the same person (``recording``).
+Each layout is described where it is read: ``sheets`` (a frame a row), ``datasets`` (NTU
+and MSR), ``azure``, ``mocap_files`` (BVH and C3D) and ``acclaim``. Repeated time
+stamps, dropped frames and joints that are missing now and then, or always, are normal.
+Who is lost and back within 2 s and 0.5 m is the same person (``recording``).
 """
 
 from .bvh import Bvh, read_bvh
 from .clips import check_writable, read_clip, write_clip
-from .contacts import read_contacts, write_contacts
 from .export import Export
 from .files import atomic_path, check_folder
 from .recording import Recording
-from .sheets import write_take_csv
+from .sheets import read_contacts, write_contacts, write_take_csv
 from .takes import read_recording, read_take, read_takes
 from .usd_reader import read_usd_positions
 

@@ -33,8 +33,6 @@ _FREEDOMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 @dataclass(eq=False)
 class _Bone:
-    """A bone, or the root, which has no length."""
-
     direction: Array = field(default_factory=lambda: np.zeros(3))
     length: float = 0.0
     axis: Array = field(default_factory=lambda: IDENTITY)
@@ -49,17 +47,15 @@ class Acclaim:
     bones: dict[str, _Bone]
     """By name, every parent before its children, the root first."""
     degrees: bool
-    """Angles are in degrees."""
     source: str
-    """The file, for messages."""
 
 
 def read_asf(path: str | os.PathLike[str]) -> Acclaim:
     """Read an ASF file; raises InputError, which names the line, where it is wrong."""
     reader = _AsfReader(os.fspath(path))
     with open_text(path) as lines:
-        for row, words in _lines(lines, "#"):
-            reader.take(row, words)
+        for reader.row, words in _lines(lines, "#"):
+            reader.take(words[0], words[1:])
     return reader.finished()
 
 
@@ -70,14 +66,15 @@ def _lines(lines: Iterator[str], comments: str) -> Iterator[tuple[int, list[str]
             yield row, words
 
 
-def _numbers(words: list[str], count: int) -> list[float] | None:
-    """Return as many finite numbers, or None."""
+def _numbers(words: list[str], count: int, where: str) -> Array:
     try:
-        numbers = [float(word) for word in words]
+        numbers = np.array([float(word) for word in words])
     except ValueError:
-        return None
-    fit = len(numbers) == count and (np.abs(numbers) < LARGEST_NUMBER).all()
-    return numbers if fit else None
+        numbers = np.full(count, np.nan)
+    if len(numbers) != count or not (np.abs(numbers) < LARGEST_NUMBER).all():
+        found = " ".join(words)[:40]
+        raise InputError(f"{where} has {found!r}, expected {count} finite numbers")
+    return numbers
 
 
 @dataclass
@@ -89,9 +86,7 @@ class _AsfReader:
     bones: dict[str, _Bone] = field(default_factory=lambda: {_ROOT: _Bone()})
     bone: _Bone | None = None
 
-    def take(self, row: int, words: list[str]) -> None:
-        self.row = row
-        key, values = words[0], words[1:]
+    def take(self, key: str, values: list[str]) -> None:
         if key.startswith(":"):
             self.section = key.lower()
         elif self.section == ":units" and key == "angle":
@@ -99,20 +94,19 @@ class _AsfReader:
         elif self.section == ":root" and key == "order":
             self.bones[_ROOT].freedoms = self._freedoms(values)
         elif self.section == ":root" and key == "orientation":
-            if any(self._numbers(values, 3)):
+            if self._numbers(values, 3).any():
                 self._fail("turns the root, which is not supported; expected 0 0 0")
         elif self.section == ":bonedata":
             self._bone_line(key, values)
         elif self.section == ":hierarchy" and key not in ("begin", "end"):
-            self._children(words)
+            self._children(key, values)
 
     def _bone_line(self, key: str, values: list[str]) -> None:
         if key in ("begin", "end"):
             self.bone = _Bone() if key == "begin" else None
-            return
-        if self.bone is None:
+        elif self.bone is None:
             self._fail(f"is {key[:40]!r}, expected begin")
-        if key == "name":
+        elif key == "name":
             name = " ".join(values)
             if name in self.bones or not name:
                 self._fail(f"names bone {name[:40]!r} again")
@@ -120,17 +114,16 @@ class _AsfReader:
                 self._fail(f"is bone number {len(self.bones)}, more than any body has")
             self.bones[name] = self.bone
         elif key == "direction":
-            self.bone.direction = np.array(self._numbers(values, 3))
+            self.bone.direction = self._numbers(values, 3)
         elif key == "length":
-            self.bone.length = self._numbers(values, 1)[0]
+            self.bone.length = float(self._numbers(values, 1)[0])
         elif key == "axis":
             order = values[3].upper() if len(values) == 4 else ""
             if sorted(order) != ["X", "Y", "Z"]:
                 self._fail("has no axis, expected three numbers and an order like XYZ")
-            angles = np.array(self._numbers(values[:3], 3))
-            self.bone.axis = _turned(
-                np.radians(angles) if self.degrees else angles, order
-            )
+            angles = self._numbers(values[:3], 3)
+            angles = np.radians(angles) if self.degrees else angles
+            self.bone.axis = _turned(angles, order)
         elif key == "dof":
             self.bone.freedoms = self._freedoms(values)
 
@@ -143,27 +136,22 @@ class _AsfReader:
             )
         return freedoms
 
-    def _children(self, words: list[str]) -> None:
-        for name in words:
+    def _children(self, parent: str, children: list[str]) -> None:
+        for name in (parent, *children):
             if name not in self.bones:
-                self._fail(f"names {name[:40]!r}, which is no bone of :bonedata")
-        for child in words[1:]:
+                self._fail(f"names {name[:40]!r}, which is not a bone of :bonedata")
+        for child in children:
             if child == _ROOT or self.bones[child].parent is not None:
                 self._fail(f"gives bone {child[:40]!r} a second parent")
-            self.bones[child].parent = words[0]
+            self.bones[child].parent = parent
 
-    def _numbers(self, words: list[str], count: int) -> list[float]:
-        numbers = _numbers(words, count)
-        if numbers is None:
-            self._fail(f"is {' '.join(words)[:40]!r}, expected {count} finite numbers")
-        return numbers
+    def _numbers(self, words: list[str], count: int) -> Array:
+        return _numbers(words, count, f"{self.source}: line {self.row}")
 
     def finished(self) -> Acclaim:
         """Return the skeleton with parents first."""
         if len(self.bones) < 2:
-            raise InputError(
-                f"{self.source}: has no bones; expected an ASF file with :bonedata"
-            )
+            raise InputError(f"{self.source}: has no :bonedata; is it an ASF file?")
         ordered = [_ROOT]
         for parent in ordered:
             ordered += [n for n, bone in self.bones.items() if bone.parent == parent]
@@ -180,14 +168,10 @@ def _turned(angles: Array, axes: str) -> Array:
 
 
 def read_amc(path: str | os.PathLike[str], skeleton: Acclaim) -> Mocap:
-    """Read an AMC file: where its bones end, and how they are turned.
-
-    Raises:
-        InputError: The file is missing, malformed or of another skeleton.
-    """
+    """Read where an AMC file's bones end and how they turn; raises InputError."""
     source = os.fspath(path)
     values = _amc_values(source, skeleton)
-    frames = len(next(iter(values.values())))
+    frames = len(values[_ROOT])
     names = tuple(skeleton.bones)
     positions = np.empty((frames, len(names), 3))
     rotations = np.empty((frames, len(names), 4))
@@ -227,7 +211,7 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
         raise InputError(
             f"{skeleton.source}: the root has no order, expected TX TY TZ and so on"
         )
-    rows: dict[str, list[list[float]]] = {name: [] for name in moving}
+    rows: dict[str, list[Array]] = {name: [] for name in moving}
     frames, most = 0, MOST_CELLS // len(skeleton.bones)
 
     def end_frame(where: str) -> None:
@@ -239,41 +223,25 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
                 )
 
     with open_text(source) as lines:
-        for row, words in _lines(lines, "#:"):
-            if len(words) > 1 or not words[0].isdigit():
-                _take_values(rows, frames, moving, words, f"{source}: line {row}")
+        for row, (name, *words) in _lines(lines, "#:"):
+            where = f"{source}: line {row}"
+            if not words and name.isdigit():
+                end_frame(f"line {row}")
+                frames += 1
+                if frames > most:
+                    raise InputError(
+                        f"{where} is frame {frames}, too many; split the file"
+                    )
                 continue
-            end_frame(f"line {row}")
-            frames += 1
-            if frames > most:
+            if name not in moving:
                 raise InputError(
-                    f"{source}: line {row} is frame {frames}, more than any recording "
-                    "has; cut it into shorter files"
+                    f"{where}: no {name[:40]!r} in the ASF; give this subject's ASF"
                 )
+            values = _numbers(words, moving[name], f"{where}: bone {name!r}")
+            if len(rows[name]) != frames - 1:
+                raise InputError(f"{where} has {name!r} twice, or outside of a frame")
+            rows[name].append(values)
     end_frame("the file")
     if not frames:
         raise InputError(f"{source}: has no frames; expected an AMC file")
     return {name: np.array(values) for name, values in rows.items()}
-
-
-def _take_values(
-    rows: dict[str, list[list[float]]],
-    frames: int,
-    moving: dict[str, int],
-    words: list[str],
-    where: str,
-) -> None:
-    name = words[0]
-    if name not in moving:
-        raise InputError(
-            f"{where} moves {name[:40]!r}, which the ASF does not; give the ASF file "
-            "of the same subject"
-        )
-    values = _numbers(words[1:], moving[name])
-    if values is None:
-        raise InputError(
-            f"{where} has no {moving[name]} finite numbers for bone {name!r}"
-        )
-    if len(rows[name]) != frames - 1:
-        raise InputError(f"{where} has bone {name!r} twice, or outside of a frame")
-    rows[name].append(values)

@@ -14,11 +14,9 @@ database, reliability, failures. Face and clavicles tell nothing more about the 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, InputError, State
 
@@ -73,48 +71,44 @@ about z, after which a take faces the sensor as takes of Kinect v2 do."""
 
 
 def read_azure(source: str) -> Recording:
-    """Read a JSON file of bodies.
-
-    Raises:
-        InputError: It is no such JSON, or a frame in it is malformed.
-    """
+    """Read a JSON file of bodies; raises InputError where it is malformed."""
     try:
         text = read_limited(source, _LARGEST)
         root = json.loads(text, object_hook=_slim, parse_int=float)
     except json.JSONDecodeError as error:
         raise InputError(
-            f"{source}: row {error.lineno} is no JSON ({error.msg}); the file may be "
+            f"{source}: row {error.lineno} is not JSON ({error.msg}); the file may be "
             "cut off, export it again"
         ) from None
     except (ValueError, RecursionError):
-        raise InputError(
-            f"{source}: no JSON that a sensor's tool writes; export it again"
-        ) from None
+        raise InputError(f"{source}: not JSON from a sensor; export it again") from None
     frames = root.get("frames") if isinstance(root, dict) else None
     if not isinstance(frames, list):
         raise InputError(
-            f"{source}: JSON without 'frames'; expected what Azure Kinect's "
-            "offline_processor writes"
+            f"{source}: JSON without 'frames'; expected offline_processor's output"
         )
     _check_names(root.get("joint_names"), source)
     check_length(len(frames), source)
     sightings: list[Sighting] = []
     stamps = []
     for k, frame in enumerate(frames):
-        reader = _FrameReader(k, source)
-        stamps.append(reader.stamp(frame))
-        sightings += reader.bodies(frame)
+        where = f"{source}: frame {k + 1}"
+        stamp = frame.get("timestamp_usec") if isinstance(frame, dict) else None
+        if not isinstance(stamp, float) or not abs(stamp) < 1e18:
+            raise InputError(f"{where} has no 'timestamp_usec', expected a number")
+        stamps.append(stamp)
+        bodies = frame.get("bodies")
+        if not isinstance(bodies, list):
+            raise InputError(f"{where} has no 'bodies', expected a list")
+        sightings += [_sighting(k, body, where) for body in bodies]
     time = (np.array(stamps) - stamps[0]) * 1e-6
     check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp_usec'", "frames")
-    return Recording(
-        takes_of(time, sightings, KINECT_V2, source),
-        "azure",
-        "mm",
-        (
-            "Azure Kinect: 32 joints taken for the 25 of Kinect v2, whose offsets they "
-            "need not have; compare with --method local-pca",
-        ),
+    note = (
+        "Azure Kinect: 32 joints taken for the 25 of Kinect v2, whose offsets they "
+        "need not have; compare with --method local-pca"
     )
+    takes = takes_of(time, sightings, KINECT_V2, source)
+    return Recording(takes, "azure", "mm", (note,))
 
 
 def _slim(value: dict[str, Any]) -> dict[str, Any]:
@@ -123,26 +117,20 @@ def _slim(value: dict[str, Any]) -> dict[str, Any]:
     if "joint_positions" in value:
         for key, item in value.items():
             if key == "joint_positions" or "confidence" in key:
-                value[key] = _numbers(item)
+                try:
+                    value[key] = np.array(item, dtype=np.float64)
+                except (TypeError, ValueError):
+                    value[key] = None
     return value
 
 
-def _numbers(item: Any) -> NDArray[np.float64] | None:
-    """Return nested lists of numbers as an array, None if they are something else."""
-    try:
-        return np.array(item, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-
-
 def _check_names(names: Any, source: str) -> None:
-    """Raise InputError if the file says that its joints are others."""
     if names is None:
         return
-    found = [str(name) for name in names] if isinstance(names, list) else []
     # The SDK's header spells it NAVEL, its documentation NAVAL.
-    found = [name.replace("NAVAL", "NAVEL") for name in found]
-    if tuple(found) != JOINTS:
+    listed = names if isinstance(names, list) else []
+    found = tuple(str(name).replace("NAVAL", "NAVEL") for name in listed)
+    if found != JOINTS:
         raise InputError(
             f"{source}: 'joint_names' are {len(found)}, {', '.join(found[:3])[:60]}, "
             f"..., expected the {len(JOINTS)} of Azure Kinect in the SDK's order: "
@@ -150,49 +138,25 @@ def _check_names(names: Any, source: str) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _FrameReader:
-    index: int
-    source: str
-
-    def stamp(self, frame: Any) -> float:
-        """Return the time stamp [us]."""
-        stamp = frame.get("timestamp_usec") if isinstance(frame, dict) else None
-        if not isinstance(stamp, float) or not abs(stamp) < 1e18:
-            self._fail("has no 'timestamp_usec', expected a number")
-        return stamp
-
-    def bodies(self, frame: dict[str, Any]) -> list[Sighting]:
-        bodies = frame.get("bodies")
-        if not isinstance(bodies, list):
-            self._fail("has no 'bodies', expected a list")
-        return [self._body(body) for body in bodies]
-
-    def _body(self, body: Any) -> Sighting:
-        number = body.get("body_id") if isinstance(body, dict) else None
-        if not isinstance(number, float) or not abs(number) < 2**53:
-            self._fail("has a body without 'body_id', expected a number")
-        positions = body.get("joint_positions")
-        if np.shape(positions) != (len(JOINTS), 3) or np.isinf(positions).any():
-            self._fail(
-                f"has no 'joint_positions' of body {number:g}, expected "
-                f"{len(JOINTS)} times three finite numbers in millimeters"
-            )
-        levels = [item for key, item in body.items() if "confidence" in key]
-        # None, low (not observed), medium, high: both of the latter are tracked.
-        level = levels[0] if levels else np.full(len(JOINTS), 3)
-        if np.shape(level) != (len(JOINTS),) or not np.isin(level, range(4)).all():
-            self._fail(
-                f"has no {len(JOINTS)} confidence levels, expected 0 none, 1 low, "
-                "2 medium or 3 high for each joint"
-            )
-        state = np.minimum(np.asarray(level, dtype=np.intp), State.TRACKED)
-        return Sighting(
-            self.index,
-            int(number),
-            positions[_PAIRS].mean(axis=1) * _TO_OURS,
-            state[_PAIRS].min(axis=1).astype(np.uint8),
+def _sighting(frame: int, body: Any, where: str) -> Sighting:
+    number = body.get("body_id") if isinstance(body, dict) else None
+    if not isinstance(number, float) or not abs(number) < 2**53:
+        raise InputError(f"{where} has a body without 'body_id', expected a number")
+    positions = body.get("joint_positions")
+    if np.shape(positions) != (len(JOINTS), 3) or np.isinf(positions).any():
+        raise InputError(
+            f"{where} has no 'joint_positions' of body {number:g}, expected "
+            f"{len(JOINTS)} times three finite numbers in millimeters"
         )
-
-    def _fail(self, complaint: str) -> NoReturn:
-        raise InputError(f"{self.source}: frame {self.index + 1} {complaint}")
+    levels = [item for key, item in body.items() if "confidence" in key]
+    # None, low (not observed), medium, high: both of the latter are tracked.
+    level = levels[0] if levels else np.full(len(JOINTS), 3)
+    if np.shape(level) != (len(JOINTS),) or not np.isin(level, range(4)).all():
+        raise InputError(
+            f"{where} has no {len(JOINTS)} confidence levels, expected 0 none, 1 low, "
+            "2 medium or 3 high for each joint"
+        )
+    state = np.minimum(np.asarray(level, dtype=np.intp), State.TRACKED)
+    places = positions[_PAIRS].mean(axis=1) * _TO_OURS
+    state = state[_PAIRS].min(axis=1).astype(np.uint8)
+    return Sighting(frame, int(number), places, state)

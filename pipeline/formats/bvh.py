@@ -72,13 +72,9 @@ class Bvh:
     @property
     def joints(self) -> list[int]:
         """Indices of the joints without the end sites."""
-        return [
-            n
-            for n, (name, parent) in enumerate(
-                zip(self.names, self.parents, strict=True)
-            )
-            if self.channels[n] or parent < 0 or name != f"{self.names[parent]}End"
-        ]
+        names, parents = self.names, self.parents
+        ends = [f"{names[parent]}End" if parent >= 0 else None for parent in parents]
+        return [n for n in range(len(names)) if self.channels[n] or names[n] != ends[n]]
 
     @cached_property
     def rest_positions(self) -> Array:
@@ -102,10 +98,7 @@ class Bvh:
 
     @cached_property
     def positions(self) -> Array:
-        """World position of each joint in the file's unit, shape (T, N, 3).
-
-        A position channel takes the place of that coordinate of the offset.
-        """
+        """World position of each joint in the file's unit, shape (T, N, 3)."""
         world = np.empty((len(self), len(self.names), 3))
         for n, parent in enumerate(self.parents):
             local = np.broadcast_to(self.offsets[n], (len(self), 3)).copy()
@@ -124,14 +117,10 @@ class Bvh:
 
 
 def wxyz_from_euler(angles: Array, axes: str) -> Array:
-    """Return the rotation of turns about a node's own axes, in the order given.
+    """Return the rotation, wxyz (..., 4), of angles [rad], shape (..., A).
 
-    Args:
-        angles: Angles [rad], shape (..., A).
-        axes: Axis of each angle, such as ``ZYX``: about z first, then the turned y.
-
-    Returns:
-        Unit quaternions wxyz, shape (..., 4).
+    The axes are a node's own: of ``ZYX``, the first angle turns about z, the second
+    about the turned y.
     """
     half = np.asarray(angles, dtype=np.float64) / 2.0
     rotation = np.zeros((*half.shape[:-1], 4))
@@ -145,11 +134,7 @@ def wxyz_from_euler(angles: Array, axes: str) -> Array:
 
 
 def read_bvh(path: str | os.PathLike[str]) -> Bvh:
-    """Read a BVH file, gzipped or not.
-
-    Raises:
-        InputError: The file is missing or malformed; the message names the line.
-    """
+    """Read a BVH file, gzipped or not; raises InputError, which names the line."""
     source = os.fspath(path)
     with open_text(path) as file:
         lines = enumerate(file, start=1)
@@ -157,7 +142,16 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         tree.read(lines)
         frames = _header_number(lines, "Frames:", source)
         frame_time = _header_number(lines, "Frame Time:", source)
-        _check_size(frames, frame_time, tree)
+        if frames * len(tree.names) > MOST_CELLS:
+            raise InputError(
+                f"{source}: {frames:g} frames of {len(tree.names)} joints are more "
+                "than any recording has; correct 'Frames:' or cut it into shorter files"
+            )
+        if not _FRAME_TIMES[0] <= frame_time <= _FRAME_TIMES[1]:
+            raise InputError(
+                f"{source}: frame time is {frame_time:g} s, expected one between two "
+                "frames of a recording, such as 0.0333; correct 'Frame Time:'"
+            )
         motion = _motion(lines, tree, frames)
     return Bvh(
         tuple(tree.names),
@@ -170,7 +164,6 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
 
 
 def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> Array:
-    """Return the rows after the motion's header, as many as it says."""
     columns = tuple(
         f"{name}.{channel}"
         for name, channels in zip(tree.names, tree.channels, strict=True)
@@ -182,7 +175,7 @@ def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> Array:
     for block in reader.blocks((line for _, line in lines), tree.row + 3):
         unknown, large = np.isnan(block.values), np.abs(block.values) > LARGEST_NUMBER
         for column in np.flatnonzero((unknown | large).any(axis=0)).tolist():
-            words = "is no number; expected one"
+            words = "is not a number; expected one"
             reader.refuse(block, column, unknown[:, column], words)
             words = "is {:.3g}; delete the frame"
             reader.refuse(block, column, large[:, column], words)
@@ -198,23 +191,7 @@ def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> Array:
     return np.concatenate(motion)
 
 
-def _check_size(frames: float, frame_time: float, tree: _Hierarchy) -> None:
-    """Raise InputError for a motion that nobody records, before it is read."""
-    if frames * len(tree.names) > MOST_CELLS:
-        raise InputError(
-            f"{tree.source}: {frames:g} frames of {len(tree.names)} joints are more "
-            "than any recording has; correct 'Frames:' or cut it into shorter files"
-        )
-    shortest, longest = _FRAME_TIMES
-    if not shortest <= frame_time <= longest:
-        raise InputError(
-            f"{tree.source}: frame time is {frame_time:g} s, expected one between two "
-            f"frames of a recording, such as 0.0333; correct 'Frame Time:'"
-        )
-
-
 def _header_number(lines: _Lines, key: str, source: str) -> float:
-    """Return the number of a line ``key number`` of the motion's header."""
     row, line = next(lines, (0, ""))
     words, value = key.split(), line.split()
     try:
@@ -229,8 +206,6 @@ def _header_number(lines: _Lines, key: str, source: str) -> float:
 
 @dataclass(eq=False)
 class _Hierarchy:
-    """The joints read so far."""
-
     source: str
     row: int = 0
     names: list[str] = field(default_factory=list)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,22 +27,12 @@ def write_bvh(
 ) -> None:
     """Write a rig's rotations and the path of its root, or of its pelvis.
 
-    The format itself has neither axes nor a unit; by default they are those of every
-    other file that kinefilter writes, y up and METERS. Angles are in degrees and
-    continuous over time: they pass 360 rather than jump. Every frame of the clip is
-    one frame of the file, at the mean frame time, as the format knows no other.
-
-    Args:
-        clip: When the frames are.
-        moved: The motion.
-        path: The file.
-        export: Axes, unit, rotation order, and the frame rate if the clip has been
-            brought to one.
-
-    Raises:
-        InputError: The file cannot be written.
+    The format has neither axes nor a unit; ``export`` chooses them. Angles [deg] are
+    continuous over time: they pass 360 rather than jump. Each frame of the clip is one
+    frame of the file, at the mean frame time. Raises InputError if it cannot be
+    written.
     """
-    rig = moved.rig.without_axes()
+    rig = replace(moved.rig, axes=None)  # a BVH skeleton is not rotated at rest
     motion = _motion(moved, rig, export)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     with (
@@ -53,24 +44,17 @@ def write_bvh(
         offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
         order = [f"{axis}rotation" for axis in export.rotation_order.upper()]
         file.writelines(f"{line}\n" for line in _hierarchy(rig, offsets, order, 0, 0))
-        frame_time = 1.0 / export.fps if export.fps else _frame_time(clip)
+        duration = float(clip.time[-1] - clip.time[0])
+        mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
+        frame_time = 1.0 / export.fps if export.fps else mean
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
         for start in range(0, len(motion), _FRAMES_AT_ONCE):
             numbers = motion[start : start + _FRAMES_AT_ONCE]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 
 
-def _frame_time(clip: Clip) -> float:
-    """Return the mean time between frames [s]."""
-    duration = float(clip.time[-1] - clip.time[0])
-    return duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
-
-
 def _motion(moved: RigMotion, rig: Rig, export: Export) -> Array:
-    """Return places and angles [deg] of each frame, shape (T, 3 + 3 N).
-
-    A rig whose root stays has three more columns for the place of that.
-    """
+    """Return positions of root and mover, and angles [deg], one row per frame."""
     order = export.rotation_order.upper()
     moving = sorted({0, rig.mover})
     motion = np.empty((len(moved.path), 3 * (len(rig) + len(moving))))
@@ -90,7 +74,6 @@ def _motion(moved: RigMotion, rig: Rig, export: Export) -> Array:
 def _hierarchy(
     rig: Rig, offsets: Array, order: list[str], node: int, depth: int
 ) -> Iterator[str]:
-    """Yield the lines of a node and all below it."""
     pad, inner = "\t" * depth, "\t" * (depth + 1)
     moves = node == rig.mover or not depth
     channels = ["Xposition", "Yposition", "Zposition", *order] if moves else order
@@ -115,17 +98,11 @@ def _offset(vector: Array) -> str:
 
 
 def continuous_euler(rotations: Array, axes: str) -> Array:
-    """Return angles about an axis, the turned second and the twice turned third.
+    """Return angles [rad] about an axis, the turned second and the twice turned third.
 
     Of the two triples that give the same rotation, and of all their full turns, each
-    frame gets the one nearest to the frame before.
-
-    Args:
-        rotations: Unit quaternions wxyz over time, shape (T, 4).
-        axes: The three axes in their order, such as ``ZYX``.
-
-    Returns:
-        Angles [rad], unbounded, shape (T, 3).
+    frame gets the one nearest to the frame before, so angles (T, 3) are unbounded.
+    Rotations are wxyz, shape (T, 4); the axes are given in order, such as ``ZYX``.
     """
     # The axes renamed to z, y, x: half of the orders are its mirror images, in which
     # every turn goes the other way.

@@ -22,11 +22,10 @@ from kinefilter.retarget.retargeting import retarget
 
 from .bvh import Bvh, meters_by_leg, read_bvh
 from .bvh_writer import write_bvh
-from .export import USD_SUFFIXES, Export, with_y_up
+from .export import USD_SUFFIXES, Export, in_strict_t, resampled, with_y_up
 from .files import check_file, check_folder
 from .npz import read_npz, write_npz
-from .resample import in_strict_t, resampled
-from .rig import RigMotion, motion_of, motion_of_rig, own_skeleton, retargeted_motion
+from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
 from .sheets import write_take_csv
 from .takes import read_take
 from .targets import target_rig
@@ -37,12 +36,7 @@ _EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
 
 
 def check_writable(path: str | os.PathLike[str], export: Export | None = None) -> None:
-    """Raise, before any work is done, what write_clip would raise after it.
-
-    Raises:
-        InputError: The extension is unknown, what was chosen does not go with it, or
-            nothing can be written there.
-    """
+    """Raise, before any work is done, the InputError that write_clip would raise."""
     suffix = Path(path).suffix
     if suffix.lower() not in _EXTENSIONS:
         raise InputError(
@@ -50,37 +44,29 @@ def check_writable(path: str | os.PathLike[str], export: Export | None = None) -
             f"known: {', '.join(_EXTENSIONS)}"
         )
     check_folder(path)
-    if export is not None:
-        export.check(suffix.lower())
-        character = export.character
-        if character is not None:
-            if character.suffix.lower() not in USD_SUFFIXES[:3]:
-                known = "expected .usda, .usdc or .usd"
-                raise InputError(f"--character {character}: {known}")
-            check_folder(character)
-        if export.rig is not None:
-            target_rig(export.rig, export.target, standard_body(KINECT_V2))
+    if export is None:
+        return
+    export.check(suffix.lower())
+    if export.character is not None:
+        if export.character.suffix.lower() not in USD_SUFFIXES[:3]:
+            known = "expected .usda, .usdc or .usd"
+            raise InputError(f"--character {export.character}: {known}")
+        check_folder(export.character)
+    if export.rig is not None:
+        target_rig(export.rig, export.target, standard_body(KINECT_V2))
 
 
 def write_clip(
     clip: Clip, path: str | os.PathLike[str], export: Export | None = None
 ) -> None:
-    """Write a clip as USD, BVH, CSV or npz.
+    """Write a clip as USD, BVH, CSV or npz, whole or not at all.
 
     USD holds a skinned character in T-pose, rotations and props, BVH the skeleton and
-    rotations; CSV joint positions and the sensor's states; npz the whole clip. On a
-    rig of somebody else's, USD and BVH hold its skeleton and rotations.
-
-    Args:
-        clip: The motion.
-        path: The file; its extension is one of ``.usda``, ``.usdc``, ``.usd``,
-            ``.usdz``, ``.bvh``, ``.csv`` and ``.npz``. It appears whole or not at all.
-        export: Axes, unit, frame rate and so on; by default meters, y up, and the
-            frames of the clip.
-
-    Raises:
-        InputError: The extension is unknown, what was chosen does not go with it, or
-            nothing can be written there.
+    rotations; CSV joint positions and the sensor's states; npz the whole clip. On
+    another rig, USD and BVH hold its skeleton and rotations. The extension decides:
+    ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.bvh``, ``.csv`` or ``.npz``. By
+    default units are meters, y is up, and frames are the clip's. Raises InputError if
+    the extension is unknown, an option does not go with it, or nothing can be written.
     """
     export = export or Export()
     check_writable(path, export)
@@ -94,24 +80,24 @@ def write_clip(
     elif suffix == ".npz":
         write_npz(clip, path)
     else:
+        root = clip.positions[:, clip.skeleton.root]
+        moved = RigMotion(rig_of(clip.body), clip.rotations, root, clip.positions)
+        if export.rig is not None:
+            rig = target_rig(export.rig, export.target, clip.body)
+            moved = retargeted_motion(rig, retarget(clip, rig))
         write = write_bvh if suffix == ".bvh" else write_usd
-        write(clip, _moved(clip, export), path, export)
+        write(clip, moved, path, export)
 
 
 def read_clip(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip from any file that write_clip writes.
+    """Read a clip from any file that write_clip writes; CSV and BVH may be gzipped.
 
     npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
     states, the name of the take, stature and mass; its time starts at 0. BVH holds
-    places and rotations alone, CSV places: the body is measured from them, nothing is
-    known of contacts and props, and every joint counts as reliable.
-
-    Args:
-        path: The file; CSV and BVH may be gzipped.
-
-    Raises:
-        InputError: The file is missing, of another kind or damaged, of somebody else's
-            skeleton, or a raw take in which joints are missing.
+    positions and rotations alone, CSV positions: the body is measured from them,
+    contacts and props are unknown, and every joint counts as reliable. Raises
+    InputError if the file is missing, damaged, of another kind or skeleton, or a raw
+    take.
     """
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")
@@ -153,11 +139,8 @@ def _of_own_bvh(bvh: Bvh, source: str) -> Clip | None:
 
 
 def _posed(take: Take) -> Clip:
-    """Return a clip of the same postures, on a body as long as the median says.
-
-    A joint that the file never has is where it is at rest.
-    """
-    skeleton, shape = take.skeleton, take.positions.shape[:2]
+    """Return the same postures on a body of median lengths, absent joints at rest."""
+    skeleton = take.skeleton
     lacks = np.asarray(~np.isfinite(take.positions).all(axis=-1))
     missing = np.argwhere(lacks & ~lacks.all(axis=0))
     if len(missing):
@@ -175,12 +158,4 @@ def _posed(take: Take) -> Clip:
     motion = Motion(
         time=take.time, body=body, root=root, rotations=rotations, source=take.source
     )
-    return Clip.of(motion, state=take.state, reliability=np.ones(shape))
-
-
-def _moved(clip: Clip, export: Export) -> RigMotion:
-    """Return the motion on the rig that was chosen."""
-    if export.rig is None:
-        return motion_of(clip)
-    rig = target_rig(export.rig, export.target, clip.body)
-    return retargeted_motion(rig, retarget(clip, rig))
+    return Clip.of(motion, state=take.state, reliability=np.ones(lacks.shape))

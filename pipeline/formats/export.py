@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from kinefilter.characters import InputError
+from kinefilter.characters import Clip, InputError, standard_body
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import between, multiply, slerp
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
@@ -63,13 +64,10 @@ class Export:
     def __post_init__(self) -> None:
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
             raise InputError(
-                f"--fps {self.fps:g}: expected {_SLOWEST:g} to {_FASTEST:g} frames a "
-                "second"
+                f"--fps {self.fps:g}: expected {_SLOWEST:g} to {_FASTEST:g} frames/s"
             )
         if self.target is not None and self.rig is None:
-            raise InputError(
-                f"--target {self.target}: say with --rig how its joints are called"
-            )
+            raise InputError(f"--target {self.target}: name its joints with --rig")
         if self.rig is not None and (self.rest != "own" or self.character is not None):
             flag = "--character" if self.rest == "own" else "--rest"
             raise InputError(
@@ -82,11 +80,7 @@ class Export:
         return 0.01 if self.units == "cm" else 1.0
 
     def check(self, suffix: str) -> None:
-        """Raise an InputError for what was chosen in vain for a kind of file.
-
-        Args:
-            suffix: The file's extension in lower case, such as ``.usda``.
-        """
+        """Raise InputError for an option that files of a suffix (``.usda``) ignore."""
         for field in fields(self):
             chosen = getattr(self, field.name) != field.default
             if chosen and field.name not in _FOLLOWED[suffix]:
@@ -112,3 +106,72 @@ def with_y_up(values: Array) -> Array:
     """Return directions (..., 3) or rotations wxyz (..., 4) that were given z up."""
     x, y, z = np.moveaxis(values[..., -3:], -1, 0)
     return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, z, -y], axis=-1)
+
+
+# Clips at another frame rate, and in another rest pose
+
+_CHUNK = 4096  # frames at a time, to bound the memory
+_END = 1e-6  # of a frame: the last one is not lost to rounding
+_ON_A_LINE = (
+    *("root", "reliability", "moved_by_correction", "moved_by_physics"),
+    "external_force",
+)
+_NEAREST = ("state", "deciding_term", "origin", "contacts")
+
+
+def resampled(clip: Clip, fps: float) -> Clip:
+    """Return a clip with ``fps`` frames a second, from its first to its last.
+
+    Positions and numbers between frames are interpolated on a line, rotations on the
+    shortest arc; what has no middle, such as contacts, is the nearest frame's. Of
+    frames with the same time, the last counts.
+    """
+    known = np.flatnonzero(np.append(np.diff(clip.time) > 0.0, True))
+    stamps = clip.time[known]
+    count = int((stamps[-1] - stamps[0]) * fps + _END) + 1
+    time = stamps[0] + np.arange(count) / fps
+    last = np.clip(np.searchsorted(stamps, time, "right"), 1, max(len(known) - 1, 1))
+    last = np.minimum(last, len(known) - 1)
+    first = np.maximum(last - 1, 0)
+    step = np.maximum(stamps[last] - stamps[first], 1e-12)
+    share = np.clip((time - stamps[first]) / step, 0.0, 1.0)
+    before, after = known[first], known[last]
+
+    def line(values: Array) -> Array:
+        part = share.reshape(-1, *[1] * (values.ndim - 1))
+        start = values[before]
+        moved = start + part * (values[after] - start)
+        # A frame that is there already is kept as it is, also beside a missing one.
+        return np.asarray(np.where(part == 0.0, start, moved))
+
+    def arc(rotations: Array) -> Array:
+        part = share.reshape(-1, *[1] * (rotations.ndim - 2))
+        found = np.empty((count, *rotations.shape[1:]))
+        for start in range(0, count, _CHUNK):
+            some = slice(start, start + _CHUNK)
+            start_end = rotations[before[some]], rotations[after[some]]
+            found[some] = slerp(*start_end, part[some])
+        return found
+
+    nearest = np.where(share < 0.5, before, after)
+    found: dict[str, Any] = {
+        **{name: line(getattr(clip, name)) for name in _ON_A_LINE},
+        **{name: getattr(clip, name)[nearest] for name in _NEAREST},
+    }
+    props = [
+        replace(prop, positions=line(prop.positions), rotations=arc(prop.rotations))
+        if prop.moves
+        else prop
+        for prop in clip.props
+    ]
+    return replace(
+        clip, time=time, rotations=arc(clip.rotations), props=tuple(props), **found
+    )
+
+
+def in_strict_t(clip: Clip) -> Clip:
+    """Return the same motion with a rest posture in which every bone is square."""
+    body = clip.body
+    square = standard_body(body.skeleton).directions
+    rotations = multiply(clip.rotations, between(square, body.directions))
+    return replace(clip, rotations=rotations, body=replace(body, directions=square))

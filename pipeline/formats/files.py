@@ -17,12 +17,12 @@ from kinefilter.characters import InputError
 
 _GZIP_MAGIC = b"\x1f\x8b"
 
-_LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; longer is no recording
+_LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; a recording is shorter
 LARGEST_TOML = 2**16
 """Bytes of a TOML file that somebody wrote by hand."""
 _LARGEST_RATIO = 100
 """Text that is this many times as long as its gzip file, and longer than
-``_ANY_RATIO``, is no recording: numbers give 2 to 10. A guess."""
+``_ANY_RATIO``, is not a recording: numbers give 2 to 10. A guess."""
 _ANY_RATIO = 2**25
 _LONGEST_LINE = 1_000_000  # characters; a binary file may have no line end at all
 _BEGINNING = 2**16  # bytes in which a text begins
@@ -30,22 +30,14 @@ _MOST_BLANK = 10_000  # lines in a row
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Return ``path`` if a file may be written there.
-
-    Raises:
-        InputError: Its folder is missing or read-only, or it is a folder itself.
-    """
+    """Return ``path`` if a file may be written there, else raise InputError."""
     path = Path(path)
     if not path.parent.is_dir():
-        raise InputError(
-            f"{path}: folder {path.parent} does not exist; create it or write elsewhere"
-        )
+        raise InputError(f"{path}: folder {path.parent} does not exist; create it")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not os.access(path.parent, os.W_OK):
-        raise InputError(
-            f"{path}: folder {path.parent} is not writable; write elsewhere"
-        )
+        raise InputError(f"{path}: folder {path.parent} is read-only; write elsewhere")
     return path
 
 
@@ -54,10 +46,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` that takes its place on success.
 
     An older file stays as it was until then, and for good if the block raises. The
-    temporary path ends in the same suffix, for writers that go by it.
-
-    Raises:
-        InputError: The folder is missing or read-only, or the system cannot write.
+    temporary path ends in the same suffix. Raises InputError if it cannot be written.
     """
     target = check_folder(path)
     temporary = target.with_name(f".{uuid.uuid4().hex}{target.suffix}")
@@ -76,11 +65,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_file(path: str | os.PathLike[str]) -> Path:
-    """Return ``path`` if there is a file to read.
-
-    Raises:
-        InputError: There is none, or it is a folder.
-    """
+    """Return ``path`` if there is a file to read, else raise InputError."""
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file")
@@ -93,12 +78,8 @@ def check_file(path: str | os.PathLike[str]) -> Path:
 def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
     """Yield the lines of a file of UTF-8 text, unzipped where it is gzip's.
 
-    Whatever goes wrong while the block reads is raised as an InputError. However long
-    the file claims to be, a line at a time is in memory.
-
-    Raises:
-        InputError: There is no such file, it cannot be read, it is not UTF-8 text, a
-            line has no end, or there is more of it than of any recording.
+    One line at a time is in memory. Raises InputError, also while the block reads, if
+    the file is missing, unreadable, not UTF-8 text, too long, or a line has no end.
     """
     path = check_file(path)
     with _readable(path) as stream:
@@ -107,21 +88,13 @@ def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
 
 
 def beginning(path: str | os.PathLike[str], most: int = 100) -> str:
-    """Return the first characters of a text, of 60,000, leading blanks left out.
-
-    Raises:
-        InputError: As ``open_text``.
-    """
+    """Return the first characters of a text, without leading blanks."""
     with _readable(check_file(path)) as stream:
         return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
 def read_limited(path: str | os.PathLike[str], most: int) -> str:
-    """Return a file's text, unzipped where it is gzip's.
-
-    Raises:
-        InputError: As ``open_text``, or the text has more bytes than ``most``.
-    """
+    """Return a file's text, unzipped; raises InputError beyond ``most`` bytes."""
     path = check_file(path)
     with _readable(path, most) as stream:
         return stream.read().decode("utf-8-sig")
@@ -145,7 +118,7 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedRead
         ) from None
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise InputError(
-            f"{path}: damaged gzip file ({error}); copy or download it again"
+            f"{path}: damaged gzip file ({error}); copy it again"
         ) from None
     except OSError as error:
         reason = error.strerror or str(error)
@@ -153,8 +126,6 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedRead
 
 
 class _Counted(io.RawIOBase):
-    """Bytes of a file, up to a limit."""
-
     def __init__(self, stream: IO[bytes], most: int, path: Path) -> None:
         self._stream, self._left, self._path, self._most = stream, most, path, most
 
@@ -166,8 +137,7 @@ class _Counted(io.RawIOBase):
         self._left -= len(data)
         if self._left < 0:
             raise InputError(
-                f"{self._path}: holds more than {self._most / 1e6:.0f} MB of text, "
-                "which no recording does; cut it into shorter takes"
+                f"{self._path}: more than {self._most / 1e6:.3g} MB of text; split it"
             )
         buffer[: len(data)] = data
         return len(data)
@@ -183,11 +153,8 @@ def _lines(file: TextIO, path: Path) -> Iterator[str]:
                 f"{path}: row {row} is binary; expected a text file, export it as CSV"
             )
         if len(line) == _LONGEST_LINE or blank > _MOST_BLANK:
-            raise InputError(
-                f"{path}: row {row} "
-                + ("follows only blank rows" if blank else "does not end")
-                + "; expected a text file of recorded frames"
-            )
+            wrong = "follows only blank rows" if blank else "does not end"
+            raise InputError(f"{path}: row {row} {wrong}; expected recorded frames")
         yield line
 
 
@@ -197,18 +164,12 @@ def read_toml(path: str | os.PathLike[str], expected: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str, name: str, expected: str) -> dict[str, Any]:
-    """Return the table that a text describes.
+    """Return the table that TOML describes; raises InputError if it is malformed.
 
-    Args:
-        text: TOML.
-        name: Where it is, for messages.
-        expected: What to write instead of what is wrong, for messages.
-
-    Raises:
-        InputError: It is no TOML.
+    ``name`` says where the text is and ``expected`` what to write instead.
     """
     try:
         return tomllib.loads(text)
     # Not its own error alone: numbers of thousands of digits, brackets in thousands.
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{name}: no TOML ({error}); {expected}") from None
+        raise InputError(f"{name}: not TOML ({error}); {expected}") from None

@@ -28,12 +28,8 @@ _REFUSED = 3  # exit code: the message is on the standard error
 def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
     """Return the arrays that a function of this package makes of a file.
 
-    Args:
-        reader: Its module and name, such as ``c3d:arrays_of``; it takes the path.
-        path: The file.
-
-    Raises:
-        InputError: The reader refuses the file, fails, or needs too much.
+    The reader is a module and a name, such as ``usd_reader:clip_arrays``. Raises
+    InputError if it refuses the file, fails, or needs too much.
     """
     command = [sys.executable, "-m", _NAME, reader, path]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
@@ -43,25 +39,22 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
         )
     except subprocess.TimeoutExpired:
         raise InputError(
-            f"{path}: took longer than {_SECONDS:.0f} s to read; it is damaged, or "
-            "should be cut into shorter files"
+            f"{path}: takes over {_SECONDS:.0f} s to read; it is damaged or too long"
         ) from None
     if done.returncode == _REFUSED:
         raise InputError(done.stderr.decode("utf-8", "replace").splitlines()[-1])
     if done.returncode != 0:
         raise InputError(
-            f"{path}: its reader failed (code {done.returncode}); the file is damaged "
-            "or too large, export it again"
+            f"{path}: the reader failed (code {done.returncode}); damaged or too large?"
         )
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as file:
         return {key: file[key] for key in file.files}
 
 
 def _main(reader: str, path: str) -> int:
-    """Read a file and write its arrays to the standard output."""
     try:
         import resource
-    except ImportError:  # Windows has no such limit; the time's stays
+    except ImportError:  # Windows has no such limit; the time limit still holds
         pass
     else:
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))

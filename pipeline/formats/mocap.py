@@ -10,7 +10,7 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.retarget.rig_map import SourceRig, matching_source_rig
+from kinefilter.retarget.rig_map import SourceRig, listed, matching_source_rig
 
 _Z_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """Minus a quarter turn about x, wxyz: what pointed along z points along y."""
@@ -25,7 +25,6 @@ class Mocap:
     """Joints in motion, in the file's own axes and unit."""
 
     names: tuple[str, ...]
-    """Names of the joints."""
     positions: Array
     """Joint positions, NaN where missing, shape (T, N, 3)."""
     rotations: Array | None
@@ -34,7 +33,6 @@ class Mocap:
     frame_time: float
     """Time between frames [s]."""
     source: str
-    """The file, for messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,6 @@ class KinectMotion:
     frame_time: float
     """Time between frames [s]."""
     rig: str
-    """Name of the rig whose joints were found."""
 
 
 def bare_name(name: str) -> str:
@@ -65,22 +62,16 @@ def kinect_motion(
 ) -> KinectMotion:
     """Return the joints of a Kinect in mocap.
 
-    Which axis points up is seen from the head, which mostly is above the hips: y or z.
-
-    Args:
-        mocap: The motion.
-        skeleton: The Kinect's joints.
-        known: Names of the rigs to look for (``retarget/source_rigs``).
-
-    Raises:
-        InputError: The joints are of no rig, or are in no frame.
+    The axis (y or z) that mostly points from hips to head is up. ``known`` are the rigs
+    to look for (``retarget/source_rigs``). Raises InputError if the joints are of no
+    known rig, or are in no frame.
     """
     names = [bare_name(name) for name in mocap.names]
     rig, missing = matching_source_rig(names, skeleton, known)
     if missing:
         raise InputError(
             f"{mocap.source}: no joint {missing[0]!r} ({len(missing)} missing); "
-            f"expected {_expected(rig)}; found {_listed(names)}"
+            f"expected {_expected(rig)}; found {listed(names)}"
         )
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
     turned = mocap.rotations is not None and all(
@@ -109,21 +100,14 @@ def _expected(rig: SourceRig) -> str:
         "jointed": "the names of a skeleton of joints",
     }
     title = titles.get(rig.name, f"the joint names of {rig.name}")
-    return f"{title} ({_listed(sorted(rig.needed))})"
-
-
-def _listed(names: Sequence[str]) -> str:
-    some = ", ".join(name[:30] for name in names[:6])
-    return some + (", ..." if len(names) > 6 else "")
+    return f"{title} ({listed(sorted(rig.needed))})"
 
 
 def _z_is_up(positions: Array, skeleton: Skeleton, source: str) -> bool:
     spine = positions[:, skeleton.index("Head")] - positions[:, skeleton.root]
     spine = spine[np.isfinite(spine).all(axis=1)]
     if not len(spine):
-        raise InputError(
-            f"{source}: no frame has head and hips; give motion of a whole body"
-        )
+        raise InputError(f"{source}: no frame has head and hips; give whole bodies")
     middle = np.median(spine, axis=0)
     return bool(np.abs(middle).argmax() == 2 and middle[2] > 0.0)
 

@@ -4,37 +4,44 @@ BVH that tools recorded from a Kinect gives the joints of Kinect v2 where the fi
 the SDK's names, as kinefilter's own; else those of Kinect v1, found by the names of
 ``retarget/source_rigs``. A BVH knows no tracking states: every joint counts as tracked.
 Its unit is the one in which the bones are a person's: m, cm, mm or inches.
+
+C3D has points that marker mocap measured, read by ezc3d (extra ``c3d``). Only points
+that are joints are of use here: named as the Kinect's joints, or as the joint centers
+that Vicon's Plug-in Gait writes. Bare markers have to be solved for a skeleton first.
 """
 
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
+from kinefilter.pipeline.extras import require
 from kinefilter.retarget.rig_map import matching_source_rig
 
 from .acclaim import read_amc, read_asf
-from .bvh import read_bvh
-from .c3d import MAGIC, read_c3d
+from .bvh import LARGEST_NUMBER, MOST_CELLS, read_bvh
 from .files import beginning, check_file
+from .guarded import read_guarded
 from .mocap import Mocap, bare_name, kinect_motion
 from .recording import Recording, check_length, recording_of
 
 RIGS = ("cmu", "motionbuilder", "acclaim", "plug_in_gait")
 """Skeletons that mocap comes on, besides the Kinects' own."""
 _BVH_RIGS = ("cmu", "motionbuilder", "jointed")  # the most particular first
+_BLOCK = 512  # bytes of a C3D file
+_C3D_MAGIC = 0x50  # second byte of every C3D file
+_LARGEST_C3D = 2**30  # bytes
 
 
 def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Return the files that hold motion, and the ASF files, which hold none.
-
-    Raises:
-        InputError: No file holds motion.
-    """
+    """Return the files with motion and the ASF files; raises InputError if only ASF."""
     skeletons = [file for file in files if file.suffix.lower() == ".asf"]
     motions = [file for file in files if file not in skeletons]
     if not motions:
@@ -43,19 +50,15 @@ def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
 
 def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> Mocap:
-    """Read a BVH, AMC or C3D file; BVH and AMC may be gzipped.
+    """Read a BVH, AMC or C3D file, told apart by content; BVH and AMC may be gzipped.
 
-    Args:
-        path: The file; what it holds decides, not its name.
-        skeletons: ASF files, for AMC: the one whose name the motion's begins with, or
-            the only one; without any, one beside the motion.
-
-    Raises:
-        InputError: The file is missing or malformed, or there is no skeleton for it.
+    The ASF file for an AMC is the one of ``skeletons`` whose name the motion's begins
+    with, or the only one; without any, one beside the motion. Raises InputError if the
+    file is missing or malformed, or there is no skeleton for it.
     """
     path = check_file(path)
     with path.open("rb") as file:
-        if file.read(2)[1:] == bytes([MAGIC]):
+        if file.read(2)[1:] == bytes([_C3D_MAGIC]):
             return read_c3d(path)
     first = beginning(path)
     if first.startswith("HIERARCHY"):
@@ -63,13 +66,11 @@ def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> 
     if first[:1] in ("#", ":"):
         return read_amc(path, read_asf(_skeleton_for(path, skeletons)))
     raise InputError(
-        f"{path}: no mocap: expected BVH (HIERARCHY ...), AMC (:FULLY-SPECIFIED) with "
-        "its ASF, or C3D"
+        f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, or C3D"
     )
 
 
 def _skeleton_for(path: Path, skeletons: Sequence[Path]) -> Path:
-    """Return the ASF file for an AMC file; raises InputError without one."""
     given = skeletons or sorted(path.parent.glob("*.asf"))
     fitting = [asf for asf in given if path.name.startswith(asf.stem)]
     if fitting:
@@ -89,11 +90,7 @@ def read_bvh_mocap(source: str) -> Mocap:
 
 
 def read_bvh_take(source: str) -> Recording:
-    """Read a BVH file as a take.
-
-    Raises:
-        InputError: The file is malformed, or its joints have names of no known rig.
-    """
+    """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
     mocap = read_bvh_mocap(source)
     check_length(len(mocap.positions), source)
     names = [bare_name(name) for name in mocap.names]
@@ -112,3 +109,70 @@ def read_bvh_take(source: str) -> Recording:
         if motion.unit
         else (f"no unit of length fits the bones; scaled by {motion.meters:.4g}",),
     )
+
+
+def read_c3d(path: str | os.PathLike[str]) -> Mocap:
+    """Read a C3D file; raises InputError if it is malformed or ezc3d is missing."""
+    source = os.fspath(path)
+    _check_header(source)
+    require("ezc3d", f"{source}: C3D", "c3d")
+    arrays = read_guarded("mocap_files:c3d_arrays", source)
+    points, rate = arrays["points"], float(arrays["rate"].item())
+    names, count = tuple(arrays["names"].tolist()), points.shape[1]
+    if not 0.01 < rate < 1e4 or len(names) < count or not points.size:
+        raise InputError(
+            f"{source}: has {points.shape[2]} frames of {count} points, "
+            f"{len(names)} labels, {rate:g} frames a second; export it again"
+        )
+    positions = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1)
+    # What no camera saw has a residual below zero, and zeros for a place.
+    unseen = (arrays["residuals"] < 0) | (positions == 0).all(axis=-1)
+    positions = np.where(unseen[..., None], np.nan, positions)
+    if not np.nanmax(np.abs(positions), initial=0.0) < LARGEST_NUMBER:
+        raise InputError(f"{source}: a point is beyond any room; export it again")
+    return Mocap(names[:count], positions, None, 1.0 / rate, source)
+
+
+def c3d_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """Return points, residuals, labels and rate of a file, or raise InputError."""
+    import ezc3d
+
+    try:
+        file = ezc3d.c3d(path)
+        parameters = file["parameters"]["POINT"]
+        names = [str(name) for name in parameters["LABELS"]["value"]]
+        return {
+            "points": np.asarray(file["data"]["points"], dtype=np.float64),
+            "residuals": np.asarray(file["data"]["meta_points"]["residuals"][0].T),
+            "names": np.array(names, dtype=str),
+            "rate": np.array(float(parameters["RATE"]["value"][0])),
+        }
+    except Exception as error:  # ezc3d raises whatever its C++ does
+        raise InputError(
+            f"{path}: cannot be read as C3D ({type(error).__name__}); export it again"
+        ) from None
+
+
+def _check_header(source: str) -> None:
+    """Raise InputError for a wrong length in the header, which ezc3d believes."""
+    path = check_file(source)
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = file.read(_BLOCK)
+    if len(header) < _BLOCK or header[1] != _C3D_MAGIC or size > _LARGEST_C3D:
+        raise InputError(f"{source}: not a C3D file, or cut off; export it again")
+    points, analog, first, last = struct.unpack("<4H", header[2:10])
+    scale, start = struct.unpack("<fH", header[12:18])
+    frames = last - first + 1
+    # Whole numbers where the scale is positive, floats where it is negative.
+    width = 4 if scale < 0 else 2
+    needed = frames * (4 * points + analog) * width
+    if frames < 1 or start * _BLOCK > size or needed > size or points == 0:
+        raise InputError(
+            f"{source}: {frames} frames of {points} points do not fit into {size} "
+            "bytes; the file may be cut off, or its header damaged"
+        )
+    if frames * points > MOST_CELLS:
+        raise InputError(
+            f"{source}: {frames} frames of {points} points are too many; split it"
+        )

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import os
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
+from itertools import count
 from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    Body,
-    Clip,
-    InputError,
-    Prop,
-    Shape,
-    skeleton_named,
-)
+from kinefilter.characters import Body, Clip, InputError, Prop, Shape, skeleton_named
 
 from .files import atomic_path, check_file
 
@@ -42,49 +38,14 @@ _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
 
-def array_names(path: str | os.PathLike[str]) -> set[str]:
-    """Return the names of the arrays in an npz file.
-
-    Raises:
-        InputError: The file is missing or no zip archive.
-    """
-    source = os.fspath(check_file(path))
-    try:
-        with zipfile.ZipFile(source) as archive:
-            return {name.removesuffix(".npy") for name in archive.namelist()}
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise _unreadable(source, error, "a file that kinefilter wrote") from None
-
-
-def read_arrays(
+@contextmanager
+def _archive(
     path: str | os.PathLike[str], expected: str = "a file that kinefilter wrote"
-) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an npz file, without running anything in it.
-
-    The sizes that the archive and the arrays claim are compared before memory is
-    given, so that a small file cannot ask for much.
-
-    Args:
-        path: The file.
-        expected: What it should be, for messages.
-
-    Raises:
-        InputError: The file is missing, damaged, holds objects, or more than 2 GB.
-    """
+) -> Iterator[zipfile.ZipFile]:
     source = os.fspath(check_file(path))
     try:
         with zipfile.ZipFile(source) as archive:
-            members = archive.infolist()
-            size = sum(member.file_size for member in members)
-            if size > _LARGEST or len(members) > _MOST_ARRAYS:
-                raise InputError(
-                    f"{source}: {len(members)} arrays of {size / 1e6:.0f} MB are more "
-                    "than kinefilter writes; is it the right file?"
-                )
-            return {
-                member.filename.removesuffix(".npy"): _array(archive, member)
-                for member in members
-            }
+            yield archive
     except InputError:
         raise
     except (
@@ -92,38 +53,55 @@ def read_arrays(
         *(zipfile.BadZipFile, zlib.error, NotImplementedError, SyntaxError),
         RuntimeError,  # an archive with a password
     ) as error:
-        raise _unreadable(source, error, expected) from None
+        name = type(error).__name__
+        raise InputError(
+            f"{source}: cannot be read as npz ({name}); expected {expected}"
+        ) from None
+
+
+def array_names(path: str | os.PathLike[str]) -> set[str]:
+    """Return the names of the arrays in an npz file, or raise InputError."""
+    with _archive(path) as archive:
+        return {name.removesuffix(".npy") for name in archive.namelist()}
+
+
+def read_arrays(
+    path: str | os.PathLike[str], expected: str = "a file that kinefilter wrote"
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an npz file, without running anything in it.
+
+    The sizes that archive and arrays claim are compared before memory is allocated, so
+    a small file cannot ask for much. Raises InputError if the file is missing, damaged,
+    holds objects, or more than 2 GB.
+    """
+    with _archive(path, expected) as archive:
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if size > _LARGEST or len(members) > _MOST_ARRAYS:
+            raise InputError(
+                f"{os.fspath(path)}: {len(members)} arrays of {size / 1e6:.0f} MB are "
+                "more than kinefilter writes; is it the right file?"
+            )
+        return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(member) as file:
         _check_header(file, member.file_size)
     with archive.open(member) as file:
-        array = npy.read_array(file, allow_pickle=False)
-    return np.asarray(array)
+        return np.asarray(npy.read_array(file, allow_pickle=False))
 
 
 def _check_header(file: IO[bytes], size: int) -> None:
     """Raise ValueError if an array would be larger than the archive holds of it."""
     version = npy.read_magic(file)
-    read = {
-        (1, 0): npy.read_array_header_1_0,
-        (2, 0): npy.read_array_header_2_0,
-    }.get(version)
-    if read is None:
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    if version not in readers:
         raise ValueError(f"version {version}")
-    shape, _, dtype = read(file, max_header_size=_LONGEST_HEADER)
-    needed = dtype.itemsize
-    for length in shape:
-        needed *= max(length, 0)
+    shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
+    needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
     if needed > size or dtype.kind not in _KINDS:
-        raise ValueError("larger than the archive says, or no numbers or text")
-
-
-def _unreadable(source: str, error: Exception, expected: str) -> InputError:
-    return InputError(
-        f"{source}: cannot be read as npz ({type(error).__name__}); expected {expected}"
-    )
+        raise ValueError("larger than the archive says, or not numbers or text")
 
 
 def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -132,9 +110,6 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
     Besides them there are ``skeleton``, ``joints`` and ``source``, and for each prop
     ``prop:K:name``, ``positions``, ``rotations``, ``kinds`` and, for each of its
     shapes, ``prop:K:L:size`` and so on. Equal clips give equal bytes.
-
-    Raises:
-        InputError: The file cannot be written.
     """
     arrays: dict[str, Any] = {name: getattr(clip, name) for name in _ARRAYS + _FRAME}
     measures: dict[str, Any] = {name: getattr(clip.body, name) for name in _BODY}
@@ -152,11 +127,7 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
 
 
 def read_npz(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip that write_clip wrote as npz.
-
-    Raises:
-        InputError: There is no such file, or it holds no clip.
-    """
+    """Read a clip that write_clip wrote as npz; raises InputError of other files."""
     name = os.fspath(path)
     arrays = read_arrays(path, "a clip that kinefilter wrote")
     try:
@@ -165,12 +136,11 @@ def read_npz(path: str | os.PathLike[str]) -> Clip:
         raise InputError(f"{name}: {error}") from None
     except KeyError as error:
         raise InputError(
-            f"{name}: holds no clip (no array {error.args[0]}); expected an npz that "
-            "kinefilter wrote"
+            f"{name}: not a kinefilter clip (no array {error.args[0]}); write it again"
         ) from None
     except (ValueError, TypeError, IndexError):
         raise InputError(
-            f"{name}: its arrays are no clip; expected an npz that kinefilter wrote"
+            f"{name}: its arrays do not make a clip; write it again"
         ) from None
 
 
@@ -181,9 +151,9 @@ def _clip(archive: dict[str, Any]) -> Clip:
     frame = {name: archive.get(name, np.nan) for name in _FRAME}
     for name, array in (*arrays.items(), *measures.items(), *frame.items()):
         if np.asarray(array).dtype.kind not in "biuf":
-            raise InputError(f"{name} holds no numbers; write the clip again")
+            raise InputError(f"{name} is not numbers; write the clip again")
     if arrays["time"].dtype.kind != "f":
-        raise InputError("time holds no numbers; write the clip again")
+        raise InputError("time is not numbers; write the clip again")
     numbers = {name: measures[name].item() for name in ("height", "mass")}
     positions = arrays.pop("positions")
     if positions.shape != (len(arrays["time"]), len(skeleton), 3):
@@ -214,16 +184,13 @@ def _props_as_arrays(props: tuple[Prop, ...]) -> dict[str, Any]:
 
 def props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
     """Yield the props whose arrays are named as ``write_npz`` names them."""
-    k = 0
-    while f"prop:{k}:name" in archive:
+    for k in count():
+        if f"prop:{k}:name" not in archive:
+            return
+        kinds, name = archive[f"prop:{k}:kinds"].tolist(), archive[f"prop:{k}:name"]
         shapes = [
             Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
-            for n, kind in enumerate(archive[f"prop:{k}:kinds"].tolist())
+            for n, kind in enumerate(kinds)
         ]
-        yield Prop(
-            str(archive[f"prop:{k}:name"]),
-            tuple(shapes),
-            archive[f"prop:{k}:positions"],
-            archive[f"prop:{k}:rotations"],
-        )
-        k += 1
+        moves = (archive[f"prop:{k}:{path}"] for path in ("positions", "rotations"))
+        yield Prop(str(name), tuple(shapes), *moves)

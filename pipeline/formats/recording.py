@@ -63,18 +63,13 @@ class Recording:
         return [self.main + 1 if body is None else body]
 
     def take(self, body: int | None = None) -> Take:
-        """Return the take of a person, counted from 1; None: the main person.
-
-        Raises:
-            InputError: There is no such person.
-        """
+        """Return a person's take, from 1, or raise InputError; None: the main one."""
         if body is None:
             return self.takes[self.main]
         if not 1 <= body <= len(self.takes):
             raise InputError(
-                f"{self.takes[0].source}: has no body {body}, there "
-                + ("is 1" if len(self.takes) == 1 else f"are {len(self.takes)}")
-                + "; 'kinefilter info' lists them"
+                f"{self.takes[0].source}: has no body {body}, only {len(self.takes)}; "
+                "'kinefilter info' lists them"
             )
         return self.takes[body - 1]
 
@@ -88,11 +83,7 @@ def numbered(path: _Path, body: int | None) -> _Path:
 
 @contextmanager
 def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
-    """Yield number and text of a file's first line that is not blank, and those after.
-
-    Raises:
-        InputError: As ``open_text``, or the file is empty.
-    """
+    """Yield number and text of a file's first filled line, and the lines after it."""
     with open_text(source) as lines:
         for row, line in enumerate(lines, start=1):
             if line.strip():
@@ -104,14 +95,10 @@ def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
 def missing_marked(
     positions: Array, state: NDArray[np.uint8]
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Return positions and states with what is missing as NaN and not tracked.
+    """Return positions [m] (..., 3) and states (...), NaN and not tracked if missing.
 
     Missing is what is not tracked, not a number or exactly at the origin, where the
     sensors put what they do not see.
-
-    Args:
-        positions: Joint positions [m], shape (..., 3).
-        state: Tracking states (State), shape (...).
     """
     seen = np.isfinite(positions).all(-1) & (positions != 0).any(-1) & (state > 0)
     return (
@@ -165,10 +152,7 @@ def check_rate(time: Array, source: str) -> None:
 
 
 def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
-    """Raise InputError where time stamps [s] (T,) go backwards.
-
-    For the message, ``where`` names an index and ``what`` the frames of the file.
-    """
+    """Raise InputError where time stamps [s] (T,) go backwards."""
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
         k = int(backwards[0]) + 1
@@ -194,8 +178,7 @@ def check_extent(positions: Array, source: str) -> None:
         unit, factor = ("milli", 1000) if span > 600 else ("centi", 100)
         raise InputError(
             f"{source}: the skeleton spans {span:.0f} m in a typical frame, expected a "
-            f"person in meters; if the file is in {unit}meters, divide positions by "
-            f"{factor}"
+            f"person in meters; if it is in {unit}meters, divide positions by {factor}"
         )
     distance = np.fmax.reduce(np.abs(positions[seen]).reshape(len(seen), -1), axis=1)
     far = seen[distance > _FARTHEST]
@@ -211,7 +194,6 @@ class Sighting:
     """A body in a frame."""
 
     frame: int
-    """Index of the frame."""
     body: int
     """The tracker's number for the body."""
     positions: Array
@@ -226,17 +208,10 @@ def takes_of(
     """Return a take for every person, in the order in which they appear.
 
     A person is the bodies of one number, and those that are new near to where and soon
-    after one was lost. A take goes from the first frame of its person to the last;
-    every joint is missing in frames between that do not have the person.
-
-    Args:
-        time: Time stamp of every frame of the recording [s], shape (T,).
-        sightings: The bodies in it, in the order of the frames.
-        skeleton: The joints.
-        source: The file, for messages.
-
-    Raises:
-        InputError: Nobody is seen, a body is in a frame twice, or it is not a take.
+    after one was lost. A take goes from its person's first frame to the last; every
+    joint is missing in frames between without the person. Sightings are in the order of
+    the frames, whose time stamps [s] have shape (T,). Raises InputError if nobody is
+    seen, a body is in a frame twice, or it is not a take.
     """
     check_length(len(time), source)
     check_rate(time, source)
@@ -256,7 +231,6 @@ def takes_of(
 def _people(
     time: Array, sightings: Sequence[Sighting], source: str
 ) -> list[list[Sighting]]:
-    """Return the sightings of each person, in the order in which they appear."""
     tracks: dict[int, list[Sighting]] = {}
     for sighting in sightings:
         track = tracks.setdefault(sighting.body, [])
@@ -266,21 +240,7 @@ def _people(
                 "delete one of them"
             )
         track.append(sighting)
-    parts = list(tracks.values())
-    after = _continued(time, parts)
-    people = []
-    for k in sorted(set(range(len(parts))) - set(after.values())):
-        person = list(parts[k])
-        while k in after:
-            k = after[k]
-            person += parts[k]
-        people.append(person)
-    return people
-
-
-def _continued(time: Array, parts: list[list[Sighting]]) -> dict[int, int]:
-    """Return which part goes on after which, the nearest pairs first."""
-    pairs = []
+    parts, pairs = list(tracks.values()), []
     for k, lost in enumerate(parts):
         for m, new in enumerate(parts):
             gap = time[new[0].frame] - time[lost[-1].frame]
@@ -292,7 +252,14 @@ def _continued(time: Array, parts: list[list[Sighting]]) -> dict[int, int]:
     for _, k, m in sorted(pairs):
         if k not in after and m not in after.values():
             after[k] = m
-    return after
+    people = []
+    for k in sorted(set(range(len(parts))) - set(after.values())):
+        person = list(parts[k])
+        while k in after:
+            k = after[k]
+            person += parts[k]
+        people.append(person)
+    return people
 
 
 def _place(sighting: Sighting) -> Array:

@@ -12,14 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    SKELETONS,
-    Body,
-    Clip,
-    Motion,
-    Skeleton,
-    standard_body,
-)
+from kinefilter.characters import SKELETONS, Body, Motion, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.body_size import measured_body
@@ -92,9 +85,7 @@ class Rig:
     def local_rotation(self, rotations: Array, node: int) -> Array:
         """Return one node's rotation relative to its parent's, wxyz, shape (..., 4).
 
-        Args:
-            rotations: World rotations of a clip's segments, wxyz, shape (..., J, 4).
-            node: Index of the node; the root's are world rotations.
+        Rotations are those of a clip's segments in the world, (..., J, 4).
         """
         world = self._world(rotations, node)
         parent = self.parents[node]
@@ -108,10 +99,7 @@ class Rig:
 
     @cached_property
     def at_rest(self) -> tuple[Array, Array]:
-        """Each node's place [m] and rotation in its parent, shapes (N, 3) and (N, 4).
-
-        The root's are those in the world.
-        """
+        """Each node's place [m] (N, 3) and rotation (N, 4) in its parent (or world)."""
         still = np.tile(IDENTITY, (int(self.segments.max()) + 1, 1))
         places = self.offsets.copy()
         places[0] = self.root
@@ -127,10 +115,6 @@ class Rig:
             world[:, n] = multiply(world[:, parent], local[:, n])
         return world
 
-    def without_axes(self) -> Rig:
-        """Return the rig for formats whose rest pose has no rotations."""
-        return replace(self, axes=None)
-
     def local_rotations(self, rotations: Array) -> Array:
         """Return every node's rotation as ``local_rotation`` does, (..., N, 4)."""
         nodes = [self.local_rotation(rotations, n) for n in range(len(self))]
@@ -140,36 +124,24 @@ class Rig:
 def rig_of(body: Body) -> Rig:
     """Return the rig of a body."""
     skeleton = body.skeleton
-    names: list[str] = []
-    parents: list[int] = []
-    offsets: list[Array] = []
-    segments: list[int] = []
-
-    def add(name: str, parent: int, offset: Array, segment: int) -> int:
-        names.append(name)
-        parents.append(parent)
-        offsets.append(offset)
-        segments.append(segment)
-        return len(names) - 1
+    nodes: list[tuple[str, int, Array, int]] = []  # name, parent, offset, segment
 
     def add_joint(joint: int, parent: int) -> None:
         children, name = skeleton.children[joint], skeleton.joints[joint]
         branches = len(children) > 1 or joint == skeleton.root
         segment = joint if branches or not children else children[0]
-        node = add(name, parent, body.rest_offsets[joint], segment)
+        node = len(nodes)
+        nodes.append((name, parent, body.rest_offsets[joint], segment))
         for child in children:
-            pivot = f"{skeleton.joints[child]}Pivot"
-            turns = add(pivot, node, np.zeros(3), child) if branches else node
-            add_joint(child, turns)
+            if branches:
+                pivot = f"{skeleton.joints[child]}Pivot"
+                nodes.append((pivot, node, np.zeros(3), child))
+            add_joint(child, len(nodes) - 1 if branches else node)
 
     add_joint(skeleton.root, -1)
-    return Rig(
-        names=tuple(names),
-        parents=tuple(parents),
-        offsets=np.array(offsets),
-        segments=np.array(segments),
-        root=body.rest_positions[skeleton.root],
-    )
+    names, parents, offsets, segments = zip(*nodes, strict=True)
+    root = body.rest_positions[skeleton.root]
+    return Rig(names, parents, np.array(offsets), np.array(segments), root)
 
 
 def own_skeleton(names: Sequence[str]) -> Skeleton | None:
@@ -190,16 +162,9 @@ def motion_of_rig(
 ) -> Motion:
     """Return what a skeleton's own rig does as a motion.
 
-    Args:
-        skeleton: The joints.
-        offsets: Vector [m] from each node's parent in the rest pose, shape (N, 3).
-        rotations: World rotation of each node, wxyz, shape (T, N, 4).
-        root: Position of the root [m], shape (T, 3).
-        time: Time stamps [s], shape (T,).
-        source: Where it came from, for messages.
-
-    Raises:
-        InputError: No person has such segments.
+    Offsets from each node's parent in the rest pose [m] are (N, 3), world rotations of
+    the nodes (T, N, 4), positions of the root [m] (T, 3), time stamps [s] (T,). Raises
+    InputError if no person has such segments.
     """
     rig = rig_of(standard_body(skeleton))
     bones = offsets[[rig.names.index(joint) for joint in skeleton.joints]].copy()
@@ -207,13 +172,9 @@ def motion_of_rig(
     lengths = np.linalg.norm(bones, axis=1)
     directions = bones / np.maximum(lengths, 1e-12)[:, None]
     person = measured_body(skeleton, lengths, directions, source=source)
-    return Motion(
-        time=time,
-        body=replace(person, lengths=lengths, directions=directions),
-        root=root,
-        rotations=rotations[:, rig.starts],
-        source=source,
-    )
+    body = replace(person, lengths=lengths, directions=directions)
+    turns = rotations[:, rig.starts]
+    return Motion(time=time, body=body, root=root, rotations=turns, source=source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +182,6 @@ class RigMotion:
     """What a rig does."""
 
     rig: Rig
-    """The rig."""
     rotations: Array
     """World rotations of its segments since the rest pose, wxyz, shape (T, S, 4)."""
     path: Array
@@ -230,26 +190,13 @@ class RigMotion:
     """World positions of joints, all that differ [m], shape (T, J, 3)."""
 
 
-def motion_of(clip: Clip) -> RigMotion:
-    """Return a clip's motion on its own rig."""
-    path = clip.positions[:, clip.skeleton.root]
-    return RigMotion(rig_of(clip.body), clip.rotations, path, clip.positions)
-
-
 def retargeted_motion(target: TargetRig, motion: Retargeted) -> RigMotion:
     """Return a motion on another skeleton, whose nodes turn each for itself."""
     rest, mover = target.rest, target.joint("pelvis")
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0
-    rig = Rig(
-        names=rest.names,
-        parents=rest.parents,
-        offsets=offsets,
-        segments=np.arange(len(rest)),
-        root=rest.positions[0],
-        axes=rest.axes,
-        mover=mover,
-    )
+    segments, root = np.arange(len(rest)), rest.positions[0]
+    rig = Rig(rest.names, rest.parents, offsets, segments, root, rest.axes, mover)
     above = rig.parents[mover]
     path = motion.positions[:, mover]
     if above >= 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -32,22 +31,15 @@ class RowReader:
     """Reads rows of numbers and says where one is wrong."""
 
     source: str
-    """The file, for messages."""
     columns: tuple[str, ...]
-    """What each column is called."""
     normalize: Callable[[str], str] = lambda line: ",".join(line.split())
     """Turns a line into comma-separated cells, one per column if the line is right."""
 
     def blocks(self, lines: Iterable[str], first_row: int) -> Iterator[Block]:
         """Yield the rows in order, blank lines left out.
 
-        Args:
-            lines: The lines, the first being number ``first_row`` of the file.
-            first_row: Line number counted from 1.
-
-        Raises:
-            InputError: A row has the wrong number of columns, or a cell holds text or
-                an infinite number.
+        The first of the lines has number ``first_row``, counted from 1. Raises
+        InputError for a wrong number of columns, text, or an infinite number.
         """
         numbered = enumerate(lines, start=first_row)
         while chunk := list(islice(numbered, _BLOCK_LINES)):
@@ -74,44 +66,34 @@ class RowReader:
         return block
 
     def _cells(self, row: int, text: str) -> list[float]:
-        """Return the numbers of a row, or raise on the first cell that is none."""
-        cells = text.split(",")
+        cells, numbers = [cell.strip() for cell in text.split(",")], []
         if len(cells) != len(self.columns):
             raise InputError(
                 f"{self.source}: row {row} has {len(cells)} columns, expected "
                 f"{len(self.columns)}; complete the row or delete it"
             )
-        return [self._number(row, column, cell) for column, cell in enumerate(cells)]
-
-    def _number(self, row: int, column: int, cell: str) -> float:
-        try:
-            return float(cell) if cell.strip() else math.nan
-        except ValueError:
-            word = cell.strip()
-            word = word if len(word) <= 40 else f"{word[:37]}..."
-            self.fail(
-                row,
-                column,
-                f"is {word!r}, expected a number; leave the cell empty if nothing was "
-                "measured",
-            )
+        for column, cell in enumerate(cells):
+            try:
+                numbers.append(float(cell or "nan"))
+            except ValueError:
+                word = cell if len(cell) <= 40 else f"{cell[:37]}..."
+                words = (
+                    "expected a number; leave the cell empty if nothing was measured"
+                )
+                self._fail(row, column, f"is {word!r}, {words}")
+        return numbers
 
     def refuse(
         self, block: Block, column: int, wrong: NDArray[np.bool_], words: str
     ) -> None:
-        """Raise the InputError of the first row (R,) whose cell is wrong, if any is.
-
-        The words are the rest of the sentence; ``{}`` in them is the cell's number.
-        """
+        """Raise InputError for the first wrong row (R,); ``{}`` is its number."""
         if wrong.any():
             k = int(np.argmax(wrong))
-            self.fail(block.rows[k], column, words.format(block.values[k, column]))
+            self._fail(block.rows[k], column, words.format(block.values[k, column]))
 
-    def fail(self, row: int, column: int, complaint: str) -> NoReturn:
-        """Raise the InputError of a cell: row counted from 1, column from 0."""
-        raise InputError(
-            f"{self.source}: row {row}, column {self.columns[column]} {complaint}"
-        )
+    def _fail(self, row: int, column: int, complaint: str) -> NoReturn:
+        name = self.columns[column]
+        raise InputError(f"{self.source}: row {row}, column {name} {complaint}")
 
 
 def _name_the_empty(text: str) -> str:

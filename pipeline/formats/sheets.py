@@ -8,11 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import (
+    CONTACTS,
     KINECT_V1,
     KINECT_V2,
     SKELETONS,
@@ -25,7 +27,8 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import Array
 
-from .files import atomic_path
+from .files import atomic_path, beginning, open_text
+from .npz import read_npz
 from .recording import (
     MOST_FRAMES,
     Recording,
@@ -53,13 +56,10 @@ def _columns(skeleton: Skeleton) -> tuple[str, ...]:
 def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
     """Write time [s], joint positions [m] and states, one row per frame.
 
-    The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` with the joints in
-    the sensor's order. In a clip, the state of a joint that was not measured as it is
-    is inferred. Positions have nine decimals, time as many as it needs to read
-    back the same; a missing coordinate is an empty cell.
-
-    Raises:
-        InputError: The file cannot be written.
+    The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` in the sensor's
+    order. In a clip, a joint that was not measured as it is counts as inferred.
+    Positions have nine decimals, time reads back the same; a missing coordinate is an
+    empty cell.
     """
     state = motion.state
     if isinstance(motion, Clip):
@@ -73,9 +73,8 @@ def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
         file.write(take_header(motion.skeleton))
         for start in range(0, len(motion), _FRAMES_AT_ONCE):
             some = slice(start, start + _FRAMES_AT_ONCE)
-            file.write(
-                take_rows(motion.time[some], motion.positions[some], state[some])
-            )
+            rows = take_rows(motion.time[some], motion.positions[some], state[some])
+            file.write(rows)
 
 
 def take_header(skeleton: Skeleton) -> str:
@@ -84,13 +83,7 @@ def take_header(skeleton: Skeleton) -> str:
 
 
 def take_rows(time: Array, positions: Array, state: NDArray[np.uint8]) -> str:
-    """Return the lines of some frames.
-
-    Args:
-        time: Time stamps [s], shape (T,).
-        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
-        state: Tracking states (State), shape (T, J).
-    """
+    """Return the lines of frames, shapes (T,), (T, J, 3) and (T, J)."""
     count, joints = state.shape
     row = ",".join(["%r", *["%.9f,%.9f,%.9f,%d"] * joints]) + "\n"
     each = np.concatenate([positions, state[..., None]], axis=-1)
@@ -126,20 +119,17 @@ def _kinefilter(line: str, source: str) -> _Layout:
     joints = tuple(dict.fromkeys(c.rpartition(".")[0] or c for c in columns[1:]))
     skeleton = _skeleton_with(joints, source)
     needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
-    unknown = set(columns).difference(_columns(skeleton), needed)
-    for column in columns:
-        if column in unknown:
-            raise InputError(
-                f"{source}: row 1, column {column[:40]!r} is unknown; expected "
-                "Joint.x, Joint.y, Joint.z or Joint.state"
-            )
-    present = set(columns)
-    for column in needed:
-        if column not in present:
-            raise InputError(
-                f"{source}: row 1 has no column {column}; add it or delete the other "
-                "columns of that joint"
-            )
+    known, present = {*_columns(skeleton), *needed}, set(columns)
+    if unknown := [column for column in columns if column not in known]:
+        raise InputError(
+            f"{source}: row 1, column {unknown[0][:40]!r} is unknown; expected "
+            "Joint.x, Joint.y, Joint.z or Joint.state"
+        )
+    if missing := [column for column in needed if column not in present]:
+        raise InputError(
+            f"{source}: row 1 has no column {missing[0]}; add it or delete the other "
+            "columns of that joint"
+        )
     return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
 
 
@@ -191,22 +181,18 @@ def _kinect_v1(line: str, source: str) -> _Layout:
 
 
 def _msrc_12(_line: str, _source: str) -> _Layout:
-    def normalize(line: str) -> str:
-        return ",".join(line.replace(",", " ").split())
-
     columns = _columns(KINECT_V1)
-    return _Layout("msrc-12", KINECT_V1, columns, normalize, 1e-6, weighted=True)
+    return _Layout("msrc-12", KINECT_V1, columns, _commas, 1e-6, weighted=True)
+
+
+def _commas(line: str) -> str:
+    return ",".join(line.replace(",", " ").split())
 
 
 # Reading
 
 
 def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
-    """Read a recording whose layout follows from its first line.
-
-    Raises:
-        InputError: A row is malformed, or the whole is no take in meters.
-    """
     with open_rows(source) as (row, line, lines):
         layout = lay_out(line, source)
         if not layout.has_header:
@@ -252,29 +238,88 @@ def _frames(
         positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
         state[:, j] = State.TRACKED
         if f"{joint}.state" in index:
-            state[:, j] = _states(block, index[f"{joint}.state"], reader)
+            column = index[f"{joint}.state"]
+            given = values[:, column]
+            # An empty cell says nothing against the joint.
+            states = np.where(np.isnan(given), State.TRACKED, given)
+            words = "is {:g}, expected a tracking state: 0 not tracked, 1 inferred, "
+            unknown = ~np.isin(states, list(State))
+            reader.refuse(block, column, unknown, words + "2 tracked")
+            state[:, j] = states
     time = np.zeros(len(values))
     if "time" in index:
         time = values[:, index["time"]]
-        for wrong, words in (
-            (np.isnan(time), "is empty, expected a time; delete the row"),
-            (
-                np.abs(time) > _LATEST,
-                "is {:.3g}, expected a time; correct or delete the row",
-            ),
-        ):
-            reader.refuse(block, index["time"], wrong, words)
+        words = "is empty, expected a time; delete the row"
+        reader.refuse(block, index["time"], np.isnan(time), words)
+        words = "is {:.3g}, expected a time; correct or delete the row"
+        reader.refuse(block, index["time"], np.abs(time) > _LATEST, words)
     return block.rows, time, *missing_marked(positions, state)
 
 
-def _states(block: Block, column: int, reader: RowReader) -> Array:
-    """Return the states in a column; an empty cell says nothing against the joint."""
-    values = block.values[:, column]
-    states = np.where(np.isnan(values), State.TRACKED, values)
-    reader.refuse(
-        block,
-        column,
-        ~np.isin(states, list(State)),
-        "is {:g}, expected a tracking state: 0 not tracked, 1 inferred, 2 tracked",
-    )
-    return states
+# Foot contacts, as a table that people can edit
+
+_CONTACT_HEADER = ("time", *CONTACTS)
+_ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
+
+
+def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
+    """Write 1 where a part of a foot is on the floor, else 0, one row per frame."""
+    rows = zip(clip.time.tolist(), clip.contacts.astype(int).tolist(), strict=True)
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="\n") as file,
+    ):
+        file.write(",".join(_CONTACT_HEADER) + "\n")
+        for time, flags in rows:
+            file.write(",".join([repr(time), *map(str, flags)]) + "\n")
+
+
+def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_]:
+    """Return the contacts (CONTACTS) of a file at times [s] (T,), shape (T, 4).
+
+    The file is one of ``write_contacts``, edited or not, or a clip as npz. Each time
+    gets the last row at or before it: a file may have a row per frame, or one per
+    change. Raises InputError if it is missing, no such table, or of another time.
+    """
+    if Path(path).suffix.lower() == ".npz":
+        clip = read_npz(path)
+        stamps, flags = clip.time, clip.contacts
+    else:
+        stamps, flags = contact_table(path)
+    if stamps[0] > time[-1] + _ROUNDED or (len(stamps) > 1 and stamps[-1] < time[0]):
+        raise InputError(
+            f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, are "
+            f"outside the take's, {time[0]:.3f} to {time[-1]:.3f} s; give this take's"
+        )
+    rows = np.searchsorted(stamps, time + _ROUNDED, side="right") - 1
+    return np.asarray(flags[np.maximum(rows, 0)])
+
+
+def claims_contacts(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a file begins as ``write_contacts`` does."""
+    return beginning(path).startswith(",".join(_CONTACT_HEADER))
+
+
+def contact_table(path: str | os.PathLike[str]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return times [s] (T,) and contacts (T, 4) of a table; raises InputError."""
+    source = os.fspath(path)
+    with open_text(path) as file:
+        header = tuple(cell.strip() for cell in next(iter(file), "").split(","))
+        if header != _CONTACT_HEADER:
+            raise InputError(
+                f"{source}: row 1 is {','.join(header)[:60]!r}; expected the header "
+                f"{','.join(_CONTACT_HEADER)} of 'kinefilter clean --save-contacts'"
+            )
+        blocks = list(RowReader(source, _CONTACT_HEADER, str.strip).blocks(file, 2))
+    values = np.concatenate([np.empty((0, 5)), *(block.values for block in blocks)])
+    rows = np.concatenate([np.empty(0, int), *(block.rows for block in blocks)])
+    time, flags = values[:, 0], values[:, 1:]
+    wrong = ~np.isin(flags, (0.0, 1.0)).all(axis=1) | np.isnan(time)
+    wrong[1:] |= np.diff(time) < 0.0
+    if len(values) == 0 or wrong.any():
+        row = int(rows[wrong][0]) if wrong.any() else 2
+        raise InputError(
+            f"{source}: row {row} is not a time after the last and four times 0 or 1; "
+            "correct or remove it"
+        )
+    return time, flags == 1.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 
 from kinefilter.characters import InputError, Take
@@ -20,16 +19,6 @@ _AZURE_KEYS = ('"bone_list"', '"joint_names"', '"timestamp_usec"', '"joint_posit
 _AZURE_BEGINNING = 2**16  # characters: a bone list is a tenth of it
 
 
-@dataclass(frozen=True)
-class Format:
-    """A layout of files that hold takes."""
-
-    reader: str
-    """Module of this package and function in it that makes a Recording of a path."""
-    begins: Callable[[str], bool]
-    """Whether a file of this layout can begin with a line."""
-
-
 def _cells(line: str) -> list[str]:
     return line.strip().split(",")
 
@@ -38,29 +27,29 @@ def _words(line: str) -> list[str]:
     return line.replace(",", " ").split()
 
 
-FORMATS = {
-    "kinefilter": Format(
+FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
+    "kinefilter": (
         "sheets:read_kinefilter",
         lambda line: _cells(line)[0].strip().strip('"').lower() == "time",
     ),
-    "kinect-v2": Format(
+    "kinect-v2": (
         "sheets:read_kinect_v2",
         # The recorder ends every cell with a comma, the last one too.
         lambda line: ";" not in line and len(_cells(line)) - _V2_CELLS in (0, 1),
     ),
-    "kinect-v1": Format("sheets:read_kinect_v1", lambda line: ";" in line),
-    "msrc-12": Format("sheets:read_msrc_12", lambda line: len(_words(line)) == 81),
-    "msr-action3d": Format(
-        "msr_action3d:read_msr_action3d",
+    "kinect-v1": ("sheets:read_kinect_v1", lambda line: ";" in line),
+    "msrc-12": ("sheets:read_msrc_12", lambda line: len(_words(line)) == 81),
+    "msr-action3d": (
+        "datasets:read_msr_action3d",
         lambda line: len(_words(line)) == 4 and "," not in line,
     ),
-    "ntu": Format("ntu:read_ntu", lambda line: line.strip().isdigit()),
-    "azure": Format("azure:read_azure", lambda line: line.startswith("{")),
-    "bvh": Format(
-        "mocap_files:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]
-    ),
+    "ntu": ("datasets:read_ntu", lambda line: line.strip().isdigit()),
+    "azure": ("azure:read_azure", lambda line: line.startswith("{")),
+    "bvh": ("mocap_files:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]),
 }
-"""Every format by its name; a file is of the first that can begin as it does."""
+"""By the name of a format: module of this package and function in it that makes a
+Recording of a path, and whether a file can begin with a line. The first that can is
+the format of a file."""
 
 
 def read_take(
@@ -82,21 +71,15 @@ def read_take(
     - ``msrc-12``: no header, time in microseconds, then x, y, z and state of Kinect
       v1's 20 joints in the SDK's order, split by blanks or commas. Where no state is 2,
       1 says that there is a joint (Fothergill et al. 2012, CHI).
-    - ``msr-action3d``, ``ntu`` and ``azure``: see the modules of these names. ``bvh``:
-      see ``mocap_files``.
+    - ``msr-action3d`` and ``ntu``: see ``datasets``. ``azure``: see the module of this
+      name. ``bvh``: see ``mocap_files``.
 
     A joint that is not tracked, not a number or exactly at the origin, where the
     sensors put what they do not see, is missing: NaN and state 0.
 
-    Args:
-        path: The file.
-        format: One of the names above, to not go by content.
-        body: Which person, counted from 1 in the order in which they appear; by default
-            the one who is seen in most frames.
-
-    Raises:
-        InputError: The file is missing, malformed, empty of joints or not in meters;
-            the message says where.
+    ``format`` overrides the content. ``body`` is a person, counted from 1 in order of
+    appearance; by default the one who is seen in most frames. Raises InputError, which
+    says where, if the file is missing, malformed, without joints or not in meters.
     """
     return read_recording(path, format=format).take(body)
 
@@ -120,7 +103,7 @@ def read_recording(
     if format is not None and format not in FORMATS:
         raise InputError(f"unknown take format {format!r}; known: {', '.join(FORMATS)}")
     name = format or _detected(_first_line(source), source)
-    module, _, function = FORMATS[name].reader.partition(":")
+    module, _, function = FORMATS[name][0].partition(":")
     read = getattr(import_module(f".{module}", __package__), function)
     recording: Recording = read(source)
     return recording
@@ -129,11 +112,8 @@ def read_recording(
 def claims_take(path: str | os.PathLike[str]) -> bool:
     """Return whether a file claims by how it begins to be a recording.
 
-    Names of joints in a header, or numbers, tell a recording that may be damaged from
-    notes and other tables.
-
-    Raises:
-        InputError: The file is missing, empty, or cannot be read as text.
+    Names of joints in a header, or numbers, tell a damaged recording from notes and
+    other tables. Raises InputError if it is missing, empty, or not text.
     """
     start = beginning(path, _AZURE_BEGINNING)
     if start.startswith("{"):
@@ -141,17 +121,10 @@ def claims_take(path: str | os.PathLike[str]) -> bool:
     line = _first_line(os.fspath(path))
     try:
         name = _detected(line, os.fspath(path))
-    except InputError:
-        return False
-    if name in ("kinefilter", "kinect-v1"):
-        return _JOINTS.search(line) is not None
-    return name == "bvh" or _all_numbers(line)
-
-
-def _all_numbers(line: str) -> bool:
-    try:
-        return bool([float(word) for word in _words(line)])
-    except ValueError:
+        if name in ("kinefilter", "kinect-v1"):
+            return _JOINTS.search(line) is not None
+        return name == "bvh" or bool([float(word) for word in _words(line)])
+    except (InputError, ValueError):
         return False
 
 
@@ -164,9 +137,8 @@ def _first_line(source: str) -> str:
 
 
 def _detected(line: str, source: str) -> str:
-    """Return the format of a file by its first line."""
-    for name, known in FORMATS.items():
-        if known.begins(line):
+    for name, (_, begins) in FORMATS.items():
+        if begins(line):
             return name
     raise InputError(
         f"{source}: row 1 is of no known layout ({len(_cells(line))} comma-separated "

@@ -1,11 +1,7 @@
-"""The skeletons of other people's rigs: built from a map, or read from their files.
-
-pxr is imported where it is used: loading it takes longer than most commands run.
-"""
+"""The skeletons of other people's rigs: built from a map, or read from their files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +23,9 @@ _MOST_JOINTS = 1000  # as in BVH
 def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
     """Return the skeleton that a clip is written on.
 
-    Args:
-        rig: Name of a map, or its file.
-        target: File with the skeleton at rest; None: the map's own, in the person's
-            size.
-        body: The person.
-
-    Raises:
-        InputError: Map or file cannot be read, or the file's skeleton is not of the
-            map's names.
+    ``rig`` is the name of a map, or its file; ``target`` a file with the skeleton at
+    rest, None for the map's own in the person's size. Raises InputError if either
+    cannot be read, or the file's joints do not have the map's names.
     """
     rig_map = load_rig_map(rig)
     if target is None:
@@ -49,97 +39,41 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
 
 
 def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
-    """Return the skeleton of a BVH file, in the unit in which it is most a person."""
+    """Return a BVH file's skeleton, in the unit in which it has a person's legs."""
     bvh = read_bvh(path)
-    places = bvh.rest_positions
-    joints = bvh.joints
+    joints, meters = bvh.joints, 1.0
     index = {n: k for k, n in enumerate(joints)}
     names = tuple(bvh.names[n] for n in joints)
-    meters = _meters(places[joints], names, rig_map)
-    return RestPose(
-        names=names,
-        parents=tuple(index.get(bvh.parents[n], -1) for n in joints),
-        positions=meters * places[joints],
-        lowest=meters * float(places[:, 1].min()),
-        source=str(path),
-    )
-
-
-def _meters(places: Array, names: Sequence[str], rig_map: RigMap) -> float:
-    """Return the unit [m] in which the legs are nearest to a person's."""
     plain = [rig_map.plain(name) for name in names]
     chain = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
-    if not set(chain) <= set(plain):
-        return 1.0  # whoever looks for the joints says that they are missing
-    thigh, foot = (places[plain.index(name)] for name in chain)
-    return meters_by_leg(float(np.linalg.norm(foot - thigh)))
+    places = bvh.rest_positions[joints]
+    if set(chain) <= set(plain):
+        thigh, foot = (places[plain.index(name)] for name in chain)
+        meters = meters_by_leg(float(np.linalg.norm(foot - thigh)))
+    parents = tuple(index.get(bvh.parents[n], -1) for n in joints)
+    lowest = meters * float(bvh.rest_positions[:, 1].min())
+    return RestPose(names, parents, meters * places, lowest=lowest, source=str(path))
 
 
 def _usd_rest(path: Path) -> RestPose:
-    """Return the rest pose of the first skeleton of a USD file, y up, in meters."""
+    """Return the first skeleton of a USD file at rest, y up, in meters."""
     from pxr import Tf, Usd, UsdGeom, UsdSkel
 
     source = str(path)
     check_usd(source)
     try:
         stage = Usd.Stage.Open(source)
-        for prim in stage.Traverse():
-            if prim.IsA(UsdSkel.Skeleton):
-                place = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform
-                world = np.array(place(Usd.TimeCode.EarliestTime()))
-                names, parents, matrices = _joints(UsdSkel.Skeleton(prim), source)
-                return _rest_pose(stage, names, parents, matrices @ world, source)
+        prims = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton)]
+        if not prims:
+            raise InputError(f"{path}: has no skeleton; expected a UsdSkel skeleton")
+        place = UsdGeom.Imageable(prims[0]).ComputeLocalToWorldTransform
+        world = np.array(place(Usd.TimeCode.EarliestTime()))
+        names, parents, matrices = _joints(UsdSkel.Skeleton(prims[0]), source)
     except Tf.ErrorException:
         raise InputError(
             f"{path}: cannot be read as USD; expected a UsdSkel skeleton"
         ) from None
-    raise InputError(f"{path}: has no skeleton; expected a UsdSkel skeleton")
-
-
-def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
-    """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
-    from pxr import UsdSkel, Vt
-
-    joints = skeleton.GetJointsAttr().Get()
-    paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
-    if not 0 < len(paths) <= _MOST_JOINTS:
-        raise InputError(
-            f"{source}: has {len(paths)} joints, expected 1 to {_MOST_JOINTS}"
-        )
-    topology = UsdSkel.Topology(paths)
-    valid, why = topology.Validate()
-    if not valid:
-        raise InputError(f"{source}: its joints are no tree ({why}); correct them")
-    parents = [int(parent) for parent in topology.GetParentIndices()]
-    local = _matrices(skeleton.GetRestTransformsAttr())
-    matrices = _matrices(skeleton.GetBindTransformsAttr())
-    if len(local) == len(paths):
-        matrices = local.copy()
-        for n, parent in enumerate(parents):
-            if parent >= 0:
-                matrices[n] = local[n] @ matrices[parent]
-    if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
-        raise InputError(
-            f"{source}: has no rest transform for each of its {len(paths)} joints; "
-            "export it with rest or bind pose"
-        )
-    return [path.rpartition("/")[2] for path in paths], parents, matrices
-
-
-def _matrices(attribute: Any) -> Array:
-    """Return an attribute's matrices (N, 4, 4), none if it is of another type."""
-    from pxr import Vt
-
-    value = attribute.Get()
-    known = isinstance(value, Vt.Matrix4dArray)
-    return np.array(value, dtype=float) if known else np.empty((0, 4, 4))
-
-
-def _rest_pose(
-    stage: Any, names: list[str], parents: list[int], matrices: Array, source: str
-) -> RestPose:
-    from pxr import UsdGeom
-
+    matrices = matrices @ world
     places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
     turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
     sizes = np.linalg.norm(turned, axis=1, keepdims=True)
@@ -151,3 +85,36 @@ def _rest_pose(
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
         places, axes = with_y_up(places), with_y_up(axes)
     return RestPose(tuple(names), tuple(parents), places, axes, source=source)
+
+
+def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
+    """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
+    from pxr import UsdSkel, Vt
+
+    def read(attribute: Any) -> Array:
+        value = attribute.Get()
+        known = isinstance(value, Vt.Matrix4dArray)
+        return np.array(value, dtype=float) if known else np.empty((0, 4, 4))
+
+    joints = skeleton.GetJointsAttr().Get()
+    paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
+    if not 0 < len(paths) <= _MOST_JOINTS:
+        raise InputError(f"{source}: {len(paths)} joints, expected 1 to {_MOST_JOINTS}")
+    topology = UsdSkel.Topology(paths)
+    valid, why = topology.Validate()
+    if not valid:
+        raise InputError(f"{source}: its joints are not a tree ({why}); correct them")
+    parents = [int(parent) for parent in topology.GetParentIndices()]
+    local = read(skeleton.GetRestTransformsAttr())
+    matrices = read(skeleton.GetBindTransformsAttr())
+    if len(local) == len(paths):
+        matrices = local.copy()
+        for n, parent in enumerate(parents):
+            if parent >= 0:
+                matrices[n] = local[n] @ matrices[parent]
+    if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
+        raise InputError(
+            f"{source}: has no rest transform for each of its {len(paths)} joints; "
+            "export it with rest or bind pose"
+        )
+    return [path.rpartition("/")[2] for path in paths], parents, matrices

@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import CONTACTS, Clip, InputError, Origin, Term
+from kinefilter.characters import Clip, InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
@@ -57,6 +57,7 @@ from .rig import RigMotion, rig_of
 from .usd_character import (
     ANIMATION,
     CHARACTER,
+    PER_FRAME,
     SKELETON,
     SKIN,
     check_character,
@@ -64,6 +65,7 @@ from .usd_character import (
     define_props,
     define_skeleton,
     joint_paths,
+    name_tables,
     props_extent,
     set_axes,
     vectors,
@@ -82,18 +84,10 @@ def write_usd(
 ) -> None:
     """Write a clip as a UsdSkel character in T-pose, its animation and its props.
 
-    A frame's time code is its time since the first frame times
-    ``timeCodesPerSecond``. Frames with the same time share a sample, the last one's.
-
-    Args:
-        clip: The motion, and what is known of it.
-        moved: The rig that it is written on, and what that does.
-        path: The file; ``.usda`` is text, ``.usdc`` and ``.usd`` are binary, ``.usdz``
-            is a package of one binary layer.
-        export: Axes, unit, frame rate and, perhaps, the character's own layer.
-
-    Raises:
-        InputError: The file cannot be written, or the character does not fit.
+    A frame's time code is its time since the first frame times ``timeCodesPerSecond``.
+    Frames with the same time share a sample, the last one's. ``.usda`` is text,
+    ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package of one binary layer.
+    Raises InputError if the file cannot be written, or the character does not fit.
     """
     from pxr import Sdf, Tf
 
@@ -118,15 +112,13 @@ def write_usd(
             package.Save()
     except Tf.ErrorException as error:
         raise InputError(
-            f"{path}: cannot be written ({error.args[0].commentary}); write elsewhere "
-            "or make room"
+            f"{path}: cannot be written ({error.args[0].commentary}); write elsewhere"
         ) from error
 
 
 def _character_reference(
     clip: Clip, path: Path, export: Export, files: ExitStack
 ) -> str | None:
-    """Return how the clip calls its character's layer, which is there then."""
     if export.character is None:
         return None
     if export.character.exists():
@@ -141,23 +133,10 @@ def _character_reference(
 def _write_layer(
     clip: Clip, moved: RigMotion, path: Path, export: Export, reference: str | None
 ) -> None:
-    from pxr import Sdf
+    """Write a clip into a layer, with its character unless that is a reference."""
+    from pxr import Kind, Sdf, Usd, UsdSkel
 
     layer = Sdf.Layer.CreateNew(str(path))
-    _fill(layer, clip, moved, export, alone=reference is None)
-    if reference is not None:
-        # Last, when no stage looks for its layer, which may not be in its place yet.
-        references = layer.GetPrimAtPath(CHARACTER).referenceList
-        references.Prepend(Sdf.Reference(reference))
-    layer.Save()
-
-
-def _fill(
-    layer: Any, clip: Clip, moved: RigMotion, export: Export, *, alone: bool
-) -> None:
-    """Write a clip into a layer, with its character if it is to stand alone."""
-    from pxr import Kind, Usd, UsdSkel
-
     whole = round(clip.fps)
     near = abs(clip.fps - whole) <= _RATE_TOLERANCE * clip.fps
     rate = export.fps or (float(whole) if near else clip.fps)
@@ -171,7 +150,7 @@ def _fill(
     if export.rig is not None:
         define_skeleton(stage, moved.rig, export)
         clip = replace(clip, props=())
-    elif alone:
+    elif reference is None:
         define_character(stage, clip.body, export)
     root = UsdSkel.Root.Define(stage, CHARACTER)
     stage.SetDefaultPrim(root.GetPrim())
@@ -185,6 +164,12 @@ def _fill(
     _write_extents(layer, clip, moved, export, codes)
     layer.Save()
     _write_provenance(layer, clip, codes)
+    if reference is not None:
+        # Last, when no stage looks for its layer, which may not be in its place yet.
+        del root, stage
+        references = layer.GetPrimAtPath(CHARACTER).referenceList
+        references.Prepend(Sdf.Reference(reference))
+    layer.Save()
 
 
 def _define_animation(stage: Any, moved: RigMotion) -> None:
@@ -242,10 +227,7 @@ def _samples(
 def _write_extents(
     layer: Any, clip: Clip, moved: RigMotion, export: Export, codes: Array
 ) -> None:
-    """Write the boxes around joints, skin, and skin and props, in each frame.
-
-    What has no skin has a box around its joints.
-    """
+    """Write the boxes around joints, skin, and skin and props, in each frame."""
     from pxr import Sdf
 
     joints = np.empty((len(clip), 2, 3))
@@ -265,7 +247,7 @@ def _write_extents(
     with Sdf.ChangeBlock():
         for path, boxes in extents.items():
             prim = Sdf.CreatePrimInLayer(layer, path)
-            # Whoever asks at no time in particular gets the box around all times.
+            # Readers that ask without a time get the box around all frames.
             attribute = prim.attributes.get("extent") or Sdf.AttributeSpec(
                 prim, "extent", Sdf.ValueTypeNames.Float3Array
             )
@@ -286,7 +268,6 @@ def _margins(clip: Clip) -> Array:
 
 
 def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
-    """Write the attributes that say where the motion came from."""
     from pxr import Sdf, Vt
 
     types = Sdf.ValueTypeNames
@@ -296,35 +277,23 @@ def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
         name = f"kinefilter:{name}"
         return Sdf.AttributeSpec(character, name, kind, declaresCustom=True)
 
-    def sample(name: str, kind: Any, rows: NDArray[Any], vt: Any) -> None:
-        path = attribute(name, kind).path
-        with Sdf.ChangeBlock():
-            for code, row in zip(
-                codes.tolist(), np.ascontiguousarray(rows), strict=True
-            ):
-                layer.SetTimeSample(path, code, vt.FromNumpy(row))
-
-    for name, values in (
-        ("joints", clip.skeleton.joints),
-        ("decidingTermNames", [term.name.lower() for term in Term]),
-        ("originNames", [origin.name.lower() for origin in Origin]),
-        ("contactNames", CONTACTS),
-    ):
+    for name, values in name_tables(clip.skeleton).items():
         attribute(name, types.TokenArray).default = Vt.TokenArray(values)
     for name, number in (("sensorTilt", clip.tilt), ("floorHeight", clip.floor)):
         if np.isfinite(number):
             attribute(name, types.Double).default = number
-    for name, numbers in (
-        ("reliability", clip.reliability),
-        ("movedByCorrection", clip.moved_by_correction),
-        ("movedByPhysics", clip.moved_by_physics),
-    ):
-        halves = np.where(np.isnan(numbers), _UNMEASURED, numbers).astype(np.float16)
-        sample(name, types.HalfArray, halves, Vt.HalfArray)
-        layer.Save()
-    sample("decidingTerm", types.UCharArray, clip.deciding_term, Vt.UCharArray)
-    sample("origin", types.UCharArray, clip.origin, Vt.UCharArray)
-    sample("contacts", types.BoolArray, clip.contacts, Vt.BoolArray)
+    for name, field in PER_FRAME.items():
+        rows = getattr(clip, field)
+        kind = {"f": "HalfArray", "u": "UCharArray", "b": "BoolArray"}[rows.dtype.kind]
+        if kind == "HalfArray":
+            rows = np.where(np.isnan(rows), _UNMEASURED, rows).astype(np.float16)
+        rows = np.ascontiguousarray(rows)
+        path = attribute(name, getattr(types, kind)).path
+        with Sdf.ChangeBlock():
+            for code, row in zip(codes.tolist(), rows, strict=True):
+                layer.SetTimeSample(path, code, getattr(Vt, kind).FromNumpy(row))
+        if kind == "HalfArray":
+            layer.Save()
     force = attribute("externalForce", types.Float).path
     known = np.isfinite(clip.external_force)
     with Sdf.ChangeBlock():

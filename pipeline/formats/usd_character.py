@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Clip, InputError, Prop, Shape
+from kinefilter.characters import (
+    CONTACTS,
+    Body,
+    Clip,
+    InputError,
+    Origin,
+    Prop,
+    Shape,
+    Skeleton,
+    Term,
+)
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
@@ -22,10 +32,30 @@ SKELETON = f"{CHARACTER}/Skeleton"
 SKIN = f"{CHARACTER}/Skin"
 ANIMATION = f"{CHARACTER}/Animation"
 
+PER_FRAME = {
+    "reliability": "reliability",
+    "movedByCorrection": "moved_by_correction",
+    "movedByPhysics": "moved_by_physics",
+    "decidingTerm": "deciding_term",
+    "origin": "origin",
+    "contacts": "contacts",
+}
+"""Attributes of ``/Character`` with a sample per frame, and the clip's fields."""
+
 LINEAR = 2.2
 """Exponent from a screen's colors to light, about that of sRGB."""
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _COLOR = (0.11, 0.24, 0.32)  # linear; a quiet color that no prop has
+
+
+def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:
+    """Return the attributes that say what the indices in others mean."""
+    return {
+        "joints": list(skeleton.joints),
+        "decidingTermNames": [term.name.lower() for term in Term],
+        "originNames": [origin.name.lower() for origin in Origin],
+        "contactNames": list(CONTACTS),
+    }
 
 
 def set_axes(stage: Any, export: Export) -> None:
@@ -38,11 +68,7 @@ def set_axes(stage: Any, export: Export) -> None:
 
 
 def joint_paths(rig: Rig) -> list[str]:
-    """Return the path of each node from the root on, as UsdSkel names joints.
-
-    What USD does not allow in names, such as the colon of ``mixamorig:Hips``, becomes
-    an underscore.
-    """
+    """Return the path of each node from the root on, as UsdSkel names joints."""
     from pxr import Tf
 
     paths: list[str] = []
@@ -53,11 +79,7 @@ def joint_paths(rig: Rig) -> list[str]:
 
 
 def write_character(body: Body, path: Path, export: Export) -> None:
-    """Write a layer with nothing but the character, for clips to refer to.
-
-    Raises:
-        pxr.Tf.ErrorException: The file cannot be written.
-    """
+    """Write a layer with nothing but the character, for clips to refer to."""
     from pxr import Kind, Sdf, Usd
 
     stage = Usd.Stage.Open(Sdf.Layer.CreateNew(str(path)))
@@ -92,8 +114,7 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
     if up != export.up or not np.isclose(unit, export.meters_per_unit):
         raise InputError(
             f"{path}: the character has {up} up and units of {unit:g} m, the clip "
-            f"{export.up} up and {export.meters_per_unit:g} m; give --up and --units "
-            "of the character"
+            f"{export.up} up and {export.meters_per_unit:g} m; set --up and --units"
         )
 
 
@@ -150,10 +171,7 @@ def vectors(values: NDArray[Any]) -> Any:
 
 
 def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
-    """Return the matrices of places [m] (N, 3) and rotations (N, 4), None: identity.
-
-    USD's vectors are rows, so a matrix is the transpose of the usual one.
-    """
+    """Return matrices of places [m] (N, 3) and rotations (N, 4), None: identity."""
     from pxr import Vt
 
     matrices = np.tile(np.eye(4), (len(places), 1, 1))
@@ -228,41 +246,31 @@ def _move(prim: Any, places: Array, turns: Array, codes: Array | None) -> None:
 def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
     from pxr import Gf, Usd, UsdGeom
 
-    half = np.abs(export.points(shape.size))
-    geometry, scale = _geometry(stage, path, shape, export)
-    place, turn = export.points(shape.position), export.axes(shape.rotation)
-    _move(geometry, place[None], turn[None], None)
-    if scale:
-        geometry.AddScaleOp().Set(Gf.Vec3f(*half.tolist()))
-    geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**LINEAR).tolist())])
-    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
-        geometry, Usd.TimeCode.Default()
-    )
-    geometry.CreateExtentAttr(extent)
-
-
-def _geometry(stage: Any, path: Any, shape: Shape, export: Export) -> tuple[Any, bool]:
-    """Return a shape's geometry, and whether it is yet to be scaled to its size."""
-    from pxr import UsdGeom
-
     if shape.kind == "box":
         geometry = UsdGeom.Cube.Define(stage, path)
         geometry.CreateSizeAttr(2.0)
-        return geometry, True
-    if shape.kind == "ellipsoid":
+    elif shape.kind == "ellipsoid":
         geometry = UsdGeom.Sphere.Define(stage, path)
         geometry.CreateRadiusAttr(1.0)
-        return geometry, True
-    if shape.kind == "mesh":
-        points = export.points(shape.points)
-        return _mesh(stage, path, points, shape.triangles), False
-    kind = UsdGeom.Capsule if shape.kind == "capsule" else UsdGeom.Cylinder
-    geometry = kind.Define(stage, path)
-    radius, half, _ = (shape.size / export.meters_per_unit).tolist()
-    geometry.CreateRadiusAttr(radius)
-    geometry.CreateHeightAttr(2.0 * half)
-    geometry.CreateAxisAttr(UsdGeom.Tokens.z if export.up == "z" else UsdGeom.Tokens.y)
-    return geometry, False
+    elif shape.kind == "mesh":
+        geometry = _mesh(stage, path, export.points(shape.points), shape.triangles)
+    else:
+        kind = UsdGeom.Capsule if shape.kind == "capsule" else UsdGeom.Cylinder
+        geometry = kind.Define(stage, path)
+        radius, half, _ = (shape.size / export.meters_per_unit).tolist()
+        geometry.CreateRadiusAttr(radius)
+        geometry.CreateHeightAttr(2.0 * half)
+        up = UsdGeom.Tokens.z if export.up == "z" else UsdGeom.Tokens.y
+        geometry.CreateAxisAttr(up)
+    place, turn = export.points(shape.position), export.axes(shape.rotation)
+    _move(geometry, place[None], turn[None], None)
+    if shape.kind in ("box", "ellipsoid"):
+        size = np.abs(export.points(shape.size))
+        geometry.AddScaleOp().Set(Gf.Vec3f(*size.tolist()))
+    geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**LINEAR).tolist())])
+    time = Usd.TimeCode.Default()
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(geometry, time)
+    geometry.CreateExtentAttr(extent)
 
 
 def props_extent(clip: Clip, export: Export, boxes: Array) -> Array:

@@ -1,7 +1,6 @@
 """USD read back: whole clips of ours, joint positions and figures of any file.
 
-pxr is imported where it is used: loading it takes longer than most commands run. What
-comes from outside is read in a process of its own (``guarded``).
+What comes from outside is read in a process of its own (``guarded``).
 """
 
 from __future__ import annotations
@@ -18,12 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import (
-    CONTACTS,
     Clip,
     InputError,
-    Origin,
     Skeleton,
-    Term,
     skeleton_named,
     standard_body,
 )
@@ -35,39 +31,21 @@ from .files import check_file
 from .guarded import read_guarded
 from .npz import props_from_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
-from .usd_character import CHARACTER, LINEAR
+from .usd_character import CHARACTER, LINEAR, PER_FRAME, name_tables
 
 _LARGEST = 2**31  # bytes
 _BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
 _MOVED = ("moved_by_correction", "moved_by_physics", "reliability")
-_PER_FRAME = {
-    "reliability": "reliability",
-    "movedByCorrection": "moved_by_correction",
-    "movedByPhysics": "moved_by_physics",
-    "decidingTerm": "deciding_term",
-    "origin": "origin",
-    "contacts": "contacts",
-}
-_KINDS = {
-    "Cube": "box",
-    "Sphere": "ellipsoid",
-    "Capsule": "capsule",
-    "Cylinder": "cylinder",
-    "Mesh": "mesh",
-}
+_KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # others have the same name
 
-_Animated = tuple[Any, Any, Any]  # stage, prim of a skeleton, its query
+_Animated = tuple[Any, Any, Any, list[str], list[float]]
 
 
 def check_usd(path: str) -> None:
-    """Raise InputError for a file that no reader of USD should be asked to open.
-
-    A package (.usdz) keeps its files as they are; one that has to be inflated is
-    another archive, of whatever size.
-    """
+    """Raise InputError for a file that no reader of USD should be asked to open."""
     size = check_file(path).stat().st_size
     if size > _LARGEST:
-        raise InputError(f"{path}: {size / 1e6:.0f} MB of USD are no clip")
+        raise InputError(f"{path}: {size / 1e6:.0f} MB is more than any USD clip has")
     if Path(path).suffix.lower() != ".usdz":
         return
     try:
@@ -78,8 +56,7 @@ def check_usd(path: str) -> None:
     stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
     if not stored or sum(member.file_size for member in members) > size:
         raise InputError(
-            f"{path}: its files are packed smaller than they are, which a USD package "
-            "may not; export it again"
+            f"{path}: is packed smaller than a USD package may be; export it again"
         )
 
 
@@ -88,20 +65,13 @@ def read_usd_positions(
 ) -> tuple[Array, tuple[str, ...], Array]:
     """Return where UsdSkel puts the joints of the first animated skeleton.
 
-    Args:
-        path: A USD file.
-
-    Returns:
-        Time of each sample since time code 0 [s], shape (T,); joint names, shape (N,);
-        world positions [m], stage axes, shape (T, N, 3).
-
-    Raises:
-        InputError: The file cannot be opened or has no animated skeleton.
+    Time of each sample since time code 0 [s], shape (T,); joint names, shape (N,);
+    world positions [m], stage axes, shape (T, N, 3). Raises InputError if the file
+    cannot be opened or has no animated skeleton.
     """
     from pxr import Gf, UsdGeom
 
-    stage, prim, query = _first_animated(os.fspath(check_file(path)))
-    names, codes = _joint_names(query), _codes(query)
+    stage, prim, query, names, codes = _first_animated(os.fspath(check_file(path)))
     positions = np.empty((len(codes), len(names), 3))
     for frame, code in enumerate(codes):
         world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code)
@@ -113,11 +83,7 @@ def read_usd_positions(
 
 
 def usd_contents(path: str) -> dict[str, Any]:
-    """Return units, axis, rate, joints and duration of the first animated skeleton.
-
-    Raises:
-        InputError: The file is no USD, or has no animated skeleton.
-    """
+    """Return units, axis, rate, joints and duration of the first animated skeleton."""
     check_usd(path)
     found = read_guarded("usd_reader:contents_arrays", path)
     contents: dict[str, Any] = json.loads(str(found["json"]))
@@ -125,14 +91,11 @@ def usd_contents(path: str) -> dict[str, Any]:
 
 
 def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip that kinefilter wrote as USD on its own skeleton.
+    """Read a clip that kinefilter wrote as USD on its skeleton, or raise InputError.
 
     Axes and unit are undone; frame rate and rest pose are the file's, and time starts
     at 0. USD does not hold the sensor's states (all joints count as tracked), nor
     stature and mass, which follow from the segments.
-
-    Raises:
-        InputError: The file is missing or damaged, or of another skeleton.
     """
     source = os.fspath(path)
     check_usd(source)
@@ -144,7 +107,7 @@ def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
             skeleton, arrays["offsets"], world, arrays["root"], arrays["time"], source
         )
         known: dict[str, Any] = {
-            name: arrays[name] for name in _PER_FRAME.values() if name in arrays
+            name: arrays[name] for name in PER_FRAME.values() if name in arrays
         }
         for name in _MOVED:
             if name in known:
@@ -162,8 +125,7 @@ def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
         raise InputError(told if source in told else f"{source}: {told}") from None
     except (KeyError, *_BROKEN):
         raise InputError(
-            f"{source}: what it says of joints and frames does not fit together; "
-            "write the clip again"
+            f"{source}: its joints and frames do not fit together; write it again"
         ) from None
 
 
@@ -175,7 +137,7 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
     from pxr import UsdGeom
 
     with _refused(path):
-        stage, _, _ = _first_animated(path)
+        stage, *_ = _first_animated(path)
         time, names, _ = read_usd_positions(path)
         attributes = sorted(
             {
@@ -202,24 +164,17 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 
 def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return what a file says of a clip, y up, in meters, frames along the first axis.
-
-    Raises:
-        InputError: As read_usd_clip.
-    """
+    """Return what a file says of a clip, y up, in meters, or raise InputError."""
     from pxr import UsdGeom, UsdSkel
 
     with _refused(path):
-        stage, prim, query = _first_animated(path)
-        names = _joint_names(query)
+        stage, prim, query, names, codes = _first_animated(path)
         skeleton = own_skeleton(names)
         if skeleton is None:
             raise InputError(
                 f"{path}: its skeleton ({', '.join(names[:3])[:60]}, ...) is not one "
-                "of kinefilter's own; clean the take without --rig, or write it as "
-                ".npz, to have a clip that can be read again"
+                "of kinefilter's own; write it without --rig or as .npz to read it"
             )
-        codes = _codes(query)
         meters = UsdGeom.GetStageMetersPerUnit(stage)
         turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
         axes = with_y_up if turned else np.asarray
@@ -251,6 +206,7 @@ def _refused(path: str) -> Iterator[None]:
 
 
 def _first_animated(path: str) -> _Animated:
+    """Return stage, prim, query, joint names and time codes of a skeleton."""
     from pxr import Tf, Usd, UsdSkel
 
     try:
@@ -266,16 +222,10 @@ def _first_animated(path: str) -> _Animated:
         if prim.IsA(UsdSkel.Skeleton):
             query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
             if query and query.GetAnimQuery():
-                return stage, prim, query
+                names = [str(path).rpartition("/")[2] for path in query.GetJointOrder()]
+                codes = list(query.GetAnimQuery().GetJointTransformTimeSamples())
+                return stage, prim, query, names, codes
     raise InputError(f"{path}: has no animated skeleton; expected a UsdSkel animation")
-
-
-def _joint_names(query: Any) -> list[str]:
-    return [str(joint).rpartition("/")[2] for joint in query.GetJointOrder()]
-
-
-def _codes(query: Any) -> list[float]:
-    return list(query.GetAnimQuery().GetJointTransformTimeSamples())
 
 
 def _samples(attribute: Any, codes: Sequence[float]) -> NDArray[Any]:
@@ -285,14 +235,7 @@ def _samples(attribute: Any, codes: Sequence[float]) -> NDArray[Any]:
 def _provenance(
     character: Any, codes: Sequence[float], skeleton: Skeleton, path: str
 ) -> dict[str, NDArray[Any]]:
-    """Return what ``usd`` wrote, as far as it is there."""
-    tables = {
-        "joints": list(skeleton.joints),
-        "decidingTermNames": [term.name.lower() for term in Term],
-        "originNames": [origin.name.lower() for origin in Origin],
-        "contactNames": list(CONTACTS),
-    }
-    for name, ours in tables.items():
+    for name, ours in name_tables(skeleton).items():
         theirs = character.GetAttribute(f"kinefilter:{name}").Get()
         if theirs is not None and list(theirs) != ours[: len(theirs)]:
             raise InputError(
@@ -300,7 +243,7 @@ def _provenance(
                 f"{', '.join(ours)[:60]}; write the clip again"
             )
     arrays: dict[str, NDArray[Any]] = {}
-    for name, field in _PER_FRAME.items():
+    for name, field in PER_FRAME.items():
         attribute = character.GetAttribute(f"kinefilter:{name}")
         if attribute and attribute.GetTimeSamples():
             arrays[field] = _samples(attribute, codes)
@@ -318,13 +261,13 @@ def _provenance(
 def _props(
     stage: Any, codes: Sequence[float], axes: Callable[[Array], Array], meters: float
 ) -> dict[str, NDArray[Any]]:
-    """Return props as ``npz`` names their arrays."""
     folder = stage.GetPrimAtPath(f"{CHARACTER}/Props")
     arrays: dict[str, NDArray[Any]] = {}
     for k, prim in enumerate(folder.GetChildren() if folder else ()):
         shapes = prim.GetChildren()
         arrays[f"prop:{k}:name"] = np.array(prim.GetName())
-        arrays[f"prop:{k}:kinds"] = np.array([_KINDS[s.GetTypeName()] for s in shapes])
+        kinds = [str(shape.GetTypeName()) for shape in shapes]
+        arrays[f"prop:{k}:kinds"] = np.array([_KINDS.get(t, t.lower()) for t in kinds])
         places, turns = _placed(prim, codes)
         arrays[f"prop:{k}:positions"] = axes(places) * meters
         arrays[f"prop:{k}:rotations"] = axes(turns)
@@ -335,10 +278,7 @@ def _props(
 
 
 def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
-    """Return where a prim is, (T, 3), and its rotations wxyz, (T, 4), in its parent.
-
-    T is 1 for what never moves.
-    """
+    """Return a prim's places (T, 3) and rotations wxyz (T, 4); T is 1 at rest."""
     translate, orient = (
         prim.GetAttribute(f"xformOp:{name}") for name in ("translate", "orient")
     )

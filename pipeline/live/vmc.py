@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Body, Motion
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate, slerp
-from kinefilter.retarget.rest_difference import segment_of, turned
+from kinefilter.retarget.retargeting import segment_of, turned
 from kinefilter.retarget.rig_map import SIDES, load_rig_map
 from kinefilter.retarget.target_rig import built_rig
 

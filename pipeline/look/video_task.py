@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, Prop
-from kinefilter.pipeline.formats.resample import resampled
+from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.settings import hash_of
 from kinefilter.pipeline.target.floor import place_of
 from kinefilter.pipeline.workers import given_up

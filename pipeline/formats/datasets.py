@@ -1,0 +1,166 @@
+"""Text files of two public data sets: NTU RGB+D and MSR Action3D.
+
+NTU RGB+D, ``.skeleton`` (Shahroudy et al. 2016, NTU RGB+D, CVPR; the data set's own
+reader): the number of frames; per frame the number of bodies; per body a line of ten
+values, the body's number first, the number of joints, and a line of twelve values a
+joint: x, y, z [m], depth image x and y, color image x and y, orientation w, x, y, z,
+tracking state. The joints are those of Kinect v2 in the SDK's order, 30 frames a
+second.
+
+MSR Action3D, ``aXX_sYY_eZZ_skeleton3D.txt`` (Li, Zhang & Liu 2010, Action recognition
+based on a bag of 3D points, CVPR workshops): a joint of a depth camera of 2010 a row,
+``x y z c``, 20 rows a frame, 15 frames a second; meters, y up, z away from the camera,
+c the tracker's confidence. The joints have an order of their own. The same data set's
+files of screen coordinates, ``u v d c``, hold pixels and raw depth: without the
+camera's lens they are not positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from typing import NoReturn
+
+import numpy as np
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
+
+from .recording import (
+    MOST_FRAMES,
+    Recording,
+    Sighting,
+    check_length,
+    open_rows,
+    recording_of,
+    takes_of,
+)
+from .rows import RowReader
+
+_NTU_FRAMES_PER_SECOND = 30.0
+_BODY_VALUES = 10
+_JOINT_VALUES = 12
+
+MSR_JOINTS = (
+    *("ShoulderRight", "ShoulderLeft", "ShoulderCenter", "Spine"),
+    *("HipRight", "HipLeft", "HipCenter"),
+    *("ElbowRight", "ElbowLeft", "WristRight", "WristLeft", "HandRight", "HandLeft"),
+    *("KneeRight", "KneeLeft", "AnkleRight", "AnkleLeft", "FootRight", "FootLeft"),
+    "Head",
+)
+"""The joints of MSR Action3D in the order of the rows."""
+_MSR_FRAMES_PER_SECOND = 15.0
+_MSR_COLUMNS = ("x", "y", "z", "confidence")
+_PIXELS = 20.0  # a person is less meters wide, and more pixels
+
+
+def read_msr_action3d(source: str) -> Recording:
+    """Read a file of real-world coordinates; raises InputError if it is malformed."""
+    blocks, count = [], 0
+    with open_rows(source) as (row, line, lines):
+        for block in RowReader(source, _MSR_COLUMNS).blocks(chain([line], lines), row):
+            blocks.append(block.values)
+            count += len(block.values)
+            if count > MOST_FRAMES * len(MSR_JOINTS):
+                break
+    if count % len(MSR_JOINTS):
+        raise InputError(
+            f"{source}: has {count} rows, expected {len(MSR_JOINTS)} a frame; the file "
+            "may be cut off, download it again"
+        )
+    check_length(count // len(MSR_JOINTS), source)
+    values = np.concatenate(blocks).reshape(-1, len(MSR_JOINTS), len(_MSR_COLUMNS))
+    width = float(np.nanmedian(np.ptp(values[..., :2], axis=1), axis=0).max())
+    if width > _PIXELS:
+        raise InputError(
+            f"{source}: rows of u v d c, pixels and raw depth, are not positions; take "
+            "the data set's files of real-world coordinates (..._skeleton3D.txt)"
+        )
+    values = values[:, [MSR_JOINTS.index(joint) for joint in KINECT_V1.joints]]
+    # Of confidences, OpenNI knows 0, 0.5 and 1.
+    halves = np.round(2.0 * np.clip(np.nan_to_num(values[..., 3]), 0.0, 1.0))
+    time = np.arange(len(values)) / _MSR_FRAMES_PER_SECOND
+    places, states = values[..., :3], halves.astype(np.uint8)
+    return recording_of(time, places, states, KINECT_V1, source, "msr-action3d")
+
+
+def read_ntu(source: str) -> Recording:
+    """Read a .skeleton file; raises InputError where it is malformed."""
+    sightings: list[Sighting] = []
+    with open_rows(source) as (row, line, lines):
+        reader = _Reader(source, lines, row)
+        count = reader.whole(line, "the number of frames")
+        for frame in range(min(count, MOST_FRAMES + 1)):
+            reader.frame = f"frame {frame + 1} of {count}"
+            bodies = reader.whole(reader.line(), "the number of bodies")
+            sightings += [reader.body(frame) for _ in range(bodies)]
+        check_length(count, source)
+        if reader.line_or_end():
+            reader.fail(f"goes on after {count} frames; correct row 1")
+    time = np.arange(count) / _NTU_FRAMES_PER_SECOND
+    return Recording(takes_of(time, sightings, KINECT_V2, source), "ntu")
+
+
+@dataclass
+class _Reader:
+    source: str
+    lines: Iterator[str]
+    row: int
+    frame: str = ""
+
+    def line_or_end(self) -> str:
+        for line in self.lines:
+            self.row += 1
+            if line.strip():
+                return line
+        return ""
+
+    def line(self) -> str:
+        line = self.line_or_end()
+        if not line:
+            self.fail(
+                f"ends the file in {self.frame}; the file may be cut off, download it "
+                "again or correct row 1"
+            )
+        return line
+
+    def whole(self, line: str, meaning: str) -> int:
+        """Return the whole number that a line is, 0 or more."""
+        word = line.strip()
+        if not word.isascii() or not word.isdigit() or len(word) > 18:
+            self.fail(f"is {word[:40]!r}, expected {meaning}")
+        return int(word)
+
+    def body(self, frame: int) -> Sighting:
+        words = self.line().split()
+        if len(words) != _BODY_VALUES:
+            self.fail(
+                f"has {len(words)} values, expected the {_BODY_VALUES} of a body; is "
+                "row 1 the number of frames?"
+            )
+        body = self.whole(words[0], "the body's number")
+        joints = self.whole(self.line(), "the number of joints")
+        if joints != len(KINECT_V2):
+            self.fail(f"is {joints} joints, expected {len(KINECT_V2)}")
+        values = np.array([self._joint() for _ in range(joints)])
+        return Sighting(frame, body, values[:, :3], values[:, -1].astype(np.uint8))
+
+    def _joint(self) -> list[float]:
+        words = self.line().split()
+        if len(words) != _JOINT_VALUES:
+            self.fail(f"has {len(words)} values, expected {_JOINT_VALUES} of a joint")
+        try:
+            values = [float(word) for word in (*words[:3], words[-1])]
+        except ValueError:
+            self.fail("has a word, expected numbers")
+        if any(abs(value) == float("inf") for value in values):
+            self.fail("has an infinite number, expected finite ones")
+        if values[-1] not in list(State):
+            self.fail(
+                f"ends in {words[-1][:40]!r}, expected a tracking state: 0 not "
+                "tracked, 1 inferred, 2 tracked"
+            )
+        return values
+
+    def fail(self, complaint: str) -> NoReturn:
+        raise InputError(f"{self.source}: row {self.row} {complaint}")
