@@ -26,13 +26,15 @@ from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
 from kinefilter.pipeline.database.build import (
-    BUILTIN_POSTURES,
     _postures_of,
 )
 from kinefilter.pipeline.database.posture_database import FILTERED_POSTURES
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap_files import read_mocap
-from kinefilter.pipeline.lab.scripted_database import scripted_postures
+from kinefilter.pipeline.lab.scripted_database import (
+    BUILTIN_POSTURES,
+    scripted_postures,
+)
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.pipeline.training import training_set
