@@ -40,7 +40,8 @@ _LIU_TERMS = {
 }
 _WITHOUT_PARTS = ("nearest", "no-reliability")
 _WORTH_PROCESSES = 100  # clips to clean, for which processes are started
-_LEARNED_REPETITIONS = 7  # e01 to e07 teach, e08 to e10 test
+LEARNED_REPETITIONS = 7
+"""Repetitions e01 to e07 teach, e08 to e10 test."""
 
 
 @dataclass(frozen=True)
@@ -191,8 +192,8 @@ def _folds(
 ) -> Iterator[_Fold]:
     pairs = [*train, *test]
     if protocol == "repetitions":
-        early = [p for p in pairs if _repetition(p) <= _LEARNED_REPETITIONS]
-        late = [p for p in pairs if _repetition(p) > _LEARNED_REPETITIONS]
+        early = [p for p in pairs if repetition(p) <= LEARNED_REPETITIONS]
+        late = [p for p in pairs if repetition(p) > LEARNED_REPETITIONS]
         if not early or not late:
             raise InputError(
                 "protocol repetitions needs clips e01 to e07 to learn from and e08 on "
@@ -215,7 +216,7 @@ def _folds(
             )
 
 
-def _repetition(pair: PairedTake) -> int:
+def repetition(pair: PairedTake) -> int:
     """Return the repetition that a clip's name tells, as in m01_s02_e05."""
     found = re.search(r"_e(\d+)", pair.clip)
     if found is None:

@@ -9,7 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.pipeline.lab.evaluate import evaluate
+from kinefilter.pipeline.lab.evaluate import (
+    LEARNED_REPETITIONS,
+    evaluate,
+    repetition,
+)
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.workers import workers
 
@@ -21,6 +25,7 @@ _METHODS = (
     *("default", "exemplar", "full-gp", "local-gp", "clustered-gp", "best"),
 )
 _ERRORS = ("E", "E_std", "E_var")
+_EVERY = 5  # one in this many of the clips to test on is cleaned, by every method
 _People = dict[str, dict[str, float]]
 """Errors [cm] of a method by person and name of the error."""
 
@@ -32,8 +37,9 @@ def methods_new_people(
 
     As ``kinefilter evaluate --train PEOPLE --ablation --mocap-database``: ``local-pca``
     searches the mocap of the others. Errors are means over frames and joints, then over
-    people. Without recordings, simulated people stand in. At most ``count`` people take
-    part, with the first ``movements``.
+    people. One in five clips is tested, as each passes through the whole cleaner.
+    Without recordings, simulated people stand in. At most ``count`` people take part,
+    with the first ``movements``.
     """
     found = _person_by_person(options, count, movements, trained=True)
     return _study("Methods on people whom they did not learn from", found)
@@ -50,6 +56,8 @@ def methods_known_people(
     """
     people, progress = recorded_people(options.data)[:count], options.progress
     clips = clips_of(people, movements, options)
+    late = [clip for clip in clips if repetition(clip) > LEARNED_REPETITIONS]
+    clips = [clip for clip in clips if clip not in late] + late[::_EVERY]
     figures = evaluate(
         clips, [], _METHODS, protocol="repetitions", ablation=True, progress=progress
     )
@@ -90,7 +98,7 @@ def _on_person(
     people: Sequence[str], movements: int, options: Options, trained: bool, name: str
 ) -> dict[str, _People]:
     """Return the errors of methods on somebody; trained ones learn from the others."""
-    test = clips_of([name], movements, options)
+    test = clips_of([name], movements, options)[::_EVERY]
     if not trained:
         return _errors(evaluate([], test, ("none", "default"), physics=True))
     others = [other for other in people if other != name]
