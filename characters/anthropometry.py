@@ -16,9 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from .arrays import Array
+from .arrays import Array, freeze, read_only
 from .errors import InputError
-from .frozen import freeze, read_only
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton
 
 STANDARD_HEIGHT = 1.75

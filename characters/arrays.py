@@ -1,9 +1,29 @@
-"""The arrays that functions take and return."""
+"""The arrays that functions take and return, and arrays that nobody may change."""
 
 from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 """Numbers in double precision; docstrings say their quantity, unit, frame and shape."""
+
+Number = TypeVar("Number", bound=np.generic)
+
+
+def read_only(array: NDArray[Number]) -> NDArray[Number]:
+    """Return a view of an array that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def freeze(value: Any) -> None:
+    """Make every array field of a frozen dataclass a read-only view of itself."""
+    for field in fields(value):
+        array = getattr(value, field.name)
+        if isinstance(array, np.ndarray):
+            object.__setattr__(value, field.name, read_only(array))

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body
+from .arrays import freeze, read_only
 from .errors import InputError
-from .frozen import freeze, read_only
 from .kinematics import positions_from_rotations
 from .props import Prop
 from .skeleton import Skeleton

@@ -8,9 +8,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import Array
+from .arrays import Array, freeze
 from .errors import InputError
-from .frozen import freeze
 
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
 

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body
-from .arrays import Array
+from .arrays import Array, freeze
 from .flesh import Box, Flesh, flesh_of, nearest_on_line
-from .frozen import freeze
 from .skeleton import Skeleton
 
 if TYPE_CHECKING:

@@ -24,22 +24,17 @@ from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .progress import Progress, silent
 from .stages import (
-    Bones,
     Correct,
     Failures,
-    Feet,
-    Floor,
-    Level,
     MeasureBody,
     MeasureCorrectedBody,
-    Orient,
     Physics,
     Score,
-    Smooth,
     Stage,
     Standardize,
 )
 from .target.floor import to_world
+from .target.stages import Bones, Feet, Floor, Level, Orient, Smooth
 
 _LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which to move
 

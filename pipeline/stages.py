@@ -12,53 +12,21 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    Body,
-    Origin,
-    Tracking,
-    positions_from_rotations,
-)
-from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import continuous, normalize
-from kinefilter.retarget import (
-    BoneLengths,
-    Hands,
-    HeadingFrame,
-    Standardizer,
-    rotations_from_positions,
-)
+from kinefilter.characters import Body, Origin, Tracking
+from kinefilter.retarget import HeadingFrame, Standardizer
 
 from .config import CleanConfig
 from .correct import Corrector, Hold, Observation
-from .correct.one_euro import OneEuro
 from .draft import Draft
 from .factory import make_corrector, make_scorer
 from .failures import distrust, find_failures, unmirrored
-from .formats.sheets import read_contacts
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
 from .reliability import Reference, measure_body, measure_reference, rest_reference
-from .target.feet import (
-    PLANTED,
-    StanceTracker,
-    ankles_and_toes,
-    feet_of,
-    find_stance,
-    flat_height,
-    plant_feet,
-)
-from .target.floor import floor_height, leveled, place_of, put_on_floor, sensor_tilt
-from .target.smooth import smooth, smooth_by_speed
+from .target.floor import place_of
 
-_LEAST_WEIGHT = 0.1  # of an invented joint in the smoother, against a measured one's 1
-_LEAST_BONE_WEIGHT = 0.3  # of an invented joint where bones ask for a move: the same
-_BONES_CUTOFF = 2.0  # Hz; lengths are wrong for longer than joints tremble
-_TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
-_LET_GO = 0.05  # s in which a foot that steps joins its measured path
-_FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share a frame: feet sink rarely, lift often
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take is to fit a gigabyte
 _CHUNK = 4096  # frames at a time: an hour's take is to fit a gigabyte
 
@@ -263,7 +231,7 @@ class Correct(Stage):
         draft.twist = None
         if found.rotations is not None:
             draft.twist = np.empty(found.rotations.shape, dtype=np.float32)
-            for k in _chunks(len(draft.time)):
+            for k in chunks(len(draft.time)):
                 heading = draft.heading.at(k)
                 draft.twist[k] = heading.restore_rotations(found.rotations[k])
         origin = np.where(found.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
@@ -275,227 +243,6 @@ class Correct(Stage):
         return Observation(
             draft.standard, draft.reliability, draft.geometry, draft.time, body.lengths
         )
-
-
-class Level(Stage):
-    """Turns the sensor's frame so that the floor is level."""
-
-    name = "level"
-
-    def __init__(self, config: CleanConfig) -> None:
-        self._tilt = None if config.tilt is None else float(np.radians(config.tilt))
-
-    def step(self, draft: Draft) -> None:
-        """Level the next frame, if the tilt is known."""
-        draft.tilt = self._tilt or 0.0
-        draft.positions = leveled(draft.positions, draft.tilt)
-
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
-        """Find which feet stand, and from them the tilt, and level the take."""
-        draft.stands = find_stance(
-            draft.time, draft.positions, draft.confidence, draft.skeleton
-        )
-        draft.tilt = (
-            sensor_tilt(draft.positions, draft.confidence, draft.stands, draft.body)
-            if self._tilt is None
-            else self._tilt
-        )
-        draft.positions = leveled(draft.positions, draft.tilt)
-
-
-class Smooth(Stage):
-    """Smooths joints, the more the slower they are; takes without any lag."""
-
-    name = "smooth"
-
-    def __init__(self, config: CleanConfig) -> None:
-        self._cutoff = config.cutoff
-
-    def start(self, body: Body) -> None:
-        """Forget all frames."""
-        self._filter = OneEuro(body.skeleton)
-
-    def step(self, draft: Draft) -> None:
-        """Smooth the next frame."""
-        if self._cutoff > 0.0:
-            seen = Observation(
-                draft.positions, draft.reliability, draft.geometry, draft.time
-            )
-            draft.positions = self._filter.step(seen).positions
-
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
-        """Smooth a take."""
-        if self._cutoff > 0.0:
-            weights = np.maximum(draft.confidence, _LEAST_WEIGHT)
-            draft.positions = smooth_by_speed(
-                draft.time, draft.positions, weights, cutoff=self._cutoff
-            )
-
-
-class Floor(Stage):
-    """Puts the floor at y = 0."""
-
-    name = "floor"
-
-    def __init__(self, config: CleanConfig) -> None:
-        self._given = config.floor_height
-
-    def start(self, body: Body) -> None:
-        """Forget all frames."""
-        self._ankles, toes = ankles_and_toes(body.skeleton)
-        self._flat = flat_height(body, toes[0])
-        self._height = self._given
-
-    def step(self, draft: Draft) -> None:
-        """Follow the floor under the lower foot, unless it is known."""
-        if self._given is None:
-            sole = float(draft.positions[self._ankles, 1].min() - self._flat)
-            if self._height is None:
-                self._height = sole
-            away = sole - self._height
-            self._height += away * (_FLOOR_FALLS if away < 0.0 else _FLOOR_RISES)
-        draft.floor = self._height or 0.0
-        draft.positions = draft.positions - [0.0, draft.floor, 0.0]
-
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
-        """Find the floor under the feet of a take, unless it is known."""
-        draft.floor = (
-            floor_height(draft.positions, draft.confidence, draft.stands, draft.body)
-            if self._given is None
-            else self._given
-        )
-        draft.positions = draft.positions - [0.0, draft.floor, 0.0]
-
-
-class Feet(Stage):
-    """Keeps standing feet where they stand, and lifts them where they step.
-
-    Args:
-        config: Says when feet stand, or names a file that does.
-        contacts: When they do instead (CONTACTS), shape (T, 4).
-    """
-
-    name = "feet"
-
-    def __init__(
-        self, config: CleanConfig, contacts: NDArray[np.bool_] | None = None
-    ) -> None:
-        self._feet, self._file, self._given = config.feet, config.contacts, contacts
-
-    def start(self, body: Body) -> None:
-        """Forget all frames."""
-        self._body, self._stance = body, StanceTracker()
-        self._ankles, self._toes = ankles_and_toes(body.skeleton)
-        self._flat = flat_height(body, self._toes[0])
-        self._moved, self._anchors = np.zeros((2, 2, 2, 3))
-        self._stood = np.zeros(2, dtype=np.bool_)
-
-    def step(self, draft: Draft) -> None:
-        """Keep or lift the feet of the next frame."""
-        positions, elapsed = draft.positions, draft.elapsed
-        stands = self._stance.step(positions[self._ankles], float(self._flat), elapsed)
-        planted, weights = positions.copy(), draft.confidence.copy()
-        for foot in range(2):
-            parts = [self._ankles[foot], self._toes[foot]]
-            if stands[foot]:
-                if not self._stood[foot]:
-                    place = positions[parts] + self._moved[foot]
-                    place[:, 1] = [self._flat, self._body.radii[parts[1]]]
-                    self._anchors[foot] = place
-                self._moved[foot] = self._anchors[foot] - positions[parts]
-                weights[parts] = PLANTED
-            else:
-                self._moved[foot] *= np.exp(-elapsed / _LET_GO)
-            planted[parts] += self._moved[foot]
-        self._stood = stands.copy()
-        draft.positions, draft.bone_weights = planted, weights
-        draft.stands = stands.copy()
-
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
-        """Keep and lift the feet of a take."""
-        stands, heels = draft.stands, None
-        if self._feet != "auto":
-            stands = np.full_like(stands, self._feet == "always")
-        contacts = self._given
-        if self._file is not None:
-            contacts = read_contacts(self._file, draft.time)
-        if contacts is not None:
-            stands, heels = feet_of(contacts), contacts[:, ::2]
-        draft.positions, heels = plant_feet(
-            draft.time, draft.positions, draft.confidence, stands, draft.body, heels
-        )
-        draft.contacts = np.stack([heels, stands], axis=2).reshape(-1, 4)
-        draft.stands = feet_of(draft.contacts)
-        weights = np.maximum(draft.confidence, _LEAST_BONE_WEIGHT)
-        for part in ankles_and_toes(draft.skeleton):
-            weights[:, part] = np.where(stands, PLANTED, weights[:, part])
-        draft.bone_weights = weights
-
-
-class Bones(Stage):
-    """Puts joints on the person's own segments, over the floor."""
-
-    name = "bones"
-
-    def start(self, body: Body) -> None:
-        """Forget all frames."""
-        self._body, self._bones = body, BoneLengths(body)
-        self._hands = Hands(body.skeleton)
-
-    def step(self, draft: Draft) -> None:
-        """Restore the lengths of the next frame."""
-        body, positions = self._body, draft.positions
-        there = self._bones.project(positions[None], draft.bone_weights[None])[0]
-        there = self._hands.carried(positions, there, draft.confidence, body)
-        draft.positions = put_on_floor(there[None], body)[0]
-
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
-        """Restore the lengths of a take, as smoothly as it was before.
-
-        What the lengths ask for trembles with the noise of neighbors, so it is
-        smoothed, and the lengths are restored once more by what little is then missing.
-        """
-        body, weights = draft.body, draft.bone_weights
-        positions, bones = put_on_floor(draft.positions, body), BoneLengths(body)
-        moved = Hands(draft.skeleton).carried(
-            positions, bones.project(positions, weights), draft.confidence, body
-        )
-        moved -= positions
-        moved = smooth(draft.time, moved, np.ones(weights.shape), cutoff=_BONES_CUTOFF)
-        draft.positions = put_on_floor(bones.project(positions + moved, weights), body)
-
-
-class Orient(Stage):
-    """Gives every segment an orientation."""
-
-    name = "orientation"
-
-    def start(self, body: Body) -> None:
-        """Forget all frames."""
-        self._body = body
-
-    def step(self, draft: Draft) -> None:
-        """Turn the segments of the next frame."""
-        draft.rotations = rotations_from_positions(
-            draft.positions, self._body, draft.twist
-        )
-
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
-        """Turn the segments of a take, continuously over time."""
-        twist = _without_jumps(draft.time, draft.twist)
-        rotations = np.empty((*draft.positions.shape[:2], 4))
-        for k in _chunks(len(rotations)):
-            prior = None if twist is None else normalize(twist[k].astype(float))
-            rotations[k] = rotations_from_positions(
-                draft.positions[k], draft.body, prior
-            )
-        draft.rotations, draft.twist = continuous(rotations), None
-        roots = draft.positions[:, draft.skeleton.root]
-        draft.posed = np.empty_like(draft.positions)
-        for k in _chunks(len(roots)):
-            draft.posed[k] = positions_from_rotations(
-                draft.rotations[k], roots[k], draft.body
-            )
 
 
 class Physics(Stage):
@@ -564,17 +311,6 @@ class Physics(Stage):
         draft.external_force = result.trace.external_force
 
 
-def _without_jumps(time: Array, rotations: NDArray[Any] | None) -> NDArray[Any] | None:
-    """Return rotations without the jumps between sets of neighboring postures."""
-    if rotations is None:
-        return None
-    smoothed = np.empty_like(rotations)
-    weights = np.ones((len(time), 1))
-    for j in range(rotations.shape[1]):
-        signed = continuous(rotations[:, j, None].astype(float))
-        smoothed[:, j] = smooth(time, signed, weights, cutoff=_TWIST_CUTOFF)[:, 0]
-    return smoothed
-
-
-def _chunks(count: int) -> Iterator[slice]:
+def chunks(count: int) -> Iterator[slice]:
+    """Yield slices of frames, so that a part of a long take is worked on at a time."""
     return (slice(k, k + _CHUNK) for k in range(0, count, _CHUNK))

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Body, Clip, Motion, Skeleton
-from kinefilter.characters.arrays import Array
-from kinefilter.characters.frozen import freeze
+from kinefilter.characters.arrays import Array, freeze
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,

@@ -25,9 +25,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
-from kinefilter.pipeline.database.build import (
-    _postures_of,
-)
+from kinefilter.pipeline.database.build import _postures_of
 from kinefilter.pipeline.database.posture_database import FILTERED_POSTURES
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap_files import read_mocap

@@ -9,16 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    KINECT_V2,
-    InputError,
-    Skeleton,
-    State,
-    Take,
-)
-from kinefilter.pipeline.formats import (
-    read_recording,
-)
+from kinefilter.characters import KINECT_V2, InputError, Skeleton, State, Take
+from kinefilter.pipeline.formats import read_recording
 
 __all__ = ["Array", "complaint", "made_up", "without"]
 

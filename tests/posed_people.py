@@ -8,12 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinefilter.characters import (
-    KINECT_V1,
-    Body,
-    Motion,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, Body, Motion, standard_body
 from kinefilter.characters.rotations import about_y, between, multiply
 from kinefilter.scenes.sensor import Sensor, TrackerErrors
 

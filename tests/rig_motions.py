@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    KINECT_V2,
-    Clip,
-    Motion,
-    Skeleton,
-    random_body,
-)
+from kinefilter.characters import KINECT_V2, Clip, Motion, Skeleton, random_body
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -7,18 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    KINECT_V1,
-    Skeleton,
-    State,
-    Take,
-    standard_body,
-)
-from kinefilter.pipeline.reliability import (
-    Reference,
-    ReliabilityScorer,
-    Scores,
-)
+from kinefilter.characters import KINECT_V1, Skeleton, State, Take, standard_body
+from kinefilter.pipeline.reliability import Reference, ReliabilityScorer, Scores
 
 __all__ = [
     "HAND",

@@ -13,12 +13,7 @@ from batch_folders import clean_folder, rows_of, table_of
 from kinefilter import CleanConfig
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch import manifest
-from kinefilter.pipeline.batch.manifest import (
-    Row,
-    open_manifest,
-    parse_rows,
-    write_csv,
-)
+from kinefilter.pipeline.batch.manifest import Row, open_manifest, parse_rows, write_csv
 from kinefilter.pipeline.batch.store import remove_unfinished, store_at
 from kinefilter.pipeline.settings import Settings
 

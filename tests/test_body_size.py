@@ -22,11 +22,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import about_y, normalize, rotate
-from kinefilter.retarget import (
-    Standardizer,
-    find_yaw,
-    measured_body,
-)
+from kinefilter.retarget import Standardizer, find_yaw, measured_body
 
 Array = NDArray[np.float64]
 

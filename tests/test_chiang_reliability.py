@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 from scored_takes import average, blind, still_take
 from skeletons import every_skeleton
 
-from kinefilter.characters import (
-    KINECT_V1,
-    Skeleton,
-    State,
-    Take,
-    Term,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, Skeleton, State, Take, Term, standard_body
 from kinefilter.pipeline.lab.scorers.chiang import ChiangReliabilityScorer
 from kinefilter.pipeline.reliability import (
     Reference,

@@ -11,13 +11,7 @@ from conftest import MakeClip
 from numpy.typing import NDArray
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.characters import (
-    KINECT_V1,
-    InputError,
-    State,
-    Take,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, InputError, State, Take, standard_body
 from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.failures import unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv

@@ -7,13 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from offset_lessons import (
-    ELBOW,
-    ONES,
-    SPINE,
-    WRIST,
-    postures_of,
-)
+from offset_lessons import ELBOW, ONES, SPINE, WRIST, postures_of
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 

@@ -18,12 +18,7 @@ from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.target import feet
-from kinefilter.pipeline.target.feet import (
-    SIDES,
-    ankles_and_toes,
-    feet_of,
-    find_stance,
-)
+from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes, feet_of, find_stance
 from kinefilter.retarget.runs import runs
 from kinefilter.scenes.library import perform
 

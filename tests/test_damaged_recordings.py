@@ -9,21 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_up_people import complaint, made_up
-from published_layouts import (
-    azure_json,
-    msr_action3d_text,
-    msrc_12_text,
-    ntu_text,
-)
+from published_layouts import azure_json, msr_action3d_text, msrc_12_text, ntu_text
 from text_files import write_text
 
-from kinefilter.characters import (
-    KINECT_V1,
-    Clip,
-)
-from kinefilter.pipeline.formats import (
-    write_clip,
-)
+from kinefilter.characters import KINECT_V1, Clip
+from kinefilter.pipeline.formats import write_clip
 
 MakeClip = Callable[..., Clip]
 

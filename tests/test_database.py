@@ -12,11 +12,7 @@ import numpy as np
 import pytest
 
 from kinefilter import PostureDatabase
-from kinefilter.characters import (
-    KINECT_V1,
-    InputError,
-    Skeleton,
-)
+from kinefilter.characters import KINECT_V1, InputError, Skeleton
 
 
 def made_up(count: int = 60, skeleton: Skeleton = KINECT_V1) -> PostureDatabase:

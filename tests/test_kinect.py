@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
 from skeletons import every_skeleton
 
-from kinefilter.characters import (
-    KINECT_V1,
-    Skeleton,
-    State,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, Skeleton, State, standard_body
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import (
     SENSORS,
@@ -28,11 +23,7 @@ from kinefilter.scenes.sensor import (
     observe,
     sample_take,
 )
-from kinefilter.scenes.sensor.tracker_errors import (
-    kinship,
-    misplacements,
-    unsteadiness,
-)
+from kinefilter.scenes.sensor.tracker_errors import kinship, misplacements, unsteadiness
 from kinefilter.scenes.sensor.visibility import look
 
 Array = NDArray[np.float64]

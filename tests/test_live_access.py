@@ -9,16 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from live_session import (
-    UDP,
-    WS,
-    config,
-    do,
-    pose,
-    reading,
-    running,
-    sample_frame,
-)
+from live_session import UDP, WS, config, do, pose, reading, running, sample_frame
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 

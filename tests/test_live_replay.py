@@ -7,22 +7,9 @@ import json
 
 import numpy as np
 import pytest
-from live_session import (
-    SAMPLE,
-    WS,
-    config,
-    do,
-    pose,
-    reading,
-    running,
-    sample_frame,
-)
+from live_session import SAMPLE, WS, config, do, pose, reading, running, sample_frame
 
-from kinefilter.pipeline.live import (
-    format_frame,
-    open_sender,
-    replay,
-)
+from kinefilter.pipeline.live import format_frame, open_sender, replay
 from kinefilter.pipeline.live.endpoints import read_address
 from kinefilter.pipeline.live.playback import frames_of
 

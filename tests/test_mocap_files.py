@@ -13,12 +13,7 @@ from scipy.spatial.transform import Rotation
 from skeletons import every_skeleton
 from text_files import write_text
 
-from kinefilter.characters import (
-    KINECT_V1,
-    InputError,
-    Skeleton,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, InputError, Skeleton, standard_body
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase

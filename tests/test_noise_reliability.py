@@ -14,14 +14,7 @@ from scored_takes import average, blind, still_take
 from skeletons import every_skeleton
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.characters import (
-    KINECT_V1,
-    Skeleton,
-    State,
-    Take,
-    Term,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, Skeleton, State, Take, Term, standard_body
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.scorers.noise import (

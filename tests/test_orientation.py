@@ -29,10 +29,7 @@ from kinefilter.characters.rotations import (
     rotate,
     rotation_vector,
 )
-from kinefilter.retarget import (
-    hang_missing,
-    rotations_from_positions,
-)
+from kinefilter.retarget import hang_missing, rotations_from_positions
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -7,25 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_up_people import complaint, made_up, without
-from published_layouts import (
-    azure_json,
-    ntu_text,
-)
+from published_layouts import azure_json, ntu_text
 from text_files import write_text
 
-from kinefilter.characters import (
-    KINECT_V2,
-    InputError,
-    State,
-    Take,
-)
+from kinefilter.characters import KINECT_V2, InputError, State, Take
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.formats import (
-    read_clip,
-    read_recording,
-    read_take,
-    read_takes,
-)
+from kinefilter.pipeline.formats import read_clip, read_recording, read_take, read_takes
 from kinefilter.pipeline.lab.simulate import simulate
 
 

@@ -18,11 +18,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.anthropometry import joint_range
-from kinefilter.characters.humanoid import (
-    GRAVITY,
-    from_mujoco,
-    joint_masses,
-)
+from kinefilter.characters.humanoid import GRAVITY, from_mujoco, joint_masses
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,

@@ -12,30 +12,14 @@ from typing import get_args
 import numpy as np
 import pytest
 from made_up_people import made_up
-from published_layouts import (
-    azure_json,
-    msr_action3d_text,
-    msrc_12_text,
-    ntu_text,
-)
+from published_layouts import azure_json, msr_action3d_text, msrc_12_text, ntu_text
 from skeletons import every_skeleton
 from text_files import write_text
 
-from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    Clip,
-    Skeleton,
-    State,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton, State
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.config import TakeFormat
-from kinefilter.pipeline.formats import (
-    read_clip,
-    read_recording,
-    read_take,
-    write_clip,
-)
+from kinefilter.pipeline.formats import read_clip, read_recording, read_take, write_clip
 from kinefilter.pipeline.formats.takes import FORMATS
 from kinefilter.pipeline.lab.simulate import simulate
 

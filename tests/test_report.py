@@ -17,14 +17,7 @@ from conftest import MakeClip
 from numpy.typing import NDArray
 
 from kinefilter import CleanConfig, clean
-from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    Clip,
-    InputError,
-    Skeleton,
-    Take,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
 from kinefilter.pipeline.lab.bench import sample_path

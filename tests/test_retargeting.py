@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 from rig_motions import ARM, LEG, SIDES, bent_to, performed
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.characters import (
-    CONTACTS,
-    KINECT_V1,
-    KINECT_V2,
-    Clip,
-    standard_body,
-)
+from kinefilter.characters import CONTACTS, KINECT_V1, KINECT_V2, Clip, standard_body
 from kinefilter.characters.rotations import about_y, multiply, rotate, rotation_vector
 from kinefilter.retarget import retargeting
 from kinefilter.retarget.retargeting import Retargeted, retarget

@@ -10,17 +10,8 @@ import pytest
 from real_data import TAKES, recorded
 from text_files import write_text
 
-from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    InputError,
-    State,
-    Take,
-)
-from kinefilter.pipeline.formats import (
-    read_take,
-    write_take_csv,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State, Take
+from kinefilter.pipeline.formats import read_take, write_take_csv
 
 # Two joints are enough for most complaints.
 HEADER = "time,Head.x,Head.y,Head.z,Head.state,HandLeft.x,HandLeft.y,HandLeft.z\n"

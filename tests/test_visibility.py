@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
 from skeletons import every_skeleton
 
-from kinefilter.characters import (
-    InputError,
-    Motion,
-    Skeleton,
-    State,
-    standard_body,
-)
+from kinefilter.characters import InputError, Motion, Skeleton, State, standard_body
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import IDENTITY
 from kinefilter.scenes.library import perform

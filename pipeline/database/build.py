@@ -9,14 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    Body,
-    InputError,
-    Skeleton,
-    State,
-    Take,
-    standard_body,
-)
+from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion

@@ -11,8 +11,7 @@ from typing import NoReturn
 import numpy as np
 
 from kinefilter.characters import InputError
-from kinefilter.characters.arrays import Array
-from kinefilter.characters.frozen import freeze
+from kinefilter.characters.arrays import Array, freeze
 from kinefilter.characters.rotations import multiply, rotate
 
 from .files import open_text

@@ -28,14 +28,7 @@ from .cameras import axes_toward, camera_path
 from .comparison import raw_positions
 from .drawing import CORNERS, Drawing, corners_of, offset_beside, read_finite_clip
 from .options import Look
-from .video_files import (
-    Coded,
-    Pixels,
-    encode_png,
-    encode_video,
-    is_drawn,
-    write_frame,
-)
+from .video_files import Coded, Pixels, encode_png, encode_video, is_drawn, write_frame
 from .video_opengl import Backend
 
 if TYPE_CHECKING:

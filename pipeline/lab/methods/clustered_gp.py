@@ -22,11 +22,7 @@ from kinefilter.pipeline.correct.interface import (
     Correction,
     Observation,
 )
-from kinefilter.pipeline.correct.learned import (
-    LearnedCorrector,
-    Lessons,
-    TrainingSet,
-)
+from kinefilter.pipeline.correct.learned import LearnedCorrector, Lessons, TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
 
 _POOL = 25  # frames drawn for each centroid

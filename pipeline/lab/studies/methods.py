@@ -9,11 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.pipeline.lab.evaluate import (
-    LEARNED_REPETITIONS,
-    evaluate,
-    repetition,
-)
+from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, evaluate, repetition
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.workers import workers
 
