@@ -18,11 +18,11 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import (
     column_medians,
-    measure_reference,
+    measure_body,
     segment_lengths,
 )
 from kinefilter.pipeline.spool import Spool
-from kinefilter.retarget.body_size import Standardizer, measured_body
+from kinefilter.retarget.body_size import Standardizer
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
 
@@ -108,8 +108,7 @@ def _truths(
         time = np.arange(len(truth)) * _EVERY_OTHER / POSTURES_PER_SECOND
         seen = np.where(missing[..., None], np.nan, truth)
         take = Take(time, seen, state, skeleton, pair.take.source)
-        reference = measure_reference(take)
-        body = measured_body(skeleton, reference.lengths, reference.directions)
+        body = measure_body(take)
         yield pair.clip, *standard_postures(seen, None, body)
 
 

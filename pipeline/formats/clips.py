@@ -15,8 +15,7 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.pipeline.reliability import measure_reference
-from kinefilter.retarget.body_size import measured_body
+from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
 from kinefilter.retarget.retargeting import retarget
 
@@ -149,10 +148,7 @@ def _posed(take: Take) -> Clip:
             f"{take.source}: frame {frame + 1} has no {skeleton.joints[joint]}; "
             "it is a raw take: clean it, or draw it with --compare beside its clip"
         )
-    measured = measure_reference(take)
-    body = measured_body(
-        skeleton, measured.lengths, measured.directions, source=take.source
-    )
+    body = measure_body(take)
     rotations = rotations_from_positions(hang_missing(take.positions, body), body)
     root = take.positions[:, skeleton.root]
     motion = Motion(

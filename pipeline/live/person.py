@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, State, Take, skeleton_named, standard_body
 from kinefilter.pipeline.avatar import Avatar, Pose
-from kinefilter.pipeline.reliability import measure_reference
-from kinefilter.retarget import measured_body
+from kinefilter.pipeline.reliability import measure_body
 
 from .config import LiveConfig
 from .messages import SeenBody, stacked
@@ -79,13 +78,7 @@ class Person:
 
     def _measure(self, frames: list[tuple[float, SeenBody]]) -> None:
         take = Take(*stacked(frames), self._skeleton, "live")
-        reference = measure_reference(take)
-        body = measured_body(
-            take.skeleton,
-            reference.lengths,
-            reference.directions,
-            mass=self._config.mass,
-        )
+        body = measure_body(take, mass=self._config.mass)
         self._avatar = make_avatar(body, self._config)
         self._frames.clear()
 
