@@ -43,7 +43,8 @@ class Evaluate:
     """Also measure methods without a part of them: local-gp without terms of its
     energy (Liu 2016, Table 5), Shum's methods A and B beside local-pca."""
     database: Path | None = None
-    """Motion database (.npz); default: the built-in one."""
+    """Motion database (.npz) for methods that need one; default: the built-in one,
+    which the method default always has."""
     mocap_database: bool = False
     """Take the mocap of the clips that are learned from for the motion database."""
     json: Path | None = None

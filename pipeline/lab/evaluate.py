@@ -79,8 +79,8 @@ def evaluate(
         ablation: Measure also what a part of a method is worth: ``local-gp`` without
             terms of its energy (Liu 2016, Table 5), and ``local-pca`` as Shum's
             methods A and B, ``nearest`` and ``no-reliability``.
-        database: Natural postures; ``mocap``: those of the clips to learn from; by
-            default the built-in ones.
+        database: Natural postures for methods that need some, but for ``default``;
+            ``mocap``: those of the clips to learn from; by default the built-in ones.
         progress: Wraps the loops, for a progress bar.
 
     Raises:
@@ -165,6 +165,8 @@ def _correctors(
         method = METHODS[name]
         if method.made_of == "skeleton":
             correctors[name] = method.load()(skeleton)
+        elif name == "default":  # exactly what clean does
+            correctors[name] = method.load()(builtin_database(skeleton))
         elif method.made_of == "database":
             database = _postures(fold, skeleton, database, progress)
             correctors[name] = method.load()(database)
