@@ -249,7 +249,7 @@ def test_no_files_and_files_that_do_not_fit_are_refused(
         database_from_mocap([path], KINECT_V1)
     clip: Clip = make_clip(3)
     write_clip(clip, tmp_path / "clip.csv")
-    with pytest.raises(InputError, match=r"clip\.csv: no mocap: expected BVH"):
+    with pytest.raises(InputError, match=r"clip\.csv: not mocap: expected BVH"):
         database_from_mocap([tmp_path / "clip.csv"], KINECT_V1)
     with pytest.raises(InputError, match="none"):
         database_from_mocap([tmp_path / "none.bvh"], KINECT_V1)
