@@ -400,7 +400,7 @@ def test_help_has_every_command_in_a_group_with_one_sentence(
         "- lab: evaluate, simulate, reproduce, bench\n",
     ):
         assert group in printed
-    listed = re.findall(r"│ +(?:• )?(\w+) {2,}[A-Z]", printed)
+    listed = re.findall(r"(?m)^[│ ]+(?:• )?(\w+) {2,}[A-Z]", printed)
     assert listed == COMMANDS
     files = {file.stem for file in (ROOT / "pipeline" / "commands").glob("*.py")}
     assert set(listed) == files - {"__init__", "terminal"}
