@@ -109,22 +109,26 @@ class Cleaner:
         Raises:
             InputError: There is no stage of that name.
         """
-        known = [stage.name for stage in self.stages]
         others = {stage.name: stage for stage in stages}
-        if unknown := others.keys() - set(known):
-            raise InputError(
-                f"no stage {unknown.pop()!r} to replace; there are {', '.join(known)}"
-            )
+        self._check_names(*others)
         return self._with([others.get(s.name, s) for s in self.stages])
 
     def without(self, *names: str) -> Cleaner:
-        """Return a cleaner that leaves some stages out."""
+        """Return a cleaner that leaves some stages out; errors as ``replaced``."""
+        self._check_names(*names)
         return self._with([s for s in self.stages if s.name not in names])
 
     def until(self, name: str) -> Cleaner:
-        """Return a cleaner that ends with a stage."""
+        """Return a cleaner that ends with a stage; errors as ``replaced``."""
+        self._check_names(name)
         names = [stage.name for stage in self.stages]
         return self._with(self.stages[: names.index(name) + 1])
+
+    def _check_names(self, *names: str) -> None:
+        known = [stage.name for stage in self.stages]
+        for name in names:
+            if name not in known:
+                raise InputError(f"no stage {name!r}; there are {', '.join(known)}")
 
     def _with(self, stages: Sequence[Stage]) -> Cleaner:
         other = Cleaner.__new__(Cleaner)

@@ -153,8 +153,19 @@ def test_another_correction_takes_the_place_of_the_named_one(take: Take) -> None
     elbow = swapped.clip.positions[:, KINECT_V1.index("ElbowRight"), 1]
     shoulder = swapped.clip.positions[:, KINECT_V1.index("ShoulderRight"), 1]
     assert np.abs(elbow - shoulder).max() < 0.05  # a T-pose throughout
-    with pytest.raises(InputError, match=r"no stage 'raised' to replace; .*physics"):
-        Cleaner().replaced(Raised())
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda cleaner: cleaner.replaced(Raised()),
+        lambda cleaner: cleaner.without("physics", "raised"),
+        lambda cleaner: cleaner.until("raised"),
+    ],
+)
+def test_a_stage_that_is_not_there_is_refused_by_name(changed: Any) -> None:
+    with pytest.raises(InputError, match=r"no stage 'raised'; .*physics"):
+        changed(Cleaner())
 
 
 def test_without_physics_the_last_stage_is_left_out() -> None:

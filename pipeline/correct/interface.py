@@ -70,7 +70,7 @@ class Corrector:
     def start(self) -> None:
         """Forget all frames."""
 
-    def step(self, observation: Observation) -> Correction:  # noqa: ARG002
+    def step(self, observation: Observation) -> Correction:  # noqa: ARG002 - refused
         """Correct the next frame.
 
         Raises:
