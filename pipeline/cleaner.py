@@ -29,6 +29,7 @@ from .stages import (
     MeasureBody,
     MeasureCorrectedBody,
     Physics,
+    Reconstruct,
     Score,
     Stage,
     Standardize,
@@ -88,6 +89,7 @@ class Cleaner:
             Failures(),  # gross failures: sides put back, impossible limbs distrusted
             MeasureBody(config),  # how long the person's segments are
             Score(config),  # reliability of every joint
+            Reconstruct(),  # hidden limbs, from how they went and moved before
             Standardize(),  # to the standard body, root at the origin, facing +z
             Correct(config, corrector),  # unreliable joints, by offsets and local PCA
             MeasureCorrectedBody(config),  # segments again, as corrected
@@ -99,8 +101,8 @@ class Cleaner:
             Orient(),  # a rotation for every segment
             Physics(config, tracking),  # a simulated character pulled through it all
         )
-        if not config.physics:
-            self.stages = self.stages[:-1]
+        left_out = {"physics": config.physics, "reconstruct": config.reconstruct}
+        self.stages = tuple(s for s in self.stages if left_out.get(s.name, True))
         self._time: float | None = None
 
     def replaced(self, *stages: Stage) -> Cleaner:

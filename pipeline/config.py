@@ -43,6 +43,9 @@ class CleanConfig:
     cutoff: float = 6.0
     """Frequency [Hz] over which movement is smoothed away, without lag; 0: nothing,
     otherwise 0.5 or more."""
+    reconstruct: bool = True
+    """Let hidden limbs go on as they went before joints are corrected; without it,
+    the method fills them."""
     physics: bool = True
     """Pull a simulated character through the motion, so that dynamics hold."""
     feet: Literal["auto", "always", "never"] = "auto"

@@ -51,6 +51,11 @@ class Draft:
     """Reliability without the tracking state, shape (J,)."""
     deciding_term: NDArray[np.uint8] = field(init=False)
     """The reliability term that decided (Term), shape (J,)."""
+    hidden: NDArray[np.bool_] | None = None
+    """Which joints the sensor did not see, or only guessed, and ``filled`` holds from
+    their own motion, shape (J,); None where nobody reconstructs them."""
+    filled: Array = field(init=False)
+    """``measured`` with the hidden joints filled [m], shape (J, 3)."""
     standard: Array = field(init=False)
     """Joint positions [m] on the standard body, root at the origin, facing +z, NaN
     where missing, shape (J, 3)."""

@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from kinefilter.characters import Body, Origin, Tracking
+from kinefilter.characters import Body, Origin, State, Term, Tracking
+from kinefilter.characters.arrays import Array
 from kinefilter.retarget import HeadingFrame, Standardizer
 
 from .config import CleanConfig
@@ -24,6 +25,7 @@ from .failures import distrust, find_failures, unmirrored
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
+from .reconstruct import HiddenLimbTracker, fill_hidden
 from .reliability import Reference, measure_body, measure_reference, rest_reference
 from .target.floor import place_of
 
@@ -154,6 +156,32 @@ class Score(Stage):
         draft.deciding_term = found.term
 
 
+class Reconstruct(Stage):
+    """Lets limbs that the sensor did not see, or only guessed, go on as they went."""
+
+    name = "reconstruct"
+
+    def start(self, body: Body) -> None:
+        """Forget all frames."""
+        self._tracker = HiddenLimbTracker(body)
+
+    def step(self, draft: Draft) -> None:
+        """Fill the hidden joints of the next frame."""
+        draft.hidden = draft.missing | (draft.state != State.TRACKED)
+        draft.filled = self._tracker.step(
+            draft.measured, draft.hidden, float(draft.time)
+        )
+        draft.hidden &= ~np.isnan(draft.filled[:, 0])
+
+    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+        """Fill the hidden joints of a take."""
+        hidden = draft.missing | (draft.state != State.TRACKED)
+        hidden |= (draft.deciding_term == Term.FAILURE) & (draft.reliability <= 0.0)
+        draft.filled, draft.hidden = fill_hidden(
+            draft.time, draft.measured, hidden, draft.skeleton
+        )
+
+
 class Standardize(Stage):
     """Brings postures to the standard body, root at the origin, facing +z."""
 
@@ -165,16 +193,12 @@ class Standardize(Stage):
 
     def step(self, draft: Draft) -> None:
         """Bring the next frame there."""
-        draft.standard, draft.heading = self._standardizer.step(
-            draft.measured, draft.reliability
-        )
+        draft.standard, draft.heading = self._standardizer.step(*_known(draft))
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Bring a take there."""
         standardizer = Standardizer(draft.body)
-        draft.standard, draft.heading = standardizer.steps(
-            draft.measured, draft.reliability
-        )
+        draft.standard, draft.heading = standardizer.steps(*_known(draft))
 
 
 class Correct(Stage):
@@ -213,6 +237,8 @@ class Correct(Stage):
         found = self._corrector.step(self._seen(draft, self._body))
         draft.positions = self._standardizer.undo(found.positions, draft.heading)
         draft.confidence, draft.coverage = found.confidence, found.coverage
+        if draft.hidden is not None:
+            draft.confidence = np.where(draft.hidden, 0.0, found.confidence)
         draft.twist = None
         if found.rotations is not None:
             draft.twist = draft.heading.restore_rotations(found.rotations)
@@ -228,6 +254,8 @@ class Correct(Stage):
             positions = Hold(draft.skeleton).fill(positions)
         draft.positions = Standardizer(draft.body).undo(positions, draft.heading)
         draft.confidence, draft.coverage = found.confidence, found.coverage
+        if draft.hidden is not None:
+            draft.confidence = np.where(draft.hidden, 0.0, found.confidence)
         draft.twist = None
         if found.rotations is not None:
             draft.twist = np.empty(found.rotations.shape, dtype=np.float32)
@@ -236,12 +264,19 @@ class Correct(Stage):
                 draft.twist[k] = heading.restore_rotations(found.rotations[k])
         origin = np.where(found.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
         origin[draft.missing] = Origin.FILLED
+        if draft.hidden is not None:
+            origin[draft.hidden] = Origin.FILLED
         draft.origin = origin.astype(np.uint8)
 
     @staticmethod
     def _seen(draft: Draft, body: Body) -> Observation:
+        reliability, geometry = draft.reliability, draft.geometry
+        if draft.hidden is not None:
+            # What was reconstructed is the method's to correct, not to replace.
+            reliability = np.where(draft.hidden, 1.0, reliability)
+            geometry = np.where(draft.hidden, 1.0, geometry)
         return Observation(
-            draft.standard, draft.reliability, draft.geometry, draft.time, body.lengths
+            draft.standard, reliability, geometry, draft.time, body.lengths
         )
 
 
@@ -309,6 +344,12 @@ class Physics(Stage):
             draft.props = result.things.props(place)
         draft.trace = result.trace
         draft.external_force = result.trace.external_force
+
+
+def _known(draft: Draft) -> tuple[Array, Array]:
+    """Return the positions [m] of a draft's joints, and what they are worth."""
+    seen = draft.measured if draft.hidden is None else draft.filled
+    return seen, draft.reliability
 
 
 def chunks(count: int) -> Iterator[slice]:

@@ -1,0 +1,219 @@
+"""Fills what the sensor did not see: each limb goes on as it went.
+
+A gap is bridged from both ends in the heading frame, a foot that stood stays where it
+stood, and what the take itself shows of the limb's movement is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import between, rotate
+from kinefilter.retarget import HeadingFrame
+from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.retarget.runs import runs
+from kinefilter.retarget.smooth_step import smooth_step
+
+from .continuity import bridge, unit
+from .foothold import on_both_ends
+from .recall import SHORTEST, learn
+from .windows import Limb, Seen, describe
+
+PAUSE = 0.2
+"""Time without a frame [s] that ends a movement."""
+_BELIEVED = 2.0  # s from a gap's nearer end: beyond, the sensor's guess counts more
+_LONGEST = 10.0  # s: what is hidden for longer is bridged and nothing else
+_MOSTLY_SEEN = 0.9  # share of a gap's frames in which a segment has to be seen
+_TIPS = ("Hand", "Foot", "Thumb")
+_LIMBS = (("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle"))
+_STANDING = 10.0  # percentile of the ankles' heights that is taken for standing
+
+
+def fill_hidden(
+    time: Array, positions: Array, hidden: NDArray[np.bool_], skeleton: Skeleton
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return joint positions [m] with the hidden ones filled, and which those are.
+
+    Joints that were never seen stay as they are. So does what the sensor guessed long
+    after the joint was last seen and long before it is seen again.
+
+    Args:
+        time: Time stamps [s], strictly increasing, shape (T,).
+        positions: Joint positions [m], sensor frame with y up, shape (T, J, 3).
+        hidden: Which of them nobody saw, shape (T, J).
+        skeleton: The joints.
+
+    Returns:
+        Positions, shape (T, J, 3), and which of them were filled, shape (T, J).
+    """
+    hidden = hidden & ~hidden.all(axis=0)
+    if not hidden.any() or len(time) < 2:
+        return positions, hidden
+    seen = _seen(time, np.where(hidden[..., None], np.nan, positions), skeleton)
+    for gap, limb in _gaps(seen, hidden):
+        _fill_limb(seen, gap, limb)
+    for joints in limbs(skeleton):
+        _between_ends(seen, hidden, joints)
+    filled = seen.heading.restore(seen.positions)
+    trust = _trust(time, hidden)
+    guessed = ~np.isnan(positions[..., 0])
+    trust[~guessed] = 1.0
+    hidden &= (trust > 0.0) & ~np.isnan(filled[..., 0])
+    shares = trust[..., None]
+    mixed = np.where(shares < 1.0, shares * filled + (1.0 - shares) * positions, filled)
+    return np.where(hidden[..., None], mixed, positions), hidden
+
+
+def _trust(time: Array, hidden: NDArray[np.bool_]) -> Array:
+    """Return how far a filled joint is believed against the sensor's guess, (T, J)."""
+    far = np.zeros(hidden.shape)
+    for j in np.flatnonzero(hidden.any(axis=0)):
+        seen = time[~hidden[:, j]]
+        k = np.searchsorted(seen, time)
+        before = time - seen[np.maximum(k - 1, 0)]
+        after = seen[np.minimum(k, len(seen) - 1)] - time
+        far[:, j] = np.minimum(np.abs(before), np.abs(after))
+    return 1.0 - smooth_step((far - _BELIEVED) / _BELIEVED)
+
+
+def _seen(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
+    """Return a motion whose gaps, NaN, are bridged segment by segment."""
+    rate = 1.0 / float(np.median(np.diff(time)))
+    there = ~np.isnan(positions[..., 0])
+    root = positions[:, skeleton.root]
+    if there[:, skeleton.root].any():
+        root = bridge(root, there[:, skeleton.root], rate)
+    yaw = find_yaw(positions, there.astype(float), skeleton)
+    faced = ~np.isnan(yaw)
+    frames = np.arange(len(yaw))
+    if faced.any():
+        yaw = np.interp(frames, frames[faced], np.unwrap(yaw[faced]))
+    else:
+        yaw = np.zeros(len(yaw))
+    heading = HeadingFrame(root, yaw)
+    placed = heading.remove(positions)
+    parents = np.array(skeleton.parents)
+    bones = placed - placed[:, parents]
+    known = there & there[:, parents]
+    known[:, skeleton.root] = True
+    lengths, directions = np.zeros(len(skeleton)), unit(bones)
+    placed[:, skeleton.root] = 0.0
+    for j in skeleton.order[1:]:
+        if not known[:, j].any():
+            directions[:, j], lengths[j] = np.nan, np.nan
+            continue
+        lengths[j] = np.median(np.linalg.norm(bones[known[:, j], j], axis=1))
+        directions[:, j] = unit(bridge(directions[:, j], known[:, j], rate))
+        follows = placed[:, parents[j]] + lengths[j] * directions[:, j]
+        placed[:, j] = np.where(there[:, j, None], placed[:, j], follows)
+    ankles = [skeleton.index(f"Ankle{side}") for side in ("Left", "Right")]
+    heights = heading.restore(placed)[:, ankles, 1][there[:, ankles]]
+    floor = float(np.percentile(heights, _STANDING)) if len(heights) else 0.0
+    joined = np.concatenate([[True], np.diff(time) < max(PAUSE, 1.5 / rate)])
+    return Seen(
+        skeleton, rate, heading, placed, directions, known, joined, lengths, floor
+    )
+
+
+def _gaps(seen: Seen, hidden: NDArray[np.bool_]) -> Iterator[tuple[slice, Limb]]:
+    """Yield the gaps of each limb, and what of it is hidden."""
+    for joints in limbs(seen.skeleton):
+        for gap in runs(np.any(hidden[:, joints[1:]], axis=1)):
+            known = seen.known[gap].mean(axis=0)
+            known[np.isnan(seen.lengths)] = np.nan
+            limb = limb_of(seen.skeleton, joints, known)
+            if limb is not None and gap.start > 0:
+                yield gap, limb
+
+
+def limbs(skeleton: Skeleton) -> list[tuple[int, int, int]]:
+    """Return shoulder, elbow and wrist, or hip, knee and ankle, of each limb."""
+    return [
+        (
+            skeleton.index(top + side),
+            skeleton.index(middle + side),
+            skeleton.index(end + side),
+        )
+        for side in ("Left", "Right")
+        for top, middle, end in _LIMBS
+    ]
+
+
+def limb_of(
+    skeleton: Skeleton, joints: tuple[int, int, int], known: Array
+) -> Limb | None:
+    """Return what of a limb is hidden; None where it is seen.
+
+    Args:
+        skeleton: The joints.
+        joints: The limb, from the trunk outwards.
+        known: Share of a gap's frames in which each segment is seen, NaN for one that
+            never is, shape (J,).
+    """
+    gone = tuple(j for j in joints[1:] if known[j] < 0.5)
+    if not gone:
+        return None
+    visible = tuple(
+        j
+        for j in skeleton.segments.tolist()
+        if j not in joints[1:]
+        and known[j] >= _MOSTLY_SEEN
+        and not skeleton.joints[j].startswith(_TIPS)
+    )
+    is_leg = skeleton.joints[joints[0]].startswith("Hip") and joints[2] in gone
+    return Limb(gone, visible, joints if is_leg else None)
+
+
+def _fill_limb(seen: Seen, gap: slice, limb: Limb) -> None:
+    """Fill a gap of a limb in ``seen``."""
+    length, ahead = gap.stop - gap.start, gap.stop < len(seen.positions)
+    if length > _LONGEST * seen.rate:
+        return
+    start, at = np.array([gap.start]), np.arange(length)[None]
+    found = describe(seen, limb, start, length, at, ahead=ahead)
+    directions, features = found.base[0], found.features[0]
+    if length > SHORTEST * seen.rate:
+        recall = learn(seen, limb, length, features, ahead=ahead)
+        if recall is not None:
+            directions = recall(found)[0]
+    before = seen.directions[gap].copy()
+    for k, j in enumerate(limb.hidden):
+        gone = ~seen.known[gap, j]
+        seen.directions[gap, j][gone] = directions[gone, k]  # a view of the slice
+    _place(seen, gap, limb, before)
+
+
+def _place(seen: Seen, gap: slice, limb: Limb, before: Array) -> None:
+    """Put a limb's joints on their segments; hidden hands turn with their forearms."""
+    skeleton, placed = seen.skeleton, seen.positions
+    end = limb.hidden[-1]
+    tips = skeleton.beyond(end)
+    turn = between(before[:, end], seen.directions[gap, end])
+    for j in [*limb.hidden, *tips]:
+        gone, p = ~seen.known[gap, j], skeleton.parents[j]
+        if np.isnan(seen.lengths[j]):
+            continue
+        if j in tips and limb.leg is None:
+            turned = rotate(turn, before[:, j])
+            seen.directions[gap, j][gone] = turned[gone]
+        there = placed[gap, p] + seen.lengths[j] * seen.directions[gap, j]
+        placed[gap, j][gone] = there[gone]
+
+
+def _between_ends(
+    seen: Seen, hidden: NDArray[np.bool_], limb: tuple[int, int, int]
+) -> None:
+    """Put hidden elbows and knees between the ends of their limb that were seen."""
+    _, middle, end = limb
+    frames = hidden[:, middle] & ~hidden[:, end]
+    if frames.any() and np.isfinite(seen.lengths[[middle, end]]).all():
+        seen.positions[frames, middle] = on_both_ends(
+            *np.moveaxis(seen.positions[frames][:, limb], 1, 0),
+            first=seen.lengths[middle],
+            second=seen.lengths[end],
+        )

@@ -1,0 +1,214 @@
+"""Fills hidden limbs frame by frame, without looking ahead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import between, rotate
+from kinefilter.retarget import HeadingFrame
+from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.retarget.smooth_step import smooth_step
+
+from .continuity import unit
+from .hidden_limbs import PAUSE, limb_of, limbs
+from .recall import Recall, learn
+from .windows import Limb, Seen, describe
+
+_MEMORY = 1800  # frames that are learned from: a minute at 30 Hz
+_LEARNS = 0.1  # s that a limb is hidden before it is worth learning about
+_JOINS = 0.2  # s in which a limb that is seen again is joined
+_FADES = 0.1  # s in which what was learned comes in
+_STRETCH = 1.5  # s hidden, in what is learned from
+_RATE = 30.0  # Hz, until the stream shows its own
+_STANDING = 10.0  # percentile of the ankles' heights that is taken for standing
+
+
+@dataclass(eq=False)
+class _Gap:
+    """A limb that is hidden now."""
+
+    limb: Limb
+    start: int
+    time: float
+    floor: float
+    recall: Recall | None = None
+    learned: float | None = None
+
+
+class HiddenLimbTracker:
+    """Fills the joints of each frame that nobody saw from those before.
+
+    A limb comes to rest as it went, a foot that stood stays, and what the last minute
+    shows of the limb's movement is added. When it is seen again, it is joined within
+    a fifth of a second.
+
+    Args:
+        body: The person.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._body, self._limbs = body, limbs(body.skeleton)
+        self._parents = np.array(body.skeleton.parents)
+        self.start()
+
+    def start(self) -> None:
+        """Forget all frames."""
+        n = len(self._body.skeleton)
+        self._count, self._gaps = 0, dict[int, _Gap]()
+        self._times = np.zeros(2 * _MEMORY)
+        self._root, self._yaw = np.zeros((2 * _MEMORY, 3)), np.zeros(2 * _MEMORY)
+        self._positions = np.zeros((2 * _MEMORY, n, 3))
+        self._directions = np.zeros((2 * _MEMORY, n, 3))
+        self._known = np.zeros((2 * _MEMORY, n), dtype=np.bool_)
+        self._joined = np.zeros(2 * _MEMORY, dtype=np.bool_)
+        self._offset, self._since = np.zeros((n, 3)), np.full(n, np.inf)
+        self._filled, self._ever = np.zeros((2, n), dtype=np.bool_)
+
+    def step(self, positions: Array, hidden: NDArray[np.bool_], time: float) -> Array:
+        """Return the next frame's joint positions [m] with the hidden ones filled.
+
+        Args:
+            positions: Joint positions [m], sensor frame with y up, shape (J, 3).
+            hidden: Which of them nobody saw, shape (J,).
+            time: Time stamp [s], later than the last.
+        """
+        skeleton, k = self._body.skeleton, self._remember(time)
+        there = ~hidden
+        root, yaw = (
+            positions[skeleton.root],
+            find_yaw(positions, there.astype(float), skeleton),
+        )
+        if hidden[skeleton.root] or np.isnan(root).any():
+            root = self._root[k - 1]
+        if np.isnan(yaw):
+            yaw = self._yaw[k - 1]
+        self._root[k], self._yaw[k] = root, yaw
+        heading = HeadingFrame(root, np.asarray(yaw))
+        placed = heading.remove(positions)
+        known = there & there[self._parents]
+        known[skeleton.root] = True
+        directions = unit(placed - placed[self._parents])
+        last = self._directions[k - 1] if k else self._body.directions
+        directions[~known] = last[~known]
+        self._known[k], self._directions[k] = known, directions
+        self._positions[k] = self._placed(placed, there, directions)
+        for limb, joints in enumerate(self._limbs):
+            if hidden[list(joints[1:])].any() and k:
+                self._continue(limb, joints, k)
+            else:
+                self._gaps.pop(limb, None)
+        filled = self._placed(placed, there, self._directions[k])
+        self._positions[k] = self._joining(filled, hidden, time - self._times[k - 1])
+        self._count += 1
+        self._ever |= there
+        found = heading.restore(self._positions[k])
+        found[~self._ever] = np.nan
+        return found
+
+    def _remember(self, time: float) -> int:
+        """Make room for the next frame and return its row."""
+        if self._count == 2 * _MEMORY:
+            for array in (
+                self._times,
+                self._root,
+                self._yaw,
+                self._positions,
+                self._directions,
+                self._known,
+                self._joined,
+            ):
+                array[:_MEMORY] = array[_MEMORY:]
+            self._count = _MEMORY
+            for gap in self._gaps.values():
+                gap.start = max(gap.start - _MEMORY, 1)
+        k = self._count
+        self._times[k] = time
+        self._joined[k] = k == 0 or time - self._times[k - 1] < PAUSE
+        return k
+
+    def _placed(
+        self, placed: Array, there: NDArray[np.bool_], directions: Array
+    ) -> Array:
+        """Return a frame with its hidden joints on their segments, (J, 3)."""
+        found = placed.copy()
+        found[self._body.skeleton.root] = 0.0
+        for j in self._body.skeleton.order[1:]:
+            if not there[j]:
+                parent = found[self._parents[j]]
+                found[j] = parent + self._body.lengths[j] * directions[j]
+        return found
+
+    def _continue(self, key: int, joints: tuple[int, int, int], k: int) -> None:
+        """Move a hidden limb on in the frame of row k."""
+        limb = limb_of(self._body.skeleton, joints, self._known[k].astype(float))
+        if limb is None:
+            return
+        time, gap = float(self._times[k]), self._gaps.get(key)
+        if gap is None or gap.limb != limb:
+            since = (k, time) if gap is None else (gap.start, gap.time)
+            gap = self._gaps[key] = _Gap(limb, *since, self._floor(k))
+        seen = self._seen(k + 1, gap.floor)
+        start, at = np.array([gap.start]), np.array([[k - gap.start]])
+        found = describe(seen, limb, start, k - gap.start + 1, at, ahead=False)
+        directions = found.base[0]
+        if gap.learned is None and time - gap.time >= _LEARNS:
+            frames = round(_STRETCH * seen.rate)
+            gap.recall = learn(seen, limb, frames, None, ahead=False)
+            gap.learned = time
+        if gap.recall is not None and gap.learned is not None:
+            share = smooth_step(np.array(min((time - gap.learned) / _FADES, 1.0)))
+            recalled = gap.recall(found)[0]
+            directions = unit(directions + share * (recalled - directions))
+        before = self._directions[k].copy()
+        for i, j in enumerate(limb.hidden):
+            self._directions[k, j] = directions[0, i]
+        end = limb.hidden[-1]
+        if limb.leg is None:
+            turn = between(before[end], self._directions[k, end])
+            for j in self._body.skeleton.beyond(end):
+                if not self._known[k, j]:
+                    self._directions[k, j] = rotate(turn, before[j])
+
+    def _floor(self, count: int) -> float:
+        """Return the height of a standing ankle [m]."""
+        ankles = [joints[2] for joints in self._limbs[1::2]]
+        heights = self._positions[:count, ankles, 1] + self._root[:count, 1, None]
+        return float(np.percentile(heights, _STANDING))
+
+    def _seen(self, count: int, floor: float) -> Seen:
+        """Return what was seen so far."""
+        steps = np.diff(self._times[max(count - 30, 0) : count])
+        rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
+        return Seen(
+            self._body.skeleton,
+            rate,
+            HeadingFrame(self._root[:count], self._yaw[:count]),
+            self._positions[:count],
+            self._directions[:count],
+            self._known[:count],
+            self._joined[:count],
+            self._body.lengths,
+            floor,
+        )
+
+    def _joining(
+        self, filled: Array, hidden: NDArray[np.bool_], elapsed: float
+    ) -> Array:
+        """Return a frame in which limbs that are seen again are joined smoothly."""
+        k = self._count
+        back = self._filled & ~hidden
+        if back.any():
+            self._offset[back] = self._positions[k - 1][back] - filled[back]
+            self._since[back] = 0.0
+        self._filled = hidden.copy()
+        self._since += elapsed if k else 0.0
+        joining = (self._since < _JOINS) & ~hidden
+        if joining.any():
+            left = 1.0 - smooth_step(self._since[joining] / _JOINS)
+            filled[joining] += left[:, None] * self._offset[joining]
+        return filled

@@ -1,0 +1,226 @@
+"""A hidden limb over a stretch of time: what is seen meanwhile, and how it goes on.
+
+The same description serves the gap itself and stretches of the take in which the limb
+was seen, from which ``recall`` learns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.retarget import HeadingFrame
+
+from .continuity import CONTEXT, SPEED_FRAMES, bridge_matrix, coast, unit
+from .foothold import bent, hold_place, standing
+
+# Length scale of each feature: how much of it makes postures unlike. From experiments
+# on people 1 to 3 of six; halving or doubling any one of them changes little.
+_SEEN_CHANGE = 0.5  # m, of a visible segment since the limb was last seen
+_ROOT_CHANGE = 2.2  # m, of the root
+_SEEN_SPEED = 8.0  # m/s, of a visible segment
+_SEEN = 1.5  # m, of a visible segment itself
+_END = 1.5  # of a hidden segment's direction when last (and next) seen
+_END_SPEED = 12.0  # 1/s, of that direction's velocity
+_TIME = 0.5  # s since the limb was last seen, and until it is next seen
+_HELD = 1.5  # of what holding the foot in place does to a direction
+_STANDING_TIME = 0.27  # s before and after a gap that tell whether a foot stands
+
+
+@dataclass(frozen=True)
+class Limb:
+    """A limb of which something is hidden."""
+
+    hidden: tuple[int, ...]
+    """Its hidden segments, from the trunk outwards, hands and feet left out."""
+    visible: tuple[int, ...]
+    """Segments of the body that are seen meanwhile."""
+    leg: tuple[int, int, int] | None
+    """Hip, knee and ankle, if it is a leg with a hidden ankle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A motion as far as it is known, gaps bridged; arrays as in a take."""
+
+    skeleton: Skeleton
+    """The joints."""
+    rate: float
+    """Frame rate [Hz]."""
+    heading: HeadingFrame
+    """Where the root is and where the body faces, shape (T,)."""
+    positions: Array
+    """Joint positions [m] in the heading frame, shape (T, J, 3)."""
+    directions: Array
+    """Directions of the segments in the heading frame, shape (T, J, 3)."""
+    known: NDArray[np.bool_]
+    """Whether both ends of each segment were seen, shape (T, J)."""
+    joined: NDArray[np.bool_]
+    """Whether each frame follows the one before without a pause, shape (T,)."""
+    lengths: Array
+    """Segment lengths [m], shape (J,)."""
+    floor: float
+    """Height of a standing ankle [m]."""
+
+    def bones(self, segments: tuple[int, ...], frames: NDArray[np.intp]) -> Array:
+        """Return segments as vectors [m], shape (..., S, 3) for frames (...)."""
+        ends = self.positions[frames][..., list(segments), :]
+        parents = [self.skeleton.parents[j] for j in segments]
+        return np.asarray(ends - self.positions[frames][..., parents, :])
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """A limb in some frames of some stretches of time."""
+
+    features: Array
+    """What tells where it goes, shape (W, M, F)."""
+    base: Array
+    """Directions of its hidden segments as they would go on, shape (W, M, H, 3)."""
+    still: Array
+    """Those that they would have without the speed they had, shape (W, M, H, 3)."""
+    truth: Array
+    """Their directions in the motion, shape (W, M, H, 3)."""
+
+
+def describe(
+    seen: Seen,
+    limb: Limb,
+    starts: NDArray[np.intp],
+    length: int,
+    at: NDArray[np.intp],
+    *,
+    ahead: bool,
+) -> Windows:
+    """Describe stretches in which a limb is, or is taken to be, hidden.
+
+    Args:
+        seen: The motion.
+        limb: What is hidden of it.
+        starts: First hidden frame of each stretch, shape (W,).
+        length: Hidden frames of each stretch.
+        at: Which of its frames are described, from 0 on, shape (W, M).
+        ahead: Whether what comes after the stretch is known.
+    """
+    hidden, count = list(limb.hidden), len(seen.positions)
+    frames = starts[:, None] + at
+    last, after = starts[:, None] - 1, np.minimum(starts[:, None] + length, count - 1)
+    time = np.stack([at + 1.0, length - at + 0.0]) / seen.rate
+    share = (time[0] / time.sum(axis=0))[..., None]
+
+    def flat(values: Array) -> Array:
+        """Return the vectors (..., S, 3) of some frames as rows (..., 3 S)."""
+        return values.reshape(*values.shape[:-2], -1)
+
+    def change(values: Array, before: Array, later: Array) -> Array:
+        """Return how values (W, M, C) differ from those at the ends, (W, 1, C)."""
+        return values - before - (share * (later - before) if ahead else 0.0)
+
+    def bones(which: NDArray[np.intp]) -> Array:
+        return flat(seen.bones(limb.visible, which))
+
+    def pointing(which: NDArray[np.intp]) -> Array:
+        return flat(seen.directions[which][..., hidden, :])
+
+    visible = bones(frames)
+    past = bones(np.maximum(frames - 1, 0))
+    speeds = seen.rate * (visible - past)
+    if ahead:
+        following = bones(np.minimum(frames + 1, count - 1))
+        speeds = 0.5 * seen.rate * (following - past)
+    roots = seen.heading.root
+    root = HeadingFrame(np.zeros(3), seen.heading.yaw[frames]).remove(
+        change(roots[frames], roots[last], roots[after])[..., None, :]
+    )
+    per_second = seen.rate / SPEED_FRAMES
+    end = pointing(last)
+    end_speed = per_second * (end - pointing(np.maximum(last - SPEED_FRAMES, 0)))
+    features = [
+        change(visible, bones(last), bones(after)) / _SEEN_CHANGE,
+        root[..., 0, :] / _ROOT_CHANGE,
+        speeds / _SEEN_SPEED,
+        visible / _SEEN,
+        end / _END,
+        end_speed / _END_SPEED,
+        time[0][..., None] / _TIME,
+    ]
+    if ahead:
+        context = max(round(CONTEXT * seen.rate), 2)
+        around = np.concatenate(
+            [np.arange(-context, 0), np.arange(length, length + context)]
+        )
+        around = np.clip(starts[:, None] + around, 0, count - 1)
+        matrix = bridge_matrix(length, context, seen.rate)[at]
+        base = np.einsum("wmk,wkc->wmc", matrix, pointing(around))
+        begin = pointing(after)
+        later = pointing(np.minimum(after + SPEED_FRAMES, count - 1))
+        features += [
+            begin / _END,
+            per_second * (later - begin) / _END_SPEED,
+            time[1][..., None] / _TIME,
+        ]
+    else:
+        base, begin = coast(end, end_speed, time[0][..., None]), end
+    still = end + share * (begin - end) if ahead else np.broadcast_to(end, base.shape)
+    base, still = (unit(d.reshape(*frames.shape, -1, 3)) for d in (base, still))
+    if limb.leg is not None:
+        held = [
+            _on_foot(seen, limb, frames, (last, after), time, d, ahead=ahead)
+            for d in (base, still)
+        ]
+        features.append((held[0] - base).reshape(*frames.shape, -1) / _HELD)
+        base, still = held
+    wide = [np.broadcast_to(f, (*frames.shape, f.shape[-1])) for f in features]
+    truth = seen.directions[frames][..., hidden, :]
+    return Windows(np.concatenate(wide, axis=2), base, still, truth)
+
+
+def _on_foot(
+    seen: Seen,
+    limb: Limb,
+    frames: NDArray[np.intp],
+    ends: tuple[NDArray[np.intp], NDArray[np.intp]],
+    time: Array,
+    base: Array,
+    *,
+    ahead: bool,
+) -> Array:
+    """Return a leg's directions with its ankle held where it stood, as ``base``."""
+    assert limb.leg is not None
+    hip, knee, ankle = limb.leg
+    count, (last, after) = len(seen.positions), ends
+    far = max(round(_STANDING_TIME * seen.rate), 2)
+
+    def world(which: NDArray[np.intp]) -> Array:
+        """Return the ankle's place [m] in frames, clipped to the motion."""
+        which = np.clip(which, 0, count - 1)
+        place = seen.positions[which, ankle][..., None, :]
+        frame = HeadingFrame(seen.heading.root[which], seen.heading.yaw[which])
+        return np.asarray(frame.restore(place)[..., 0, :])
+
+    stood = standing(world(last + np.arange(1 - far, 1)), seen.rate, seen.floor)
+    stands = standing(world(after + np.arange(far)), seen.rate, seen.floor)
+    place, firm = hold_place(
+        world(last),
+        world(after) if ahead else None,
+        stood[:, None],
+        stands[:, None],
+        time,
+    )
+    frame = HeadingFrame(seen.heading.root[frames], seen.heading.yaw[frames])
+    place = frame.remove(place[..., None, :])[..., 0, :]
+    thigh, shin = seen.lengths[knee], seen.lengths[ankle]
+    hips = seen.positions[frames, hip]
+    if knee not in limb.hidden:
+        knees = seen.positions[frames, knee]
+        ankles = knees + shin * base[..., -1, :]
+        return unit(ankles + firm[..., None] * (place - ankles) - knees)[..., None, :]
+    knees = hips + thigh * base[..., 0, :]
+    ankles = knees + shin * base[..., 1, :]
+    goal = ankles + firm[..., None] * (place - ankles)
+    knees, ankles = bent(hips, knees, ankles, goal, thigh, shin)
+    return unit(np.stack([knees - hips, ankles - knees], axis=-2))

@@ -1,0 +1,265 @@
+"""Limbs that the sensor did not see go on as they went, and as they moved before."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from real_data import PAIRS, paired
+
+from kinefilter import CleanConfig, Cleaner
+from kinefilter.characters import KINECT_V1, State, Take, standard_body
+from kinefilter.pipeline.pairs import read_pairs
+from kinefilter.pipeline.reconstruct import HiddenLimbTracker, fill_hidden
+from kinefilter.pipeline.reconstruct.continuity import (
+    bridge,
+    bridge_matrix,
+    coast,
+)
+from kinefilter.pipeline.reconstruct.foothold import bent, on_both_ends
+from kinefilter.pipeline.reconstruct.recall import Process
+
+Array = NDArray[np.float64]
+RATE = 30.0
+BODY = standard_body(KINECT_V1)
+ARM = [KINECT_V1.index(f"{part}Right") for part in ("Elbow", "Wrist", "Hand")]
+LEG = [KINECT_V1.index(f"{part}Left") for part in ("Knee", "Ankle", "Foot")]
+
+
+def waving(count: int, *, period: float = 2.0, together: bool = True) -> Array:
+    """Return somebody who lifts both arms at once and lowers them, (T, J, 3)."""
+    time = np.arange(count) / RATE
+    swing = 0.7 - 0.7 * np.cos(2.0 * np.pi * time / period)
+    frames = np.repeat(BODY.rest_positions[None], count, axis=0) + [0.0, 1.0, 2.5]
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        angle = swing if together or side == "Right" else np.zeros(count)
+        bone = np.stack([sign * np.sin(angle), -np.cos(angle), 0.2 + 0.0 * angle], 1)
+        bone /= np.linalg.norm(bone, axis=1, keepdims=True)
+        at = frames[:, KINECT_V1.index(f"Shoulder{side}")]
+        for part in ("Elbow", "Wrist", "Hand"):
+            j = KINECT_V1.index(part + side)
+            at = frames[:, j] = at + BODY.lengths[j] * bone
+    return frames
+
+
+def hidden_in(count: int, joints: list[int], *gaps: slice) -> NDArray[np.bool_]:
+    hidden = np.zeros((count, len(KINECT_V1)), dtype=np.bool_)
+    for gap in gaps:
+        hidden[gap, joints] = True
+    return hidden
+
+
+def filled(positions: Array, hidden: NDArray[np.bool_]) -> Array:
+    time = np.arange(len(positions)) / RATE
+    empty = np.where(hidden[..., None], np.nan, positions)
+    return fill_hidden(time, empty, hidden, KINECT_V1)[0]
+
+
+def error(found: Array, truth: Array, gap: slice, joints: list[int]) -> float:
+    away = np.linalg.norm(found[gap][:, joints] - truth[gap][:, joints], axis=2)
+    return float(away.mean())
+
+
+@given(st.integers(2, 60), st.integers(1, 40), st.sampled_from([15.0, 30.0, 60.0]))
+def test_what_moves_evenly_goes_on_evenly(before: int, gap: int, rate: float) -> None:
+    even = np.arange(before + gap + before)[:, None] * np.array([0.3, -1.0]) + 2.0
+    known = np.ones(len(even), dtype=np.bool_)
+    known[before : before + gap] = False
+    empty = np.where(known[:, None], even, np.nan)
+    np.testing.assert_allclose(bridge(empty, known, rate), even, atol=1e-6)
+
+
+def test_the_bridge_is_a_linear_map_of_the_frames_around_it() -> None:
+    ends = np.random.default_rng(1).normal(size=(12, 3))
+    known = np.ones(32, dtype=np.bool_)
+    known[6:26] = False
+    values = np.zeros((32, 3))
+    values[known] = ends
+    expected = bridge(values, known, RATE)[~known]
+    np.testing.assert_allclose(bridge_matrix(20, 6, RATE) @ ends, expected, atol=1e-9)
+
+
+def test_what_coasts_starts_with_its_speed_and_comes_to_rest() -> None:
+    last, velocity = np.array([1.0, 2.0]), np.array([0.5, -1.0])
+    soon = coast(last, velocity, np.array([[1e-6]]))[0]
+    np.testing.assert_allclose((soon - last) / 1e-6, velocity, rtol=1e-4)
+    late = [coast(last, velocity, np.array([[t]]))[0] for t in (20.0, 30.0)]
+    np.testing.assert_allclose(late[0], late[1], atol=1e-12)
+    assert np.linalg.norm(late[0] - last) < 0.3
+
+
+@given(st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3))
+def test_a_leg_reaches_its_goal_with_its_own_lengths(shift: list[float]) -> None:
+    hip = np.array([0.1, 0.9, 0.0])
+    knee, ankle = hip + [0.0, -0.4, 0.05], hip + [0.0, -0.75, 0.0]
+    thigh, shin = (float(np.linalg.norm(v)) for v in (knee - hip, ankle - knee))
+    goal = hip + np.array([0.0, -0.6, 0.0]) + 0.4 * np.array(shift)
+    new_knee, new_ankle = bent(hip, knee, ankle, goal, thigh, shin)
+    if np.linalg.norm(goal - hip) < 0.99 * (thigh + shin):
+        np.testing.assert_allclose(new_ankle, goal, atol=1e-9)
+        between = on_both_ends(hip, new_knee, new_ankle, first=thigh, second=shin)
+        assert abs(np.linalg.norm(between - hip) - thigh) < 1e-9
+        assert abs(np.linalg.norm(between - new_ankle) - shin) < 1e-9
+
+
+def test_a_leg_whose_ankle_is_where_it_should_be_stays() -> None:
+    hip, knee, ankle = np.eye(3)
+    found = bent(hip, knee, ankle, ankle, 0.4, 0.4)
+    np.testing.assert_allclose(found, [knee, ankle], atol=1e-12)
+
+
+def test_the_process_agrees_with_scikit_learn() -> None:
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF
+
+    rng = np.random.default_rng(0)
+    features, targets, queries = (
+        rng.normal(size=shape) for shape in ((40, 3), (40, 2), (9, 3))
+    )
+    process = Process.of(features, targets)
+    other = GaussianProcessRegressor(RBF(1.0), alpha=0.3**2, optimizer=None)
+    mean, sigma = other.fit(features, targets).predict(queries, return_std=True)
+    expected = mean * (1.0 - sigma[:, :1] ** 2)
+    np.testing.assert_allclose(process.predict(queries), expected, atol=1e-9)
+
+
+def test_a_take_without_hidden_joints_stays_as_it_is() -> None:
+    positions = waving(60)
+    hidden = hidden_in(60, ARM)
+    found, which = fill_hidden(np.arange(60) / RATE, positions, hidden, KINECT_V1)
+    assert found is positions
+    assert not which.any()
+
+
+def test_seen_joints_stay_and_filled_ones_are_on_their_segments() -> None:
+    truth, gap = waving(90), slice(30, 60)
+    hidden = hidden_in(90, ARM, gap)
+    found = filled(truth, hidden)
+    np.testing.assert_array_equal(found[~hidden], truth[~hidden])
+    for j in ARM:
+        bones = found[gap, j] - found[gap, KINECT_V1.parents[j]]
+        np.testing.assert_allclose(
+            np.linalg.norm(bones, axis=1), BODY.lengths[j], rtol=1e-6
+        )
+
+
+def test_an_arm_that_was_seen_before_moves_as_it_did_then() -> None:
+    """The other arm moves with it, which the rest of the take shows."""
+    truth, gap = waving(600), slice(310, 350)
+    alone = filled(truth[280:380], hidden_in(100, ARM, slice(30, 70)))
+    found = filled(truth, hidden_in(600, ARM, gap))
+    bridged = error(alone, truth[280:380], slice(30, 70), ARM)
+    assert error(found, truth, gap, ARM) < 0.25 * bridged
+
+
+def test_a_foot_that_stood_stays_while_the_body_sinks() -> None:
+    truth = np.repeat(BODY.rest_positions[None], 90, axis=0) + [0.0, 1.0, 2.5]
+    sinks = 0.25 * (1.0 - np.cos(2.0 * np.pi * np.arange(90) / 90))
+    truth[..., 1] -= sinks[:, None]
+    for side in ("Left", "Right"):
+        hip, knee, ankle, foot = (
+            KINECT_V1.index(part + side) for part in ("Hip", "Knee", "Ankle", "Foot")
+        )
+        truth[:, [ankle, foot]] = truth[0, [ankle, foot]]
+        truth[:, knee] = on_both_ends(
+            truth[:, hip],
+            truth[:, knee],
+            truth[:, ankle],
+            first=BODY.lengths[knee],
+            second=BODY.lengths[ankle],
+        )
+    gap = slice(20, 70)
+    found = filled(truth, hidden_in(90, LEG, gap))
+    assert error(found, truth, gap, LEG[:2]) < 0.03
+    held = np.linalg.norm(found[gap, LEG[1]] - truth[0, LEG[1]], axis=1)
+    assert held.max() < 0.06
+
+
+def test_a_hidden_knee_is_between_hip_and_ankle() -> None:
+    truth = waving(60)
+    found = filled(truth, hidden_in(60, LEG[:1], slice(20, 40)))
+    np.testing.assert_array_equal(found[:, LEG[1]], truth[:, LEG[1]])
+    thigh = np.linalg.norm(found[20:40, LEG[0]] - found[20:40, 12], axis=1)
+    np.testing.assert_allclose(thigh, BODY.lengths[LEG[0]], rtol=1e-3)
+
+
+def test_a_joint_that_was_never_seen_is_left_to_the_method() -> None:
+    positions = waving(60)
+    hidden = hidden_in(60, ARM[2:], slice(None))
+    positions[:, ARM[2]] = np.nan
+    found, which = fill_hidden(np.arange(60) / RATE, positions, hidden, KINECT_V1)
+    assert np.isnan(found[:, ARM[2]]).all()
+    assert not which.any()
+
+
+@pytest.mark.parametrize("guess", [0.0, 0.3])
+def test_wrong_guesses_count_as_little_as_nothing(guess: float) -> None:
+    """What a sensor says of a limb that it only inferred does not show."""
+    truth, gap = waving(300), slice(130, 170)
+    hidden = hidden_in(300, ARM, gap)
+    state = np.where(hidden, State.INFERRED, State.TRACKED).astype(np.uint8)
+    wrong = truth + guess * hidden[..., None]
+    time = np.arange(300) / RATE
+    cleaner = Cleaner(CleanConfig(physics=False)).until("reconstruct")
+    found = cleaner.whole(Take(time, wrong, state, KINECT_V1, "take")).filled
+    np.testing.assert_allclose(found, filled(truth, hidden), atol=1e-9)
+
+
+def tracked(positions: Array, hidden: NDArray[np.bool_]) -> Array:
+    tracker = HiddenLimbTracker(BODY)
+    empty = np.where(hidden[..., None], np.nan, positions)
+    frames = zip(empty, hidden, strict=True)
+    return np.array([tracker.step(f, h, k / RATE) for k, (f, h) in enumerate(frames)])
+
+
+def test_frame_by_frame_seen_joints_stay_and_limbs_are_joined_soon() -> None:
+    truth, gap = waving(330), slice(250, 290)
+    hidden = hidden_in(330, ARM, gap)
+    found = tracked(truth, hidden)
+    others = [j for j in range(len(KINECT_V1)) if j not in ARM]
+    np.testing.assert_allclose(found[:, others], truth[:, others], atol=1e-12)
+    np.testing.assert_allclose(found[297:, ARM], truth[297:, ARM], atol=1e-12)
+    steps = np.linalg.norm(np.diff(found[:, ARM], axis=0), axis=2)
+    fastest = np.linalg.norm(np.diff(truth[:, ARM], axis=0), axis=2).max()
+    assert steps.max() < 3.0 * fastest
+
+
+def test_frame_by_frame_repetitions_teach() -> None:
+    truth, gap = waving(330), slice(250, 290)
+    learned = tracked(truth, hidden_in(330, ARM, gap))
+    still = truth[gap.start - 1, ARM] - truth[gap.start - 1, ARM[0] - 1]
+    held = truth[gap, None, ARM[0] - 1] + still
+    away = np.linalg.norm(held - truth[gap][:, ARM], axis=2).mean()
+    assert error(learned, truth, gap, ARM) < 0.5 * away
+
+
+def test_memory_of_a_long_stream_is_bounded_and_goes_on() -> None:
+    count = 3700
+    truth = waving(count)
+    hidden = hidden_in(count, ARM, slice(3590, 3630))
+    found = tracked(truth, hidden)
+    assert np.isfinite(found).all()
+    still = np.linalg.norm(truth[3590:3630, ARM] - truth[3589, ARM], axis=2).mean()
+    assert error(found, truth, slice(3590, 3630), ARM) < 0.5 * still
+
+
+@paired
+def test_hidden_limbs_of_recorded_people_are_nearer_than_held_ones() -> None:
+    """One of the six; what is chosen was chosen on others."""
+    ours, holding = {"arm": 0.0, "leg": 0.0}, {"arm": 0.0, "leg": 0.0}
+    for pair in read_pairs(PAIRS / "s08.npz")[::12]:
+        truth = pair.take.positions
+        gap = slice(round(0.225 * len(truth)), round(0.775 * len(truth)))
+        for name, limb in (("arm", ARM), ("leg", LEG)):
+            hidden = np.isnan(truth[..., 0]) | hidden_in(len(truth), limb, gap)
+            found = filled(truth, hidden)
+            top = KINECT_V1.parents[limb[0]]
+            last = truth[gap.start - 1, limb] - truth[gap.start - 1, top]
+            held = truth.copy()
+            held[gap, limb] = truth[gap, top, None] + last
+            ours[name] += error(found, truth, gap, limb[:2])
+            holding[name] += error(held, truth, gap, limb[:2])
+    assert ours["arm"] < 0.75 * holding["arm"]
+    assert ours["leg"] < 0.6 * holding["leg"]
