@@ -264,8 +264,6 @@ class Correct(Stage):
                 draft.twist[k] = heading.restore_rotations(found.rotations[k])
         origin = np.where(found.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
         origin[draft.missing] = Origin.FILLED
-        if draft.hidden is not None:
-            origin[draft.hidden] = Origin.FILLED
         draft.origin = origin.astype(np.uint8)
 
     @staticmethod
