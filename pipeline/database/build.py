@@ -169,7 +169,7 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     motion = kinect_motion(mocap, skeleton, RIGS)
     positions, step = motion.positions, 1.0 / POSTURES_PER_SECOND
     whole = _whole(positions)
-    frames = np.flatnonzero(whole)[:: max(1, round(step / motion.frame_time))]
+    frames = np.flatnonzero(whole)[:: max(1, round(step / mocap.frame_time))]
     if not len(frames):
         raise InputError(
             f"{mocap.source}: no frame has all joints; give motion of a whole body"

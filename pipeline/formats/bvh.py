@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NoReturn
 
 import numpy as np
 
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array, freeze
-from kinefilter.characters.rotations import multiply, rotate
+from kinefilter.characters.rotations import (
+    IDENTITY,
+    about_x,
+    about_y,
+    about_z,
+    multiply,
+    rotate,
+)
 
 from .files import open_text
-from .rows import RowReader
+from .rows import LARGEST_NUMBER, LineReader, RowReader
 
 MOST_CELLS = 20_000_000
 """Joints times frames at most: an hour of 75 joints at 60 frames a second."""
-LARGEST_NUMBER = 1e9
-"""Of lengths and angles at most, whatever their unit; a damaged number may be more."""
 _MOST_JOINTS = 1000
 _MOST_CHANNELS = 6
 _FRAME_TIMES = (1e-4, 60.0)  # s, what any recorder could mean
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
-_Lines = Iterator[tuple[int, str]]
 _UNITS = (1.0, 0.01, 0.001, 0.0254)  # m, cm, mm, inches
 _LEG = 0.86  # m: thigh and shin of a body of 1.75 m (Winter 2009, figure 4.1)
 
@@ -121,14 +123,10 @@ def wxyz_from_euler(angles: Array, axes: str) -> Array:
     The axes are a node's own: of ``ZYX``, the first angle turns about z, the second
     about the turned y.
     """
-    half = np.asarray(angles, dtype=np.float64) / 2.0
-    rotation = np.zeros((*half.shape[:-1], 4))
-    rotation[..., 0] = 1.0
+    about = {"X": about_x, "Y": about_y, "Z": about_z}
+    rotation = np.tile(IDENTITY, (*np.shape(angles)[:-1], 1))
     for k, axis in enumerate(axes):
-        turn = np.zeros_like(rotation)
-        turn[..., 0] = np.cos(half[..., k])
-        turn[..., 1 + "XYZ".index(axis)] = np.sin(half[..., k])
-        rotation = multiply(rotation, turn)
+        rotation = multiply(rotation, about[axis](angles[..., k]))
     return rotation
 
 
@@ -136,14 +134,13 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
     """Read a BVH file, gzipped or not; raises InputError, which names the line."""
     source = os.fspath(path)
     with open_text(path) as file:
-        lines = enumerate(file, start=1)
-        tree = _Hierarchy(source)
-        tree.read(lines)
-        frames = _header_number(lines, "Frames:", source)
-        frame_time = _header_number(lines, "Frame Time:", source)
-        if frames * len(tree.names) > MOST_CELLS:
+        reader = _BvhReader(source, file)
+        reader.read_hierarchy()
+        frames = reader.header("Frames:")
+        frame_time = reader.header("Frame Time:")
+        if frames * len(reader.names) > MOST_CELLS:
             raise InputError(
-                f"{source}: {frames:g} frames of {len(tree.names)} joints are more "
+                f"{source}: {frames:g} frames of {len(reader.names)} joints are more "
                 "than any recording has; correct 'Frames:' or cut it into shorter files"
             )
         if not _FRAME_TIMES[0] <= frame_time <= _FRAME_TIMES[1]:
@@ -151,81 +148,36 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
                 f"{source}: frame time is {frame_time:g} s, expected one between two "
                 "frames of a recording, such as 0.0333; correct 'Frame Time:'"
             )
-        motion = _motion(lines, tree, frames)
+        motion = reader.motion(frames)
     return Bvh(
-        tuple(tree.names),
-        tuple(tree.parents),
-        np.array(tree.offsets),
-        tuple(tree.channels),
+        tuple(reader.names),
+        tuple(reader.parents),
+        np.array(reader.offsets),
+        tuple(reader.channels),
         frame_time,
         motion,
     )
 
 
-def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> Array:
-    columns = tuple(
-        f"{name}.{channel}"
-        for name, channels in zip(tree.names, tree.channels, strict=True)
-        for channel in channels
-    )
-    reader = RowReader(tree.source, columns)
-    motion, last = [np.empty((0, len(columns)))], tree.row + 2
-    count = 0
-    for block in reader.blocks((line for _, line in lines), tree.row + 3):
-        unknown, large = np.isnan(block.values), np.abs(block.values) > LARGEST_NUMBER
-        for column in np.flatnonzero((unknown | large).any(axis=0)).tolist():
-            words = "is not a number; expected one"
-            reader.refuse(block, column, unknown[:, column], words)
-            words = "is {:.3g}; delete the frame"
-            reader.refuse(block, column, large[:, column], words)
-        motion.append(block.values)
-        count, last = count + len(block.values), int(block.rows[-1])
-        if count > frames:
-            break  # whatever follows, the header is wrong
-    if count != frames:
-        raise InputError(
-            f"{tree.source}: line {last} ends the motion after {count} frames, "
-            f"expected {frames:g}; the file may be cut off, or correct 'Frames:'"
-        )
-    return np.concatenate(motion)
-
-
-def _header_number(lines: _Lines, key: str, source: str) -> float:
-    row, line = next(lines, (0, ""))
-    words, value = key.split(), line.split()
-    try:
-        number = float(value[-1])
-    except (IndexError, ValueError):
-        number = -1.0
-    if value[:-1] != words or not 0 < number < np.inf:
-        where = f"line {row} is {line.strip()[:40]!r}" if row else "the file ends"
-        raise InputError(f"{source}: {where}, expected '{key}' and a positive number")
-    return number
-
-
 @dataclass(eq=False)
-class _Hierarchy:
-    source: str
-    row: int = 0
+class _BvhReader(LineReader):
     names: list[str] = field(default_factory=list)
     parents: list[int] = field(default_factory=list)
     offsets: list[Array] = field(default_factory=list)
     channels: list[tuple[str, ...]] = field(default_factory=list)
     open: list[int] = field(default_factory=list)  # from a root down to this joint
 
-    def read(self, lines: _Lines) -> None:
-        for self.row, line in lines:
+    def read_hierarchy(self) -> None:
+        for line in self.lines:
+            self.row += 1
             words = line.replace("{", " ").split()
             if words[:1] == ["MOTION"]:
                 if self.open or not self.names:
-                    self._fail("begins the motion inside the hierarchy, expected }")
+                    self.fail("begins the motion inside the hierarchy, expected }")
                 return
             if words:
                 self._take(words)
-        raise InputError(
-            f"{self.source}: line {self.row} ends the file, expected the line MOTION; "
-            "is it a BVH file?"
-        )
+        self.fail("ends the file, expected the line MOTION; is it a BVH file?")
 
     def _take(self, words: list[str]) -> None:
         if words[0] in ("ROOT", "JOINT") and len(words) > 1:
@@ -233,47 +185,70 @@ class _Hierarchy:
         elif words[:2] == ["End", "Site"] and self.open:
             self._add(f"{self.names[self.open[-1]]}End")
         elif words[0] == "OFFSET" and self.open:
-            self.offsets[self.open[-1]] = self._offset(words[1:])
+            self.offsets[self.open[-1]] = self.numbers(words[1:], 3, "offset ")
         elif words[0] == "CHANNELS" and self.open:
             self.channels[self.open[-1]] = self._channel_names(words[1:])
         elif words == ["}"] and self.open:
             self.open.pop()
         elif words != ["HIERARCHY"] or self.names:
-            self._fail(
+            self.fail(
                 f"is {' '.join(words)[:40]!r}, expected HIERARCHY, ROOT, JOINT, "
                 "End Site, OFFSET, CHANNELS, a brace or MOTION"
             )
 
     def _add(self, name: str) -> None:
         if len(self.names) == _MOST_JOINTS:
-            self._fail(f"is joint number {_MOST_JOINTS + 1}, more than any body has")
+            self.fail(f"is joint number {_MOST_JOINTS + 1}, more than any body has")
         self.parents.append(self.open[-1] if self.open else -1)
         self.open.append(len(self.names))
         self.names.append(name)
         self.offsets.append(np.zeros(3))
         self.channels.append(())
 
-    def _offset(self, words: list[str]) -> Array:
-        try:
-            offset = np.array(words, dtype=np.float64)
-        except ValueError:
-            offset = np.full(3, np.nan)
-        if offset.shape != (3,) or not (np.abs(offset) < LARGEST_NUMBER).all():
-            self._fail(f"has offset {' '.join(words)[:40]!r}, expected three numbers")
-        return offset
-
     def _channel_names(self, words: list[str]) -> tuple[str, ...]:
         names = tuple(words[1:])
-        if (
-            words[:1] != [str(len(names))]
-            or not _CHANNELS.issuperset(names)
-            or len(names) > _MOST_CHANNELS
-        ):
-            self._fail(
+        known = _CHANNELS.issuperset(names) and len(names) <= _MOST_CHANNELS
+        if words[:1] != [str(len(names))] or not known:
+            self.fail(
                 f"has channels {' '.join(words)[:60]!r}, expected their number and "
                 f"names out of {', '.join(sorted(_CHANNELS))}"
             )
         return names
 
-    def _fail(self, complaint: str) -> NoReturn:
-        raise InputError(f"{self.source}: line {self.row} {complaint}")
+    def header(self, key: str) -> float:
+        """Return the number in the next line, which begins with a key."""
+        line = next(self.lines, "")
+        self.row += bool(line)
+        words = line.split()
+        try:
+            number = float(words[-1])
+        except (IndexError, ValueError):
+            number = -1.0
+        if words[:-1] != key.split() or not 0 < number < np.inf:
+            found = f"is {line.strip()[:40]!r}" if line else "ends the file"
+            self.fail(f"{found}, expected '{key}' and a positive number")
+        return number
+
+    def motion(self, frames: float) -> Array:
+        named = zip(self.names, self.channels, strict=True)
+        columns = tuple(f"{name}.{c}" for name, channels in named for c in channels)
+        reader = RowReader(self.source, columns)
+        values, count = [np.empty((0, len(columns)))], 0
+        for block in reader.blocks(self.lines, self.row + 1):
+            large = np.abs(block.values) > LARGEST_NUMBER
+            unknown = np.isnan(block.values)
+            for column in np.flatnonzero((unknown | large).any(axis=0)).tolist():
+                words = "is not a number; expected one"
+                reader.refuse(block, column, unknown[:, column], words)
+                words = "is {:.3g}; delete the frame"
+                reader.refuse(block, column, large[:, column], words)
+            values.append(block.values)
+            count, self.row = count + len(block.values), int(block.rows[-1])
+            if count > frames:
+                break  # whatever follows, the header is wrong
+        if count != frames:
+            self.fail(
+                f"ends the motion after {count} frames, expected {frames:g}; the file "
+                "may be cut off, or correct 'Frames:'"
+            )
+        return np.concatenate(values)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +13,16 @@ from kinefilter.characters import Clip
 from kinefilter.characters.arrays import Array
 
 from .export import Export
-from .files import atomic_path
+from .files import new_text
+from .recording import chunks
 from .rig import Rig, RigMotion
 
 _LOCKED = 1e-7
 """Cosine of the middle angle below which the outer two are one: sqrt(eps)."""
-_FRAMES_AT_ONCE = 1000  # about a megabyte of text
 _END_SHARE = 0.3  # an end site goes on by this share of its bone, enough to be seen
 
 
-def write_bvh(
-    clip: Clip, moved: RigMotion, path: str | os.PathLike[str], export: Export
-) -> None:
+def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     """Write a rig's rotations and the path of its root, or of its pelvis.
 
     The format has neither axes nor a unit; ``export`` chooses them. Angles [deg] are
@@ -35,10 +33,7 @@ def write_bvh(
     rig = replace(moved.rig, axes=None)  # a BVH skeleton is not rotated at rest
     motion = _motion(moved, rig, export)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", encoding="utf-8", newline="\n") as file,
-    ):
+    with new_text(path) as file:
         file.write("HIERARCHY\n")
         offsets = export.points(rig.offsets)
         offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
@@ -48,8 +43,8 @@ def write_bvh(
         mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
         frame_time = 1.0 / export.fps if export.fps else mean
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
-        for start in range(0, len(motion), _FRAMES_AT_ONCE):
-            numbers = motion[start : start + _FRAMES_AT_ONCE]
+        for some in chunks(len(motion)):
+            numbers = motion[some]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 
 
@@ -107,23 +102,16 @@ def continuous_euler(rotations: Array, axes: str) -> Array:
     # The axes renamed to z, y, x: half of the orders are its mirror images, in which
     # every turn goes the other way.
     sign = 1.0 if axes in "ZYXZYX" else -1.0
-    x, y, z = (rotations[:, 1 + "XYZ".index(axis)] for axis in reversed(axes))
-    renamed = np.stack([rotations[:, 0], sign * x, sign * y, sign * z], axis=-1)
-    return sign * _continuous_zyx(renamed)
-
-
-def _continuous_zyx(rotations: Array) -> Array:
-    angles = _zyx(rotations)
-    other = np.stack(
-        [angles[:, 0] + np.pi, np.pi - angles[:, 1], angles[:, 2] + np.pi], axis=-1
-    )
+    order = [0, *(1 + "XYZ".index(axis) for axis in reversed(axes))]
+    angles = _zyx(rotations[:, order] * [1.0, sign, sign, sign])
+    other = angles * [1.0, -1.0, 1.0] + np.pi
     # Crossing over costs the same whichever triple the frame before has, so the
     # choice is the parity of the crossings up to now.
     stay = _squared_turn(angles[1:] - angles[:-1])
     cross = _squared_turn(other[1:] - angles[:-1])
     crossed = np.concatenate([[False], np.cumsum(cross < stay) % 2 == 1])
     chosen = np.where(crossed[:, None], other, angles)
-    return np.unwrap(chosen, axis=0)
+    return sign * np.unwrap(chosen, axis=0)
 
 
 def _squared_turn(difference: Array) -> Array:

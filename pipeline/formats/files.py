@@ -18,8 +18,7 @@ from kinefilter.characters import InputError
 _GZIP_MAGIC = b"\x1f\x8b"
 
 _LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; a recording is shorter
-LARGEST_TOML = 2**16
-"""Bytes of a TOML file that somebody wrote by hand."""
+LARGEST_TOML = 2**16  # bytes of what somebody wrote by hand
 _LARGEST_RATIO = 100
 """Text that is this many times as long as its gzip file, and longer than
 ``_ANY_RATIO``, is not a recording: numbers give 2 to 10. A guess."""
@@ -62,6 +61,16 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_text(path: str | os.PathLike[str]) -> Iterator[TextIO]:
+    """Yield a text to write that takes the place of ``path`` on success."""
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="\n") as file,
+    ):
+        yield file
 
 
 def check_file(path: str | os.PathLike[str]) -> Path:

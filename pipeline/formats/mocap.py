@@ -10,12 +10,19 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.retarget.rig_map import SourceRig, listed, matching_source_rig
+from kinefilter.retarget.rig_map import listed, matching_source_rig
 
 _Z_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """Minus a quarter turn about x, wxyz: what pointed along z points along y."""
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU": 0.056444}
 """Meters in units that mocap comes in; CMU's is an inch over 0.45."""
+_TITLES = {
+    "cmu": "the joint names of the cgspeed conversion of CMU mocap",
+    "motionbuilder": "the joint names of MotionBuilder",
+    "acclaim": "the bone names of CMU's ASF files",
+    "plug_in_gait": "the joint centers of Vicon's Plug-in Gait",
+    "jointed": "the names of a skeleton of joints",
+}
 _TOLERANCE = 1.5
 """Lengths of bodies over those of the standard one, or under, at most."""
 
@@ -25,36 +32,26 @@ class Mocap:
     """Joints in motion, in the file's own axes and unit."""
 
     names: tuple[str, ...]
-    positions: Array
-    """Joint positions, NaN where missing, shape (T, N, 3)."""
-    rotations: Array | None
-    """World rotation of each joint, unit quaternions wxyz, shape (T, N, 4); None where
-    the file has none."""
-    frame_time: float
-    """Time between frames [s]."""
+    positions: Array  # of the joints, NaN where missing, shape (T, N, 3)
+    rotations: Array | None  # of each joint in the world, wxyz, (T, N, 4), or unknown
+    frame_time: float  # between frames [s]
     source: str
+
+    @property
+    def bare_names(self) -> list[str]:
+        """Names of joints without the name of the subject or rig before them."""
+        return [name.rpartition(":")[2].strip() for name in self.names]
 
 
 @dataclass(frozen=True, eq=False)
 class KinectMotion:
     """The joints of a Kinect in motion that was recorded otherwise, y up."""
 
-    positions: Array
-    """Joint positions in the file's unit, NaN where missing, shape (T, J, 3)."""
-    turns: Array | None
-    """World rotation of what turns each segment, wxyz, shape (T, J, 4), or unknown."""
-    unit: str
-    """Name of the unit of length that fits a body best; empty: none does."""
-    meters: float
-    """Length of that unit, or of what a standard body would need [m]."""
-    frame_time: float
-    """Time between frames [s]."""
+    positions: Array  # of joints in the file's unit, NaN where missing, (T, J, 3)
+    turns: Array | None  # world rotation of what turns each segment, wxyz, (T, J, 4)
+    unit: str  # that fits a body best; empty: none does
+    meters: float  # length of that unit, or of what a standard body would need [m]
     rig: str
-
-
-def bare_name(name: str) -> str:
-    """Return a joint's name without the name of the subject or rig before it."""
-    return name.rpartition(":")[2].strip()
 
 
 def kinect_motion(
@@ -66,12 +63,13 @@ def kinect_motion(
     to look for (``retarget/source_rigs``). Raises InputError if the joints are of no
     known rig, or are in no frame.
     """
-    names = [bare_name(name) for name in mocap.names]
+    names = mocap.bare_names
     rig, missing = matching_source_rig(names, skeleton, known)
     if missing:
+        title = _TITLES.get(rig.name, f"the joint names of {rig.name}")
         raise InputError(
             f"{mocap.source}: no joint {missing[0]!r} ({len(missing)} missing); "
-            f"expected {_expected(rig)}; found {listed(names)}"
+            f"expected {title} ({listed(sorted(rig.needed))}); found {listed(names)}"
         )
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
     turned = mocap.rotations is not None and all(
@@ -88,19 +86,7 @@ def kinect_motion(
         positions = rotate(_Z_TO_Y_UP, positions)
         turns = None if turns is None else multiply(_Z_TO_Y_UP, turns)
     unit, meters = _unit(positions, skeleton, mocap.source)
-    return KinectMotion(positions, turns, unit, meters, mocap.frame_time, rig.name)
-
-
-def _expected(rig: SourceRig) -> str:
-    titles = {
-        "cmu": "the joint names of the cgspeed conversion of CMU mocap",
-        "motionbuilder": "the joint names of MotionBuilder",
-        "acclaim": "the bone names of CMU's ASF files",
-        "plug_in_gait": "the joint centers of Vicon's Plug-in Gait",
-        "jointed": "the names of a skeleton of joints",
-    }
-    title = titles.get(rig.name, f"the joint names of {rig.name}")
-    return f"{title} ({listed(sorted(rig.needed))})"
+    return KinectMotion(positions, turns, unit, meters, rig.name)
 
 
 def _z_is_up(positions: Array, skeleton: Skeleton, source: str) -> bool:
@@ -116,10 +102,8 @@ def _unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float
     """Return name and length [m] of the unit in which these are a person's bones."""
     ends = skeleton.segments
     bones = positions[:, ends] - positions[:, skeleton.segment_parents]
-    norms = np.linalg.norm(bones, axis=2)
-    lengths = np.array(
-        [np.median(n[np.isfinite(n)]) if np.isfinite(n).any() else 0 for n in norms.T]
-    )
+    seen = [n[np.isfinite(n)] for n in np.linalg.norm(bones, axis=2).T]
+    lengths = np.array([np.median(norms) if len(norms) else 0.0 for norms in seen])
     usual = standard_body(skeleton).lengths[ends]
     known = lengths > 1e-3 * max(lengths.max(), 1e-12)
     if not known.any() or not np.isfinite(lengths).all():

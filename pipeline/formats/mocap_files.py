@@ -26,11 +26,12 @@ from kinefilter.pipeline.extras import require
 from kinefilter.retarget.rig_map import matching_source_rig
 
 from .acclaim import read_amc, read_asf
-from .bvh import LARGEST_NUMBER, MOST_CELLS, read_bvh
+from .bvh import MOST_CELLS, read_bvh
 from .files import beginning, check_file
 from .guarded import read_guarded
-from .mocap import Mocap, bare_name, kinect_motion
+from .mocap import Mocap, kinect_motion
 from .recording import Recording, check_length, recording_of
+from .rows import LARGEST_NUMBER
 
 RIGS = ("cmu", "motionbuilder", "acclaim", "plug_in_gait")
 """Skeletons that mocap comes on, besides the Kinects' own."""
@@ -93,22 +94,17 @@ def read_bvh_take(source: str) -> Recording:
     """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
     mocap = read_bvh_mocap(source)
     check_length(len(mocap.positions), source)
-    names = [bare_name(name) for name in mocap.names]
-    skeleton = KINECT_V1 if matching_source_rig(names, KINECT_V2, ())[1] else KINECT_V2
+    _, missing = matching_source_rig(mocap.bare_names, KINECT_V2, ())
+    skeleton = KINECT_V1 if missing else KINECT_V2
     motion = kinect_motion(mocap, skeleton, _BVH_RIGS)
     positions = motion.meters * motion.positions
-    return recording_of(
-        np.arange(len(positions), dtype=np.float64) * motion.frame_time,
-        positions,
-        np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8),
-        skeleton,
-        source,
-        "bvh",
-        unit=motion.unit or "unknown",
-        notes=()
-        if motion.unit
-        else (f"no unit of length fits the bones; scaled by {motion.meters:.4g}",),
-    )
+    time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
+    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    known: dict[str, Any] = {"unit": motion.unit}
+    if not motion.unit:
+        note = f"no unit of length fits the bones; scaled by {motion.meters:.4g}"
+        known = {"unit": "unknown", "notes": (note,)}
+    return recording_of(time, positions, state, skeleton, source, "bvh", **known)
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Mocap:

@@ -6,11 +6,11 @@ import math
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from itertools import count
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -26,14 +26,10 @@ _KINDS = "biufUS"  # truth values, numbers and text
 _MOST_ARRAYS = 1000
 _LONGEST_HEADER = 10_000  # bytes, numpy's own limit for files from elsewhere
 
-_NO_ARRAYS = ("root", "rotations", "body", "source", "props", "tilt", "floor")
-_ARRAYS = (
-    "time",
-    "positions",
-    "rotations",
-    *(f.name for f in fields(Clip) if f.name not in ("time", *_NO_ARRAYS)),
-)
 _FRAME = ("tilt", "floor")  # archives of older versions lack them
+_FIRST = ("time", "positions", "rotations")
+_OTHERS = (*_FIRST, *_FRAME, "root", "body", "source", "props")
+_ARRAYS = (*_FIRST, *(f.name for f in fields(Clip) if f.name not in _OTHERS))
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
@@ -86,22 +82,18 @@ def read_arrays(
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Return an array; raises ValueError if it is larger than the archive says."""
     with archive.open(member) as file:
-        _check_header(file, member.file_size)
-    with archive.open(member) as file:
+        version = npy.read_magic(file)
+        readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+        if version not in readers:
+            raise ValueError(f"version {version}")
+        shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
+        needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
+        if needed > member.file_size or dtype.kind not in _KINDS:
+            raise ValueError("larger than the archive says, or not numbers or text")
+        file.seek(0)
         return np.asarray(npy.read_array(file, allow_pickle=False))
-
-
-def _check_header(file: IO[bytes], size: int) -> None:
-    """Raise ValueError if an array would be larger than the archive holds of it."""
-    version = npy.read_magic(file)
-    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-    if version not in readers:
-        raise ValueError(f"version {version}")
-    shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
-    needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
-    if needed > size or dtype.kind not in _KINDS:
-        raise ValueError("larger than the archive says, or not numbers or text")
 
 
 def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -111,37 +103,31 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
     ``prop:K:name``, ``positions``, ``rotations``, ``kinds`` and, for each of its
     shapes, ``prop:K:L:size`` and so on. Equal clips give equal bytes.
     """
-    arrays: dict[str, Any] = {name: getattr(clip, name) for name in _ARRAYS + _FRAME}
-    measures: dict[str, Any] = {name: getattr(clip.body, name) for name in _BODY}
+    arrays: dict[str, Any] = {
+        **{name: getattr(clip, name) for name in _ARRAYS + _FRAME},
+        **{name: getattr(clip.body, name) for name in _BODY},
+        **props_as_arrays(clip.props),
+        "skeleton": np.array(clip.skeleton.name),
+        "joints": np.array(clip.skeleton.joints),
+        "source": np.array(clip.source),
+    }
     # An open file, as numpy adds .npz to a name that ends in .NPZ.
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(
-            file,
-            **arrays,
-            **measures,
-            **_props_as_arrays(clip.props),
-            skeleton=np.array(clip.skeleton.name),
-            joints=np.array(clip.skeleton.joints),
-            source=np.array(clip.source),
-        )
+        np.savez_compressed(file, **arrays)
 
 
 def read_npz(path: str | os.PathLike[str]) -> Clip:
     """Read a clip that write_clip wrote as npz; raises InputError of other files."""
-    name = os.fspath(path)
     arrays = read_arrays(path, "a clip that kinefilter wrote")
     try:
         return _clip(arrays)
     except InputError as error:
-        raise InputError(f"{name}: {error}") from None
+        wrong = str(error)
     except KeyError as error:
-        raise InputError(
-            f"{name}: not a kinefilter clip (no array {error.args[0]}); write it again"
-        ) from None
+        wrong = f"not a kinefilter clip (no array {error.args[0]}); write it again"
     except (ValueError, TypeError, IndexError):
-        raise InputError(
-            f"{name}: its arrays do not make a clip; write it again"
-        ) from None
+        wrong = "its arrays do not make a clip; write it again"
+    raise InputError(f"{os.fspath(path)}: {wrong}")
 
 
 def _clip(archive: dict[str, Any]) -> Clip:
@@ -169,8 +155,9 @@ def _clip(archive: dict[str, Any]) -> Clip:
     )
 
 
-def _props_as_arrays(props: tuple[Prop, ...]) -> dict[str, Any]:
-    arrays: dict[str, Any] = {}
+def props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of props as ``write_npz`` names them."""
+    arrays: dict[str, NDArray[Any]] = {}
     for k, prop in enumerate(props):
         arrays[f"prop:{k}:name"] = np.array(prop.name)
         arrays[f"prop:{k}:positions"] = prop.positions

@@ -28,27 +28,22 @@ _FASTEST = 2000.0  # frames a second, of marker mocap
 _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
 _FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
-_AWAY = 2.0
-"""A body that is new within this time [s] may be one that was lost. A guess."""
+_FRAMES_AT_ONCE = 1000  # about a megabyte of text
+_AWAY = 2.0  # s: a body that is new may be one that was lost so long ago. A guess
 _NEAR = 0.5
 """It is where it is new within this distance [m] of where the other was lost, the
 mean of the joints compared: half a stride. A guess."""
-_FEWEST = 2
-"""Frames of a person at least; what is seen once moves nothing."""
+_FEWEST = 2  # frames of a person; what is seen once moves nothing
 
 
 @dataclass(frozen=True)
 class Recording:
     """A file that a sensor or its tools wrote."""
 
-    takes: tuple[Take, ...]
-    """One a person, in the order in which they appear."""
-    format: str
-    """Name of the file's layout (``takes.FORMATS``)."""
-    unit: str = "m"
-    """The file's own unit of length."""
-    notes: tuple[str, ...] = ()
-    """What the user should know about how it was read."""
+    takes: tuple[Take, ...]  # one a person, in the order in which they appear
+    format: str  # name of the file's layout (``takes.FORMATS``)
+    unit: str = "m"  # the file's own unit of length
+    notes: tuple[str, ...] = ()  # what the user should know about how it was read
 
     @property
     def main(self) -> int:
@@ -72,6 +67,12 @@ class Recording:
                 "'kinefilter info' lists them"
             )
         return self.takes[body - 1]
+
+
+def chunks(frames: int) -> Iterator[slice]:
+    """Yield a thousand frames after the other, to bound the memory of what follows."""
+    for start in range(0, frames, _FRAMES_AT_ONCE):
+        yield slice(start, start + _FRAMES_AT_ONCE)
 
 
 def numbered(path: _Path, body: int | None) -> _Path:
@@ -194,12 +195,9 @@ class Sighting:
     """A body in a frame."""
 
     frame: int
-    body: int
-    """The tracker's number for the body."""
-    positions: Array
-    """Joint positions [m], shape (J, 3)."""
-    state: NDArray[np.uint8]
-    """Tracking states (State), shape (J,)."""
+    body: int  # the tracker's number for the body
+    positions: Array  # of joints [m], shape (J, 3)
+    state: NDArray[np.uint8]  # tracking states (State), shape (J,)
 
 
 def takes_of(
@@ -221,11 +219,20 @@ def takes_of(
             f"{source}: nobody is tracked for two frames or more; record again with "
             "the person in view"
         )
-    names = [f"{source}, body {number + 1}" for number in range(len(people))]
-    return tuple(
-        _take(time, person, skeleton, name if len(people) > 1 else source)
-        for person, name in zip(people, names, strict=True)
-    )
+    takes = []
+    for number, person in enumerate(people, start=1):
+        name = f"{source}, body {number}" if len(people) > 1 else source
+        frames = np.array([sighting.frame for sighting in person])
+        span = slice(frames[0], frames[-1] + 1)
+        positions = np.full((span.stop - span.start, len(skeleton), 3), np.nan)
+        state = np.zeros(positions.shape[:2], dtype=np.uint8)
+        positions[frames - span.start], state[frames - span.start] = missing_marked(
+            np.array([sighting.positions for sighting in person]),
+            np.array([sighting.state for sighting in person]),
+        )
+        check_extent(positions, name)
+        takes.append(Take(time[span], positions, state, skeleton, name))
+    return tuple(takes)
 
 
 def _people(
@@ -267,17 +274,3 @@ def _place(sighting: Sighting) -> Array:
     positions, _ = missing_marked(sighting.positions, sighting.state)
     known = positions[~np.isnan(positions[:, 0])]
     return known.mean(axis=0) if len(known) else np.full(3, np.nan)
-
-
-def _take(time: Array, person: list[Sighting], skeleton: Skeleton, source: str) -> Take:
-    first, last = person[0].frame, person[-1].frame
-    shape = (last - first + 1, len(skeleton))
-    positions = np.full((*shape, 3), np.nan)
-    state = np.full(shape, State.NOT_TRACKED, dtype=np.uint8)
-    rows = np.array([sighting.frame for sighting in person]) - first
-    positions[rows], state[rows] = missing_marked(
-        np.array([sighting.positions for sighting in person]),
-        np.array([sighting.state for sighting in person]),
-    )
-    check_extent(positions, source)
-    return Take(time[first : last + 1], positions, state, skeleton, source)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import NoReturn
+from typing import ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
 
+LARGEST_NUMBER = 1e9
+"""Of lengths and angles at most, whatever their unit; a damaged number may be more."""
 _BLOCK_LINES = 2000  # some megabytes of text at a time, whatever the file's length
 
 
@@ -104,3 +106,37 @@ def _name_the_empty(text: str) -> str:
     if text.startswith(","):
         text = f"nan{text}"
     return f"{text}nan" if text.endswith(",") else text
+
+
+@dataclass
+class LineReader:
+    """Goes through the lines of a text that is no table, and knows where it is."""
+
+    source: str
+    lines: Iterator[str]
+    row: int = 0
+    """Number of the last line that was read, counted from 1."""
+    noun: ClassVar[str] = "line"
+
+    def filled(self, comments: str = "") -> Iterator[list[str]]:
+        """Yield the words of each line that has some and is no comment."""
+        for line in self.lines:
+            self.row += 1
+            words = line.split()
+            if words and words[0][0] not in comments:
+                yield words
+
+    def numbers(self, words: Sequence[str], count: int, what: str = "") -> Array:
+        """Return words as that many finite numbers, or fail."""
+        try:
+            numbers = np.array(words, dtype=np.float64)
+        except ValueError:
+            numbers = np.full(count, np.nan)
+        if len(numbers) != count or not (np.abs(numbers) < LARGEST_NUMBER).all():
+            found = " ".join(words)[:40]
+            self.fail(f"has {what}{found!r}, expected {count} finite numbers")
+        return numbers
+
+    def fail(self, complaint: str) -> NoReturn:
+        """Raise an InputError about the last line that was read."""
+        raise InputError(f"{self.source}: {self.noun} {self.row} {complaint}")

@@ -27,20 +27,20 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import Array
 
-from .files import atomic_path, beginning, open_text
+from .files import beginning, new_text, open_text
 from .npz import read_npz
 from .recording import (
     MOST_FRAMES,
     Recording,
     check_length,
     check_order,
+    chunks,
     missing_marked,
     open_rows,
     recording_of,
 )
 from .rows import Block, RowReader
 
-_FRAMES_AT_ONCE = 1000  # about a megabyte of text
 _LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
 _AXES = ("x", "y", "z")
 _PARTS = (*_AXES, "state")
@@ -48,9 +48,6 @@ _PARTS = (*_AXES, "state")
 
 def _columns(skeleton: Skeleton) -> tuple[str, ...]:
     return ("time", *(f"{j}.{part}" for j in skeleton.joints for part in _PARTS))
-
-
-# Writing
 
 
 def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
@@ -66,13 +63,9 @@ def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
         # What the sensor did not see has a place now, but only inferred.
         measured = motion.origin == Origin.MEASURED
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", encoding="utf-8", newline="\n") as file,
-    ):
+    with new_text(path) as file:
         file.write(take_header(motion.skeleton))
-        for start in range(0, len(motion), _FRAMES_AT_ONCE):
-            some = slice(start, start + _FRAMES_AT_ONCE)
+        for some in chunks(len(motion)):
             rows = take_rows(motion.time[some], motion.positions[some], state[some])
             file.write(rows)
 
@@ -90,9 +83,6 @@ def take_rows(time: Array, positions: Array, state: NDArray[np.uint8]) -> str:
     numbers = np.concatenate([time[:, None], each.reshape(count, -1)], axis=1)
     text: str = row * count % tuple(numbers.ravel().tolist())
     return text.replace("nan", "")
-
-
-# Layouts
 
 
 @dataclass(frozen=True)
@@ -113,19 +103,18 @@ def _kinefilter(line: str, source: str) -> _Layout:
             f"{source}: row 1, column 1 is {columns[0][:40]!r}, expected the header "
             "'time'; give the file's own format"
         )
-    if len(set(columns)) < len(columns):
-        twice = Counter(columns).most_common(1)[0][0]
+    twice, times = Counter(columns).most_common(1)[0]
+    if times > 1:
         raise InputError(f"{source}: row 1 has column {twice[:40]!r} twice; delete one")
     joints = tuple(dict.fromkeys(c.rpartition(".")[0] or c for c in columns[1:]))
     skeleton = _skeleton_with(joints, source)
     needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
-    known, present = {*_columns(skeleton), *needed}, set(columns)
-    if unknown := [column for column in columns if column not in known]:
+    if unknown := [name for name in columns if name not in _columns(skeleton)]:
         raise InputError(
             f"{source}: row 1, column {unknown[0][:40]!r} is unknown; expected "
             "Joint.x, Joint.y, Joint.z or Joint.state"
         )
-    if missing := [column for column in needed if column not in present]:
+    if missing := [column for column in needed if column not in columns]:
         raise InputError(
             f"{source}: row 1 has no column {missing[0]}; add it or delete the other "
             "columns of that joint"
@@ -181,15 +170,11 @@ def _kinect_v1(line: str, source: str) -> _Layout:
 
 
 def _msrc_12(_line: str, _source: str) -> _Layout:
+    def normalize(line: str) -> str:
+        return ",".join(line.replace(",", " ").split())
+
     columns = _columns(KINECT_V1)
-    return _Layout("msrc-12", KINECT_V1, columns, _commas, 1e-6, weighted=True)
-
-
-def _commas(line: str) -> str:
-    return ",".join(line.replace(",", " ").split())
-
-
-# Reading
+    return _Layout("msrc-12", KINECT_V1, columns, normalize, 1e-6, weighted=True)
 
 
 def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
@@ -233,26 +218,23 @@ def _frames(
     positions = np.full((len(values), len(skeleton), 3), np.nan)
     state = np.zeros((len(values), len(skeleton)), dtype=np.uint8)
     for j, joint in enumerate(skeleton.joints):
-        if f"{joint}.x" not in index:
-            continue
-        positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
-        state[:, j] = State.TRACKED
-        if f"{joint}.state" in index:
-            column = index[f"{joint}.state"]
-            given = values[:, column]
+        if f"{joint}.x" in index:
+            positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
+            state[:, j] = State.TRACKED
+        if (column := index.get(f"{joint}.state")) is not None:
             # An empty cell says nothing against the joint.
-            states = np.where(np.isnan(given), State.TRACKED, given)
+            given = np.nan_to_num(values[:, column], nan=State.TRACKED)
             words = "is {:g}, expected a tracking state: 0 not tracked, 1 inferred, "
-            unknown = ~np.isin(states, list(State))
+            unknown = ~np.isin(given, list(State))
             reader.refuse(block, column, unknown, words + "2 tracked")
-            state[:, j] = states
+            state[:, j] = given
     time = np.zeros(len(values))
-    if "time" in index:
-        time = values[:, index["time"]]
+    if (column := index.get("time")) is not None:
+        time = values[:, column]
         words = "is empty, expected a time; delete the row"
-        reader.refuse(block, index["time"], np.isnan(time), words)
+        reader.refuse(block, column, np.isnan(time), words)
         words = "is {:.3g}, expected a time; correct or delete the row"
-        reader.refuse(block, index["time"], np.abs(time) > _LATEST, words)
+        reader.refuse(block, column, np.abs(time) > _LATEST, words)
     return block.rows, time, *missing_marked(positions, state)
 
 
@@ -265,10 +247,7 @@ _ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write 1 where a part of a foot is on the floor, else 0, one row per frame."""
     rows = zip(clip.time.tolist(), clip.contacts.astype(int).tolist(), strict=True)
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", encoding="utf-8", newline="\n") as file,
-    ):
+    with new_text(path) as file:
         file.write(",".join(_CONTACT_HEADER) + "\n")
         for time, flags in rows:
             file.write(",".join([repr(time), *map(str, flags)]) + "\n")

@@ -1,5 +1,7 @@
 """Takes out of the files that sensors and their tools write, whatever their layout."""
 
+# ruff: noqa: A002 - "format" is the word that users know
+
 from __future__ import annotations
 
 import os
@@ -53,10 +55,7 @@ the format of a file."""
 
 
 def read_take(
-    path: str | os.PathLike[str],
-    *,
-    format: str | None = None,  # noqa: A002 - the word that users know
-    body: int | None = None,
+    path: str | os.PathLike[str], *, format: str | None = None, body: int | None = None
 ) -> Take:
     """Read a recording of a person.
 
@@ -85,18 +84,14 @@ def read_take(
 
 
 def read_takes(
-    path: str | os.PathLike[str],
-    *,
-    format: str | None = None,  # noqa: A002 - the word that users know
+    path: str | os.PathLike[str], *, format: str | None = None
 ) -> tuple[Take, ...]:
     """Read a take for each person, as they appear; raises InputError as read_take."""
     return read_recording(path, format=format).takes
 
 
 def read_recording(
-    path: str | os.PathLike[str],
-    *,
-    format: str | None = None,  # noqa: A002 - the word that users know
+    path: str | os.PathLike[str], *, format: str | None = None
 ) -> Recording:
     """Read all that is known about a recorded file; raises InputError as read_take."""
     source = os.fspath(path)

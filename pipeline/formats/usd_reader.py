@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from kinefilter.characters import (
     Clip,
     InputError,
+    Prop,
+    Shape,
     Skeleton,
     skeleton_named,
     standard_body,
@@ -29,13 +31,13 @@ from kinefilter.characters.rotations import normalize
 from .export import with_y_up
 from .files import check_file
 from .guarded import read_guarded
-from .npz import props_from_arrays
+from .npz import props_as_arrays, props_from_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
 from .usd_character import CHARACTER, LINEAR, PER_FRAME, name_tables
 
 _LARGEST = 2**31  # bytes
 _BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
-_MOVED = ("moved_by_correction", "moved_by_physics", "reliability")
+_MOVED = {"moved_by_correction", "moved_by_physics", "reliability"}
 _KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # others have the same name
 
 _Animated = tuple[Any, Any, Any, list[str], list[float]]
@@ -109,9 +111,8 @@ def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
         known: dict[str, Any] = {
             name: arrays[name] for name in PER_FRAME.values() if name in arrays
         }
-        for name in _MOVED:
-            if name in known:
-                known[name] = np.where(known[name] < 0.0, np.nan, known[name])
+        for name in _MOVED & known.keys():
+            known[name] = np.where(known[name] < 0.0, np.nan, known[name])
         return Clip.of(
             motion,
             **known,
@@ -120,9 +121,6 @@ def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
             floor=arrays["floor"].item(),
             props=tuple(props_from_arrays(arrays)),
         )
-    except InputError as error:
-        told = str(error)
-        raise InputError(told if source in told else f"{source}: {told}") from None
     except (KeyError, *_BROKEN):
         raise InputError(
             f"{source}: its joints and frames do not fit together; write it again"
@@ -139,14 +137,8 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
     with _refused(path):
         stage, *_ = _first_animated(path)
         time, names, _ = read_usd_positions(path)
-        attributes = sorted(
-            {
-                attribute.GetName()
-                for prim in stage.Traverse()
-                for attribute in prim.GetAuthoredAttributes()
-                if "kinefilter:" in attribute.GetName()
-            }
-        )
+        prims = stage.Traverse()
+        authored = {a.GetName() for prim in prims for a in prim.GetAuthoredAttributes()}
         meters = float(UsdGeom.GetStageMetersPerUnit(stage))
     steps = np.diff(time)
     contents = {
@@ -158,7 +150,7 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
         "seconds": float(time[-1] - time[0]) if len(time) else 0.0,
         "fps": float(1.0 / np.median(steps)) if len(steps) and steps.all() else None,
         "time_codes_per_second": float(stage.GetTimeCodesPerSecond()),
-        "attributes": attributes,
+        "attributes": sorted(name for name in authored if "kinefilter:" in name),
     }
     return {"json": np.array(json.dumps(contents))}
 
@@ -189,7 +181,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
             "root": axes(places[:, 0].astype(np.float64)) * meters,
             "turns": axes(normalize(np.roll(xyzw, 1, axis=-1).astype(np.float64))),
             **_provenance(stage.GetPrimAtPath(CHARACTER), codes, skeleton, path),
-            **_props(stage, codes, axes, meters),
+            **props_as_arrays(_props(stage, codes, axes, meters)),
         }
 
 
@@ -199,6 +191,9 @@ def _refused(path: str) -> Iterator[None]:
 
     try:
         yield
+    except InputError as error:
+        told = str(error)
+        raise InputError(told if path in told else f"{path}: {told}") from None
     except (Tf.ErrorException, *_BROKEN):
         raise InputError(
             f"{path}: its skeleton and animation do not fit; export it again"
@@ -260,21 +255,12 @@ def _provenance(
 
 def _props(
     stage: Any, codes: Sequence[float], axes: Callable[[Array], Array], meters: float
-) -> dict[str, NDArray[Any]]:
+) -> Iterator[Prop]:
     folder = stage.GetPrimAtPath(f"{CHARACTER}/Props")
-    arrays: dict[str, NDArray[Any]] = {}
-    for k, prim in enumerate(folder.GetChildren() if folder else ()):
-        shapes = prim.GetChildren()
-        arrays[f"prop:{k}:name"] = np.array(prim.GetName())
-        kinds = [str(shape.GetTypeName()) for shape in shapes]
-        arrays[f"prop:{k}:kinds"] = np.array([_KINDS.get(t, t.lower()) for t in kinds])
+    for prim in folder.GetChildren() if folder else ():
+        shapes = tuple(_shape(shape, axes, meters) for shape in prim.GetChildren())
         places, turns = _placed(prim, codes)
-        arrays[f"prop:{k}:positions"] = axes(places) * meters
-        arrays[f"prop:{k}:rotations"] = axes(turns)
-        for n, shape in enumerate(shapes):
-            for name, array in _shape(shape, axes, meters).items():
-                arrays[f"prop:{k}:{n}:{name}"] = array
-    return arrays
+        yield Prop(prim.GetName(), shapes, axes(places) * meters, axes(turns))
 
 
 def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
@@ -288,28 +274,22 @@ def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
     return np.array([translate.Get(code) for code in times], dtype=float), wxyz
 
 
-def _shape(
-    prim: Any, axes: Callable[[Array], Array], meters: float
-) -> dict[str, NDArray[Any]]:
+def _shape(prim: Any, axes: Callable[[Array], Array], meters: float) -> Shape:
     def number(name: str) -> Any:
         return np.array(prim.GetAttribute(name).Get(), dtype=float)
 
+    kind = str(prim.GetTypeName())
     (place,), (turn,) = _placed(prim, [0.0])
     points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
-    if prim.GetTypeName() == "Mesh":
+    if kind == "Mesh":
         points = axes(number("points")) * meters
         triangles = number("faceVertexIndices").astype(np.int64).reshape(-1, 3)
         size = np.abs(points).max(axis=0)
-    elif prim.GetTypeName() in ("Capsule", "Cylinder"):
+    elif kind in ("Capsule", "Cylinder"):
         radius, height = number("radius"), number("height")
         size = np.array([radius, 0.5 * height, radius]) * meters
     else:
         size = np.abs(axes(number("xformOp:scale"))) * meters
-    return {
-        "size": size,
-        "position": axes(place) * meters,
-        "rotation": axes(turn),
-        "color": number("primvars:displayColor")[0] ** (1.0 / LINEAR),
-        "points": points,
-        "triangles": triangles,
-    }
+    ours: Any = _KINDS.get(kind, kind.lower())
+    color = number("primvars:displayColor")[0] ** (1.0 / LINEAR)
+    return Shape(ours, size, axes(place) * meters, axes(turn), color, points, triangles)
