@@ -26,10 +26,8 @@ from .config import AccessConfig, LiveConfig
 if TYPE_CHECKING:
     from websockets.datastructures import Headers
 
-STANDARD = "-"
-"""The scheme of the standard input and output."""
+STANDARD = "-"  # the scheme of the standard input and output
 MOST_PORT = 2**16 - 1
-"""The last port."""
 _SOURCES = ("udp", "ws", "wss", STANDARD)
 _TARGETS = ("vmc", "ws", "wss", STANDARD)
 _SHORTEST_TOKEN = 16  # characters; shorter ones can be guessed
@@ -54,8 +52,7 @@ class Address:
 def read_address(text: str, schemes: Sequence[str]) -> Address:
     """Return the address that a text names: ``scheme://host:port`` or ``-``.
 
-    Raises:
-        InputError: It is not such an address.
+    Raises InputError if it is not such an address.
     """
     if text == STANDARD and STANDARD in schemes:
         return Address(STANDARD)
@@ -77,17 +74,14 @@ def read_address(text: str, schemes: Sequence[str]) -> Address:
 def listening_host(address: Address, bind: str | None) -> str:
     """Return the host that a server listens on.
 
-    Raises:
-        InputError: Others could reach it, and the user did not say that they may.
+    Raises InputError if others could reach it and the user did not say that they may.
     """
-    if bind is not None:
-        return bind
-    if not is_loopback(address.host):
+    if bind is None and not is_loopback(address.host):
         raise InputError(
             f"{address} would listen to other machines; write 127.0.0.1, or add "
             f"--bind {address.host} if they are meant to connect"
         )
-    return address.host
+    return address.host if bind is None else bind
 
 
 @dataclass(frozen=True)
@@ -127,19 +121,18 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     """Return where frames come from and poses go.
 
     Where other machines can connect there is a token: that of the file, or a new one.
-
-    Raises:
-        InputError: An address is wrong, others could reach it though the user did not
-            allow it, a file is wrong, or a package is not installed.
+    Raises InputError if an address or a file is wrong, others could reach it though the
+    user did not allow it, or a package is not installed.
     """
+    addresses = [
+        read_address(config.source, _SOURCES),
+        *(read_address(out, _TARGETS) for out in config.out),
+    ]
     source, *targets = (
         replace(address, host=listening_host(address, access.bind))
         if address.scheme in ("udp", "ws", "wss")
         else address
-        for address in (
-            read_address(config.source, _SOURCES),
-            *(read_address(out, _TARGETS) for out in config.out),
-        )
+        for address in addresses
     )
     if not targets:
         raise InputError("--out is missing; give one, such as --out -")
@@ -160,11 +153,7 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
 
 
 def read_token(path: Path) -> str:
-    """Return the token that a file holds.
-
-    Raises:
-        InputError: There is no such file, or its token is too short.
-    """
+    """Return the token in a file; raises InputError if it is too short or missing."""
     token = read_limited(path, _LARGEST_TOKEN_FILE).strip()
     if len(token) < _SHORTEST_TOKEN or not token.isascii() or len(token.split()) > 1:
         raise InputError(

@@ -61,8 +61,7 @@ async def open_sink(
 ) -> AsyncIterator[tuple[Sink, Address]]:
     """Yield what poses are sent to, and its address in use.
 
-    Raises:
-        InputError: The port is taken or the host not known.
+    Raises InputError if the port is taken or the host not known.
     """
     if address.scheme == STANDARD:
         printer = Printer(skeleton, tally, lost)
@@ -118,8 +117,7 @@ class Broadcast(Sink):
 
     def __init__(self, skeleton: Skeleton, tally: Tally) -> None:
         self._first, self._tally = skeleton_line(skeleton), tally
-        self.readers: set[_Reader] = set()
-        """Who is connected."""
+        self.readers: set[_Reader] = set()  # who is connected
 
     def put(self, line: str) -> None:
         """Give a line to all readers."""
@@ -229,11 +227,7 @@ class Printer(Sink):
 
 
 def write_out(data: bytes) -> None:
-    """Write to the standard output; wait until it is read.
-
-    Raises:
-        OSError: The other end is closed.
-    """
+    """Write to the standard output and wait; raises OSError if nobody reads it."""
     # To the descriptor: a buffer's lock would outlive the interpreter.
     while data:
         data = data[os.write(_STDOUT, data) :]

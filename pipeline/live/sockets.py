@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
     from websockets.http11 import Request, Response
 
-MOST_CONNECTIONS = 8
-"""Senders, or readers, at once on a port. A guess: a room of sensors."""
+MOST_CONNECTIONS = 8  # senders, or readers, on a port. A guess: a room of sensors
 _PATIENCE = 5.0  # s for a handshake, and for the answer to a ping
 _GOODBYE = 1.0  # s for the end of a connection
 _SILENT = logging.Logger("kinefilter.live")  # or any stranger could fill the terminal
@@ -38,12 +37,22 @@ async def open_server(
 ) -> AsyncIterator[Address]:
     """Serve WebSockets; yields the address in use.
 
-    Raises:
-        InputError: The port is taken or the host is not of this machine.
+    Raises InputError if the port is taken or the host is not of this machine.
     """
     from websockets.asyncio.server import serve
 
     connections: set[ServerConnection] = set()
+
+    def guard(connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse clients that may not connect."""
+        if not access.grants(request.path, request.headers):
+            status, reason = HTTPStatus.UNAUTHORIZED, "a token is needed\n"
+        elif len(connection.server.connections) >= MOST_CONNECTIONS:
+            status, reason = HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n"
+        else:
+            return None
+        tally.count(Event.REFUSED)
+        return connection.respond(status, reason)
 
     async def handle(connection: ServerConnection) -> None:
         connections.add(connection)
@@ -59,7 +68,7 @@ async def open_server(
             address.port,
             # websockets declares origins more narrowly than it takes them.
             origins=access.allowed_origins,  # type: ignore[arg-type]
-            process_request=_guard(access, tally),
+            process_request=guard,
             ssl=access.tls,
             compression=None,  # poses are small, and time counts
             max_size=largest,
@@ -98,24 +107,6 @@ async def _close(server: Server, connections: set[ServerConnection]) -> None:
         await server.wait_closed()
 
 
-def _guard(
-    access: Access, tally: Tally
-) -> Callable[[ServerConnection, Request], Response | None]:
-    """Return what refuses requests of clients that may not connect."""
-
-    def guard(connection: ServerConnection, request: Request) -> Response | None:
-        if not access.grants(request.path, request.headers):
-            status, reason = HTTPStatus.UNAUTHORIZED, "a token is needed\n"
-        elif len(connection.server.connections) >= MOST_CONNECTIONS:
-            status, reason = HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n"
-        else:
-            return None
-        tally.count(Event.REFUSED)
-        return connection.respond(status, reason)
-
-    return guard
-
-
 Datagrams = Callable[[bytes, int], bool]
 """Sends a datagram to a port so many further than the first, whether a program listens
 there or not; tells whether the system took it."""
@@ -123,11 +114,7 @@ there or not; tells whether the system took it."""
 
 @contextmanager
 def open_datagrams(address: Address) -> Iterator[Datagrams]:
-    """Yield what sends to an address.
-
-    Raises:
-        InputError: There is no such host.
-    """
+    """Yield what sends to an address; raises InputError if there is no such host."""
     try:
         found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
     except OSError as error:
