@@ -56,8 +56,7 @@ class Crew(AbstractContextManager["Crew"]):
 def open_crew(scheduler: str | None, jobs: int) -> Crew:
     """Return the workers of a Dask scheduler, or processes of this machine.
 
-    Raises:
-        InputError: No scheduler answers at the address, or Dask is not installed.
+    Raises InputError if no scheduler answers there, or Dask is not installed.
     """
     return _Processes(jobs) if scheduler is None else _Cluster(scheduler)
 
@@ -67,19 +66,23 @@ class _Processes(Crew):
 
     def __init__(self, count: int) -> None:
         self.room = count
-        self._running: dict[Future[Row], tuple[Job, _Pool]] = {}
-        self._resting: list[_Pool] = []
+        self._running: dict[Future[Row], tuple[Job, ProcessPoolExecutor]] = {}
+        self._pools: dict[ProcessPoolExecutor, ExitStack] = {}
+        self._resting: list[ProcessPoolExecutor] = []
 
     def __exit__(self, *error: Any) -> None:
-        pools = [pool for _, pool in self._running.values()] + self._resting
-        with ThreadPoolExecutor(max(1, len(pools))) as ending:
+        with ThreadPoolExecutor(max(1, len(self._pools))) as ending:
             # All at once: each finishes its take, or gives it up after an error.
-            for pool in pools:
+            for pool in self._pools.values():
                 ending.submit(pool.__exit__, *error)
 
     def submit(self, job: Job) -> None:
-        pool = self._resting.pop() if self._resting else _Pool()
-        self._running[pool.executor.submit(clean_file, job)] = job, pool
+        if not self._resting:
+            stack = ExitStack()
+            self._resting.append(stack.enter_context(workers(1)))
+            self._pools[self._resting[-1]] = stack
+        pool = self._resting.pop()
+        self._running[pool.submit(clean_file, job)] = job, pool
 
     def finished(self) -> list[tuple[Job, Row | None]]:
         results = []
@@ -87,19 +90,11 @@ class _Processes(Crew):
             job, pool = self._running.pop(future)
             row = _row_of(future, job, BrokenProcessPool)
             if row is None:
-                pool.close()
+                self._pools.pop(pool).close()
             else:
                 self._resting.append(pool)
             results.append((job, row))
         return results
-
-
-class _Pool(ExitStack):
-    executor: ProcessPoolExecutor
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.executor = self.enter_context(workers(1))
 
 
 class _Cluster(Crew):

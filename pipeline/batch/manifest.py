@@ -28,11 +28,9 @@ from kinefilter.characters import InputError
 
 from .store import Store, store_at
 
-_LINES = "manifest.jsonl"  # at a URL, files in the folder _PARTS
-_PARTS = "manifest"
+_LINES, _PARTS = "manifest.jsonl", "manifest"  # a file, at a URL a folder of files
 _CSV = "manifest.csv"
 _FULL = 1000  # rows of a part: under a megabyte
-
 
 Status = Literal["done", "failed", "no take"]
 """What became of a file; of a take that failed at least one clip is missing."""
@@ -77,11 +75,7 @@ class Row:
 
     @classmethod
     def from_json(cls, line: str) -> Row:
-        """Return the row of a line.
-
-        Raises:
-            ValueError: The line is damaged, or of another version.
-        """
+        """Return the row of a line; raises ValueError if it is damaged or too old."""
         values = json.loads(line)
         try:
             clips = tuple(
@@ -99,11 +93,7 @@ class Manifest(ABC):
     rows: dict[str, Row]  # the last of each take
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Add rows; they are on the disk when this returns.
-
-        Raises:
-            InputError: They cannot be written.
-        """
+        """Write rows to the disk, or raise InputError if they cannot be written."""
         self._write([row.as_json() + "\n" for row in rows])
         self.rows.update((row.take, row) for row in rows)
 
@@ -115,9 +105,8 @@ class Manifest(ABC):
 def open_manifest(store: Store) -> Iterator[Manifest]:
     """Yield the manifest of an output folder, which is made if it is missing.
 
-    Raises:
-        InputError: Another run writes there, nothing can be written, or a line that is
-            not the last is damaged.
+    Raises InputError if another run writes there, nothing can be written, or a line
+    that is not the last is damaged.
     """
     if not store.is_local:
         yield _InParts(store)
@@ -193,36 +182,32 @@ class _InParts(Manifest):
 def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
     """Return the rows of a manifest, and how many bytes are whole lines.
 
-    A last line that is torn is dropped: the process that wrote it was killed.
-
-    Raises:
-        InputError: Another line is damaged.
+    A last line that is torn is dropped: the process that wrote it was killed. Raises
+    InputError if another line is damaged.
     """
-    rows = []
-    start = 0
-    for number, line in enumerate(data.splitlines(keepends=True), start=1):
-        end = start + len(line)
+    rows: list[Row] = []
+    whole = 0
+    for line in data.splitlines(keepends=True):
+        end = whole + len(line)
         try:
             row = Row.from_json(line.decode())
         except ValueError as error:
             if end == len(data):
                 break
             raise InputError(
-                f"{name}: line {number} is damaged ({error}); delete it, and its take "
-                "is cleaned again"
+                f"{name}: line {len(rows) + 1} is damaged ({error}); delete it, and "
+                "its take is cleaned again"
             ) from None
-        if not line.endswith(b"\n"):
-            break
-        rows.append(row)
-        start = end
-    return rows, start
+        if line.endswith(b"\n"):
+            rows.append(row)
+            whole = end
+    return rows, whole
 
 
 def write_csv(rows: Iterable[Row], store: Store) -> None:
     """Write the table for people: a line a clip, and a line a take that has none.
 
-    Raises:
-        InputError: It cannot be written.
+    Raises InputError if it cannot be written.
     """
     columns = [f.name for f in fields(ClipRow) if f.name not in ("stamp", "sha256")]
     text = io.StringIO()

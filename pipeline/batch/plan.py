@@ -79,20 +79,12 @@ def plan_jobs(
 ) -> list[Job]:
     """Return a job for every file, the longest first.
 
-    Settings of ``kinefilter.toml`` in a take's folder, and in those above it up to the
-    one that was searched, override ``files``; the nearest overrides the others.
-
-    Args:
-        sources: Files to look at.
-        store: Where clips are written.
-        settings: Values that hold where no file sets others.
-        suffix: Extension of the clips, such as ``.usdc``.
-        files: Files of settings for all takes; later ones override earlier ones.
-        given: Names of settings that the user gave, which no file may change.
-
-    Raises:
-        InputError: A file of settings is wrong, contacts of one take are given to
-            several, or a clip would overwrite a take.
+    Values of ``settings`` hold where no file sets others: of ``files``, later ones
+    override earlier ones, and ``kinefilter.toml`` in a take's folder, and in those
+    above it up to the one that was searched, overrides these, the nearest first. No
+    file may change the settings ``given`` by the user. Clips end in ``suffix``, such as
+    ``.usdc``. Raises InputError if a file of settings is wrong, contacts of one take
+    are given to several, or a clip would overwrite a take.
     """
     known: dict[tuple[str, str], Settings] = {}
 
@@ -101,15 +93,15 @@ def plan_jobs(
         if key not in known:
             top = folder == folder.parent
             above = start if top else settings_of(store, folder.parent)
-            own = _settings_files(store, str(folder / FOLDER_FILE))
+            name = str(folder / FOLDER_FILE)
+            own = [] if store.find(name) is None else [_settings_file(store, name)]
             known[key] = overlaid(above, own, given)
         return known[key]
 
     start = overlaid(settings, files, given)
-    folders = [PurePosixPath(source.file.name).parent for source in sources]
     chosen = [
-        settings_of(source.store, folder)
-        for source, folder in zip(sources, folders, strict=True)
+        settings_of(source.store, PurePosixPath(source.file.name).parent)
+        for source in sources
     ]
     fingerprints = {}
     for one in dict.fromkeys(chosen):
@@ -132,14 +124,11 @@ def plan_jobs(
     return sorted(jobs, key=lambda job: (-job.size, job.source.take))
 
 
-def _settings_files(store: Store, name: str) -> list[SettingsFile]:
-    """Return the file of settings of that name, if it is there."""
-    if store.find(name) is None:
-        return []
+def _settings_file(store: Store, name: str) -> SettingsFile:
     with store.reading(name) as path:
         text = read_limited(path, LARGEST_TOML)
     folder = Path(store.path(name)).parent if store.is_local else None
-    return [parse_settings(text, store.path(name), folder)]
+    return parse_settings(text, store.path(name), folder)
 
 
 def _check(settings: Settings, out: Store, suffix: str) -> None:

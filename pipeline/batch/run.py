@@ -70,23 +70,17 @@ def clean_files(
     there, at a URL ``manifest/*.jsonl``; ``manifest.csv`` is the table of them, written
     at the end.
 
-    Args:
-        inputs: Takes, and folders to search for them; paths or URLs.
-        out: Folder for the clips, a path or URL; made if it is missing.
-        settings: How each take is cleaned and written.
-        suffix: Extension of the clips.
-        config_file: TOML file of settings, which override ``settings``. Those of
-            ``kinefilter.toml`` in the takes' folders override both.
-        given: Names of settings that no file may change.
-        jobs: Number of processes; by default one a core.
-        scheduler: Address of a Dask scheduler whose workers clean instead.
-        on_progress: Called at the start, after every take, and while there are no
-            workers.
+    Takes, folders to search for them, and the folder for the clips are paths or URLs;
+    ``suffix`` is the extension of the clips. Settings in ``config_file`` (TOML)
+    override ``settings``, those of ``kinefilter.toml`` in the takes' folders override
+    both; no file may change those ``given``, by name. ``jobs`` is the number of
+    processes, by default one a core; the workers of a Dask ``scheduler`` clean instead.
+    ``on_progress`` is called at the start, after every take, and while there are no
+    workers.
 
-    Raises:
-        InputError: The request is impossible, or the manifest cannot be written. A
-            take that is wrong raises nothing: its row says so.
-        KeyboardInterrupt: The user interrupted; the manifest is up to date.
+    Raises InputError if the request is impossible, or the manifest cannot be written; a
+    take that is wrong raises nothing: its row says so. After a KeyboardInterrupt the
+    manifest is up to date.
     """
     store = store_at(out)
     files = [] if config_file is None else [read_settings(config_file)]

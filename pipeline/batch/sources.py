@@ -33,12 +33,8 @@ class Source:
     def is_take(self, path: Path, layout: TakeFormat | None) -> bool:
         """Tell a take, even a broken one, from other files.
 
-        Args:
-            path: Where the file, or a copy of it, can be read.
-            layout: The layout that the user gave for all files, if any.
-
-        Raises:
-            InputError: The file cannot be read.
+        The file, or a copy of it, is read at ``path``; ``layout`` is the one that the
+        user gave for all files. Raises InputError if it cannot be read.
         """
         name = self.file.name.lower().removesuffix(".gz")
         certain = self.named or layout is not None or name.endswith(_CERTAIN)
@@ -49,10 +45,8 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
     """Return the named files, and those in folders with an extension of takes.
 
     A file that is found twice counts once. With several inputs, the takes of a folder
-    are prefixed with the folder's name.
-
-    Raises:
-        InputError: An input does not exist or is ``out``, or nothing was found.
+    are prefixed with the folder's name. Raises InputError if an input does not exist or
+    is ``out``, or nothing was found.
     """
     sources: dict[str, Source] = {}
     labels: Counter[str] = Counter()
@@ -119,12 +113,8 @@ def clip_names(
 
     ``walks/fast.csv.gz`` becomes ``walks/fast.usdc``. Takes that differ only in their
     extension keep it: ``fast.csv.usdc`` and ``fast.bvh.usdc``. So a name depends on
-    which other takes there are, but not on their order.
-
-    Args:
-        takes: Paths of the takes, no two the same.
-        suffix: Extension of the clips, such as ``.usdc``.
-        several: Takes may give a clip for each of several people, see ``numbered``.
+    which other takes there are, but not on their order. With ``several``, takes may
+    give a clip for each of several people (``numbered``).
     """
     key = _without_number if several else str.casefold
     names, longer = list[str](), [_stem(take) for take in takes]
@@ -140,9 +130,7 @@ def clip_names(
 def unique_names(names: Iterable[str], key: Callable[[str], str] = str) -> list[str]:
     """Return names, each but the first of those with the same key prefixed by a number.
 
-    Args:
-        names: Paths, split by ``/``; the number is put before the last part.
-        key: Names with the same key count as the same.
+    The number is put before the last part of a path, which is split by ``/``.
     """
     taken: set[str] = set()
     unique = []
@@ -162,7 +150,5 @@ def _without_number(name: str) -> str:
 
 
 def _stem(take: str) -> str:
-    path = PurePosixPath(take)
-    if path.suffix.lower() == ".gz":
-        path = path.with_suffix("")
-    return str(path.with_suffix(""))
+    plain = take[:-3] if take.lower().endswith(".gz") else take
+    return str(PurePosixPath(plain).with_suffix(""))

@@ -12,7 +12,7 @@ import tempfile
 import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
@@ -64,10 +64,7 @@ class Store(ABC):
 
     @abstractmethod
     def writing(self, name: str) -> AbstractContextManager[Path]:
-        """Yield a path of this machine to write a file to; folders are made.
-
-        The writer must not leave half a file under the path.
-        """
+        """Yield a path of this machine to write a whole file to; folders are made."""
 
     def sha256(self, name: str) -> str:
         """Return the hash of a file's bytes."""
@@ -136,11 +133,9 @@ class _RemoteStore(Store):
 
     def find(self, name: str) -> StoredFile | None:
         system, root = _file_system(self.root)
-        with _as_input_error(self.path(name)):
-            try:
-                return _stored_file(name, system.info(f"{root}/{name}"))
-            except FileNotFoundError:
-                return None
+        with _as_input_error(self.path(name)), suppress(FileNotFoundError):
+            return _stored_file(name, system.info(f"{root}/{name}"))
+        return None
 
     @contextmanager
     def reading(self, name: str) -> Iterator[Path]:
@@ -155,28 +150,24 @@ class _RemoteStore(Store):
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
         """Yield a local path; the file written there is then uploaded."""
+        system, root = _file_system(self.root)
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / PurePosixPath(name).name
             yield copy
             with _as_input_error(self.path(name)):
-                self._upload(copy, name)
-
-    def _upload(self, copy: Path, name: str) -> None:
-        system, root = _file_system(self.root)
-        target = f"{root}/{name}"
-        if self.root.partition("://")[0] in _WHOLE_PUTS:
-            system.put_file(str(copy), target)
-            return
-        parent, _, last = target.rpartition("/")
-        temporary = f"{parent}/.{uuid.uuid4().hex}.{last}"
-        system.makedirs(parent, exist_ok=True)
-        try:
-            system.put_file(str(copy), temporary)
-            system.mv(temporary, target)
-        except BaseException:
-            if system.exists(temporary):
-                system.rm_file(temporary)
-            raise
+                parent, _, last = f"{root}/{name}".rpartition("/")
+                if self.root.partition("://")[0] in _WHOLE_PUTS:
+                    system.put_file(str(copy), f"{parent}/{last}")
+                    return
+                temporary = f"{parent}/.{uuid.uuid4().hex}.{last}"
+                system.makedirs(parent, exist_ok=True)
+                try:
+                    system.put_file(str(copy), temporary)
+                    system.mv(temporary, f"{parent}/{last}")
+                except BaseException:
+                    if system.exists(temporary):
+                        system.rm_file(temporary)
+                    raise
 
 
 def remove_unfinished(store: Store) -> None:
@@ -200,21 +191,18 @@ def is_url(place: str) -> bool:
 
 
 def is_folder(place: str) -> bool:
-    """Tell a folder from a file.
-
-    Raises:
-        InputError: Neither is there, or the URL cannot be reached.
-    """
+    """Tell a folder from a file; raises InputError if neither is there."""
     if is_url(place):
         system, path = _file_system(place)
         with _as_input_error(place):
-            folder = system.isdir(path)
-            file = not folder and system.isfile(path)
+            folder = bool(system.isdir(path))
+            exists = folder or system.isfile(path)
     else:
-        folder, file = Path(place).is_dir(), Path(place).is_file()
-    if not folder and not file:
+        folder = Path(place).is_dir()
+        exists = folder or Path(place).is_file()
+    if not exists:
         raise InputError(f"{place}: there is no such file or folder; check the name")
-    return bool(folder)
+    return folder
 
 
 def canonical(place: str) -> str:
@@ -232,8 +220,7 @@ def _raise_unreadable(error: OSError) -> None:
 def _file_system(url: str) -> tuple[Any, str]:
     """Return the file system of a URL, and the path in it.
 
-    Raises:
-        InputError: The protocol is unknown or needs a package that is not installed.
+    Raises InputError if the protocol is unknown or its package is not installed.
     """
     require("fsspec", f"the URL {url}", "cluster")
     from fsspec.core import url_to_fs

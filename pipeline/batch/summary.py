@@ -23,7 +23,12 @@ def as_tables(outcome: Outcome) -> RenderableType:
     """
     rows = [*outcome.kept, *outcome.rows]
     clips = [(row, clip) for row in rows for clip in row.clips]
-    clips.sort(key=lambda pair: _badness(pair[1]), reverse=True)
+
+    def badness(pair: tuple[Row, ClipRow]) -> tuple[float, float]:
+        force = pair[1].external_force_body_weights or 0.0
+        return force, pair[1].share_outside_database or 0.0
+
+    clips.sort(key=badness, reverse=True)
     tables = [_worst_table(clips[:_WORST])] if clips else []
     tables += [_failed_table(outcome.failed)] if outcome.failed else []
     return Group(_counts(outcome), *tables)
@@ -50,11 +55,6 @@ def _counts(outcome: Outcome) -> str:
 
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
-
-
-def _badness(clip: ClipRow) -> tuple[float, float]:
-    force, outside = clip.external_force_body_weights, clip.share_outside_database
-    return force or 0.0, outside or 0.0
 
 
 def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:

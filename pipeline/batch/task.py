@@ -60,13 +60,9 @@ def clean_file(job: Job) -> Row:
             error = f"cannot be cleaned ({type(unforeseen).__name__}: {unforeseen})"
     recording = None
     give_back_memory()
-    return job.row(
-        "failed" if error else status,
-        sha256=sha256,
-        seconds=perf_counter() - start,
-        clips=clips,
-        error=error[:_LONGEST],
-    )
+    status, error = "failed" if error else status, error[:_LONGEST]
+    seconds = perf_counter() - start
+    return job.row(status, sha256=sha256, seconds=seconds, clips=clips, error=error)
 
 
 def _read(job: Job) -> tuple[Recording | None, str]:

@@ -1,14 +1,19 @@
-"""Motion in BVH files, of any skeleton and channel order, and how they are read."""
+"""BVH, which every animation tool has read since Biovision's: read and written.
+
+Files are read of any skeleton and channel order.
+"""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import InputError
+from kinefilter.characters import Clip, InputError
 from kinefilter.characters.arrays import Array, freeze
 from kinefilter.characters.rotations import (
     IDENTITY,
@@ -19,11 +24,17 @@ from kinefilter.characters.rotations import (
     rotate,
 )
 
-from .files import open_text
+from .export import Export
+from .files import new_text, open_text
+from .recording import chunks
+from .rig import Rig, RigMotion
 from .rows import LARGEST_NUMBER, LineReader, RowReader
 
 MOST_CELLS = 20_000_000
 """Joints times frames at most: an hour of 75 joints at 60 frames a second."""
+_LOCKED = 1e-7
+"""Cosine of the middle angle below which the outer two are one: sqrt(eps)."""
+_END_SHARE = 0.3  # an end site goes on by this share of its bone, enough to be seen
 _MOST_JOINTS = 1000
 _MOST_CHANNELS = 6
 _FRAME_TIMES = (1e-4, 60.0)  # s, what any recorder could mean
@@ -46,18 +57,13 @@ class Bvh:
     no rotation at all; each rotation turns a joint with all that hangs on it.
     """
 
-    names: tuple[str, ...]
-    """Joint names, every parent before its children."""
-    parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for a root."""
-    offsets: Array
-    """Vector from the parent in the rest posture, shape (N, 3)."""
+    names: tuple[str, ...]  # of joints, every parent before its children
+    parents: tuple[int, ...]  # index of each joint's parent, -1 for a root
+    offsets: Array  # vector from the parent in the rest posture, shape (N, 3)
     channels: tuple[tuple[str, ...], ...]
     """Channels of each joint in their order, such as ``Xposition``, ``Zrotation``."""
-    frame_time: float
-    """Time between frames [s]."""
-    motion: Array
-    """Channel values, angles in degrees, shape (T, C)."""
+    frame_time: float  # between frames [s]
+    motion: Array  # channel values, angles in degrees, shape (T, C)
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -73,9 +79,9 @@ class Bvh:
     @property
     def joints(self) -> list[int]:
         """Indices of the joints without the end sites."""
-        names, parents = self.names, self.parents
-        ends = [f"{names[parent]}End" if parent >= 0 else None for parent in parents]
-        return [n for n in range(len(names)) if self.channels[n] or names[n] != ends[n]]
+        ends = [f"{self.names[p]}End" if p >= 0 else None for p in self.parents]
+        named = enumerate(zip(self.names, self.channels, ends, strict=True))
+        return [n for n, (name, channels, end) in named if channels or name != end]
 
     @cached_property
     def rest_positions(self) -> Array:
@@ -149,14 +155,9 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
                 "frames of a recording, such as 0.0333; correct 'Frame Time:'"
             )
         motion = reader.motion(frames)
-    return Bvh(
-        tuple(reader.names),
-        tuple(reader.parents),
-        np.array(reader.offsets),
-        tuple(reader.channels),
-        frame_time,
-        motion,
-    )
+    names, parents = tuple(reader.names), tuple(reader.parents)
+    offsets, channels = np.array(reader.offsets), tuple(reader.channels)
+    return Bvh(names, parents, offsets, channels, frame_time, motion)
 
 
 @dataclass(eq=False)
@@ -252,3 +253,115 @@ class _BvhReader(LineReader):
                 "may be cut off, or correct 'Frames:'"
             )
         return np.concatenate(values)
+
+
+def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
+    """Write a rig's rotations and the path of its root, or of its pelvis.
+
+    The format has neither axes nor a unit; ``export`` chooses them. Angles [deg] are
+    continuous over time: they pass 360 rather than jump. Each frame of the clip is one
+    frame of the file, at the mean frame time. Raises InputError if it cannot be
+    written.
+    """
+    rig = replace(moved.rig, axes=None)  # a BVH skeleton is not rotated at rest
+    motion = _rows(moved, rig, export)
+    row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
+    with new_text(path) as file:
+        file.write("HIERARCHY\n")
+        offsets = export.points(rig.offsets)
+        offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
+        order = [f"{axis}rotation" for axis in export.rotation_order.upper()]
+        file.writelines(f"{line}\n" for line in _hierarchy(rig, offsets, order, 0, 0))
+        duration = float(clip.time[-1] - clip.time[0])
+        mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
+        frame_time = 1.0 / export.fps if export.fps else mean
+        file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
+        for some in chunks(len(motion)):
+            numbers = motion[some]
+            file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
+
+
+def _rows(moved: RigMotion, rig: Rig, export: Export) -> Array:
+    """Return positions of root and mover, and angles [deg], one row per frame."""
+    order = export.rotation_order.upper()
+    moving = sorted({0, rig.mover})
+    motion = np.empty((len(moved.path), 3 * (len(rig) + len(moving))))
+    column = 0
+    # Node by node: the angles need the whole time, and all at once would be gigabytes.
+    for n in rig.depth_first:
+        if n in moving:
+            place = moved.path if n == rig.mover else rig.root
+            motion[:, column : column + 3] = export.points(place)
+            column += 3
+        local = export.axes(rig.local_rotation(moved.rotations, n))
+        motion[:, column : column + 3] = np.degrees(continuous_euler(local, order))
+        column += 3
+    return motion
+
+
+def _hierarchy(
+    rig: Rig, offsets: Array, order: list[str], node: int, depth: int
+) -> Iterator[str]:
+    pad, inner = "\t" * depth, "\t" * (depth + 1)
+    moves = node == rig.mover or not depth
+    channels = ["Xposition", "Yposition", "Zposition", *order] if moves else order
+    yield f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}"
+    yield f"{pad}{{"
+    yield f"{inner}{_offset(offsets[node])}"
+    yield f"{inner}CHANNELS {len(channels)} {' '.join(channels)}"
+    for child, parent in enumerate(rig.parents):
+        if parent == node:
+            yield from _hierarchy(rig, offsets, order, child, depth + 1)
+    if node not in rig.parents:
+        end = f"\t{_offset(_END_SHARE * offsets[node])}"
+        yield from (f"{inner}{line}" for line in ("End Site", "{", end, "}"))
+    yield f"{pad}}}"
+
+
+def _offset(vector: Array) -> str:
+    # Adding zero turns -0.0 into 0.0.
+    return "OFFSET " + " ".join(f"{value + 0.0:.9f}" for value in vector)
+
+
+def continuous_euler(rotations: Array, axes: str) -> Array:
+    """Return angles [rad] about an axis, the turned second and the twice turned third.
+
+    Of the two triples that give the same rotation, and of all their full turns, each
+    frame gets the one nearest to the frame before, so angles (T, 3) are unbounded.
+    Rotations are wxyz, shape (T, 4); the axes are given in order, such as ``ZYX``.
+    """
+    # The axes renamed to z, y, x: half of the orders are its mirror images, in which
+    # every turn goes the other way.
+    sign = 1.0 if axes in "ZYXZYX" else -1.0
+    order = [0, *(1 + "XYZ".index(axis) for axis in reversed(axes))]
+    angles = _zyx(rotations[:, order] * [1.0, sign, sign, sign])
+    other = angles * [1.0, -1.0, 1.0] + np.pi
+    # Crossing over costs the same whichever triple the frame before has, so the
+    # choice is the parity of the crossings up to now.
+    turns = np.stack([angles[1:], other[1:]]) - angles[:-1]
+    wrapped = (turns + np.pi) % (2.0 * np.pi) - np.pi
+    stay, cross = np.sum(wrapped**2, axis=-1)
+    crossed = np.concatenate([[False], np.cumsum(cross < stay) % 2 == 1])
+    chosen = np.where(crossed[:, None], other, angles)
+    return sign * np.unwrap(chosen, axis=0)
+
+
+def _zyx(rotations: Array) -> Array:
+    """Return the triple with the middle angle in [-pi/2, pi/2], shape (T, 3)."""
+    w, x, y, z = np.moveaxis(np.asarray(rotations, dtype=np.float64), -1, 0)
+    m00, m10 = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)
+    m01, m11 = 2.0 * (x * y - w * z), w * w - x * x + y * y - z * z
+    m20 = 2.0 * (x * z - w * y)
+    m21, m22 = 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
+    cosine = np.hypot(m00, m10)
+    locked = cosine < _LOCKED
+    # Where it is locked, x is the last before, at first 0.
+    last = np.maximum.accumulate(np.where(locked, -1, np.arange(len(locked))))
+    turn_x = np.where(last < 0, 0.0, np.arctan2(m21, m22)[last])
+    # With the middle angle a quarter turn, z and x turn about one line: x is held and
+    # z takes the rest. m01 and m11 are then -sin and cos of z minus or plus x.
+    sign = np.where(m20 < 0.0, 1.0, -1.0)
+    turn_z = np.where(
+        locked, np.arctan2(-m01, m11) + sign * turn_x, np.arctan2(m10, m00)
+    )
+    return np.stack([turn_z, np.arctan2(-m20, cosine), turn_x], axis=-1)

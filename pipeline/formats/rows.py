@@ -22,10 +22,8 @@ _BLOCK_LINES = 2000  # some megabytes of text at a time, whatever the file's len
 class Block:
     """Some rows of a file."""
 
-    rows: NDArray[np.intp]
-    """Line number of each row, counted from 1, shape (R,)."""
-    values: Array
-    """The numbers, NaN where a cell is empty, none infinite, shape (R, C)."""
+    rows: NDArray[np.intp]  # line number of each row, counted from 1, shape (R,)
+    values: Array  # the numbers, NaN where a cell is empty, none infinite, (R, C)
 
 
 @dataclass(frozen=True)
@@ -79,10 +77,8 @@ class RowReader:
                 numbers.append(float(cell or "nan"))
             except ValueError:
                 word = cell if len(cell) <= 40 else f"{cell[:37]}..."
-                words = (
-                    "expected a number; leave the cell empty if nothing was measured"
-                )
-                self._fail(row, column, f"is {word!r}, {words}")
+                words = "leave the cell empty if nothing was measured"
+                self._fail(row, column, f"is {word!r}, expected a number; {words}")
         return numbers
 
     def refuse(
@@ -114,8 +110,7 @@ class LineReader:
 
     source: str
     lines: Iterator[str]
-    row: int = 0
-    """Number of the last line that was read, counted from 1."""
+    row: int = 0  # number of the last line that was read, counted from 1
     noun: ClassVar[str] = "line"
 
     def filled(self, comments: str = "") -> Iterator[list[str]]:
