@@ -176,26 +176,22 @@ class _BvhReader(LineReader):
                 if self.open or not self.names:
                     self.fail("begins the motion inside the hierarchy, expected }")
                 return
-            if words:
-                self._take(words)
+            if words[:1] in (["ROOT"], ["JOINT"]) and len(words) > 1:
+                self._add(" ".join(words[1:]))
+            elif words[:2] == ["End", "Site"] and self.open:
+                self._add(f"{self.names[self.open[-1]]}End")
+            elif words[:1] == ["OFFSET"] and self.open:
+                self.offsets[self.open[-1]] = self.numbers(words[1:], 3, "offset ")
+            elif words[:1] == ["CHANNELS"] and self.open:
+                self._add_channels(words[1:])
+            elif words == ["}"] and self.open:
+                self.open.pop()
+            elif words and (words != ["HIERARCHY"] or self.names):
+                self.fail(
+                    f"is {' '.join(words)[:40]!r}, expected HIERARCHY, ROOT, JOINT, "
+                    "End Site, OFFSET, CHANNELS, a brace or MOTION"
+                )
         self.fail("ends the file, expected the line MOTION; is it a BVH file?")
-
-    def _take(self, words: list[str]) -> None:
-        if words[0] in ("ROOT", "JOINT") and len(words) > 1:
-            self._add(" ".join(words[1:]))
-        elif words[:2] == ["End", "Site"] and self.open:
-            self._add(f"{self.names[self.open[-1]]}End")
-        elif words[0] == "OFFSET" and self.open:
-            self.offsets[self.open[-1]] = self.numbers(words[1:], 3, "offset ")
-        elif words[0] == "CHANNELS" and self.open:
-            self.channels[self.open[-1]] = self._channel_names(words[1:])
-        elif words == ["}"] and self.open:
-            self.open.pop()
-        elif words != ["HIERARCHY"] or self.names:
-            self.fail(
-                f"is {' '.join(words)[:40]!r}, expected HIERARCHY, ROOT, JOINT, "
-                "End Site, OFFSET, CHANNELS, a brace or MOTION"
-            )
 
     def _add(self, name: str) -> None:
         if len(self.names) == _MOST_JOINTS:
@@ -206,7 +202,7 @@ class _BvhReader(LineReader):
         self.offsets.append(np.zeros(3))
         self.channels.append(())
 
-    def _channel_names(self, words: list[str]) -> tuple[str, ...]:
+    def _add_channels(self, words: list[str]) -> None:
         names = tuple(words[1:])
         known = _CHANNELS.issuperset(names) and len(names) <= _MOST_CHANNELS
         if words[:1] != [str(len(names))] or not known:
@@ -214,7 +210,7 @@ class _BvhReader(LineReader):
                 f"has channels {' '.join(words)[:60]!r}, expected their number and "
                 f"names out of {', '.join(sorted(_CHANNELS))}"
             )
-        return names
+        self.channels[self.open[-1]] = names
 
     def header(self, key: str) -> float:
         """Return the number in the next line, which begins with a key."""
@@ -264,63 +260,52 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     written.
     """
     rig = replace(moved.rig, axes=None)  # a BVH skeleton is not rotated at rest
-    motion = _rows(moved, rig, export)
+    order, columns = export.rotation_order.upper(), []
+    # Node by node: the angles need the whole time, and all at once would be gigabytes.
+    for n in rig.depth_first:
+        if n in (0, rig.mover):
+            place = moved.path if n == rig.mover else np.tile(rig.root, (len(clip), 1))
+            columns.append(export.points(place))
+        local = export.axes(rig.local_rotation(moved.rotations, n))
+        columns.append(np.degrees(continuous_euler(local, order)))
+    motion = np.concatenate(columns, axis=1)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
+    offsets = export.points(rig.offsets)
+    offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
+    channels = [f"{axis}rotation" for axis in order]
+    duration = float(clip.time[-1] - clip.time[0])
+    mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
+    frame_time = 1.0 / export.fps if export.fps else mean
     with new_text(path) as file:
         file.write("HIERARCHY\n")
-        offsets = export.points(rig.offsets)
-        offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
-        order = [f"{axis}rotation" for axis in export.rotation_order.upper()]
-        file.writelines(f"{line}\n" for line in _hierarchy(rig, offsets, order, 0, 0))
-        duration = float(clip.time[-1] - clip.time[0])
-        mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
-        frame_time = 1.0 / export.fps if export.fps else mean
+        file.writelines(_hierarchy(rig, offsets, channels, 0, 0))
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
         for some in chunks(len(motion)):
             numbers = motion[some]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 
 
-def _rows(moved: RigMotion, rig: Rig, export: Export) -> Array:
-    """Return positions of root and mover, and angles [deg], one row per frame."""
-    order = export.rotation_order.upper()
-    moving = sorted({0, rig.mover})
-    motion = np.empty((len(moved.path), 3 * (len(rig) + len(moving))))
-    column = 0
-    # Node by node: the angles need the whole time, and all at once would be gigabytes.
-    for n in rig.depth_first:
-        if n in moving:
-            place = moved.path if n == rig.mover else rig.root
-            motion[:, column : column + 3] = export.points(place)
-            column += 3
-        local = export.axes(rig.local_rotation(moved.rotations, n))
-        motion[:, column : column + 3] = np.degrees(continuous_euler(local, order))
-        column += 3
-    return motion
-
-
 def _hierarchy(
-    rig: Rig, offsets: Array, order: list[str], node: int, depth: int
+    rig: Rig, offsets: Array, angles: list[str], node: int, depth: int
 ) -> Iterator[str]:
     pad, inner = "\t" * depth, "\t" * (depth + 1)
-    moves = node == rig.mover or not depth
-    channels = ["Xposition", "Yposition", "Zposition", *order] if moves else order
-    yield f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}"
-    yield f"{pad}{{"
+    moves = node in (0, rig.mover)
+    channels = ["Xposition", "Yposition", "Zposition", *angles] if moves else angles
+    yield f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}\n{pad}{{\n"
     yield f"{inner}{_offset(offsets[node])}"
-    yield f"{inner}CHANNELS {len(channels)} {' '.join(channels)}"
+    yield f"{inner}CHANNELS {len(channels)} {' '.join(channels)}\n"
     for child, parent in enumerate(rig.parents):
         if parent == node:
-            yield from _hierarchy(rig, offsets, order, child, depth + 1)
+            yield from _hierarchy(rig, offsets, angles, child, depth + 1)
     if node not in rig.parents:
-        end = f"\t{_offset(_END_SHARE * offsets[node])}"
-        yield from (f"{inner}{line}" for line in ("End Site", "{", end, "}"))
-    yield f"{pad}}}"
+        end = _offset(_END_SHARE * offsets[node])
+        yield f"{inner}End Site\n{inner}{{\n{inner}\t{end}{inner}}}\n"
+    yield f"{pad}}}\n"
 
 
 def _offset(vector: Array) -> str:
     # Adding zero turns -0.0 into 0.0.
-    return "OFFSET " + " ".join(f"{value + 0.0:.9f}" for value in vector)
+    return "OFFSET " + " ".join(f"{value + 0.0:.9f}" for value in vector) + "\n"
 
 
 def continuous_euler(rotations: Array, axes: str) -> Array:

@@ -24,9 +24,12 @@ _FOLLOWED = {
     **dict.fromkeys(USD_SUFFIXES, (*_RIGGED, "character")),
     ".usdz": _RIGGED,
     ".bvh": (*_RIGGED, "rotation_order"),
-    ".csv": ("fps",),
-    ".npz": ("fps",),
+    **dict.fromkeys((".csv", ".npz"), ("fps",)),
 }
+_END = 1e-6  # of a frame: the last one is not lost to rounding
+_MOVED = ("moved_by_correction", "moved_by_physics")
+_ON_A_LINE = ("root", "reliability", *_MOVED, "external_force")
+_NEAREST = ("state", "deciding_term", "origin", "contacts")
 
 
 @dataclass(frozen=True)
@@ -109,14 +112,6 @@ def with_y_up(values: Array) -> Array:
     turned = values.copy()
     turned[..., -2], turned[..., -1] = values[..., -1], -values[..., -2]
     return turned
-
-
-# Clips at another frame rate, and in another rest pose
-
-_END = 1e-6  # of a frame: the last one is not lost to rounding
-_MOVED = ("moved_by_correction", "moved_by_physics")
-_ON_A_LINE = ("root", "reliability", *_MOVED, "external_force")
-_NEAREST = ("state", "deciding_term", "origin", "contacts")
 
 
 def resampled(clip: Clip, fps: float) -> Clip:

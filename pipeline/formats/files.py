@@ -126,9 +126,7 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedRead
             "expected a text file, save it as CSV in UTF-8"
         ) from None
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise InputError(
-            f"{path}: damaged gzip file ({error}); copy it again"
-        ) from None
+        raise InputError(f"{path}: damaged gzip ({error}); copy it again") from None
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{path}: cannot be read ({reason})") from error

@@ -82,20 +82,16 @@ def kinect_motion(
         positions[:, j] = mocap.positions[:, columns].mean(axis=1)
         if turns is not None and mocap.rotations is not None and row.turned_by:
             turns[:, j] = mocap.rotations[:, names.index(row.turned_by)]
-    if _z_is_up(positions, skeleton, mocap.source):
+    spine = positions[:, skeleton.index("Head")] - positions[:, skeleton.root]
+    spine = spine[np.isfinite(spine).all(axis=1)]
+    if not len(spine):
+        raise InputError(f"{mocap.source}: no frame has head and hips")
+    up = np.median(spine, axis=0)
+    if np.abs(up).argmax() == 2 and up[2] > 0.0:
         positions = rotate(_Z_TO_Y_UP, positions)
         turns = None if turns is None else multiply(_Z_TO_Y_UP, turns)
     unit, meters = _unit(positions, skeleton, mocap.source)
     return KinectMotion(positions, turns, unit, meters, rig.name)
-
-
-def _z_is_up(positions: Array, skeleton: Skeleton, source: str) -> bool:
-    spine = positions[:, skeleton.index("Head")] - positions[:, skeleton.root]
-    spine = spine[np.isfinite(spine).all(axis=1)]
-    if not len(spine):
-        raise InputError(f"{source}: no frame has head and hips; give whole bodies")
-    middle = np.median(spine, axis=0)
-    return bool(np.abs(middle).argmax() == 2 and middle[2] > 0.0)
 
 
 def _unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float]:

@@ -63,7 +63,7 @@ def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> 
             return read_c3d(path)
     first = beginning(path)
     if first.startswith("HIERARCHY"):
-        return read_bvh_mocap(os.fspath(path))
+        return _bvh_mocap(os.fspath(path))
     if first[:1] in ("#", ":"):
         return read_amc(path, read_asf(_skeleton_for(path, skeletons)))
     raise InputError(
@@ -84,15 +84,14 @@ def _skeleton_for(path: Path, skeletons: Sequence[Path]) -> Path:
     )
 
 
-def read_bvh_mocap(source: str) -> Mocap:
-    """Read a BVH file as mocap; raises InputError as ``read_bvh``."""
+def _bvh_mocap(source: str) -> Mocap:
     bvh = read_bvh(source)
     return Mocap(bvh.names, bvh.positions, bvh.rotations, bvh.frame_time, source)
 
 
 def read_bvh_take(source: str) -> Recording:
     """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
-    mocap = read_bvh_mocap(source)
+    mocap = _bvh_mocap(source)
     check_length(len(mocap.positions), source)
     _, missing = matching_source_rig(mocap.bare_names, KINECT_V2, ())
     skeleton = KINECT_V1 if missing else KINECT_V2
@@ -157,8 +156,7 @@ def _check_header(source: str) -> None:
         header = file.read(_BLOCK)
     if len(header) < _BLOCK or header[1] != _C3D_MAGIC or size > _LARGEST_C3D:
         raise InputError(f"{source}: not a C3D file, or cut off; export it again")
-    points, analog, first, last = struct.unpack("<4H", header[2:10])
-    scale, start = struct.unpack("<fH", header[12:18])
+    points, analog, first, last, scale, start = struct.unpack("<4H2xfH", header[2:18])
     frames = last - first + 1
     # Whole numbers where the scale is positive, floats where it is negative.
     width = 4 if scale < 0 else 2

@@ -20,8 +20,7 @@ from kinefilter.characters import Body, Clip, InputError, Prop, Shape, skeleton_
 
 from .files import atomic_path, check_file
 
-_LARGEST = 2**31
-"""Bytes of all arrays: nine hours of the largest skeleton's positions."""
+_LARGEST = 2**31  # bytes of all arrays: nine hours of the largest skeleton's positions
 _KINDS = "biufUS"  # truth values, numbers and text
 _MOST_ARRAYS = 1000
 _LONGEST_HEADER = 10_000  # bytes, numpy's own limit for files from elsewhere
@@ -34,9 +33,12 @@ _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
 
+_OURS = "a file that kinefilter wrote"
+
+
 @contextmanager
 def _archive(
-    path: str | os.PathLike[str], expected: str = "a file that kinefilter wrote"
+    path: str | os.PathLike[str], expected: str = _OURS
 ) -> Iterator[zipfile.ZipFile]:
     source = os.fspath(check_file(path))
     try:
@@ -62,7 +64,7 @@ def array_names(path: str | os.PathLike[str]) -> set[str]:
 
 
 def read_arrays(
-    path: str | os.PathLike[str], expected: str = "a file that kinefilter wrote"
+    path: str | os.PathLike[str], expected: str = _OURS
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays of an npz file, without running anything in it.
 
@@ -136,10 +138,9 @@ def _clip(archive: dict[str, Any]) -> Clip:
     arrays = {name: archive[name] for name in _ARRAYS}
     frame = {name: archive.get(name, np.nan) for name in _FRAME}
     for name, array in (*arrays.items(), *measures.items(), *frame.items()):
-        if np.asarray(array).dtype.kind not in "biuf":
+        kinds = "f" if name == "time" else "biuf"
+        if np.asarray(array).dtype.kind not in kinds:
             raise InputError(f"{name} is not numbers; write the clip again")
-    if arrays["time"].dtype.kind != "f":
-        raise InputError("time is not numbers; write the clip again")
     numbers = {name: measures[name].item() for name in ("height", "mass")}
     positions = arrays.pop("positions")
     if positions.shape != (len(arrays["time"]), len(skeleton), 3):
@@ -179,5 +180,5 @@ def props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
             Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
             for n, kind in enumerate(kinds)
         ]
-        moves = (archive[f"prop:{k}:{path}"] for path in ("positions", "rotations"))
-        yield Prop(str(name), tuple(shapes), *moves)
+        places, turns = archive[f"prop:{k}:positions"], archive[f"prop:{k}:rotations"]
+        yield Prop(str(name), tuple(shapes), places, turns)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +42,13 @@ from .rows import Block, RowReader
 
 _LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
 _AXES = ("x", "y", "z")
-_PARTS = (*_AXES, "state")
+_CONTACT_HEADER = ("time", *CONTACTS)
+_ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 
 
 def _columns(skeleton: Skeleton) -> tuple[str, ...]:
-    return ("time", *(f"{j}.{part}" for j in skeleton.joints for part in _PARTS))
+    parts = (*_AXES, "state")
+    return ("time", *(f"{joint}.{part}" for joint in skeleton.joints for part in parts))
 
 
 def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
@@ -98,44 +99,40 @@ class _Layout:
 
 def _kinefilter(line: str, source: str) -> _Layout:
     columns = tuple(cell.strip().strip('"') for cell in line.strip().split(","))
-    if columns[0] != "time":
-        raise InputError(
-            f"{source}: row 1, column 1 is {columns[0][:40]!r}, expected the header "
-            "'time'; give the file's own format"
-        )
-    twice, times = Counter(columns).most_common(1)[0]
-    if times > 1:
-        raise InputError(f"{source}: row 1 has column {twice[:40]!r} twice; delete one")
     joints = tuple(dict.fromkeys(c.rpartition(".")[0] or c for c in columns[1:]))
-    skeleton = _skeleton_with(joints, source)
-    needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
-    if unknown := [name for name in columns if name not in _columns(skeleton)]:
-        raise InputError(
-            f"{source}: row 1, column {unknown[0][:40]!r} is unknown; expected "
-            "Joint.x, Joint.y, Joint.z or Joint.state"
-        )
-    if missing := [column for column in needed if column not in columns]:
-        raise InputError(
-            f"{source}: row 1 has no column {missing[0]}; add it or delete the other "
-            "columns of that joint"
-        )
-    return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
-
-
-def _skeleton_with(joints: tuple[str, ...], source: str) -> Skeleton:
-    """Return the smallest skeleton that has all the joints."""
-    if not joints:
-        raise InputError(f"{source}: row 1 names no joints; expected Joint.x and so on")
     skeletons = sorted(SKELETONS.values(), key=len)
-    for skeleton in skeletons:
-        if set(joints) <= set(skeleton.joints):
-            return skeleton
-    nearest = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
-    unknown = next(joint for joint in joints if joint not in nearest.joints)
-    raise InputError(
-        f"{source}: row 1, joint {unknown[:40]!r} is not one of {nearest.name}: "
-        f"{', '.join(nearest.joints)}; rename or delete its columns"
-    )
+    # The smallest skeleton that has all the joints, or else most of them.
+    skeleton = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
+    needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
+    twice, times = Counter(columns).most_common(1)[0]
+    wrong = ""
+    if columns[0] != "time":
+        wrong = (
+            f", column 1 is {columns[0][:40]!r}, expected the header 'time'; give the "
+            "file's own format"
+        )
+    elif times > 1:
+        wrong = f" has column {twice[:40]!r} twice; delete one"
+    elif not joints:
+        wrong = " names no joints; expected Joint.x and so on"
+    elif unknown := [joint for joint in joints if joint not in skeleton.joints]:
+        wrong = (
+            f", joint {unknown[0][:40]!r} is not one of {skeleton.name}: "
+            f"{', '.join(skeleton.joints)}; rename or delete its columns"
+        )
+    elif unknown := [name for name in columns if name not in _columns(skeleton)]:
+        wrong = (
+            f", column {unknown[0][:40]!r} is unknown; expected Joint.x, Joint.y, "
+            "Joint.z or Joint.state"
+        )
+    elif missing := [column for column in needed if column not in columns]:
+        wrong = (
+            f" has no column {missing[0]}; add it or delete the other columns of that "
+            "joint"
+        )
+    if wrong:
+        raise InputError(f"{source}: row 1{wrong}")
+    return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
 
 
 def _kinect_v2(_line: str, _source: str) -> _Layout:
@@ -238,12 +235,6 @@ def _frames(
     return block.rows, time, *missing_marked(positions, state)
 
 
-# Foot contacts, as a table that people can edit
-
-_CONTACT_HEADER = ("time", *CONTACTS)
-_ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
-
-
 def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write 1 where a part of a foot is on the floor, else 0, one row per frame."""
     rows = zip(clip.time.tolist(), clip.contacts.astype(int).tolist(), strict=True)
@@ -260,7 +251,7 @@ def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_
     gets the last row at or before it: a file may have a row per frame, or one per
     change. Raises InputError if it is missing, no such table, or of another time.
     """
-    if Path(path).suffix.lower() == ".npz":
+    if os.fspath(path).lower().endswith(".npz"):
         clip = read_npz(path)
         stamps, flags = clip.time, clip.contacts
     else:
@@ -280,8 +271,11 @@ def claims_contacts(path: str | os.PathLike[str]) -> bool:
 
 
 def contact_table(path: str | os.PathLike[str]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return times [s] (T,) and contacts (T, 4) of a table; raises InputError."""
+    """Return times [s] (T,) and contacts (T, 4) of a table or clip, or InputError."""
     source = os.fspath(path)
+    if source.lower().endswith(".npz"):
+        clip = read_npz(path)
+        return clip.time, clip.contacts
     with open_text(path) as file:
         header = tuple(cell.strip() for cell in next(iter(file), "").split(","))
         if header != _CONTACT_HEADER:

@@ -99,9 +99,9 @@ def read_recording(
         raise InputError(f"unknown take format {format!r}; known: {', '.join(FORMATS)}")
     name = format or _detected(_first_line(source), source)
     module, _, function = FORMATS[name][0].partition(":")
+    read: Callable[[str], Recording]
     read = getattr(import_module(f".{module}", __package__), function)
-    recording: Recording = read(source)
-    return recording
+    return read(source)
 
 
 def claims_take(path: str | os.PathLike[str]) -> bool:
@@ -137,8 +137,7 @@ def _detected(line: str, source: str) -> str:
             return name
     raise InputError(
         f"{source}: row 1 is of no known layout ({len(_cells(line))} comma-separated "
-        "cells); expected a kinefilter CSV (header "
-        "time,Joint.x,Joint.y,Joint.z,Joint.state), "
-        f"Kinect v2 rows of {_V2_CELLS} numbers, Kinect v1 joints split by ;, or one "
-        f"of the other formats: {', '.join(list(FORMATS)[3:])}"
+        "cells); expected a kinefilter CSV (header time,Joint.x,Joint.y,Joint.z,"
+        f"Joint.state), Kinect v2 rows of {_V2_CELLS} numbers, Kinect v1 joints split "
+        f"by ;, or one of the other formats: {', '.join(list(FORMATS)[3:])}"
     )

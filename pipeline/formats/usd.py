@@ -6,29 +6,23 @@
 somebody else's rig it is skeleton and animation alone: they have its skin, and props
 are where our proportions reach them.
 
-Per frame, ``/Character`` has these attributes. Arrays are in the order of
-``kinefilter:joints``, lengths in meters whatever the stage's unit:
+Per frame, ``/Character`` has these attributes ``kinefilter:NAME``. Arrays are in the
+order of ``joints``, lengths in meters whatever the stage's unit:
 
-``kinefilter:reliability``
-    Reliability in [0, 1] of each joint's measurement.
-``kinefilter:decidingTerm``
-    Which term decided it, an index of ``kinefilter:decidingTermNames``.
-``kinefilter:origin``
-    Where each joint came from, an index of ``kinefilter:originNames``.
-``kinefilter:movedByCorrection``, ``kinefilter:movedByPhysics``
-    How far each joint was moved, -1 where nothing was measured.
-``kinefilter:contacts``
-    Which of ``kinefilter:contactNames`` stand on the floor.
-``kinefilter:externalForce``
-    Body weights that no muscle and no floor gives; no sample without physics.
+- ``reliability`` in [0, 1] of each joint's measurement; which term decided it is
+  ``decidingTerm``, an index of ``decidingTermNames``
+- ``origin``: where each joint came from, an index of ``originNames``
+- ``movedByCorrection``, ``movedByPhysics``: how far each joint was moved, -1 where
+  nothing was measured
+- ``contacts``: which of ``contactNames`` stand on the floor
+- ``externalForce``: body weights that no muscle and no floor gives; no sample without
+  physics
 
 What cleaning did to the whole take is written once, unless it is unknown:
 
-``kinefilter:sensorTilt``
-    Angle in radians by which the take was turned about the sensor's x axis, positive
-    where the floor rose away from the sensor: ``y cos - z sin`` is up.
-``kinefilter:floorHeight``
-    Height of the floor in the take so leveled, which was then taken off.
+- ``sensorTilt``: angle in radians by which the take was turned about the sensor's x
+  axis, positive where the floor rose away from the sensor: ``y cos - z sin`` is up
+- ``floorHeight``: height of the floor in the take so leveled, which was then taken off
 
 pxr is imported where it is used: loading it takes longer than most commands run.
 """

@@ -135,9 +135,8 @@ def define_character(stage: Any, body: Body, export: Export) -> None:
     """Define the skeleton and the skin of a body under ``/Character``."""
     from pxr import Gf, UsdSkel, Vt
 
-    rig = rig_of(body)
+    rig, skin = rig_of(body), skin_of(body)
     define_skeleton(stage, rig, export)
-    skin = skin_of(body)
     points = export.points(skin.points)
     mesh = _mesh(stage, SKIN, points, skin.quads)
     mesh.CreateNormalsAttr(vectors(export.axes(skin.normals)))
@@ -232,14 +231,14 @@ def _move(prim: Any, places: Array, turns: Array, codes: Array | None) -> None:
 def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
     from pxr import Gf, Usd, UsdGeom
 
-    if shape.kind == "box":
+    if shape.kind == "mesh":
+        geometry = _mesh(stage, path, export.points(shape.points), shape.triangles)
+    elif shape.kind == "box":
         geometry = UsdGeom.Cube.Define(stage, path)
         geometry.CreateSizeAttr(2.0)
     elif shape.kind == "ellipsoid":
         geometry = UsdGeom.Sphere.Define(stage, path)
         geometry.CreateRadiusAttr(1.0)
-    elif shape.kind == "mesh":
-        geometry = _mesh(stage, path, export.points(shape.points), shape.triangles)
     else:
         kind = UsdGeom.Capsule if shape.kind == "capsule" else UsdGeom.Cylinder
         geometry = kind.Define(stage, path)
@@ -253,9 +252,8 @@ def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
         size = np.abs(export.points(shape.size))
         geometry.AddScaleOp().Set(Gf.Vec3f(*size.tolist()))
     geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**LINEAR).tolist())])
-    time = Usd.TimeCode.Default()
-    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(geometry, time)
-    geometry.CreateExtentAttr(extent)
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins
+    geometry.CreateExtentAttr(extent(geometry, Usd.TimeCode.Default()))
 
 
 def props_extent(clip: Clip, export: Export, boxes: Array) -> Array:

@@ -40,8 +40,6 @@ _BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
 _MOVED = {"moved_by_correction", "moved_by_physics", "reliability"}
 _KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # others have the same name
 
-_Animated = tuple[Any, Any, Any, list[str], list[float]]
-
 
 def check_usd(path: str) -> None:
     """Raise InputError for a file that no reader of USD should be asked to open."""
@@ -71,25 +69,22 @@ def read_usd_positions(
     world positions [m], stage axes, shape (T, N, 3). Raises InputError if the file
     cannot be opened or has no animated skeleton.
     """
-    from pxr import Gf, UsdGeom
+    from pxr import UsdGeom
 
     stage, prim, query, names, codes = _first_animated(os.fspath(check_file(path)))
     positions = np.empty((len(codes), len(names), 3))
     for frame, code in enumerate(codes):
-        world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code)
+        world = np.array(UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code))
         matrices = np.array(query.ComputeJointSkelTransforms(code))
-        places = matrices[:, 3, :3] @ np.array(world)[:3, :3]
-        positions[frame] = places + np.array(Gf.Matrix4d(world).ExtractTranslation())
+        positions[frame] = matrices[:, 3, :3] @ world[:3, :3] + world[3, :3]
     time = np.array(codes) / stage.GetTimeCodesPerSecond()
     return time, tuple(names), positions * UsdGeom.GetStageMetersPerUnit(stage)
 
 
-def usd_contents(path: str) -> dict[str, Any]:
+def usd_contents(path: str) -> Any:
     """Return units, axis, rate, joints and duration of the first animated skeleton."""
     check_usd(path)
-    found = read_guarded("usd_reader:contents_arrays", path)
-    contents: dict[str, Any] = json.loads(str(found["json"]))
-    return contents
+    return json.loads(str(read_guarded("usd_reader:contents_arrays", path)["json"]))
 
 
 def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
@@ -200,7 +195,7 @@ def _refused(path: str) -> Iterator[None]:
         ) from None
 
 
-def _first_animated(path: str) -> _Animated:
+def _first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
     """Return stage, prim, query, joint names and time codes of a skeleton."""
     from pxr import Tf, Usd, UsdSkel
 
