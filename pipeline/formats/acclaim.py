@@ -19,7 +19,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 
 from .bvh import MOST_CELLS, wxyz_from_euler
-from .files import open_text
+from .files import AnyPath, open_text
 from .mocap import Mocap
 from .rows import LineReader
 
@@ -49,7 +49,7 @@ class Acclaim:
     source: str
 
 
-def read_asf(path: str | os.PathLike[str]) -> Acclaim:
+def read_asf(path: AnyPath) -> Acclaim:
     """Read an ASF file; raises InputError, which names the line, where it is wrong."""
     source = os.fspath(path)
     with open_text(path) as lines:
@@ -135,7 +135,7 @@ def _turned(angles: Array, axes: str, degrees: bool) -> Array:
     return wxyz_from_euler(angles[..., ::-1], axes[::-1])
 
 
-def read_amc(path: str | os.PathLike[str], skeleton: Acclaim) -> Mocap:
+def read_amc(path: AnyPath, skeleton: Acclaim) -> Mocap:
     """Read where an AMC file's bones end and how they turn; raises InputError."""
     source = os.fspath(path)
     values = _amc_values(source, skeleton)

@@ -25,7 +25,7 @@ from kinefilter.characters.rotations import (
 )
 
 from .export import Export
-from .files import new_text, open_text
+from .files import AnyPath, new_text, open_text
 from .recording import chunks
 from .rig import Rig, RigMotion
 from .rows import LARGEST_NUMBER, LineReader, RowReader
@@ -136,7 +136,7 @@ def wxyz_from_euler(angles: Array, axes: str) -> Array:
     return rotation
 
 
-def read_bvh(path: str | os.PathLike[str]) -> Bvh:
+def read_bvh(path: AnyPath) -> Bvh:
     """Read a BVH file, gzipped or not; raises InputError, which names the line."""
     source = os.fspath(path)
     with open_text(path) as file:

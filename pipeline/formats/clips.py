@@ -30,7 +30,7 @@ from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, match
 
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, resampled, with_y_up
-from .files import check_file, check_folder
+from .files import AnyPath, check_file, check_folder
 from .npz import read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
 from .sheets import write_take_csv
@@ -42,7 +42,7 @@ _EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
 _MOST_JOINTS = 1000  # as in BVH
 
 
-def check_writable(path: str | os.PathLike[str], export: Export | None = None) -> None:
+def check_writable(path: AnyPath, export: Export | None = None) -> None:
     """Raise, before any work is done, the InputError that write_clip would raise."""
     suffix = Path(path).suffix
     if suffix.lower() not in _EXTENSIONS:
@@ -62,9 +62,7 @@ def check_writable(path: str | os.PathLike[str], export: Export | None = None) -
         target_rig(export.rig, export.target, standard_body(KINECT_V2))
 
 
-def write_clip(
-    clip: Clip, path: str | os.PathLike[str], export: Export | None = None
-) -> None:
+def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     """Write a clip as USD, BVH, CSV or npz, whole or not at all.
 
     USD holds a skinned character in T-pose, rotations and props, BVH the skeleton and
@@ -96,7 +94,7 @@ def write_clip(
         write(clip, moved, path, export)
 
 
-def read_clip(path: str | os.PathLike[str]) -> Clip:
+def read_clip(path: AnyPath) -> Clip:
     """Read a clip from any file that write_clip writes; CSV and BVH may be gzipped.
 
     npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's

@@ -15,6 +15,8 @@ from typing import IO, Any, TextIO, cast
 
 from kinefilter.characters import InputError
 
+AnyPath = str | os.PathLike[str]
+
 _GZIP_MAGIC = b"\x1f\x8b"
 
 _LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; a recording is shorter
@@ -28,7 +30,7 @@ _BEGINNING = 2**16  # bytes in which a text begins
 _MOST_BLANK = 10_000  # lines in a row
 
 
-def check_folder(path: str | os.PathLike[str]) -> Path:
+def check_folder(path: AnyPath) -> Path:
     """Return ``path`` if a file may be written there, else raise InputError."""
     path = Path(path)
     if not path.parent.is_dir():
@@ -41,7 +43,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: AnyPath) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` that takes its place on success.
 
     An older file stays as it was until then, and for good if the block raises. The
@@ -64,7 +66,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextmanager
-def new_text(path: str | os.PathLike[str]) -> Iterator[TextIO]:
+def new_text(path: AnyPath) -> Iterator[TextIO]:
     """Yield a text to write that takes the place of ``path`` on success."""
     with (
         atomic_path(path) as temporary,
@@ -73,7 +75,7 @@ def new_text(path: str | os.PathLike[str]) -> Iterator[TextIO]:
         yield file
 
 
-def check_file(path: str | os.PathLike[str]) -> Path:
+def check_file(path: AnyPath) -> Path:
     """Return ``path`` if there is a file to read, else raise InputError."""
     path = Path(path)
     if path.is_dir():
@@ -84,7 +86,7 @@ def check_file(path: str | os.PathLike[str]) -> Path:
 
 
 @contextmanager
-def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
+def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
     """Yield the lines of a file of UTF-8 text, unzipped where it is gzip's.
 
     One line at a time is in memory. Raises InputError, also while the block reads, if
@@ -93,16 +95,34 @@ def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
     path = check_file(path)
     with _readable(path) as stream:
         # utf-8-sig: spreadsheets put a byte-order mark in front.
-        yield _lines(io.TextIOWrapper(stream, encoding="utf-8-sig"), path)
+        text = io.TextIOWrapper(stream, encoding="utf-8-sig")
+
+        def lines() -> Iterator[str]:
+            row = blank = 0
+            while line := text.readline(_LONGEST_LINE):
+                row += 1
+                blank = 0 if line.strip() else blank + 1
+                wrong = ""
+                if "\0" in line:
+                    wrong = "is binary; expected a text file, export it as CSV"
+                elif blank > _MOST_BLANK:
+                    wrong = "follows only blank rows; expected recorded frames"
+                elif len(line) == _LONGEST_LINE:
+                    wrong = "does not end; expected recorded frames"
+                if wrong:
+                    raise InputError(f"{path}: row {row} {wrong}")
+                yield line
+
+        yield lines()
 
 
-def beginning(path: str | os.PathLike[str], most: int = 100) -> str:
+def beginning(path: AnyPath, most: int = 100) -> str:
     """Return the first characters of a text, without leading blanks."""
     with _readable(check_file(path)) as stream:
         return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
-def read_limited(path: str | os.PathLike[str], most: int) -> str:
+def read_limited(path: AnyPath, most: int) -> str:
     """Return a file's text, unzipped; raises InputError beyond ``most`` bytes."""
     path = check_file(path)
     with _readable(path, most) as stream:
@@ -150,22 +170,7 @@ class _Counted(io.RawIOBase):
         return len(data)
 
 
-def _lines(file: TextIO, path: Path) -> Iterator[str]:
-    row = blank = 0
-    while line := file.readline(_LONGEST_LINE):
-        row += 1
-        blank = 0 if line.strip() else blank + 1
-        if "\0" in line:
-            raise InputError(
-                f"{path}: row {row} is binary; expected a text file, export it as CSV"
-            )
-        if len(line) == _LONGEST_LINE or blank > _MOST_BLANK:
-            wrong = "follows only blank rows" if blank else "does not end"
-            raise InputError(f"{path}: row {row} {wrong}; expected recorded frames")
-        yield line
-
-
-def read_toml(path: str | os.PathLike[str], expected: str) -> dict[str, Any]:
+def read_toml(path: AnyPath, expected: str) -> dict[str, Any]:
     """Return the table in a file as ``parse_toml``; raises InputError without one."""
     return parse_toml(read_limited(path, LARGEST_TOML), os.fspath(path), expected)
 

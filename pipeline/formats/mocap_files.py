@@ -27,7 +27,7 @@ from kinefilter.retarget.rig_map import matching_source_rig
 
 from .acclaim import read_amc, read_asf
 from .bvh import MOST_CELLS, read_bvh
-from .files import beginning, check_file
+from .files import AnyPath, beginning, check_file
 from .guarded import read_guarded
 from .mocap import Mocap, kinect_motion
 from .recording import Recording, check_length, recording_of
@@ -50,7 +50,7 @@ def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     return motions, skeletons
 
 
-def read_mocap(path: str | os.PathLike[str], skeletons: Sequence[Path] = ()) -> Mocap:
+def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
     """Read a BVH, AMC or C3D file, told apart by content; BVH and AMC may be gzipped.
 
     The ASF file for an AMC is the one of ``skeletons`` whose name the motion's begins
@@ -106,7 +106,7 @@ def read_bvh_take(source: str) -> Recording:
     return recording_of(time, positions, state, skeleton, source, "bvh", **known)
 
 
-def read_c3d(path: str | os.PathLike[str]) -> Mocap:
+def read_c3d(path: AnyPath) -> Mocap:
     """Read a C3D file; raises InputError if it is malformed or ezc3d is missing."""
     source = os.fspath(path)
     _check_header(source)

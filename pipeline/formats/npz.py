@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from itertools import count
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, InputError, Prop, Shape, skeleton_named
 
-from .files import atomic_path, check_file
+from .files import AnyPath, atomic_path, check_file
 
 _LARGEST = 2**31  # bytes of all arrays: nine hours of the largest skeleton's positions
 _KINDS = "biufUS"  # truth values, numbers and text
@@ -37,9 +37,7 @@ _OURS = "a file that kinefilter wrote"
 
 
 @contextmanager
-def _archive(
-    path: str | os.PathLike[str], expected: str = _OURS
-) -> Iterator[zipfile.ZipFile]:
+def _archive(path: AnyPath, expected: str = _OURS) -> Iterator[zipfile.ZipFile]:
     source = os.fspath(check_file(path))
     try:
         with zipfile.ZipFile(source) as archive:
@@ -57,15 +55,13 @@ def _archive(
         ) from None
 
 
-def array_names(path: str | os.PathLike[str]) -> set[str]:
+def array_names(path: AnyPath) -> set[str]:
     """Return the names of the arrays in an npz file, or raise InputError."""
     with _archive(path) as archive:
         return {name.removesuffix(".npy") for name in archive.namelist()}
 
 
-def read_arrays(
-    path: str | os.PathLike[str], expected: str = _OURS
-) -> dict[str, NDArray[Any]]:
+def read_arrays(path: AnyPath, expected: str = _OURS) -> dict[str, NDArray[Any]]:
     """Return the arrays of an npz file, without running anything in it.
 
     The sizes that archive and arrays claim are compared before memory is allocated, so
@@ -80,25 +76,29 @@ def read_arrays(
                 f"{os.fspath(path)}: {len(members)} arrays of {size / 1e6:.0f} MB are "
                 "more than kinefilter writes; is it the right file?"
             )
-        return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
+        arrays = {}
+        for member in members:
+            with archive.open(member) as file:
+                _check_header(file, member.file_size)
+                file.seek(0)
+                array: NDArray[Any] = npy.read_array(file, allow_pickle=False)
+            arrays[member.filename.removesuffix(".npy")] = np.asarray(array)
+        return arrays
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
-    """Return an array; raises ValueError if it is larger than the archive says."""
-    with archive.open(member) as file:
-        version = npy.read_magic(file)
-        readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-        if version not in readers:
-            raise ValueError(f"version {version}")
-        shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
-        needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
-        if needed > member.file_size or dtype.kind not in _KINDS:
-            raise ValueError("larger than the archive says, or not numbers or text")
-        file.seek(0)
-        return np.asarray(npy.read_array(file, allow_pickle=False))
+def _check_header(file: IO[bytes], size: int) -> None:
+    """Raise ValueError if an array would be larger than the archive holds of it."""
+    version = npy.read_magic(file)
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    if version not in readers:
+        raise ValueError(f"version {version}")
+    shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
+    needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
+    if needed > size or dtype.kind not in _KINDS:
+        raise ValueError("larger than the archive says, or not numbers or text")
 
 
-def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write_npz(clip: Clip, path: AnyPath) -> None:
     """Write every array of a clip and every measure of its body under its own name.
 
     Besides them there are ``skeleton``, ``joints`` and ``source``, and for each prop
@@ -118,7 +118,7 @@ def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def read_npz(path: str | os.PathLike[str]) -> Clip:
+def read_npz(path: AnyPath) -> Clip:
     """Read a clip that write_clip wrote as npz; raises InputError of other files."""
     arrays = read_arrays(path, "a clip that kinefilter wrote")
     try:

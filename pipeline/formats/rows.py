@@ -43,13 +43,12 @@ class RowReader:
         """
         numbered = enumerate(lines, start=first_row)
         while chunk := list(islice(numbered, _BLOCK_LINES)):
-            filled = [(row, line.strip()) for row, line in chunk if line.strip()]
+            filled = {row: line.strip() for row, line in chunk if line.strip()}
             if filled:
-                yield self._block(filled)
+                texts = [self.normalize(line) for line in filled.values()]
+                yield self._block(np.array(list(filled)), texts)
 
-    def _block(self, numbered: list[tuple[int, str]]) -> Block:
-        rows = np.array([row for row, _ in numbered])
-        texts = [self.normalize(line) for _, line in numbered]
+    def _block(self, rows: NDArray[np.intp], texts: list[str]) -> Block:
         try:
             named = [_name_the_empty(text) for text in texts]
             values = np.loadtxt(named, delimiter=",", comments=None, ndmin=2)

@@ -26,7 +26,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import Array
 
-from .files import beginning, new_text, open_text
+from .files import AnyPath, beginning, new_text, open_text
 from .npz import read_npz
 from .recording import (
     MOST_FRAMES,
@@ -51,7 +51,7 @@ def _columns(skeleton: Skeleton) -> tuple[str, ...]:
     return ("time", *(f"{joint}.{part}" for joint in skeleton.joints for part in parts))
 
 
-def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
+def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
     """Write time [s], joint positions [m] and states, one row per frame.
 
     The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` in the sensor's
@@ -235,7 +235,7 @@ def _frames(
     return block.rows, time, *missing_marked(positions, state)
 
 
-def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write_contacts(clip: Clip, path: AnyPath) -> None:
     """Write 1 where a part of a foot is on the floor, else 0, one row per frame."""
     rows = zip(clip.time.tolist(), clip.contacts.astype(int).tolist(), strict=True)
     with new_text(path) as file:
@@ -244,7 +244,7 @@ def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
             file.write(",".join([repr(time), *map(str, flags)]) + "\n")
 
 
-def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_]:
+def read_contacts(path: AnyPath, time: Array) -> NDArray[np.bool_]:
     """Return the contacts (CONTACTS) of a file at times [s] (T,), shape (T, 4).
 
     The file is one of ``write_contacts``, edited or not, or a clip as npz. Each time
@@ -265,12 +265,12 @@ def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_
     return np.asarray(flags[np.maximum(rows, 0)])
 
 
-def claims_contacts(path: str | os.PathLike[str]) -> bool:
+def claims_contacts(path: AnyPath) -> bool:
     """Tell whether a file begins as ``write_contacts`` does."""
     return beginning(path).startswith(",".join(_CONTACT_HEADER))
 
 
-def contact_table(path: str | os.PathLike[str]) -> tuple[Array, NDArray[np.bool_]]:
+def contact_table(path: AnyPath) -> tuple[Array, NDArray[np.bool_]]:
     """Return times [s] (T,) and contacts (T, 4) of a table or clip, or InputError."""
     source = os.fspath(path)
     if source.lower().endswith(".npz"):

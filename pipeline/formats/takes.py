@@ -11,7 +11,7 @@ from importlib import import_module
 
 from kinefilter.characters import InputError, Take
 
-from .files import beginning
+from .files import AnyPath, beginning
 from .recording import Recording, open_rows
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
@@ -55,7 +55,7 @@ the format of a file."""
 
 
 def read_take(
-    path: str | os.PathLike[str], *, format: str | None = None, body: int | None = None
+    path: AnyPath, *, format: str | None = None, body: int | None = None
 ) -> Take:
     """Read a recording of a person.
 
@@ -83,16 +83,12 @@ def read_take(
     return read_recording(path, format=format).take(body)
 
 
-def read_takes(
-    path: str | os.PathLike[str], *, format: str | None = None
-) -> tuple[Take, ...]:
+def read_takes(path: AnyPath, *, format: str | None = None) -> tuple[Take, ...]:
     """Read a take for each person, as they appear; raises InputError as read_take."""
     return read_recording(path, format=format).takes
 
 
-def read_recording(
-    path: str | os.PathLike[str], *, format: str | None = None
-) -> Recording:
+def read_recording(path: AnyPath, *, format: str | None = None) -> Recording:
     """Read all that is known about a recorded file; raises InputError as read_take."""
     source = os.fspath(path)
     if format is not None and format not in FORMATS:
@@ -104,7 +100,7 @@ def read_recording(
     return read(source)
 
 
-def claims_take(path: str | os.PathLike[str]) -> bool:
+def claims_take(path: AnyPath) -> bool:
     """Return whether a file claims by how it begins to be a recording.
 
     Names of joints in a header, or numbers, tell a damaged recording from notes and

@@ -29,7 +29,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize
 
 from .export import with_y_up
-from .files import check_file
+from .files import AnyPath, check_file
 from .guarded import read_guarded
 from .npz import props_as_arrays, props_from_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
@@ -60,9 +60,7 @@ def check_usd(path: str) -> None:
         )
 
 
-def read_usd_positions(
-    path: str | os.PathLike[str],
-) -> tuple[Array, tuple[str, ...], Array]:
+def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
     """Return where UsdSkel puts the joints of the first animated skeleton.
 
     Time of each sample since time code 0 [s], shape (T,); joint names, shape (N,);
@@ -87,7 +85,7 @@ def usd_contents(path: str) -> Any:
     return json.loads(str(read_guarded("usd_reader:contents_arrays", path)["json"]))
 
 
-def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
+def read_usd_clip(path: AnyPath) -> Clip:
     """Read a clip that kinefilter wrote as USD on its skeleton, or raise InputError.
 
     Axes and unit are undone; frame rate and rest pose are the file's, and time starts
@@ -155,7 +153,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
     from pxr import UsdGeom, UsdSkel
 
     with _refused(path):
-        stage, prim, query, names, codes = _first_animated(path)
+        stage, found, query, names, codes = _first_animated(path)
         skeleton = own_skeleton(names)
         if skeleton is None:
             raise InputError(
@@ -166,9 +164,16 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
         axes = with_y_up if turned else np.asarray
         animation = UsdSkel.Animation(query.GetAnimQuery().GetPrim())
-        rest = np.array(UsdSkel.Skeleton(prim).GetRestTransformsAttr().Get())
+        rest = np.array(UsdSkel.Skeleton(found).GetRestTransformsAttr().Get())
         places = _samples(animation.GetTranslationsAttr(), codes)
         xyzw = _samples(animation.GetRotationsAttr(), codes)
+        folder, props = stage.GetPrimAtPath(f"{CHARACTER}/Props"), []
+        for prim in folder.GetChildren() if folder else ():
+            shapes = tuple(_shape(part, axes, meters) for part in prim.GetChildren())
+            where, turns = _placed(prim, codes)
+            props.append(
+                Prop(prim.GetName(), shapes, axes(where) * meters, axes(turns))
+            )
         return {
             "skeleton": np.array(skeleton.name),
             "time": np.array(codes) / stage.GetTimeCodesPerSecond(),
@@ -176,7 +181,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
             "root": axes(places[:, 0].astype(np.float64)) * meters,
             "turns": axes(normalize(np.roll(xyzw, 1, axis=-1).astype(np.float64))),
             **_provenance(stage.GetPrimAtPath(CHARACTER), codes, skeleton, path),
-            **props_as_arrays(_props(stage, codes, axes, meters)),
+            **props_as_arrays(props),
         }
 
 
@@ -246,16 +251,6 @@ def _provenance(
         number = character.GetAttribute(f"kinefilter:{name}").Get()
         arrays[field] = np.array(np.nan if number is None else float(number))
     return arrays
-
-
-def _props(
-    stage: Any, codes: Sequence[float], axes: Callable[[Array], Array], meters: float
-) -> Iterator[Prop]:
-    folder = stage.GetPrimAtPath(f"{CHARACTER}/Props")
-    for prim in folder.GetChildren() if folder else ():
-        shapes = tuple(_shape(shape, axes, meters) for shape in prim.GetChildren())
-        places, turns = _placed(prim, codes)
-        yield Prop(prim.GetName(), shapes, axes(places) * meters, axes(turns))
 
 
 def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:

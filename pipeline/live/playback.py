@@ -18,10 +18,9 @@ import numpy as np
 from kinefilter.characters import InputError, Take
 from kinefilter.pipeline.extras import require
 
-from .endpoints import STANDARD, Address, read_token
+from .endpoints import STANDARD, Address, Datagrams, open_datagrams, read_token
 from .messages import Frame, SeenBody, format_frame
 from .sinks import write_out
-from .sockets import Datagrams, open_datagrams
 
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
@@ -53,7 +52,17 @@ async def open_sender(
     else:
         require("websockets", "a WebSocket", "live")
         token = None if token_file is None else read_token(token_file)
-        tls = _trusted(certificate) if address.scheme == "wss" else None
+        tls = None
+        if address.scheme == "wss":
+            tls = ssl.create_default_context()
+            try:
+                if certificate is not None:
+                    tls.load_verify_locations(certificate)
+            except OSError as error:
+                raise InputError(
+                    f"{certificate}: not a certificate ({error.strerror}); expected a "
+                    "PEM file"
+                ) from None
         connection = _Connection(address, token, tls)
         keeping = asyncio.ensure_future(connection.keep())
         try:
@@ -137,18 +146,6 @@ class _Connection:
         except ConnectionClosed:
             return False
         return True
-
-
-def _trusted(certificate: Path | None) -> ssl.SSLContext:
-    try:
-        context = ssl.create_default_context()
-        if certificate is not None:
-            context.load_verify_locations(certificate)
-    except (ssl.SSLError, OSError) as error:
-        raise InputError(
-            f"{certificate}: not a certificate ({error.strerror}); expected a PEM file"
-        ) from None
-    return context
 
 
 def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:

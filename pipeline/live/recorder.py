@@ -24,8 +24,6 @@ _LEAST = 2  # frames of a take
 
 @dataclass
 class _Part:
-    """One body's file while it is written."""
-
     path: Path
     file: BinaryIO
     last: float  # the last frame's stamp [s]

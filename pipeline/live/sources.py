@@ -12,9 +12,15 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .endpoints import STANDARD, Access, Address
+from .endpoints import (
+    MOST_CONNECTIONS,
+    STANDARD,
+    Access,
+    Address,
+    cannot_listen,
+    open_server,
+)
 from .messages import LARGEST_MESSAGE, Reason
-from .sockets import MOST_CONNECTIONS, cannot_listen, open_server
 from .tally import Event, Tally
 
 if TYPE_CHECKING:
