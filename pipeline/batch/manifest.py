@@ -17,7 +17,6 @@ import json
 import os
 import time
 import uuid
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
@@ -87,18 +86,37 @@ class Row:
             raise ValueError(f"not a row of a manifest: {error}") from None
 
 
-class Manifest(ABC):
-    """The rows of one output folder."""
+class Manifest:
+    """The rows of one output folder: lines of a file, which this process alone writes.
 
-    rows: dict[str, Row]  # the last of each take
+    ``rows`` has the last of each take.
+    """
+
+    def __init__(self, file: io.FileIO, path: Path) -> None:
+        rows, self._length = parse_rows(file.readall(), str(path))
+        file.truncate(self._length)
+        self._file, self._path = file, path
+        self.rows = {row.take: row for row in rows}
 
     def append(self, rows: Sequence[Row]) -> None:
         """Write rows to the disk, or raise InputError if they cannot be written."""
         self._write([row.as_json() + "\n" for row in rows])
         self.rows.update((row.take, row) for row in rows)
 
-    @abstractmethod
-    def _write(self, lines: Sequence[str]) -> None: ...
+    def _write(self, lines: Sequence[str]) -> None:
+        data = memoryview("".join(lines).encode())
+        try:
+            self._file.seek(self._length)
+            while data:  # the system may take a part of it at a time
+                data = data[self._file.write(data) or 0 :]
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            self._file.truncate(self._length)  # needs no room, unlike half a line
+            raise InputError(
+                f"{self._path}: cannot be written ({error.strerror}); make room, and "
+                "the same command goes on"
+            ) from error
+        self._length = self._file.tell()
 
 
 @contextmanager
@@ -128,32 +146,7 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
                 f"{store.root}: another run writes there; wait for it, or write "
                 "elsewhere"
             ) from None
-        yield _InFile(file, path)
-
-
-class _InFile(Manifest):
-    """Lines of a local file, which this process alone writes."""
-
-    def __init__(self, file: io.FileIO, path: Path) -> None:
-        rows, self._length = parse_rows(file.readall(), str(path))
-        file.truncate(self._length)
-        self._file, self._path = file, path
-        self.rows = {row.take: row for row in rows}
-
-    def _write(self, lines: Sequence[str]) -> None:
-        data = memoryview("".join(lines).encode())
-        try:
-            self._file.seek(self._length)
-            while data:  # the system may take a part of it at a time
-                data = data[self._file.write(data) or 0 :]
-            os.fsync(self._file.fileno())
-        except OSError as error:
-            self._file.truncate(self._length)  # needs no room, unlike half a line
-            raise InputError(
-                f"{self._path}: cannot be written ({error.strerror}); make room, and "
-                "the same command goes on"
-            ) from error
-        self._length = self._file.tell()
+        yield Manifest(file, path)
 
 
 class _InParts(Manifest):
@@ -165,7 +158,7 @@ class _InParts(Manifest):
         self._full = 0
         # Parts are read in the order of their names: a later run's rows count.
         self._run = f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
-        self.rows: dict[str, Row] = {}
+        self.rows = {}
         for name in sorted(file.name for file in self._store.files()):
             with self._store.reading(name) as path:
                 rows, _ = parse_rows(path.read_bytes(), self._store.path(name))
@@ -213,19 +206,19 @@ def write_csv(rows: Iterable[Row], store: Store) -> None:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(("take", "status", *columns, "seconds", "error"))
+
+    def cell(value: object) -> str:
+        if isinstance(value, tuple):
+            return "; ".join(map(str, value))
+        if isinstance(value, float):
+            return f"{value:.6g}"
+        return "" if value is None else str(value)
+
     for row in sorted(rows, key=lambda row: row.take):
         if row.status == "no take":
             continue
-        clips = [[_cell(getattr(clip, name)) for name in columns] for clip in row.clips]
+        clips = [[cell(getattr(clip, name)) for name in columns] for clip in row.clips]
         for cells in clips or [[""] * len(columns)]:
             seconds = f"{row.seconds:.3f}"
             table.writerow((row.take, row.status, *cells, seconds, row.error))
     store.put(_CSV, text.getvalue().encode())
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, tuple):
-        return "; ".join(map(str, value))
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return "" if value is None else str(value)

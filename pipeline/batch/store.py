@@ -10,9 +10,8 @@ import os
 import re
 import tempfile
 import uuid
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
@@ -40,31 +39,53 @@ class StoredFile:
 
 
 @dataclass(frozen=True)
-class Store(ABC):
-    """A folder with all that is below it; can be sent to other processes."""
+class Store:
+    """A folder with all that is below it; can be sent to other processes.
+
+    This one is of this machine, or of one that it has mounted.
+    """
 
     root: str  # absolute path, or URL without a slash at its end
-    is_local: ClassVar[bool]
+    is_local: ClassVar[bool] = True
 
     def path(self, name: str) -> str:
         """Return the path or URL of a file."""
         return f"{self.root.rstrip('/')}/{name}"
 
-    @abstractmethod
     def files(self) -> Iterator[StoredFile]:
         """Yield what is below the root, hidden files and folders left out."""
+        for folder, folders, names in os.walk(self.root, onerror=_raise_unreadable):
+            folders[:] = sorted(name for name in folders if name[0] != ".")
+            inside = Path(folder).relative_to(self.root)
+            for name in sorted(names):
+                file = self.find((inside / name).as_posix())
+                if name[0] != "." and file is not None:
+                    yield file
 
-    @abstractmethod
     def find(self, name: str) -> StoredFile | None:
         """Return a file if it is there."""
+        try:
+            stat = Path(self.root, name).stat()
+        except OSError:
+            return None
+        return StoredFile(name, stat.st_size, f"{stat.st_size}-{stat.st_mtime_ns}")
 
-    @abstractmethod
-    def reading(self, name: str) -> AbstractContextManager[Path]:
+    @contextmanager
+    def reading(self, name: str) -> Iterator[Path]:
         """Yield a path of this machine to read a file from."""
+        yield Path(self.root, name)
 
-    @abstractmethod
-    def writing(self, name: str) -> AbstractContextManager[Path]:
+    @contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
         """Yield a path of this machine to write a whole file to; folders are made."""
+        path = Path(self.root, name)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
+            ) from error
+        yield path
 
     def sha256(self, name: str) -> str:
         """Return the hash of a file's bytes."""
@@ -75,43 +96,6 @@ class Store(ABC):
         """Write a file, whole or not at all."""
         with self.writing(name) as path, atomic_path(path) as temporary:
             temporary.write_bytes(data)
-
-
-class _LocalStore(Store):
-    """A folder of this machine, or one that it has mounted."""
-
-    is_local = True
-
-    def files(self) -> Iterator[StoredFile]:
-        for folder, folders, names in os.walk(self.root, onerror=_raise_unreadable):
-            folders[:] = sorted(name for name in folders if name[0] != ".")
-            inside = Path(folder).relative_to(self.root)
-            for name in sorted(names):
-                file = self.find((inside / name).as_posix())
-                if name[0] != "." and file is not None:
-                    yield file
-
-    def find(self, name: str) -> StoredFile | None:
-        try:
-            stat = Path(self.root, name).stat()
-        except OSError:
-            return None
-        return StoredFile(name, stat.st_size, f"{stat.st_size}-{stat.st_mtime_ns}")
-
-    @contextmanager
-    def reading(self, name: str) -> Iterator[Path]:
-        yield Path(self.root, name)
-
-    @contextmanager
-    def writing(self, name: str) -> Iterator[Path]:
-        path = Path(self.root, name)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
-            ) from error
-        yield path
 
 
 class _RemoteStore(Store):
@@ -139,7 +123,6 @@ class _RemoteStore(Store):
 
     @contextmanager
     def reading(self, name: str) -> Iterator[Path]:
-        """Yield a local copy of a file."""
         system, root = _file_system(self.root)
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / PurePosixPath(name).name
@@ -149,7 +132,6 @@ class _RemoteStore(Store):
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
-        """Yield a local path; the file written there is then uploaded."""
         system, root = _file_system(self.root)
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / PurePosixPath(name).name
@@ -182,7 +164,7 @@ def store_at(place: str) -> Store:
     """Return the store whose root is a path or URL."""
     if is_url(place):
         return _RemoteStore(place.rstrip("/"))
-    return _LocalStore(str(Path(place).absolute()))
+    return Store(str(Path(place).absolute()))
 
 
 def is_url(place: str) -> bool:

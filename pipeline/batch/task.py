@@ -117,6 +117,7 @@ def _write_clip(take: Take, name: str, body: int, job: Job) -> ClipRow:
     if file is None:
         raise InputError(f"{job.store.path(name)}: was removed while it was written")
     clip, trace, last = result.clip, result.trace, [*result.stages.values()][-1]
+    force = np.nan if trace is None else float(trace.external_force.mean())
     return ClipRow(
         output=name,
         stamp=file.stamp,
@@ -127,9 +128,7 @@ def _write_clip(take: Take, name: str, body: int, job: Job) -> ClipRow:
         jitter_raw=result.stages["raw"].jitter,
         jitter=last.jitter,
         skate_mm_per_frame=_finite(last.skate_mm_per_frame),
-        external_force_body_weights=(
-            None if trace is None else _finite(float(trace.external_force.mean()))
-        ),
+        external_force_body_weights=_finite(force),
         share_outside_database=_finite(result.share_outside),
         failures=len(result.failures),
         notes=result.notes,

@@ -20,7 +20,7 @@ from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 
 from .bvh import MOST_CELLS, wxyz_from_euler
 from .files import AnyPath, open_text
-from .mocap import Mocap
+from .recording import Mocap
 from .rows import LineReader
 
 _FRAME_TIME = 1.0 / 120.0

@@ -1,4 +1,4 @@
-"""What a recorded file holds: a take of every person in it."""
+"""What a recorded file holds: a take of every person, or a skeleton in motion."""
 
 from __future__ import annotations
 
@@ -263,3 +263,19 @@ def _place(sighting: Sighting) -> Array:
     positions, _ = missing_marked(sighting.positions, sighting.state)
     known = positions[~np.isnan(positions[:, 0])]
     return known.mean(axis=0) if len(known) else np.full(3, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Mocap:
+    """Joints in motion, in the file's own axes and unit."""
+
+    names: tuple[str, ...]
+    positions: Array  # of the joints, NaN where missing, shape (T, N, 3)
+    rotations: Array | None  # of each joint in the world, wxyz, (T, N, 4), or unknown
+    frame_time: float  # between frames [s]
+    source: str
+
+    @property
+    def bare_names(self) -> list[str]:
+        """Names of joints without the name of the subject or rig before them."""
+        return [name.rpartition(":")[2].strip() for name in self.names]

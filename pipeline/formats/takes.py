@@ -47,7 +47,7 @@ FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
     ),
     "ntu": ("datasets:read_ntu", lambda line: line.strip().isdigit()),
     "azure": ("azure:read_azure", lambda line: line.startswith("{")),
-    "bvh": ("mocap_files:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]),
+    "bvh": ("mocap:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]),
 }
 """By the name of a format: module of this package and function in it that makes a
 Recording of a path, and whether a file can begin with a line. The first that can is
@@ -71,7 +71,7 @@ def read_take(
       v1's 20 joints in the SDK's order, split by blanks or commas. Where no state is 2,
       1 says that there is a joint (Fothergill et al. 2012, CHI).
     - ``msr-action3d`` and ``ntu``: see ``datasets``. ``azure``: see the module of this
-      name. ``bvh``: see ``mocap_files``.
+      name. ``bvh``: see ``mocap``.
 
     A joint that is not tracked, not a number or exactly at the origin, where the
     sensors put what they do not see, is missing: NaN and state 0.
