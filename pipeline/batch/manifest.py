@@ -142,10 +142,8 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
             # The system releases the lock when the process ends, however it ends.
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise InputError(
-                f"{store.root}: another run writes there; wait for it, or write "
-                "elsewhere"
-            ) from None
+            wrong = "another run writes there; wait for it, or write elsewhere"
+            raise InputError(f"{store.root}: {wrong}") from None
         yield Manifest(file, path)
 
 

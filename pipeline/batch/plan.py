@@ -237,10 +237,9 @@ def plan_jobs(
         settings_of(source.store, PurePosixPath(source.file.name).parent)
         for source in sources
     ]
-    fingerprints = {}
     for one in dict.fromkeys(chosen):
         _check(one, store, suffix)
-        fingerprints[one] = fingerprint(one, suffix)
+    fingerprints = {one: fingerprint(one, suffix) for one in dict.fromkeys(chosen)}
     _check_contacts(zip(sources, chosen, strict=True))
     several = any(one.body == "all" for one in chosen)
     names = clip_names([source.take for source in sources], suffix, several=several)
@@ -275,12 +274,16 @@ def _check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
     takes: dict[Path, str] = {}
     for source, settings in planned:
         file = settings.config.contacts
-        if file is None or not _is_take(source, settings):
+        if file is None:
+            continue
+        try:
+            with source.store.reading(source.file.name) as path:
+                if not source.is_take(path, settings.format):
+                    continue
+        except InputError:  # in its own job, it fails for this
             continue
         if settings.body == "all":
-            raise InputError(
-                f"--contacts {file}: is for one person; choose the person with --body"
-            )
+            raise InputError(f"--contacts {file}: is for one person; choose by --body")
         if file in takes:
             raise InputError(
                 f"--contacts {file}: is for one take, not for both {takes[file]} and "
@@ -288,12 +291,3 @@ def _check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
                 "kinefilter.toml that sets it, or use 'kinefilter clean'"
             )
         takes[file] = source.take
-
-
-def _is_take(source: Source, settings: Settings) -> bool:
-    """Tell takes from other files; a file that cannot be read fails in its own job."""
-    try:
-        with source.store.reading(source.file.name) as path:
-            return source.is_take(path, settings.format)
-    except InputError:
-        return False

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Collection, Generator, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     CancelledError,
@@ -143,7 +143,9 @@ def _clean(
     """Do jobs, and keep manifest and outcome up to date."""
     progress = JobProgress(len(jobs), sum(job.size for job in jobs))
     start = perf_counter()
-    for done in _results(jobs, crew):
+
+    def note(done: Sequence[tuple[Job, Row]]) -> None:
+        """Note rows as they come, or none while there are no workers."""
         rows = [row for _, row in done]
         if rows:
             manifest.append(rows)
@@ -155,38 +157,24 @@ def _clean(
         progress.idle = not rows and crew.is_idle()
         on_progress(progress)
 
-
-def _results(
-    jobs: Sequence[Job], crew: Crew
-) -> Generator[list[tuple[Job, Row]], None, None]:
-    """Yield rows as they come, or an empty list while there are no workers.
-
-    A job whose process died is tried again, with no other job running.
-    """
-    deadly = yield from _round(jobs, crew, crew.room)
-    for job in (yield from _round(deadly, crew, 1)):
-        yield [(job, job.row("failed", error=_DIED))]
-
-
-def _round(
-    jobs: Iterable[Job], crew: Crew, at_once: int
-) -> Generator[list[tuple[Job, Row]], None, list[Job]]:
-    """Yield rows as they come; return the jobs whose process died."""
-    waiting, running = deque(jobs), 0
-    rows: list[tuple[Job, Row]] = []
-    deadly = []
-    while waiting or running:
-        while waiting and running < at_once:
-            crew.submit(waiting.popleft())
-            running += 1
-        yield rows  # only now that free workers have their next job
-        finished = crew.finished()
-        running -= len(finished)
-        rows = [(job, row) for job, row in finished if row is not None]
-        deadly += [job for job, row in finished if row is None]
-    if rows:
-        yield rows
-    return deadly
+    died = list(jobs)
+    # A job whose process died is tried again, with no other job running.
+    for at_once in (crew.room, 1):
+        waiting, died, running = deque(died), [], 0
+        done: list[tuple[Job, Row]] = []
+        while waiting or running:
+            while waiting and running < at_once:
+                crew.submit(waiting.popleft())
+                running += 1
+            note(done)  # only now that free workers have their next job
+            finished = crew.finished()
+            running -= len(finished)
+            done = [(job, row) for job, row in finished if row is not None]
+            died += [job for job, row in finished if row is None]
+        if done:
+            note(done)
+    for job in died:
+        note([(job, job.row("failed", error=_DIED))])
 
 
 class Crew(AbstractContextManager["Crew"]):

@@ -193,10 +193,8 @@ def canonical(place: str) -> str:
 
 
 def _raise_unreadable(error: OSError) -> None:
-    raise InputError(
-        f"{error.filename}: cannot be searched ({error.strerror}); check its "
-        "permissions"
-    ) from error
+    wrong = f"cannot be searched ({error.strerror}); check its permissions"
+    raise InputError(f"{error.filename}: {wrong}") from error
 
 
 def _file_system(url: str) -> tuple[Any, str]:

@@ -100,9 +100,8 @@ def _write_clips(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], s
 
 
 @lru_cache(maxsize=_KEPT)
-def _cleaner(config: CleanConfig, fingerprint: str) -> Cleaner:
+def _cleaner(config: CleanConfig, _fingerprint: str) -> Cleaner:
     """Return a cleaner; the fingerprint tells changed files apart."""
-    del fingerprint
     return Cleaner(config)
 
 
@@ -150,9 +149,8 @@ def _check_same(settings: Settings, suffix: str, planned: str) -> None:
         )
 
 
-def _while_awaited(stage: str, count: int) -> Iterator[int]:
+def _while_awaited(_stage: str, count: int) -> Iterator[int]:
     """Yield the steps of a stage as long as somebody waits for it."""
-    del stage
     for step in range(count):
         if given_up():
             raise _GivenUpError

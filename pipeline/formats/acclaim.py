@@ -166,9 +166,7 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
     """Return the values of every bone that moves, shape (T, D) each."""
     moving = {n: len(b.freedoms) for n, b in skeleton.bones.items() if b.freedoms}
     if _ROOT not in moving:
-        raise InputError(
-            f"{skeleton.source}: the root has no order, expected TX TY TZ and so on"
-        )
+        raise InputError(f"{skeleton.source}: the root has no order, such as TX TY TZ")
     rows: dict[str, list[Array]] = {name: [] for name in moving}
     frames, most = 0, MOST_CELLS // len(skeleton.bones)
 
@@ -190,10 +188,8 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
                     reader.fail(f"is frame {frames}, too many; split the file")
                 continue
             if name not in moving:
-                reader.fail(
-                    f"names {name[:40]!r}, which is not in the ASF; give this "
-                    "subject's ASF"
-                )
+                name = name[:40]
+                reader.fail(f"names {name!r}, not in the ASF; give this subject's ASF")
             values = reader.numbers(words, moving[name], f"bone {name!r} as ")
             if len(rows[name]) != frames - 1:
                 reader.fail(f"has {name!r} twice, or outside of a frame")

@@ -46,10 +46,8 @@ def check_writable(path: AnyPath, export: Export | None = None) -> None:
     """Raise, before any work is done, the InputError that write_clip would raise."""
     suffix = Path(path).suffix
     if suffix.lower() not in _EXTENSIONS:
-        raise InputError(
-            f"{os.fspath(path)}: unknown extension {suffix!r}; "
-            f"known: {', '.join(_EXTENSIONS)}"
-        )
+        known = ", ".join(_EXTENSIONS)
+        raise InputError(f"{path}: unknown extension {suffix!r}; known: {known}")
     check_folder(path)
     if export is None:
         return
@@ -115,10 +113,8 @@ def read_clip(path: AnyPath) -> Clip:
         return _of_own_bvh(read_bvh(path), os.fspath(path)) or _posed(read_take(path))
     if name.endswith(".csv"):
         return _posed(read_take(path))
-    raise InputError(
-        f"{os.fspath(path)}: not a clip by its extension; expected one of "
-        + ", ".join(_EXTENSIONS)
-    )
+    known = ", ".join(_EXTENSIONS)
+    raise InputError(f"{path}: not a clip by its extension; expected one of {known}")
 
 
 def _of_own_bvh(bvh: Bvh, source: str) -> Clip | None:
@@ -212,9 +208,7 @@ def _usd_rest(path: Path) -> RestPose:
         world = np.array(place(Usd.TimeCode.EarliestTime()))
         names, parents, matrices = _joints(UsdSkel.Skeleton(prims[0]), source)
     except Tf.ErrorException:
-        raise InputError(
-            f"{path}: cannot be read as USD; expected a UsdSkel skeleton"
-        ) from None
+        raise InputError(f"{path}: not USD; expected a UsdSkel skeleton") from None
     matrices = matrices @ world
     places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
     turned = np.swapaxes(matrices[:, :3, :3], 1, 2)

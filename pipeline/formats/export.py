@@ -67,9 +67,8 @@ class Export:
 
     def __post_init__(self) -> None:
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
-            raise InputError(
-                f"--fps {self.fps:g}: expected {_SLOWEST:g} to {_FASTEST:g} frames/s"
-            )
+            known = f"{_SLOWEST:g} to {_FASTEST:g} frames/s"
+            raise InputError(f"--fps {self.fps:g}: expected {known}")
         if self.target is not None and self.rig is None:
             raise InputError(f"--target {self.target}: name its joints with --rig")
         if self.rig is not None and (self.rest != "own" or self.character is not None):

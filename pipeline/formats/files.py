@@ -163,9 +163,8 @@ class _Counted(io.RawIOBase):
         data = self._stream.read(len(buffer))
         self._left -= len(data)
         if self._left < 0:
-            raise InputError(
-                f"{self._path}: more than {self._most / 1e6:.3g} MB of text; split it"
-            )
+            most = f"{self._most / 1e6:.3g} MB of text"
+            raise InputError(f"{self._path}: more than {most}; split it")
         buffer[: len(data)] = data
         return len(data)
 

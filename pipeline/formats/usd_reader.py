@@ -55,9 +55,7 @@ def check_usd(path: str) -> None:
         raise InputError(f"{path}: damaged USD package; export it again") from None
     stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
     if not stored or sum(member.file_size for member in members) > size:
-        raise InputError(
-            f"{path}: is packed smaller than a USD package may be; export it again"
-        )
+        raise InputError(f"{path}: packed smaller than USD may be; export it again")
 
 
 def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
@@ -171,9 +169,8 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         for prim in folder.GetChildren() if folder else ():
             shapes = tuple(_shape(part, axes, meters) for part in prim.GetChildren())
             where, turns = _placed(prim, codes)
-            props.append(
-                Prop(prim.GetName(), shapes, axes(where) * meters, axes(turns))
-            )
+            where, turns = axes(where) * meters, axes(turns)
+            props.append(Prop(prim.GetName(), shapes, where, turns))
         return {
             "skeleton": np.array(skeleton.name),
             "time": np.array(codes) / stage.GetTimeCodesPerSecond(),
@@ -195,9 +192,8 @@ def _refused(path: str) -> Iterator[None]:
         told = str(error)
         raise InputError(told if path in told else f"{path}: {told}") from None
     except (Tf.ErrorException, *_BROKEN):
-        raise InputError(
-            f"{path}: its skeleton and animation do not fit; export it again"
-        ) from None
+        wrong = "its skeleton and animation do not fit; export it again"
+        raise InputError(f"{path}: {wrong}") from None
 
 
 def _first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
@@ -207,9 +203,8 @@ def _first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
     try:
         stage = Usd.Stage.Open(path)
     except Tf.ErrorException:
-        raise InputError(
-            f"{path}: cannot be read as USD; expected .usda, .usdc or .usd"
-        ) from None
+        known = "expected .usda, .usdc or .usd"
+        raise InputError(f"{path}: cannot be read as USD; {known}") from None
     cache = UsdSkel.Cache()
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Root):

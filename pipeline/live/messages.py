@@ -126,7 +126,16 @@ def parse_frame(
     message: str | bytes, skeleton: Skeleton, most_bodies: int = MOST_BODIES
 ) -> Frame:
     """Return the frame in a message; raises MalformedError of anything else."""
-    data = _data(message)
+    if len(message) > LARGEST_MESSAGE:
+        raise MalformedError(Reason.TOO_LONG)
+    try:
+        text = message.decode("utf-8") if isinstance(message, bytes) else message
+        # Floats alone: a whole number of thousands of digits takes long to read.
+        data = json.loads(text, parse_int=float, parse_constant=_no_number)
+    except RecursionError:
+        raise MalformedError(Reason.TOO_DEEP) from None
+    except ValueError:
+        raise MalformedError(Reason.NOT_JSON) from None
     if not isinstance(data, dict):
         raise MalformedError(Reason.NOT_A_FRAME)
     if set(data) == {"time", "joints"}:
@@ -144,20 +153,6 @@ def parse_frame(
     return Frame(time, bodies)
 
 
-def _data(message: str | bytes) -> Any:
-    """Return what JSON says; all numbers are floats."""
-    if len(message) > LARGEST_MESSAGE:
-        raise MalformedError(Reason.TOO_LONG)
-    try:
-        text = message.decode("utf-8") if isinstance(message, bytes) else message
-        # Floats alone: a whole number of thousands of digits takes long to read.
-        return json.loads(text, parse_int=float, parse_constant=_no_number)
-    except RecursionError:
-        raise MalformedError(Reason.TOO_DEEP) from None
-    except ValueError:
-        raise MalformedError(Reason.NOT_JSON) from None
-
-
 def _no_number(_: str) -> NoReturn:
     raise MalformedError(Reason.NUMBER)
 
@@ -166,15 +161,13 @@ def _body(data: Any, skeleton: Skeleton) -> SeenBody:
     if not isinstance(data, dict) or set(data) != {"id", "joints"}:
         raise MalformedError(Reason.NOT_A_FRAME)
     joints = data["joints"]
-    if isinstance(joints, list) and len(joints) == len(skeleton):
-        rows = [_row(joint) for joint in joints]
-    elif isinstance(joints, dict):
+    if isinstance(joints, dict):
         if not joints.keys() <= set(skeleton.joints):
             raise MalformedError(Reason.JOINT)
-        rows = [_row(joints.get(name)) for name in skeleton.joints]
-    else:
+        joints = [joints.get(name) for name in skeleton.joints]
+    if not isinstance(joints, list) or len(joints) != len(skeleton):
         raise MalformedError(Reason.NOT_A_FRAME)
-    numbers = np.array(rows)
+    numbers = np.array([_row(joint) for joint in joints])
     positions, state = missing_marked(numbers[:, :3], numbers[:, 3].astype(np.uint8))
     return SeenBody(_id(data["id"]), positions, state)
 

@@ -59,19 +59,15 @@ async def open_sender(
                 if certificate is not None:
                     tls.load_verify_locations(certificate)
             except OSError as error:
-                raise InputError(
-                    f"{certificate}: not a certificate ({error.strerror}); expected a "
-                    "PEM file"
-                ) from None
+                reason = f"not a certificate ({error.strerror}); expected a PEM file"
+                raise InputError(f"{certificate}: {reason}") from None
         connection = _Connection(address, token, tls)
         keeping = asyncio.ensure_future(connection.keep())
         try:
             await connection.tried.wait()
             if connection.refused:
-                raise InputError(
-                    f"{address}: refused; give --token-file with the token of the "
-                    "receiver"
-                )
+                hint = "give --token-file with the receiver's token"
+                raise InputError(f"{address}: refused; {hint}")
             yield connection
         finally:
             keeping.cancel()
