@@ -84,7 +84,13 @@ class _AsfReader(LineReader):
         elif self.section == ":bonedata":
             self._bone_line(key, values)
         elif self.section == ":hierarchy" and key not in ("begin", "end"):
-            self._children(key, values)
+            for name in (key, *values):
+                if name not in self.bones:
+                    self.fail(f"names {name[:40]!r}, which is not a bone of :bonedata")
+            for child in values:
+                if child == _ROOT or self.bones[child].parent is not None:
+                    self.fail(f"gives bone {child[:40]!r} a second parent")
+                self.bones[child].parent = key
 
     def _bone_line(self, key: str, values: list[str]) -> None:
         if key in ("begin", "end"):
@@ -118,15 +124,6 @@ class _AsfReader(LineReader):
                 f"{' '.join(_FREEDOMS)}"
             )
         return freedoms
-
-    def _children(self, parent: str, children: list[str]) -> None:
-        for name in (parent, *children):
-            if name not in self.bones:
-                self.fail(f"names {name[:40]!r}, which is not a bone of :bonedata")
-        for child in children:
-            if child == _ROOT or self.bones[child].parent is not None:
-                self.fail(f"gives bone {child[:40]!r} a second parent")
-            self.bones[child].parent = parent
 
 
 def _turned(angles: Array, axes: str, degrees: bool) -> Array:

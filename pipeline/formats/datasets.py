@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import chain
-from math import isinf
 
 import numpy as np
 
@@ -133,22 +132,20 @@ class _NtuReader(LineReader):
         joints = self.whole("the number of joints")
         if joints != len(KINECT_V2):
             self.fail(f"is {joints} joints, expected {len(KINECT_V2)}")
-        values = np.array([self._joint() for _ in range(joints)])
+        values = np.empty((joints, 4))
+        for row in values:
+            words = self.words()
+            if len(words) != _JOINT_VALUES:
+                self.fail(f"has {len(words)} values, expected {_JOINT_VALUES}")
+            try:
+                row[:] = *words[:3], words[-1]
+            except ValueError:
+                self.fail("has a word, expected numbers")
+            if np.isinf(row).any():
+                self.fail("has an infinite number, expected finite ones")
+            if row[-1] not in list(State):
+                self.fail(
+                    f"ends in {words[-1][:40]!r}, expected a tracking state: 0 not "
+                    "tracked, 1 inferred, 2 tracked"
+                )
         return Sighting(frame, body, values[:, :3], values[:, -1].astype(np.uint8))
-
-    def _joint(self) -> list[float]:
-        words = self.words()
-        if len(words) != _JOINT_VALUES:
-            self.fail(f"has {len(words)} values, expected {_JOINT_VALUES} of a joint")
-        try:
-            values = [float(word) for word in (*words[:3], words[-1])]
-        except ValueError:
-            self.fail("has a word, expected numbers")
-        if any(map(isinf, values)):
-            self.fail("has an infinite number, expected finite ones")
-        if values[-1] not in list(State):
-            self.fail(
-                f"ends in {words[-1][:40]!r}, expected a tracking state: 0 not "
-                "tracked, 1 inferred, 2 tracked"
-            )
-        return values

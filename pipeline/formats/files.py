@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, TextIO, cast
+from typing import Any, TextIO
 
 from kinefilter.characters import InputError
 
@@ -93,16 +93,18 @@ def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
     the file is missing, unreadable, not UTF-8 text, too long, or a line has no end.
     """
     path = check_file(path)
-    with _readable(path) as stream:
+    with _readable(path) as (stream, most):
         # utf-8-sig: spreadsheets put a byte-order mark in front.
         text = io.TextIOWrapper(stream, encoding="utf-8-sig")
 
         def lines() -> Iterator[str]:
-            row = blank = 0
+            row = blank = size = 0
             while line := text.readline(_LONGEST_LINE):
-                row += 1
+                row, size = row + 1, size + len(line)
                 blank = 0 if line.strip() else blank + 1
                 wrong = ""
+                if size > most:
+                    raise _too_long(path, most)
                 if "\0" in line:
                     wrong = "is binary; expected a text file, export it as CSV"
                 elif blank > _MOST_BLANK:
@@ -118,28 +120,35 @@ def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
 
 def beginning(path: AnyPath, most: int = 100) -> str:
     """Return the first characters of a text, without leading blanks."""
-    with _readable(check_file(path)) as stream:
+    with _readable(check_file(path)) as (stream, _):
         return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
 def read_limited(path: AnyPath, most: int) -> str:
     """Return a file's text, unzipped; raises InputError beyond ``most`` bytes."""
     path = check_file(path)
-    with _readable(path, most) as stream:
-        return stream.read().decode("utf-8-sig")
+    with _readable(path, most) as (stream, most):
+        data = stream.read(most + 1)
+        if len(data) > most:
+            raise _too_long(path, most)
+        return data.decode("utf-8-sig")
+
+
+def _too_long(path: Path, most: int) -> InputError:
+    return InputError(f"{path}: more than {most / 1e6:.3g} MB of text; split it")
 
 
 @contextmanager
-def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedReader]:
-    """Yield a file's bytes, unzipped and counted; errors become InputErrors."""
+def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[tuple[Any, int]]:
+    """Yield a file unzipped, and its most bytes; errors in it become InputErrors."""
     try:
         with path.open("rb") as raw:
-            zipped = raw.peek(2)[:2] == _GZIP_MAGIC
-            if zipped:
-                size = path.stat().st_size
-                most = min(most, max(_ANY_RATIO, _LARGEST_RATIO * size))
-            stream = gzip.GzipFile(fileobj=raw) if zipped else raw
-            yield io.BufferedReader(_Counted(cast("IO[bytes]", stream), most, path))
+            if raw.peek(2)[:2] != _GZIP_MAGIC:
+                yield raw, most
+                return
+            ratio = _LARGEST_RATIO * path.stat().st_size
+            with gzip.GzipFile(fileobj=raw) as stream:
+                yield stream, min(most, max(_ANY_RATIO, ratio))
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); "
@@ -150,23 +159,6 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedRead
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{path}: cannot be read ({reason})") from error
-
-
-class _Counted(io.RawIOBase):
-    def __init__(self, stream: IO[bytes], most: int, path: Path) -> None:
-        self._stream, self._left, self._path, self._most = stream, most, path, most
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        data = self._stream.read(len(buffer))
-        self._left -= len(data)
-        if self._left < 0:
-            most = f"{self._most / 1e6:.3g} MB of text"
-            raise InputError(f"{self._path}: more than {most}; split it")
-        buffer[: len(data)] = data
-        return len(data)
 
 
 def read_toml(path: AnyPath, expected: str) -> dict[str, Any]:

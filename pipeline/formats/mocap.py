@@ -86,24 +86,19 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
     first = beginning(path)
     if first.startswith("HIERARCHY"):
         return _bvh_mocap(os.fspath(path))
-    if first[:1] in ("#", ":"):
-        return read_amc(path, read_asf(_skeleton_for(path, skeletons)))
-    raise InputError(
-        f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, or C3D"
-    )
-
-
-def _skeleton_for(path: Path, skeletons: Sequence[Path]) -> Path:
+    if first[:1] not in ("#", ":"):
+        raise InputError(
+            f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, or "
+            "C3D"
+        )
     given = skeletons or sorted(path.parent.glob("*.asf"))
     fitting = [asf for asf in given if path.name.startswith(asf.stem)]
-    if fitting:
-        return max(fitting, key=lambda asf: len(asf.stem))
-    if len(given) == 1:
-        return given[0]
-    raise InputError(
-        f"{path}: no ASF file for it among {len(given)}; give the subject's skeleton, "
-        "such as 01.asf for 01_02.amc"
-    )
+    if not fitting and len(given) != 1:
+        raise InputError(
+            f"{path}: no ASF file for it among {len(given)}; give the subject's "
+            "skeleton, such as 01.asf for 01_02.amc"
+        )
+    return read_amc(path, read_asf(max(fitting or given, key=lambda a: len(a.stem))))
 
 
 def _bvh_mocap(source: str) -> Mocap:
