@@ -78,7 +78,9 @@ def read_azure(source: str) -> Recording:
         raise InputError(f"{source}: not JSON from a sensor; export it again") from None
     frames = root.get("frames") if isinstance(root, dict) else None
     if not isinstance(frames, list):
-        raise InputError(f"{source}: no 'frames'; expected offline_processor's JSON")
+        raise InputError(
+            f"{source}: JSON without 'frames'; expected offline_processor's output"
+        )
     names = root.get("joint_names")
     if names is not None:
         # The SDK's header spells it NAVEL, its documentation NAVAL.

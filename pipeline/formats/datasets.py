@@ -136,7 +136,7 @@ class _NtuReader(LineReader):
         for row in values:
             words = self.words()
             if len(words) != _JOINT_VALUES:
-                self.fail(f"has {len(words)} values, expected {_JOINT_VALUES}")
+                self.fail(f"has {len(words)} values, not {_JOINT_VALUES} of a joint")
             try:
                 row[:] = *words[:3], words[-1]
             except ValueError:
