@@ -17,6 +17,7 @@ from kinefilter.characters import InputError
 
 AnyPath = str | os.PathLike[str]
 
+_Limited = tuple[io.BufferedReader | gzip.GzipFile, int]  # and the most bytes of it
 _GZIP_MAGIC = b"\x1f\x8b"
 
 _LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; a recording is shorter
@@ -139,7 +140,7 @@ def _too_long(path: Path, most: int) -> InputError:
 
 
 @contextmanager
-def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[tuple[Any, int]]:
+def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[_Limited]:
     """Yield a file unzipped, and its most bytes; errors in it become InputErrors."""
     try:
         with path.open("rb") as raw:
