@@ -27,9 +27,9 @@ from .database import PostureDatabase
 from .failures import find_failures
 from .formats import Recording, read_recording
 from .formats.files import check_file
-from .formats.mocap import Mocap, kinect_motion
-from .formats.mocap_files import RIGS, read_mocap
+from .formats.mocap import RIGS, kinect_motion, read_mocap
 from .formats.npz import array_names, read_npz
+from .formats.recording import Mocap
 from .formats.sheets import claims_contacts, contact_table
 from .formats.usd_reader import usd_contents
 from .models import load_model

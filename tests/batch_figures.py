@@ -25,8 +25,7 @@ from time import perf_counter, process_time
 from batch_faults import batch, rows, rows_done
 from batch_takes import make_takes
 
-from kinefilter.pipeline.batch.plan import plan_jobs
-from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.batch.plan import find_sources, plan_jobs
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.settings import Settings

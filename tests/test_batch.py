@@ -16,8 +16,7 @@ from kinefilter import CleanConfig, Cleaner, clean, read_take, write_clip
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch import Outcome, Row, as_tables, clean_files, run
 from kinefilter.pipeline.batch.manifest import Status
-from kinefilter.pipeline.batch.plan import Job, plan_jobs
-from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.batch.plan import Job, find_sources, plan_jobs
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.cli import main

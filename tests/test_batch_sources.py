@@ -9,7 +9,7 @@ import pytest
 from real_data import TAKES, recorded
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.batch.sources import clip_names, find_sources
+from kinefilter.pipeline.batch.plan import clip_names, find_sources
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.takes import claims_take
 

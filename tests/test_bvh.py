@@ -14,8 +14,7 @@ from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.pipeline.formats import Bvh, read_bvh, write_clip
-from kinefilter.pipeline.formats.bvh import wxyz_from_euler
-from kinefilter.pipeline.formats.bvh_writer import continuous_euler
+from kinefilter.pipeline.formats.bvh import continuous_euler, wxyz_from_euler
 
 MakeClip = Callable[..., Clip]
 SMALL = """HIERARCHY

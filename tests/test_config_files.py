@@ -10,8 +10,7 @@ from batch_takes import Here, short_take
 from kinefilter import CleanConfig, Export
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch import run
-from kinefilter.pipeline.batch.plan import Job, plan_jobs
-from kinefilter.pipeline.batch.sources import find_sources
+from kinefilter.pipeline.batch.plan import Job, find_sources, plan_jobs
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.cli import given_options, main
 from kinefilter.pipeline.config_files import overlaid, parse_settings, read_settings

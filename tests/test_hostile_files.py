@@ -46,8 +46,7 @@ from kinefilter.pipeline.formats import (
     write_clip,
     write_take_csv,
 )
-from kinefilter.pipeline.formats.mocap import kinect_motion
-from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap
+from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.models import Model, load_model, save_model
 from kinefilter.pipeline.pairs import read_pairs
 

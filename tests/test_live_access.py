@@ -21,8 +21,7 @@ from kinefilter.pipeline.live import (
     format_frame,
     open_sender,
 )
-from kinefilter.pipeline.live.endpoints import Access
-from kinefilter.pipeline.live.sockets import MOST_CONNECTIONS
+from kinefilter.pipeline.live.endpoints import MOST_CONNECTIONS, Access
 from kinefilter.pipeline.live.tally import Event
 
 

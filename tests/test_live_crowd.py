@@ -16,8 +16,7 @@ from kinefilter import read_take
 from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline.live import LiveConfig
 from kinefilter.pipeline.live import recorder as recording
-from kinefilter.pipeline.live.crowd import Crowd
-from kinefilter.pipeline.live.person import Person
+from kinefilter.pipeline.live.crowd import Crowd, Person
 from kinefilter.pipeline.live.recorder import Recorder
 from kinefilter.pipeline.live.tally import Event, Latency, Tally
 from kinefilter.pipeline.reliability import measure_reference

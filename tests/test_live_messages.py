@@ -13,9 +13,13 @@ from hypothesis import strategies as st
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
 from kinefilter.pipeline.live import Frame, SeenBody, format_frame, parse_frame
 from kinefilter.pipeline.live.crowd import Stamps
-from kinefilter.pipeline.live.endpoints import Address, listening_host, read_address
+from kinefilter.pipeline.live.endpoints import (
+    MOST_CONNECTIONS,
+    Address,
+    listening_host,
+    read_address,
+)
 from kinefilter.pipeline.live.messages import MalformedError, Reason
-from kinefilter.pipeline.live.sockets import MOST_CONNECTIONS
 from kinefilter.pipeline.live.sources import Peers, Rate
 from kinefilter.pipeline.live.tally import Event
 from kinefilter.pipeline.loopback import is_loopback

@@ -19,8 +19,8 @@ from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.build import database_from_mocap
 from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
-from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
-from kinefilter.pipeline.formats.mocap_files import RIGS, read_c3d, read_mocap
+from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_c3d, read_mocap
+from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.retarget.rig_map import load_source_rig, matching_source_rig
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from kinefilter.pipeline.formats import (
     read_usd_positions,
     write_clip,
 )
-from kinefilter.pipeline.formats.targets import target_rig
+from kinefilter.pipeline.formats.clips import target_rig
 from kinefilter.retarget import rig_map as rig_map_module
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map

@@ -33,8 +33,7 @@ from kinefilter.pipeline.formats import (
     read_usd_positions,
     write_clip,
 )
-from kinefilter.pipeline.formats.bvh import wxyz_from_euler
-from kinefilter.pipeline.formats.bvh_writer import continuous_euler
+from kinefilter.pipeline.formats.bvh import continuous_euler, wxyz_from_euler
 from kinefilter.pipeline.formats.export import RotationOrder, in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of
 

@@ -17,7 +17,6 @@ import json
 import os
 import time
 import uuid
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
@@ -28,11 +27,9 @@ from kinefilter.characters import InputError
 
 from .store import Store, store_at
 
-_LINES = "manifest.jsonl"  # at a URL, files in the folder _PARTS
-_PARTS = "manifest"
+_LINES, _PARTS = "manifest.jsonl", "manifest"  # a file, at a URL a folder of files
 _CSV = "manifest.csv"
 _FULL = 1000  # rows of a part: under a megabyte
-
 
 Status = Literal["done", "failed", "no take"]
 """What became of a file; of a take that failed at least one clip is missing."""
@@ -77,11 +74,7 @@ class Row:
 
     @classmethod
     def from_json(cls, line: str) -> Row:
-        """Return the row of a line.
-
-        Raises:
-            ValueError: The line is damaged, or of another version.
-        """
+        """Return the row of a line; raises ValueError if it is damaged or too old."""
         values = json.loads(line)
         try:
             clips = tuple(
@@ -93,63 +86,22 @@ class Row:
             raise ValueError(f"not a row of a manifest: {error}") from None
 
 
-class Manifest(ABC):
-    """The rows of one output folder."""
+class Manifest:
+    """The rows of one output folder: lines of a file, which this process alone writes.
 
-    rows: dict[str, Row]  # the last of each take
-
-    def append(self, rows: Sequence[Row]) -> None:
-        """Add rows; they are on the disk when this returns.
-
-        Raises:
-            InputError: They cannot be written.
-        """
-        self._write([row.as_json() + "\n" for row in rows])
-        self.rows.update((row.take, row) for row in rows)
-
-    @abstractmethod
-    def _write(self, lines: Sequence[str]) -> None: ...
-
-
-@contextmanager
-def open_manifest(store: Store) -> Iterator[Manifest]:
-    """Yield the manifest of an output folder, which is made if it is missing.
-
-    Raises:
-        InputError: Another run writes there, nothing can be written, or a line that is
-            not the last is damaged.
+    ``rows`` has the last of each take.
     """
-    if not store.is_local:
-        yield _InParts(store)
-        return
-    path = Path(store.path(_LINES))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+")
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); write elsewhere"
-        ) from error
-    with file:
-        try:
-            # The system releases the lock when the process ends, however it ends.
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(
-                f"{store.root}: another run writes there; wait for it, or write "
-                "elsewhere"
-            ) from None
-        yield _InFile(file, path)
-
-
-class _InFile(Manifest):
-    """Lines of a local file, which this process alone writes."""
 
     def __init__(self, file: io.FileIO, path: Path) -> None:
         rows, self._length = parse_rows(file.readall(), str(path))
         file.truncate(self._length)
         self._file, self._path = file, path
         self.rows = {row.take: row for row in rows}
+
+    def append(self, rows: Sequence[Row]) -> None:
+        """Write rows to the disk, or raise InputError if they cannot be written."""
+        self._write([row.as_json() + "\n" for row in rows])
+        self.rows.update((row.take, row) for row in rows)
 
     def _write(self, lines: Sequence[str]) -> None:
         data = memoryview("".join(lines).encode())
@@ -167,6 +119,34 @@ class _InFile(Manifest):
         self._length = self._file.tell()
 
 
+@contextmanager
+def open_manifest(store: Store) -> Iterator[Manifest]:
+    """Yield the manifest of an output folder, which is made if it is missing.
+
+    Raises InputError if another run writes there, nothing can be written, or a line
+    that is not the last is damaged.
+    """
+    if not store.is_local:
+        yield _InParts(store)
+        return
+    path = Path(store.path(_LINES))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+")
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); write elsewhere"
+        ) from error
+    with file:
+        try:
+            # The system releases the lock when the process ends, however it ends.
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            wrong = "another run writes there; wait for it, or write elsewhere"
+            raise InputError(f"{store.root}: {wrong}") from None
+        yield Manifest(file, path)
+
+
 class _InParts(Manifest):
     """Lines of several files in a store."""
 
@@ -176,7 +156,7 @@ class _InParts(Manifest):
         self._full = 0
         # Parts are read in the order of their names: a later run's rows count.
         self._run = f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
-        self.rows: dict[str, Row] = {}
+        self.rows = {}
         for name in sorted(file.name for file in self._store.files()):
             with self._store.reading(name) as path:
                 rows, _ = parse_rows(path.read_bytes(), self._store.path(name))
@@ -193,54 +173,50 @@ class _InParts(Manifest):
 def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
     """Return the rows of a manifest, and how many bytes are whole lines.
 
-    A last line that is torn is dropped: the process that wrote it was killed.
-
-    Raises:
-        InputError: Another line is damaged.
+    A last line that is torn is dropped: the process that wrote it was killed. Raises
+    InputError if another line is damaged.
     """
-    rows = []
-    start = 0
-    for number, line in enumerate(data.splitlines(keepends=True), start=1):
-        end = start + len(line)
+    rows: list[Row] = []
+    whole = 0
+    for line in data.splitlines(keepends=True):
+        end = whole + len(line)
         try:
             row = Row.from_json(line.decode())
         except ValueError as error:
             if end == len(data):
                 break
             raise InputError(
-                f"{name}: line {number} is damaged ({error}); delete it, and its take "
-                "is cleaned again"
+                f"{name}: line {len(rows) + 1} is damaged ({error}); delete it, and "
+                "its take is cleaned again"
             ) from None
-        if not line.endswith(b"\n"):
-            break
-        rows.append(row)
-        start = end
-    return rows, start
+        if line.endswith(b"\n"):
+            rows.append(row)
+            whole = end
+    return rows, whole
 
 
 def write_csv(rows: Iterable[Row], store: Store) -> None:
     """Write the table for people: a line a clip, and a line a take that has none.
 
-    Raises:
-        InputError: It cannot be written.
+    Raises InputError if it cannot be written.
     """
     columns = [f.name for f in fields(ClipRow) if f.name not in ("stamp", "sha256")]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(("take", "status", *columns, "seconds", "error"))
+
+    def cell(value: object) -> str:
+        if isinstance(value, tuple):
+            return "; ".join(map(str, value))
+        if isinstance(value, float):
+            return f"{value:.6g}"
+        return "" if value is None else str(value)
+
     for row in sorted(rows, key=lambda row: row.take):
         if row.status == "no take":
             continue
-        clips = [[_cell(getattr(clip, name)) for name in columns] for clip in row.clips]
+        clips = [[cell(getattr(clip, name)) for name in columns] for clip in row.clips]
         for cells in clips or [[""] * len(columns)]:
             seconds = f"{row.seconds:.3f}"
             table.writerow((row.take, row.status, *cells, seconds, row.error))
     store.put(_CSV, text.getvalue().encode())
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, tuple):
-        return "; ".join(map(str, value))
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return "" if value is None else str(value)

@@ -1,14 +1,17 @@
-"""What there is to do: a job for each take, with the settings of its folder."""
+"""What there is to do: which files may be takes, and a job for each."""
 
 from __future__ import annotations
 
+import re
 import tempfile
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.config_files import (
     FOLDER_FILE,
     SettingsFile,
@@ -17,13 +20,139 @@ from kinefilter.pipeline.config_files import (
 )
 from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import LARGEST_TOML, read_limited
+from kinefilter.pipeline.formats.takes import claims_take
 from kinefilter.pipeline.settings import Settings, fingerprint
 
 from .manifest import Row, Status
-from .sources import Source, clip_names
-from .store import Store, StoredFile, canonical
+from .store import Store, StoredFile, canonical, is_folder, is_url, store_at
 
+_TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh")
+"""Extensions of files that may be takes, zipped (``.gz``) or not."""
+_CERTAIN = (".skeleton", ".bvh")  # extensions that only takes have
 _ZIPPED = 4  # size of text over that of its gzip file: numbers give 2 to 10
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that may be a take."""
+
+    take: str  # its name in the manifest: the path below the folder that was searched
+    store: Store
+    place: str  # its path without links, or its URL
+    file: StoredFile
+    named: bool  # by the user, this very file: then it is a take
+
+    def is_take(self, path: Path, layout: TakeFormat | None) -> bool:
+        """Tell a take, even a broken one, from other files.
+
+        The file, or a copy of it, is read at ``path``; ``layout`` is the one that the
+        user gave for all files. Raises InputError if it cannot be read.
+        """
+        name = self.file.name.lower().removesuffix(".gz")
+        certain = self.named or layout is not None or name.endswith(_CERTAIN)
+        return certain or claims_take(path)
+
+
+def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
+    """Return the named files, and those in folders with an extension of takes.
+
+    A file that is found twice counts once. With several inputs, the takes of a folder
+    are prefixed with the folder's name. Raises InputError if an input does not exist or
+    is ``out``, or nothing was found.
+    """
+    sources: dict[str, Source] = {}
+    labels: Counter[str] = Counter()
+    for place in inputs:
+        if not is_folder(place):
+            path = place if is_url(place) else str(Path(place).absolute())
+            folder, _, name = path.rpartition("/")
+            store = store_at(folder or "/")
+            file = store.find(name)
+            if file is None:
+                raise InputError(f"{place}: there is no such file; check the name")
+            at = canonical(place)
+            sources.setdefault(at, Source(name, store, at, file, named=True))
+            continue
+        prefix = ""
+        if len(inputs) > 1:
+            label = PurePosixPath(place).name
+            if label in ("", ".."):
+                label = PurePosixPath(canonical(place)).name
+            labels[label] += 1
+            prefix = f"{label}-{labels[label]}/" if labels[label] > 1 else f"{label}/"
+        for source in _in_folder(place, out):
+            named = replace(source, take=prefix + source.take)
+            sources.setdefault(source.place, named)
+    if not sources:
+        raise InputError(
+            f"{', '.join(inputs)}: no file with an extension of takes ("
+            f"{', '.join(_TAKES)}, or .gz of these); check the name"
+        )
+    names = unique_names(source.take for source in sources.values())
+    return [
+        replace(source, take=name)
+        for source, name in zip(sources.values(), names, strict=True)
+    ]
+
+
+def _in_folder(place: str, out: str) -> list[Source]:
+    store, root = store_at(place), canonical(place)
+    if root == canonical(out):
+        raise InputError(
+            f"{out}: is also searched for takes; write into another folder, which may "
+            "be inside it"
+        )
+    # If the output is inside the searched folder, it is left out.
+    written = f"{canonical(out)}/".removeprefix(f"{root}/")
+    return [
+        Source(file.name, store, f"{root}/{file.name}", file, named=False)
+        for file in store.files()
+        if file.name.lower().removesuffix(".gz").endswith(_TAKES)
+        and not file.name.startswith(written)
+    ]
+
+
+def clip_names(
+    takes: Sequence[str], suffix: str, *, several: bool = False
+) -> list[str]:
+    """Return the path of each take's clip, no two the same.
+
+    ``walks/fast.csv.gz`` becomes ``walks/fast.usdc``. Takes that differ only in their
+    extension keep it: ``fast.csv.usdc`` and ``fast.bvh.usdc``. So a name depends on
+    which other takes there are, but not on their order. With ``several``, takes may
+    give a clip for each of several people (``numbered``).
+    """
+
+    def key(name: str) -> str:
+        # Numbers at its end could be those of people.
+        return re.sub(r"(\.\d+)+$" if several else "$", "", name.casefold())
+
+    plain = [re.sub(r"(?<=[^/])\.gz$", "", take, flags=re.IGNORECASE) for take in takes]
+    names, longer = list[str](), [str(PurePosixPath(p).with_suffix("")) for p in plain]
+    while names != longer:
+        names, counts = longer, Counter(map(key, longer))
+        longer = [
+            take if counts[key(name)] > 1 else name
+            for take, name in zip(takes, names, strict=True)
+        ]
+    return [name + suffix for name in unique_names(names, str.casefold)]
+
+
+def unique_names(names: Iterable[str], key: Callable[[str], str] = str) -> list[str]:
+    """Return names, each but the first of those with the same key prefixed by a number.
+
+    The number is put before the last part of a path, which is split by ``/``.
+    """
+    taken: set[str] = set()
+    unique = []
+    for name in names:
+        path, free, number = PurePosixPath(name), name, 1
+        while key(free) in taken:
+            number += 1
+            free = str(path.with_name(f"{number}-{path.name}"))
+        taken.add(key(free))
+        unique.append(free)
+    return unique
 
 
 @dataclass(frozen=True)
@@ -79,20 +208,12 @@ def plan_jobs(
 ) -> list[Job]:
     """Return a job for every file, the longest first.
 
-    Settings of ``kinefilter.toml`` in a take's folder, and in those above it up to the
-    one that was searched, override ``files``; the nearest overrides the others.
-
-    Args:
-        sources: Files to look at.
-        store: Where clips are written.
-        settings: Values that hold where no file sets others.
-        suffix: Extension of the clips, such as ``.usdc``.
-        files: Files of settings for all takes; later ones override earlier ones.
-        given: Names of settings that the user gave, which no file may change.
-
-    Raises:
-        InputError: A file of settings is wrong, contacts of one take are given to
-            several, or a clip would overwrite a take.
+    Values of ``settings`` hold where no file sets others: of ``files``, later ones
+    override earlier ones, and ``kinefilter.toml`` in a take's folder, and in those
+    above it up to the one that was searched, overrides these, the nearest first. No
+    file may change the settings ``given`` by the user. Clips end in ``suffix``, such as
+    ``.usdc``. Raises InputError if a file of settings is wrong, contacts of one take
+    are given to several, or a clip would overwrite a take.
     """
     known: dict[tuple[str, str], Settings] = {}
 
@@ -101,20 +222,24 @@ def plan_jobs(
         if key not in known:
             top = folder == folder.parent
             above = start if top else settings_of(store, folder.parent)
-            own = _settings_files(store, str(folder / FOLDER_FILE))
+            own, name = [], str(folder / FOLDER_FILE)
+            if store.find(name) is not None:
+                with store.reading(name) as path:
+                    text = read_limited(path, LARGEST_TOML)
+                place = store.path(name)
+                relative_to = Path(place).parent if store.is_local else None
+                own = [parse_settings(text, place, relative_to)]
             known[key] = overlaid(above, own, given)
         return known[key]
 
     start = overlaid(settings, files, given)
-    folders = [PurePosixPath(source.file.name).parent for source in sources]
     chosen = [
-        settings_of(source.store, folder)
-        for source, folder in zip(sources, folders, strict=True)
+        settings_of(source.store, PurePosixPath(source.file.name).parent)
+        for source in sources
     ]
-    fingerprints = {}
     for one in dict.fromkeys(chosen):
         _check(one, store, suffix)
-        fingerprints[one] = fingerprint(one, suffix)
+    fingerprints = {one: fingerprint(one, suffix) for one in dict.fromkeys(chosen)}
     _check_contacts(zip(sources, chosen, strict=True))
     several = any(one.body == "all" for one in chosen)
     names = clip_names([source.take for source in sources], suffix, several=several)
@@ -130,16 +255,6 @@ def plan_jobs(
                 "folder"
             )
     return sorted(jobs, key=lambda job: (-job.size, job.source.take))
-
-
-def _settings_files(store: Store, name: str) -> list[SettingsFile]:
-    """Return the file of settings of that name, if it is there."""
-    if store.find(name) is None:
-        return []
-    with store.reading(name) as path:
-        text = read_limited(path, LARGEST_TOML)
-    folder = Path(store.path(name)).parent if store.is_local else None
-    return [parse_settings(text, store.path(name), folder)]
 
 
 def _check(settings: Settings, out: Store, suffix: str) -> None:
@@ -159,12 +274,16 @@ def _check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
     takes: dict[Path, str] = {}
     for source, settings in planned:
         file = settings.config.contacts
-        if file is None or not _is_take(source, settings):
+        if file is None:
+            continue
+        try:
+            with source.store.reading(source.file.name) as path:
+                if not source.is_take(path, settings.format):
+                    continue
+        except InputError:  # in its own job, it fails for this
             continue
         if settings.body == "all":
-            raise InputError(
-                f"--contacts {file}: is for one person; choose the person with --body"
-            )
+            raise InputError(f"--contacts {file}: is for one person; choose by --body")
         if file in takes:
             raise InputError(
                 f"--contacts {file}: is for one take, not for both {takes[file]} and "
@@ -172,12 +291,3 @@ def _check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
                 "kinefilter.toml that sets it, or use 'kinefilter clean'"
             )
         takes[file] = source.take
-
-
-def _is_take(source: Source, settings: Settings) -> bool:
-    """Tell takes from other files; a file that cannot be read fails in its own job."""
-    try:
-        with source.store.reading(source.file.name) as path:
-            return source.is_take(path, settings.format)
-    except InputError:
-        return False

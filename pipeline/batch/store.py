@@ -10,9 +10,8 @@ import os
 import re
 import tempfile
 import uuid
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
@@ -40,34 +39,53 @@ class StoredFile:
 
 
 @dataclass(frozen=True)
-class Store(ABC):
-    """A folder with all that is below it; can be sent to other processes."""
+class Store:
+    """A folder with all that is below it; can be sent to other processes.
+
+    This one is of this machine, or of one that it has mounted.
+    """
 
     root: str  # absolute path, or URL without a slash at its end
-    is_local: ClassVar[bool]
+    is_local: ClassVar[bool] = True
 
     def path(self, name: str) -> str:
         """Return the path or URL of a file."""
         return f"{self.root.rstrip('/')}/{name}"
 
-    @abstractmethod
     def files(self) -> Iterator[StoredFile]:
         """Yield what is below the root, hidden files and folders left out."""
+        for folder, folders, names in os.walk(self.root, onerror=_raise_unreadable):
+            folders[:] = sorted(name for name in folders if name[0] != ".")
+            inside = Path(folder).relative_to(self.root)
+            for name in sorted(names):
+                file = self.find((inside / name).as_posix())
+                if name[0] != "." and file is not None:
+                    yield file
 
-    @abstractmethod
     def find(self, name: str) -> StoredFile | None:
         """Return a file if it is there."""
+        try:
+            stat = Path(self.root, name).stat()
+        except OSError:
+            return None
+        return StoredFile(name, stat.st_size, f"{stat.st_size}-{stat.st_mtime_ns}")
 
-    @abstractmethod
-    def reading(self, name: str) -> AbstractContextManager[Path]:
+    @contextmanager
+    def reading(self, name: str) -> Iterator[Path]:
         """Yield a path of this machine to read a file from."""
+        yield Path(self.root, name)
 
-    @abstractmethod
-    def writing(self, name: str) -> AbstractContextManager[Path]:
-        """Yield a path of this machine to write a file to; folders are made.
-
-        The writer must not leave half a file under the path.
-        """
+    @contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
+        """Yield a path of this machine to write a whole file to; folders are made."""
+        path = Path(self.root, name)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
+            ) from error
+        yield path
 
     def sha256(self, name: str) -> str:
         """Return the hash of a file's bytes."""
@@ -78,43 +96,6 @@ class Store(ABC):
         """Write a file, whole or not at all."""
         with self.writing(name) as path, atomic_path(path) as temporary:
             temporary.write_bytes(data)
-
-
-class _LocalStore(Store):
-    """A folder of this machine, or one that it has mounted."""
-
-    is_local = True
-
-    def files(self) -> Iterator[StoredFile]:
-        for folder, folders, names in os.walk(self.root, onerror=_raise_unreadable):
-            folders[:] = sorted(name for name in folders if name[0] != ".")
-            inside = Path(folder).relative_to(self.root)
-            for name in sorted(names):
-                file = self.find((inside / name).as_posix())
-                if name[0] != "." and file is not None:
-                    yield file
-
-    def find(self, name: str) -> StoredFile | None:
-        try:
-            stat = Path(self.root, name).stat()
-        except OSError:
-            return None
-        return StoredFile(name, stat.st_size, f"{stat.st_size}-{stat.st_mtime_ns}")
-
-    @contextmanager
-    def reading(self, name: str) -> Iterator[Path]:
-        yield Path(self.root, name)
-
-    @contextmanager
-    def writing(self, name: str) -> Iterator[Path]:
-        path = Path(self.root, name)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
-            ) from error
-        yield path
 
 
 class _RemoteStore(Store):
@@ -136,15 +117,12 @@ class _RemoteStore(Store):
 
     def find(self, name: str) -> StoredFile | None:
         system, root = _file_system(self.root)
-        with _as_input_error(self.path(name)):
-            try:
-                return _stored_file(name, system.info(f"{root}/{name}"))
-            except FileNotFoundError:
-                return None
+        with _as_input_error(self.path(name)), suppress(FileNotFoundError):
+            return _stored_file(name, system.info(f"{root}/{name}"))
+        return None
 
     @contextmanager
     def reading(self, name: str) -> Iterator[Path]:
-        """Yield a local copy of a file."""
         system, root = _file_system(self.root)
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / PurePosixPath(name).name
@@ -154,29 +132,24 @@ class _RemoteStore(Store):
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
-        """Yield a local path; the file written there is then uploaded."""
+        system, root = _file_system(self.root)
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / PurePosixPath(name).name
             yield copy
             with _as_input_error(self.path(name)):
-                self._upload(copy, name)
-
-    def _upload(self, copy: Path, name: str) -> None:
-        system, root = _file_system(self.root)
-        target = f"{root}/{name}"
-        if self.root.partition("://")[0] in _WHOLE_PUTS:
-            system.put_file(str(copy), target)
-            return
-        parent, _, last = target.rpartition("/")
-        temporary = f"{parent}/.{uuid.uuid4().hex}.{last}"
-        system.makedirs(parent, exist_ok=True)
-        try:
-            system.put_file(str(copy), temporary)
-            system.mv(temporary, target)
-        except BaseException:
-            if system.exists(temporary):
-                system.rm_file(temporary)
-            raise
+                parent, _, last = f"{root}/{name}".rpartition("/")
+                if self.root.partition("://")[0] in _WHOLE_PUTS:
+                    system.put_file(str(copy), f"{parent}/{last}")
+                    return
+                temporary = f"{parent}/.{uuid.uuid4().hex}.{last}"
+                system.makedirs(parent, exist_ok=True)
+                try:
+                    system.put_file(str(copy), temporary)
+                    system.mv(temporary, f"{parent}/{last}")
+                except BaseException:
+                    if system.exists(temporary):
+                        system.rm_file(temporary)
+                    raise
 
 
 def remove_unfinished(store: Store) -> None:
@@ -191,7 +164,7 @@ def store_at(place: str) -> Store:
     """Return the store whose root is a path or URL."""
     if is_url(place):
         return _RemoteStore(place.rstrip("/"))
-    return _LocalStore(str(Path(place).absolute()))
+    return Store(str(Path(place).absolute()))
 
 
 def is_url(place: str) -> bool:
@@ -200,21 +173,18 @@ def is_url(place: str) -> bool:
 
 
 def is_folder(place: str) -> bool:
-    """Tell a folder from a file.
-
-    Raises:
-        InputError: Neither is there, or the URL cannot be reached.
-    """
+    """Tell a folder from a file; raises InputError if neither is there."""
     if is_url(place):
         system, path = _file_system(place)
         with _as_input_error(place):
-            folder = system.isdir(path)
-            file = not folder and system.isfile(path)
+            folder = bool(system.isdir(path))
+            exists = folder or system.isfile(path)
     else:
-        folder, file = Path(place).is_dir(), Path(place).is_file()
-    if not folder and not file:
+        folder = Path(place).is_dir()
+        exists = folder or Path(place).is_file()
+    if not exists:
         raise InputError(f"{place}: there is no such file or folder; check the name")
-    return bool(folder)
+    return folder
 
 
 def canonical(place: str) -> str:
@@ -223,17 +193,14 @@ def canonical(place: str) -> str:
 
 
 def _raise_unreadable(error: OSError) -> None:
-    raise InputError(
-        f"{error.filename}: cannot be searched ({error.strerror}); check its "
-        "permissions"
-    ) from error
+    wrong = f"cannot be searched ({error.strerror}); check its permissions"
+    raise InputError(f"{error.filename}: {wrong}") from error
 
 
 def _file_system(url: str) -> tuple[Any, str]:
     """Return the file system of a URL, and the path in it.
 
-    Raises:
-        InputError: The protocol is unknown or needs a package that is not installed.
+    Raises InputError if the protocol is unknown or its package is not installed.
     """
     require("fsspec", f"the URL {url}", "cluster")
     from fsspec.core import url_to_fs

@@ -23,9 +23,22 @@ def as_tables(outcome: Outcome) -> RenderableType:
     """
     rows = [*outcome.kept, *outcome.rows]
     clips = [(row, clip) for row in rows for clip in row.clips]
-    clips.sort(key=lambda pair: _badness(pair[1]), reverse=True)
+
+    def badness(pair: tuple[Row, ClipRow]) -> tuple[float, float]:
+        force = pair[1].external_force_body_weights or 0.0
+        return force, pair[1].share_outside_database or 0.0
+
+    clips.sort(key=badness, reverse=True)
     tables = [_worst_table(clips[:_WORST])] if clips else []
-    tables += [_failed_table(outcome.failed)] if outcome.failed else []
+    if outcome.failed:
+        table = Table(title="failed", title_justify="left")
+        for name in ("take", "why"):
+            table.add_column(name, overflow="fold")
+        for row in outcome.failed[:_MOST_FAILED]:
+            table.add_row(row.take, row.error)
+        more = len(outcome.failed) - _MOST_FAILED
+        table.caption = f"and {more} more, see the manifest" if more > 0 else None
+        tables.append(table)
     return Group(_counts(outcome), *tables)
 
 
@@ -36,10 +49,8 @@ def _counts(outcome: Outcome) -> str:
     frames = sum(clip.frames for row in outcome.rows for clip in row.clips)
     seconds = max(outcome.seconds, 1e-9)
     words = [f"{_counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]
-    if kept:
-        words.append(f"{kept} done before")
-    if others:
-        words.append(f"{_counted(others, 'other file')} skipped")
+    words += [f"{kept} done before"] * bool(kept)
+    words += [f"{_counted(others, 'other file')} skipped"] * bool(others)
     if outcome.rows:
         words.append(
             f"{_counted(frames, 'frame')} in {outcome.seconds:.1f} s: "
@@ -50,11 +61,6 @@ def _counts(outcome: Outcome) -> str:
 
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
-
-
-def _badness(clip: ClipRow) -> tuple[float, float]:
-    force, outside = clip.external_force_body_weights, clip.share_outside_database
-    return force or 0.0, outside or 0.0
 
 
 def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
@@ -79,15 +85,4 @@ def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
             row.take if len(row.clips) == 1 else f"{row.take}, body {clip.body}",
             *("-" if value is None else format(value, form) for value, form in figures),
         )
-    return table
-
-
-def _failed_table(failed: Sequence[Row]) -> Table:
-    table = Table(title="failed", title_justify="left")
-    for name in ("take", "why"):
-        table.add_column(name, overflow="fold")
-    for row in failed[:_MOST_FAILED]:
-        table.add_row(row.take, row.error)
-    if len(failed) > _MOST_FAILED:
-        table.caption = f"and {len(failed) - _MOST_FAILED} more, see the manifest"
     return table

@@ -60,13 +60,9 @@ def clean_file(job: Job) -> Row:
             error = f"cannot be cleaned ({type(unforeseen).__name__}: {unforeseen})"
     recording = None
     give_back_memory()
-    return job.row(
-        "failed" if error else status,
-        sha256=sha256,
-        seconds=perf_counter() - start,
-        clips=clips,
-        error=error[:_LONGEST],
-    )
+    status, error = "failed" if error else status, error[:_LONGEST]
+    seconds = perf_counter() - start
+    return job.row(status, sha256=sha256, seconds=seconds, clips=clips, error=error)
 
 
 def _read(job: Job) -> tuple[Recording | None, str]:
@@ -104,9 +100,8 @@ def _write_clips(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], s
 
 
 @lru_cache(maxsize=_KEPT)
-def _cleaner(config: CleanConfig, fingerprint: str) -> Cleaner:
+def _cleaner(config: CleanConfig, _fingerprint: str) -> Cleaner:
     """Return a cleaner; the fingerprint tells changed files apart."""
-    del fingerprint
     return Cleaner(config)
 
 
@@ -121,6 +116,7 @@ def _write_clip(take: Take, name: str, body: int, job: Job) -> ClipRow:
     if file is None:
         raise InputError(f"{job.store.path(name)}: was removed while it was written")
     clip, trace, last = result.clip, result.trace, [*result.stages.values()][-1]
+    force = np.nan if trace is None else float(trace.external_force.mean())
     return ClipRow(
         output=name,
         stamp=file.stamp,
@@ -131,9 +127,7 @@ def _write_clip(take: Take, name: str, body: int, job: Job) -> ClipRow:
         jitter_raw=result.stages["raw"].jitter,
         jitter=last.jitter,
         skate_mm_per_frame=_finite(last.skate_mm_per_frame),
-        external_force_body_weights=(
-            None if trace is None else _finite(float(trace.external_force.mean()))
-        ),
+        external_force_body_weights=_finite(force),
         share_outside_database=_finite(result.share_outside),
         failures=len(result.failures),
         notes=result.notes,
@@ -155,9 +149,8 @@ def _check_same(settings: Settings, suffix: str, planned: str) -> None:
         )
 
 
-def _while_awaited(stage: str, count: int) -> Iterator[int]:
+def _while_awaited(_stage: str, count: int) -> Iterator[int]:
     """Yield the steps of a stage as long as somebody waits for it."""
-    del stage
     for step in range(count):
         if given_up():
             raise _GivenUpError

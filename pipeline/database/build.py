@@ -12,8 +12,13 @@ from numpy.typing import NDArray
 from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
-from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
-from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap, sorted_mocap
+from kinefilter.pipeline.formats.mocap import (
+    RIGS,
+    kinect_motion,
+    read_mocap,
+    sorted_mocap,
+)
+from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import (
@@ -169,7 +174,7 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     motion = kinect_motion(mocap, skeleton, RIGS)
     positions, step = motion.positions, 1.0 / POSTURES_PER_SECOND
     whole = _whole(positions)
-    frames = np.flatnonzero(whole)[:: max(1, round(step / motion.frame_time))]
+    frames = np.flatnonzero(whole)[:: max(1, round(step / mocap.frame_time))]
     if not len(frames):
         raise InputError(
             f"{mocap.source}: no frame has all joints; give motion of a whole body"

@@ -10,9 +10,7 @@ moves. A bone's own axes are turned by ``axis``; its motion turns about them, x 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NoReturn
 
 import numpy as np
 
@@ -20,9 +18,10 @@ from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 
-from .bvh import LARGEST_NUMBER, MOST_CELLS, wxyz_from_euler
-from .files import open_text
-from .mocap import Mocap
+from .bvh import MOST_CELLS, wxyz_from_euler
+from .files import AnyPath, open_text
+from .recording import Mocap
+from .rows import LineReader
 
 _FRAME_TIME = 1.0 / 120.0
 """Time between frames [s]: no AMC tells it, CMU's cameras took 120 a second."""
@@ -50,37 +49,23 @@ class Acclaim:
     source: str
 
 
-def read_asf(path: str | os.PathLike[str]) -> Acclaim:
+def read_asf(path: AnyPath) -> Acclaim:
     """Read an ASF file; raises InputError, which names the line, where it is wrong."""
-    reader = _AsfReader(os.fspath(path))
+    source = os.fspath(path)
     with open_text(path) as lines:
-        for reader.row, words in _lines(lines, "#"):
-            reader.take(words[0], words[1:])
-    return reader.finished()
-
-
-def _lines(lines: Iterator[str], comments: str) -> Iterator[tuple[int, list[str]]]:
-    for row, line in enumerate(lines, start=1):
-        words = line.split()
-        if words and words[0][0] not in comments:
-            yield row, words
-
-
-def _numbers(words: list[str], count: int, where: str) -> Array:
-    try:
-        numbers = np.array([float(word) for word in words])
-    except ValueError:
-        numbers = np.full(count, np.nan)
-    if len(numbers) != count or not (np.abs(numbers) < LARGEST_NUMBER).all():
-        found = " ".join(words)[:40]
-        raise InputError(f"{where} has {found!r}, expected {count} finite numbers")
-    return numbers
+        reader = _AsfReader(source, lines)
+        for key, *values in reader.filled("#"):
+            reader.take(key, values)
+    if len(reader.bones) < 2:
+        raise InputError(f"{source}: has no :bonedata; is it an ASF file?")
+    ordered = [_ROOT]
+    for parent in ordered:
+        ordered += [n for n, bone in reader.bones.items() if bone.parent == parent]
+    return Acclaim({n: reader.bones[n] for n in ordered}, reader.degrees, source)
 
 
 @dataclass
-class _AsfReader:
-    source: str
-    row: int = 0
+class _AsfReader(LineReader):
     section: str = ""
     degrees: bool = True
     bones: dict[str, _Bone] = field(default_factory=lambda: {_ROOT: _Bone()})
@@ -94,91 +79,77 @@ class _AsfReader:
         elif self.section == ":root" and key == "order":
             self.bones[_ROOT].freedoms = self._freedoms(values)
         elif self.section == ":root" and key == "orientation":
-            if self._numbers(values, 3).any():
-                self._fail("turns the root, which is not supported; expected 0 0 0")
+            if self.numbers(values, 3).any():
+                self.fail("turns the root, which is not supported; expected 0 0 0")
         elif self.section == ":bonedata":
             self._bone_line(key, values)
         elif self.section == ":hierarchy" and key not in ("begin", "end"):
-            self._children(key, values)
+            for name in (key, *values):
+                if name not in self.bones:
+                    self.fail(f"names {name[:40]!r}, which is not a bone of :bonedata")
+            for child in values:
+                if child == _ROOT or self.bones[child].parent is not None:
+                    self.fail(f"gives bone {child[:40]!r} a second parent")
+                self.bones[child].parent = key
 
     def _bone_line(self, key: str, values: list[str]) -> None:
         if key in ("begin", "end"):
             self.bone = _Bone() if key == "begin" else None
         elif self.bone is None:
-            self._fail(f"is {key[:40]!r}, expected begin")
+            self.fail(f"is {key[:40]!r}, expected begin")
         elif key == "name":
             name = " ".join(values)
             if name in self.bones or not name:
-                self._fail(f"names bone {name[:40]!r} again")
+                self.fail(f"names bone {name[:40]!r} again")
             if len(self.bones) > _MOST_BONES:
-                self._fail(f"is bone number {len(self.bones)}, more than any body has")
+                self.fail(f"is bone number {len(self.bones)}, more than any body has")
             self.bones[name] = self.bone
         elif key == "direction":
-            self.bone.direction = self._numbers(values, 3)
+            self.bone.direction = self.numbers(values, 3)
         elif key == "length":
-            self.bone.length = float(self._numbers(values, 1)[0])
+            self.bone.length = float(self.numbers(values, 1)[0])
         elif key == "axis":
             order = values[3].upper() if len(values) == 4 else ""
             if sorted(order) != ["X", "Y", "Z"]:
-                self._fail("has no axis, expected three numbers and an order like XYZ")
-            angles = self._numbers(values[:3], 3)
-            angles = np.radians(angles) if self.degrees else angles
-            self.bone.axis = _turned(angles, order)
+                self.fail("has no axis, expected three numbers and an order like XYZ")
+            self.bone.axis = _turned(self.numbers(values[:3], 3), order, self.degrees)
         elif key == "dof":
             self.bone.freedoms = self._freedoms(values)
 
     def _freedoms(self, words: list[str]) -> tuple[str, ...]:
         freedoms = tuple(word.lower() for word in words)
         if len(set(freedoms)) < len(freedoms) or not set(freedoms) <= set(_FREEDOMS):
-            self._fail(
+            self.fail(
                 f"has degrees of freedom {' '.join(words)[:60]!r}, expected some of "
                 f"{' '.join(_FREEDOMS)}"
             )
         return freedoms
 
-    def _children(self, parent: str, children: list[str]) -> None:
-        for name in (parent, *children):
-            if name not in self.bones:
-                self._fail(f"names {name[:40]!r}, which is not a bone of :bonedata")
-        for child in children:
-            if child == _ROOT or self.bones[child].parent is not None:
-                self._fail(f"gives bone {child[:40]!r} a second parent")
-            self.bones[child].parent = parent
 
-    def _numbers(self, words: list[str], count: int) -> Array:
-        return _numbers(words, count, f"{self.source}: line {self.row}")
-
-    def finished(self) -> Acclaim:
-        """Return the skeleton with parents first."""
-        if len(self.bones) < 2:
-            raise InputError(f"{self.source}: has no :bonedata; is it an ASF file?")
-        ordered = [_ROOT]
-        for parent in ordered:
-            ordered += [n for n, bone in self.bones.items() if bone.parent == parent]
-        bones = {name: self.bones[name] for name in ordered}
-        return Acclaim(bones, self.degrees, self.source)
-
-    def _fail(self, complaint: str) -> NoReturn:
-        raise InputError(f"{self.source}: line {self.row} {complaint}")
-
-
-def _turned(angles: Array, axes: str) -> Array:
+def _turned(angles: Array, axes: str, degrees: bool) -> Array:
     """Return the rotation of turns about fixed axes, the first named first."""
+    angles = np.radians(angles) if degrees else angles
     return wxyz_from_euler(angles[..., ::-1], axes[::-1])
 
 
-def read_amc(path: str | os.PathLike[str], skeleton: Acclaim) -> Mocap:
+def read_amc(path: AnyPath, skeleton: Acclaim) -> Mocap:
     """Read where an AMC file's bones end and how they turn; raises InputError."""
     source = os.fspath(path)
     values = _amc_values(source, skeleton)
     frames = len(values[_ROOT])
     names = tuple(skeleton.bones)
-    positions = np.empty((frames, len(names), 3))
+    positions = np.zeros((frames, len(names), 3))
     rotations = np.empty((frames, len(names), 4))
     for n, (name, bone) in enumerate(skeleton.bones.items()):
-        turn, shift = _motion(bone, values.get(name), skeleton.degrees, frames)
+        moves = values.get(name, np.empty((frames, 0)))
+        about = [k for k, freedom in enumerate(bone.freedoms) if freedom[0] == "r"]
+        axes = "".join(bone.freedoms[k][1].upper() for k in about)
+        turn = _turned(moves[:, about], axes, skeleton.degrees)
         if bone.parent is None:
-            rotations[:, n], positions[:, n] = turn, shift
+            rotations[:, n] = turn
+            for k, freedom in enumerate(bone.freedoms):
+                if freedom[0] == "t":
+                    positions[:, n, "xyz".index(freedom[1])] = moves[:, k]
             continue
         p = names.index(bone.parent)
         own = multiply(multiply(bone.axis, turn), inverse(bone.axis))
@@ -188,29 +159,11 @@ def read_amc(path: str | os.PathLike[str], skeleton: Acclaim) -> Mocap:
     return Mocap(names, positions, rotations, _FRAME_TIME, source)
 
 
-def _motion(
-    bone: _Bone, values: Array | None, degrees: bool, frames: int
-) -> tuple[Array, Array]:
-    """Return the turn (T, 4) and the shift (T, 3) of a bone."""
-    turn, shift = np.tile(IDENTITY, (frames, 1)), np.zeros((frames, 3))
-    if values is None:
-        return turn, shift
-    about = [k for k, freedom in enumerate(bone.freedoms) if freedom[0] == "r"]
-    axes = "".join(bone.freedoms[k][1].upper() for k in about)
-    angles = np.radians(values[:, about]) if degrees else values[:, about]
-    for k, freedom in enumerate(bone.freedoms):
-        if freedom[0] == "t":
-            shift[:, "xyz".index(freedom[1])] = values[:, k]
-    return _turned(angles, axes), shift
-
-
 def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
     """Return the values of every bone that moves, shape (T, D) each."""
     moving = {n: len(b.freedoms) for n, b in skeleton.bones.items() if b.freedoms}
     if _ROOT not in moving:
-        raise InputError(
-            f"{skeleton.source}: the root has no order, expected TX TY TZ and so on"
-        )
+        raise InputError(f"{skeleton.source}: the root has no order, such as TX TY TZ")
     rows: dict[str, list[Array]] = {name: [] for name in moving}
     frames, most = 0, MOST_CELLS // len(skeleton.bones)
 
@@ -223,23 +176,20 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
                 )
 
     with open_text(source) as lines:
-        for row, (name, *words) in _lines(lines, "#:"):
-            where = f"{source}: line {row}"
+        reader = LineReader(source, lines)
+        for name, *words in reader.filled("#:"):
             if not words and name.isdigit():
-                end_frame(f"line {row}")
+                end_frame(f"line {reader.row}")
                 frames += 1
                 if frames > most:
-                    raise InputError(
-                        f"{where} is frame {frames}, too many; split the file"
-                    )
+                    reader.fail(f"is frame {frames}, too many; split the file")
                 continue
             if name not in moving:
-                raise InputError(
-                    f"{where}: no {name[:40]!r} in the ASF; give this subject's ASF"
-                )
-            values = _numbers(words, moving[name], f"{where}: bone {name!r}")
+                name = name[:40]
+                reader.fail(f"names {name!r}, not in the ASF; give this subject's ASF")
+            values = reader.numbers(words, moving[name], f"bone {name!r} as ")
             if len(rows[name]) != frames - 1:
-                raise InputError(f"{where} has {name!r} twice, or outside of a frame")
+                reader.fail(f"has {name!r} twice, or outside of a frame")
             rows[name].append(values)
     end_frame("the file")
     if not frames:

@@ -14,6 +14,7 @@ database, reliability, failures. Face and clavicles tell nothing more about the 
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -50,21 +51,14 @@ between the shoulders, and the head in the middle of the skull, Azure Kinect at 
 base."""
 
 
-def _sources(joint: str) -> tuple[str, ...]:
-    """Return the joints of Azure Kinect whose mean a joint of Kinect v2 is."""
-    for side in ("Left", "Right"):
-        if joint.endswith(side):
-            return (f"{joint.removesuffix(side).upper()}_{side.upper()}",)
-    return _TRUNK[joint]
+def _sources(joint: str) -> list[int]:
+    """Return the two joints whose mean a joint of Kinect v2 is, or twice the same."""
+    limb = re.sub("(Left|Right)$", r"_\1", joint).upper()
+    first, *other = _TRUNK.get(joint, (limb,))
+    return [JOINTS.index(name) for name in (first, *(other or [first]))]
 
 
-# Rows of a mean are the two joints that it is of, twice the same for one.
-_PAIRS = np.array(
-    [
-        [JOINTS.index(name) for name in (_sources(joint) * 2)[:2]]
-        for joint in KINECT_V2.joints
-    ]
-)
+_PAIRS = np.array([_sources(joint) for joint in KINECT_V2.joints])
 _TO_OURS = np.array([-1e-3, -1e-3, 1e-3])
 """Meters for millimeters, x to the camera's left for right, y up for down: half a turn
 about z, after which a take faces the sensor as takes of Kinect v2 do."""
@@ -87,7 +81,17 @@ def read_azure(source: str) -> Recording:
         raise InputError(
             f"{source}: JSON without 'frames'; expected offline_processor's output"
         )
-    _check_names(root.get("joint_names"), source)
+    names = root.get("joint_names")
+    if names is not None:
+        # The SDK's header spells it NAVEL, its documentation NAVAL.
+        listed = names if isinstance(names, list) else []
+        found = tuple(str(name).replace("NAVAL", "NAVEL") for name in listed)
+        if found != JOINTS:
+            raise InputError(
+                f"{source}: 'joint_names' are {len(found)}, "
+                f"{', '.join(found[:3])[:60]}, ..., expected the {len(JOINTS)} of "
+                f"Azure Kinect in the SDK's order: {', '.join(JOINTS[:3])}, ..."
+            )
     check_length(len(frames), source)
     sightings: list[Sighting] = []
     stamps = []
@@ -114,28 +118,13 @@ def read_azure(source: str) -> Recording:
 def _slim(value: dict[str, Any]) -> dict[str, Any]:
     """Return a JSON object without what is long and not read."""
     value.pop("joint_orientations", None)
-    if "joint_positions" in value:
-        for key, item in value.items():
-            if key == "joint_positions" or "confidence" in key:
-                try:
-                    value[key] = np.array(item, dtype=np.float64)
-                except (TypeError, ValueError):
-                    value[key] = None
+    for key in value if "joint_positions" in value else ():
+        if key == "joint_positions" or "confidence" in key:
+            try:
+                value[key] = np.array(value[key], dtype=np.float64)
+            except (TypeError, ValueError):
+                value[key] = None
     return value
-
-
-def _check_names(names: Any, source: str) -> None:
-    if names is None:
-        return
-    # The SDK's header spells it NAVEL, its documentation NAVAL.
-    listed = names if isinstance(names, list) else []
-    found = tuple(str(name).replace("NAVAL", "NAVEL") for name in listed)
-    if found != JOINTS:
-        raise InputError(
-            f"{source}: 'joint_names' are {len(found)}, {', '.join(found[:3])[:60]}, "
-            f"..., expected the {len(JOINTS)} of Azure Kinect in the SDK's order: "
-            f"{', '.join(JOINTS[:3])}, ..."
-        )
 
 
 def _sighting(frame: int, body: Any, where: str) -> Sighting:

@@ -1,32 +1,45 @@
-"""Motion in BVH files, of any skeleton and channel order, and how they are read."""
+"""BVH, which every animation tool has read since Biovision's: read and written.
+
+Files are read of any skeleton and channel order.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NoReturn
+from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import InputError
+from kinefilter.characters import Clip, InputError
 from kinefilter.characters.arrays import Array, freeze
-from kinefilter.characters.rotations import multiply, rotate
+from kinefilter.characters.rotations import (
+    IDENTITY,
+    about_x,
+    about_y,
+    about_z,
+    multiply,
+    rotate,
+)
 
-from .files import open_text
-from .rows import RowReader
+from .export import Export
+from .files import AnyPath, new_text, open_text
+from .recording import chunks
+from .rig import Rig, RigMotion
+from .rows import LARGEST_NUMBER, LineReader, RowReader
 
 MOST_CELLS = 20_000_000
 """Joints times frames at most: an hour of 75 joints at 60 frames a second."""
-LARGEST_NUMBER = 1e9
-"""Of lengths and angles at most, whatever their unit; a damaged number may be more."""
+_LOCKED = 1e-7
+"""Cosine of the middle angle below which the outer two are one: sqrt(eps)."""
+_END_SHARE = 0.3  # an end site goes on by this share of its bone, enough to be seen
 _MOST_JOINTS = 1000
 _MOST_CHANNELS = 6
 _FRAME_TIMES = (1e-4, 60.0)  # s, what any recorder could mean
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
-_Lines = Iterator[tuple[int, str]]
 _UNITS = (1.0, 0.01, 0.001, 0.0254)  # m, cm, mm, inches
 _LEG = 0.86  # m: thigh and shin of a body of 1.75 m (Winter 2009, figure 4.1)
 
@@ -44,18 +57,13 @@ class Bvh:
     no rotation at all; each rotation turns a joint with all that hangs on it.
     """
 
-    names: tuple[str, ...]
-    """Joint names, every parent before its children."""
-    parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for a root."""
-    offsets: Array
-    """Vector from the parent in the rest posture, shape (N, 3)."""
+    names: tuple[str, ...]  # of joints, every parent before its children
+    parents: tuple[int, ...]  # index of each joint's parent, -1 for a root
+    offsets: Array  # vector from the parent in the rest posture, shape (N, 3)
     channels: tuple[tuple[str, ...], ...]
     """Channels of each joint in their order, such as ``Xposition``, ``Zrotation``."""
-    frame_time: float
-    """Time between frames [s]."""
-    motion: Array
-    """Channel values, angles in degrees, shape (T, C)."""
+    frame_time: float  # between frames [s]
+    motion: Array  # channel values, angles in degrees, shape (T, C)
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -71,9 +79,9 @@ class Bvh:
     @property
     def joints(self) -> list[int]:
         """Indices of the joints without the end sites."""
-        names, parents = self.names, self.parents
-        ends = [f"{names[parent]}End" if parent >= 0 else None for parent in parents]
-        return [n for n in range(len(names)) if self.channels[n] or names[n] != ends[n]]
+        ends = [f"{self.names[p]}End" if p >= 0 else None for p in self.parents]
+        named = enumerate(zip(self.names, self.channels, ends, strict=True))
+        return [n for n, (name, channels, end) in named if channels or name != end]
 
     @cached_property
     def rest_positions(self) -> Array:
@@ -121,29 +129,24 @@ def wxyz_from_euler(angles: Array, axes: str) -> Array:
     The axes are a node's own: of ``ZYX``, the first angle turns about z, the second
     about the turned y.
     """
-    half = np.asarray(angles, dtype=np.float64) / 2.0
-    rotation = np.zeros((*half.shape[:-1], 4))
-    rotation[..., 0] = 1.0
+    about = {"X": about_x, "Y": about_y, "Z": about_z}
+    rotation = np.tile(IDENTITY, (*np.shape(angles)[:-1], 1))
     for k, axis in enumerate(axes):
-        turn = np.zeros_like(rotation)
-        turn[..., 0] = np.cos(half[..., k])
-        turn[..., 1 + "XYZ".index(axis)] = np.sin(half[..., k])
-        rotation = multiply(rotation, turn)
+        rotation = multiply(rotation, about[axis](angles[..., k]))
     return rotation
 
 
-def read_bvh(path: str | os.PathLike[str]) -> Bvh:
+def read_bvh(path: AnyPath) -> Bvh:
     """Read a BVH file, gzipped or not; raises InputError, which names the line."""
     source = os.fspath(path)
     with open_text(path) as file:
-        lines = enumerate(file, start=1)
-        tree = _Hierarchy(source)
-        tree.read(lines)
-        frames = _header_number(lines, "Frames:", source)
-        frame_time = _header_number(lines, "Frame Time:", source)
-        if frames * len(tree.names) > MOST_CELLS:
+        reader = _BvhReader(source, file)
+        reader.read_hierarchy()
+        frames = reader.header("Frames:")
+        frame_time = reader.header("Frame Time:")
+        if frames * len(reader.names) > MOST_CELLS:
             raise InputError(
-                f"{source}: {frames:g} frames of {len(tree.names)} joints are more "
+                f"{source}: {frames:g} frames of {len(reader.names)} joints are more "
                 "than any recording has; correct 'Frames:' or cut it into shorter files"
             )
         if not _FRAME_TIMES[0] <= frame_time <= _FRAME_TIMES[1]:
@@ -151,129 +154,199 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
                 f"{source}: frame time is {frame_time:g} s, expected one between two "
                 "frames of a recording, such as 0.0333; correct 'Frame Time:'"
             )
-        motion = _motion(lines, tree, frames)
-    return Bvh(
-        tuple(tree.names),
-        tuple(tree.parents),
-        np.array(tree.offsets),
-        tuple(tree.channels),
-        frame_time,
-        motion,
-    )
-
-
-def _motion(lines: _Lines, tree: _Hierarchy, frames: float) -> Array:
-    columns = tuple(
-        f"{name}.{channel}"
-        for name, channels in zip(tree.names, tree.channels, strict=True)
-        for channel in channels
-    )
-    reader = RowReader(tree.source, columns)
-    motion, last = [np.empty((0, len(columns)))], tree.row + 2
-    count = 0
-    for block in reader.blocks((line for _, line in lines), tree.row + 3):
-        unknown, large = np.isnan(block.values), np.abs(block.values) > LARGEST_NUMBER
-        for column in np.flatnonzero((unknown | large).any(axis=0)).tolist():
-            words = "is not a number; expected one"
-            reader.refuse(block, column, unknown[:, column], words)
-            words = "is {:.3g}; delete the frame"
-            reader.refuse(block, column, large[:, column], words)
-        motion.append(block.values)
-        count, last = count + len(block.values), int(block.rows[-1])
-        if count > frames:
-            break  # whatever follows, the header is wrong
-    if count != frames:
-        raise InputError(
-            f"{tree.source}: line {last} ends the motion after {count} frames, "
-            f"expected {frames:g}; the file may be cut off, or correct 'Frames:'"
-        )
-    return np.concatenate(motion)
-
-
-def _header_number(lines: _Lines, key: str, source: str) -> float:
-    row, line = next(lines, (0, ""))
-    words, value = key.split(), line.split()
-    try:
-        number = float(value[-1])
-    except (IndexError, ValueError):
-        number = -1.0
-    if value[:-1] != words or not 0 < number < np.inf:
-        where = f"line {row} is {line.strip()[:40]!r}" if row else "the file ends"
-        raise InputError(f"{source}: {where}, expected '{key}' and a positive number")
-    return number
+        motion = reader.motion(frames)
+    names, parents = tuple(reader.names), tuple(reader.parents)
+    offsets, channels = np.array(reader.offsets), tuple(reader.channels)
+    return Bvh(names, parents, offsets, channels, frame_time, motion)
 
 
 @dataclass(eq=False)
-class _Hierarchy:
-    source: str
-    row: int = 0
+class _BvhReader(LineReader):
     names: list[str] = field(default_factory=list)
     parents: list[int] = field(default_factory=list)
     offsets: list[Array] = field(default_factory=list)
     channels: list[tuple[str, ...]] = field(default_factory=list)
     open: list[int] = field(default_factory=list)  # from a root down to this joint
 
-    def read(self, lines: _Lines) -> None:
-        for self.row, line in lines:
+    def read_hierarchy(self) -> None:
+        for line in self.lines:
+            self.row += 1
             words = line.replace("{", " ").split()
             if words[:1] == ["MOTION"]:
                 if self.open or not self.names:
-                    self._fail("begins the motion inside the hierarchy, expected }")
+                    self.fail("begins the motion inside the hierarchy, expected }")
                 return
-            if words:
-                self._take(words)
-        raise InputError(
-            f"{self.source}: line {self.row} ends the file, expected the line MOTION; "
-            "is it a BVH file?"
-        )
-
-    def _take(self, words: list[str]) -> None:
-        if words[0] in ("ROOT", "JOINT") and len(words) > 1:
-            self._add(" ".join(words[1:]))
-        elif words[:2] == ["End", "Site"] and self.open:
-            self._add(f"{self.names[self.open[-1]]}End")
-        elif words[0] == "OFFSET" and self.open:
-            self.offsets[self.open[-1]] = self._offset(words[1:])
-        elif words[0] == "CHANNELS" and self.open:
-            self.channels[self.open[-1]] = self._channel_names(words[1:])
-        elif words == ["}"] and self.open:
-            self.open.pop()
-        elif words != ["HIERARCHY"] or self.names:
-            self._fail(
-                f"is {' '.join(words)[:40]!r}, expected HIERARCHY, ROOT, JOINT, "
-                "End Site, OFFSET, CHANNELS, a brace or MOTION"
-            )
+            if words[:1] in (["ROOT"], ["JOINT"]) and len(words) > 1:
+                self._add(" ".join(words[1:]))
+            elif words[:2] == ["End", "Site"] and self.open:
+                self._add(f"{self.names[self.open[-1]]}End")
+            elif words[:1] == ["OFFSET"] and self.open:
+                self.offsets[self.open[-1]] = self.numbers(words[1:], 3, "offset ")
+            elif words[:1] == ["CHANNELS"] and self.open:
+                self._add_channels(words[1:])
+            elif words == ["}"] and self.open:
+                self.open.pop()
+            elif words and (words != ["HIERARCHY"] or self.names):
+                self.fail(
+                    f"is {' '.join(words)[:40]!r}, expected HIERARCHY, ROOT, JOINT, "
+                    "End Site, OFFSET, CHANNELS, a brace or MOTION"
+                )
+        self.fail("ends the file, expected the line MOTION; is it a BVH file?")
 
     def _add(self, name: str) -> None:
         if len(self.names) == _MOST_JOINTS:
-            self._fail(f"is joint number {_MOST_JOINTS + 1}, more than any body has")
+            self.fail(f"is joint number {_MOST_JOINTS + 1}, more than any body has")
         self.parents.append(self.open[-1] if self.open else -1)
         self.open.append(len(self.names))
         self.names.append(name)
         self.offsets.append(np.zeros(3))
         self.channels.append(())
 
-    def _offset(self, words: list[str]) -> Array:
-        try:
-            offset = np.array(words, dtype=np.float64)
-        except ValueError:
-            offset = np.full(3, np.nan)
-        if offset.shape != (3,) or not (np.abs(offset) < LARGEST_NUMBER).all():
-            self._fail(f"has offset {' '.join(words)[:40]!r}, expected three numbers")
-        return offset
-
-    def _channel_names(self, words: list[str]) -> tuple[str, ...]:
+    def _add_channels(self, words: list[str]) -> None:
         names = tuple(words[1:])
-        if (
-            words[:1] != [str(len(names))]
-            or not _CHANNELS.issuperset(names)
-            or len(names) > _MOST_CHANNELS
-        ):
-            self._fail(
+        known = _CHANNELS.issuperset(names) and len(names) <= _MOST_CHANNELS
+        if words[:1] != [str(len(names))] or not known:
+            self.fail(
                 f"has channels {' '.join(words)[:60]!r}, expected their number and "
                 f"names out of {', '.join(sorted(_CHANNELS))}"
             )
-        return names
+        self.channels[self.open[-1]] = names
 
-    def _fail(self, complaint: str) -> NoReturn:
-        raise InputError(f"{self.source}: line {self.row} {complaint}")
+    def header(self, key: str) -> float:
+        """Return the number in the next line, which begins with a key."""
+        line = next(self.lines, "")
+        self.row += bool(line)
+        words = line.split()
+        try:
+            number = float(words[-1])
+        except (IndexError, ValueError):
+            number = -1.0
+        if words[:-1] != key.split() or not 0 < number < np.inf:
+            found = f"is {line.strip()[:40]!r}" if line else "ends the file"
+            self.fail(f"{found}, expected '{key}' and a positive number")
+        return number
+
+    def motion(self, frames: float) -> Array:
+        named = zip(self.names, self.channels, strict=True)
+        columns = tuple(f"{name}.{c}" for name, channels in named for c in channels)
+        reader = RowReader(self.source, columns)
+        values, count = [np.empty((0, len(columns)))], 0
+        for block in reader.blocks(self.lines, self.row + 1):
+            large = np.abs(block.values) > LARGEST_NUMBER
+            unknown = np.isnan(block.values)
+            for column in np.flatnonzero((unknown | large).any(axis=0)).tolist():
+                words = "is not a number; expected one"
+                reader.refuse(block, column, unknown[:, column], words)
+                words = "is {:.3g}; delete the frame"
+                reader.refuse(block, column, large[:, column], words)
+            values.append(block.values)
+            count, self.row = count + len(block.values), int(block.rows[-1])
+            if count > frames:
+                break  # whatever follows, the header is wrong
+        if count != frames:
+            self.fail(
+                f"ends the motion after {count} frames, expected {frames:g}; the file "
+                "may be cut off, or correct 'Frames:'"
+            )
+        return np.concatenate(values)
+
+
+def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
+    """Write a rig's rotations and the path of its root, or of its pelvis.
+
+    The format has neither axes nor a unit; ``export`` chooses them. Angles [deg] are
+    continuous over time: they pass 360 rather than jump. Each frame of the clip is one
+    frame of the file, at the mean frame time. Raises InputError if it cannot be
+    written.
+    """
+    rig = replace(moved.rig, axes=None)  # a BVH skeleton is not rotated at rest
+    order, columns = export.rotation_order.upper(), []
+    # Node by node: the angles need the whole time, and all at once would be gigabytes.
+    for n in rig.depth_first:
+        if n in (0, rig.mover):
+            place = moved.path if n == rig.mover else np.tile(rig.root, (len(clip), 1))
+            columns.append(export.points(place))
+        local = export.axes(rig.local_rotation(moved.rotations, n))
+        columns.append(np.degrees(continuous_euler(local, order)))
+    motion = np.concatenate(columns, axis=1)
+    row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
+    offsets = export.points(rig.offsets)
+    offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
+    channels = [f"{axis}rotation" for axis in order]
+    duration = float(clip.time[-1] - clip.time[0])
+    mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
+    frame_time = 1.0 / export.fps if export.fps else mean
+    with new_text(path) as file:
+        file.write("HIERARCHY\n")
+        file.writelines(_hierarchy(rig, offsets, channels, 0, 0))
+        file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
+        for some in chunks(len(motion)):
+            numbers = motion[some]
+            file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
+
+
+def _hierarchy(
+    rig: Rig, offsets: Array, angles: list[str], node: int, depth: int
+) -> Iterator[str]:
+    pad, inner = "\t" * depth, "\t" * (depth + 1)
+    moves = node in (0, rig.mover)
+    channels = ["Xposition", "Yposition", "Zposition", *angles] if moves else angles
+    yield f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}\n{pad}{{\n"
+    yield f"{inner}{_offset(offsets[node])}"
+    yield f"{inner}CHANNELS {len(channels)} {' '.join(channels)}\n"
+    for child, parent in enumerate(rig.parents):
+        if parent == node:
+            yield from _hierarchy(rig, offsets, angles, child, depth + 1)
+    if node not in rig.parents:
+        end = _offset(_END_SHARE * offsets[node])
+        yield f"{inner}End Site\n{inner}{{\n{inner}\t{end}{inner}}}\n"
+    yield f"{pad}}}\n"
+
+
+def _offset(vector: Array) -> str:
+    # Adding zero turns -0.0 into 0.0.
+    return "OFFSET " + " ".join(f"{value + 0.0:.9f}" for value in vector) + "\n"
+
+
+def continuous_euler(rotations: Array, axes: str) -> Array:
+    """Return angles [rad] about an axis, the turned second and the twice turned third.
+
+    Of the two triples that give the same rotation, and of all their full turns, each
+    frame gets the one nearest to the frame before, so angles (T, 3) are unbounded.
+    Rotations are wxyz, shape (T, 4); the axes are given in order, such as ``ZYX``.
+    """
+    # The axes renamed to z, y, x: half of the orders are its mirror images, in which
+    # every turn goes the other way.
+    sign = 1.0 if axes in "ZYXZYX" else -1.0
+    order = [0, *(1 + "XYZ".index(axis) for axis in reversed(axes))]
+    angles = _zyx(rotations[:, order] * [1.0, sign, sign, sign])
+    other = angles * [1.0, -1.0, 1.0] + np.pi
+    # Crossing over costs the same whichever triple the frame before has, so the
+    # choice is the parity of the crossings up to now.
+    turns = np.stack([angles[1:], other[1:]]) - angles[:-1]
+    wrapped = (turns + np.pi) % (2.0 * np.pi) - np.pi
+    stay, cross = np.sum(wrapped**2, axis=-1)
+    crossed = np.concatenate([[False], np.cumsum(cross < stay) % 2 == 1])
+    chosen = np.where(crossed[:, None], other, angles)
+    return sign * np.unwrap(chosen, axis=0)
+
+
+def _zyx(rotations: Array) -> Array:
+    """Return the triple with the middle angle in [-pi/2, pi/2], shape (T, 3)."""
+    w, x, y, z = np.moveaxis(np.asarray(rotations, dtype=np.float64), -1, 0)
+    m00, m10 = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)
+    m01, m11 = 2.0 * (x * y - w * z), w * w - x * x + y * y - z * z
+    m20 = 2.0 * (x * z - w * y)
+    m21, m22 = 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
+    cosine = np.hypot(m00, m10)
+    locked = cosine < _LOCKED
+    # Where it is locked, x is the last before, at first 0.
+    last = np.maximum.accumulate(np.where(locked, -1, np.arange(len(locked))))
+    turn_x = np.where(last < 0, 0.0, np.arctan2(m21, m22)[last])
+    # With the middle angle a quarter turn, z and x turn about one line: x is held and
+    # z takes the rest. m01 and m11 are then -sin and cos of z minus or plus x.
+    sign = np.where(m20 < 0.0, 1.0, -1.0)
+    turn_z = np.where(
+        locked, np.arctan2(-m01, m11) + sign * turn_x, np.arctan2(m10, m00)
+    )
+    return np.stack([turn_z, np.arctan2(-m20, cosine), turn_x], axis=-1)

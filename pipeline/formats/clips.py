@@ -1,63 +1,66 @@
-"""Clips into files and back: the name's extension says which kind."""
+"""Clips into files and back, and the skeletons of other people's rigs they are for.
+
+The name's extension says which kind of file it is.
+"""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from kinefilter.characters import (
     KINECT_V2,
+    Body,
     Clip,
     InputError,
     Motion,
     Take,
     standard_body,
 )
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import wxyz_from_matrix
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
 from kinefilter.retarget.retargeting import retarget
+from kinefilter.retarget.rig_map import RigMap, load_rig_map
+from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
-from .bvh import Bvh, meters_by_leg, read_bvh
-from .bvh_writer import write_bvh
+from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, resampled, with_y_up
-from .files import check_file, check_folder
+from .files import AnyPath, check_file, check_folder
 from .npz import read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
 from .sheets import write_take_csv
 from .takes import read_take
-from .targets import target_rig
 from .usd import write_usd
-from .usd_reader import read_usd_clip
+from .usd_reader import check_usd, read_usd_clip
 
 _EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
+_MOST_JOINTS = 1000  # as in BVH
 
 
-def check_writable(path: str | os.PathLike[str], export: Export | None = None) -> None:
+def check_writable(path: AnyPath, export: Export | None = None) -> None:
     """Raise, before any work is done, the InputError that write_clip would raise."""
     suffix = Path(path).suffix
     if suffix.lower() not in _EXTENSIONS:
-        raise InputError(
-            f"{os.fspath(path)}: unknown extension {suffix!r}; "
-            f"known: {', '.join(_EXTENSIONS)}"
-        )
+        known = ", ".join(_EXTENSIONS)
+        raise InputError(f"{path}: unknown extension {suffix!r}; known: {known}")
     check_folder(path)
     if export is None:
         return
     export.check(suffix.lower())
-    if export.character is not None:
-        if export.character.suffix.lower() not in USD_SUFFIXES[:3]:
-            known = "expected .usda, .usdc or .usd"
-            raise InputError(f"--character {export.character}: {known}")
-        check_folder(export.character)
+    if layer := export.character:
+        if layer.suffix.lower() not in USD_SUFFIXES[:3]:
+            raise InputError(f"--character {layer}: expected .usda, .usdc or .usd")
+        check_folder(layer)
     if export.rig is not None:
         target_rig(export.rig, export.target, standard_body(KINECT_V2))
 
 
-def write_clip(
-    clip: Clip, path: str | os.PathLike[str], export: Export | None = None
-) -> None:
+def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     """Write a clip as USD, BVH, CSV or npz, whole or not at all.
 
     USD holds a skinned character in T-pose, rotations and props, BVH the skeleton and
@@ -73,7 +76,8 @@ def write_clip(
         clip = resampled(clip, export.fps)
     if export.rest == "t":
         clip = in_strict_t(clip)
-    suffix, path = Path(path).suffix.lower(), Path(path)
+    path = Path(path)
+    suffix = path.suffix.lower()
     if suffix == ".csv":
         write_take_csv(clip, path)
     elif suffix == ".npz":
@@ -88,7 +92,7 @@ def write_clip(
         write(clip, moved, path, export)
 
 
-def read_clip(path: str | os.PathLike[str]) -> Clip:
+def read_clip(path: AnyPath) -> Clip:
     """Read a clip from any file that write_clip writes; CSV and BVH may be gzipped.
 
     npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
@@ -109,10 +113,8 @@ def read_clip(path: str | os.PathLike[str]) -> Clip:
         return _of_own_bvh(read_bvh(path), os.fspath(path)) or _posed(read_take(path))
     if name.endswith(".csv"):
         return _posed(read_take(path))
-    raise InputError(
-        f"{os.fspath(path)}: not a clip by its extension; expected one of "
-        + ", ".join(_EXTENSIONS)
-    )
+    known = ", ".join(_EXTENSIONS)
+    raise InputError(f"{path}: not a clip by its extension; expected one of {known}")
 
 
 def _of_own_bvh(bvh: Bvh, source: str) -> Clip | None:
@@ -122,13 +124,10 @@ def _of_own_bvh(bvh: Bvh, source: str) -> Clip | None:
         return None
     offsets, rotations = bvh.offsets[bvh.joints], bvh.rotations[:, bvh.joints]
     root = bvh.positions[:, bvh.joints[0]]
-    head, hip, knee, ankle = (
-        bvh.rest_positions[bvh.names.index(joint)]
-        for joint in ("Head", "HipLeft", "KneeLeft", "AnkleLeft")
-    )
-    meters = meters_by_leg(
-        float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
-    )
+    names = [bvh.names.index(j) for j in ("Head", "HipLeft", "KneeLeft", "AnkleLeft")]
+    head, hip, knee, ankle = bvh.rest_positions[names]
+    leg = np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee)
+    meters = meters_by_leg(float(leg))
     if abs((head - ankle)[2]) > abs((head - ankle)[1]):
         offsets, rotations, root = map(with_y_up, (offsets, rotations, root))
     motion = motion_of_rig(
@@ -149,9 +148,109 @@ def _posed(take: Take) -> Clip:
             "it is a raw take: clean it, or draw it with --compare beside its clip"
         )
     body = measure_body(take)
-    rotations = rotations_from_positions(hang_missing(take.positions, body), body)
-    root = take.positions[:, skeleton.root]
     motion = Motion(
-        time=take.time, body=body, root=root, rotations=rotations, source=take.source
+        time=take.time,
+        body=body,
+        root=take.positions[:, skeleton.root],
+        rotations=rotations_from_positions(hang_missing(take.positions, body), body),
+        source=take.source,
     )
     return Clip.of(motion, state=take.state, reliability=np.ones(lacks.shape))
+
+
+def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
+    """Return the skeleton that a clip is written on.
+
+    ``rig`` is the name of a map, or its file; ``target`` a file with the skeleton at
+    rest, None for the map's own in the person's size. Raises InputError if either
+    cannot be read, or the file's joints do not have the map's names.
+    """
+    rig_map = load_rig_map(rig)
+    if target is None:
+        return built_rig(rig_map, body)
+    suffix = target.suffix.lower()
+    if suffix == ".bvh":
+        return matched_rig(rig_map, _bvh_rest(target, rig_map), body)
+    if suffix in USD_SUFFIXES:
+        return matched_rig(rig_map, _usd_rest(target), body)
+    raise InputError(f"--target {target}: expected .bvh, {', '.join(USD_SUFFIXES)}")
+
+
+def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
+    """Return a BVH file's skeleton, in the unit in which it has a person's legs."""
+    bvh = read_bvh(path)
+    joints, meters = bvh.joints, 1.0
+    names = tuple(bvh.names[n] for n in joints)
+    plain = [rig_map.plain(name) for name in names]
+    chain = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
+    places = bvh.rest_positions[joints]
+    if set(chain) <= set(plain):
+        thigh, foot = (places[plain.index(name)] for name in chain)
+        meters = meters_by_leg(float(np.linalg.norm(foot - thigh)))
+    above = [bvh.parents[n] for n in joints]
+    parents = tuple(joints.index(n) if n in joints else -1 for n in above)
+    lowest = meters * float(bvh.rest_positions[:, 1].min())
+    return RestPose(names, parents, meters * places, lowest=lowest, source=str(path))
+
+
+def _usd_rest(path: Path) -> RestPose:
+    """Return the first skeleton of a USD file at rest, y up, in meters."""
+    from pxr import Tf, Usd, UsdGeom, UsdSkel
+
+    source = str(path)
+    check_usd(source)
+    try:
+        stage = Usd.Stage.Open(source)
+        prims = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton)]
+        if not prims:
+            raise InputError(f"{path}: has no skeleton; expected a UsdSkel skeleton")
+        place = UsdGeom.Imageable(prims[0]).ComputeLocalToWorldTransform
+        world = np.array(place(Usd.TimeCode.EarliestTime()))
+        names, parents, matrices = _joints(UsdSkel.Skeleton(prims[0]), source)
+    except Tf.ErrorException:
+        raise InputError(f"{path}: not USD; expected a UsdSkel skeleton") from None
+    matrices = matrices @ world
+    places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
+    turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
+    sizes = np.linalg.norm(turned, axis=1, keepdims=True)
+    if not (np.linalg.det(turned) > 0.0).all() or not np.isfinite(places).all():
+        raise InputError(
+            f"{source}: a joint is mirrored or has no size at rest; apply its scale"
+        )
+    axes = wxyz_from_matrix(turned / sizes)
+    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
+        places, axes = with_y_up(places), with_y_up(axes)
+    return RestPose(tuple(names), tuple(parents), places, axes, source=source)
+
+
+def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
+    """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
+    from pxr import UsdSkel, Vt
+
+    def read(attribute: Any) -> Array:
+        value = attribute.Get()
+        known = isinstance(value, Vt.Matrix4dArray)
+        return np.array(value, dtype=float) if known else np.empty((0, 4, 4))
+
+    joints = skeleton.GetJointsAttr().Get()
+    paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
+    if not 0 < len(paths) <= _MOST_JOINTS:
+        raise InputError(f"{source}: {len(paths)} joints, expected 1 to {_MOST_JOINTS}")
+    topology = UsdSkel.Topology(paths)
+    valid, why = topology.Validate()
+    if not valid:
+        raise InputError(f"{source}: its joints are not a tree ({why}); correct them")
+    parents = [int(parent) for parent in topology.GetParentIndices()]
+    matrices = read(skeleton.GetRestTransformsAttr())
+    if len(matrices) != len(paths):
+        matrices = read(skeleton.GetBindTransformsAttr())
+    else:
+        for n, parent in enumerate(parents):
+            if parent >= 0:
+                matrices[n] = matrices[n] @ matrices[parent]
+    if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
+        raise InputError(
+            f"{source}: has no rest transform for each of its {len(paths)} joints; "
+            "export it with rest or bind pose"
+        )
+    return [path.rpartition("/")[2] for path in paths], parents, matrices

@@ -17,10 +17,8 @@ camera's lens they are not positions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
-from typing import NoReturn
 
 import numpy as np
 
@@ -35,7 +33,7 @@ from .recording import (
     recording_of,
     takes_of,
 )
-from .rows import RowReader
+from .rows import LineReader, RowReader
 
 _NTU_FRAMES_PER_SECOND = 30.0
 _BODY_VALUES = 10
@@ -88,79 +86,66 @@ def read_ntu(source: str) -> Recording:
     """Read a .skeleton file; raises InputError where it is malformed."""
     sightings: list[Sighting] = []
     with open_rows(source) as (row, line, lines):
-        reader = _Reader(source, lines, row)
-        count = reader.whole(line, "the number of frames")
+        reader = _NtuReader(source, chain([line], lines), row - 1)
+        count = reader.whole("the number of frames")
         for frame in range(min(count, MOST_FRAMES + 1)):
             reader.frame = f"frame {frame + 1} of {count}"
-            bodies = reader.whole(reader.line(), "the number of bodies")
+            bodies = reader.whole("the number of bodies")
             sightings += [reader.body(frame) for _ in range(bodies)]
         check_length(count, source)
-        if reader.line_or_end():
+        if next(reader.filled(), None):
             reader.fail(f"goes on after {count} frames; correct row 1")
     time = np.arange(count) / _NTU_FRAMES_PER_SECOND
     return Recording(takes_of(time, sightings, KINECT_V2, source), "ntu")
 
 
 @dataclass
-class _Reader:
-    source: str
-    lines: Iterator[str]
-    row: int
+class _NtuReader(LineReader):
+    noun = "row"
     frame: str = ""
 
-    def line_or_end(self) -> str:
-        for line in self.lines:
-            self.row += 1
-            if line.strip():
-                return line
-        return ""
-
-    def line(self) -> str:
-        line = self.line_or_end()
-        if not line:
+    def words(self) -> list[str]:
+        """Return the words of the next line that has some."""
+        words = next(self.filled(), None)
+        if words is None:
             self.fail(
                 f"ends the file in {self.frame}; the file may be cut off, download it "
                 "again or correct row 1"
             )
-        return line
+        return words
 
-    def whole(self, line: str, meaning: str) -> int:
-        """Return the whole number that a line is, 0 or more."""
-        word = line.strip()
+    def whole(self, meaning: str, word: str | None = None) -> int:
+        """Return the whole number, 0 or more, that a word or the next line is."""
+        word = " ".join(self.words()) if word is None else word
         if not word.isascii() or not word.isdigit() or len(word) > 18:
             self.fail(f"is {word[:40]!r}, expected {meaning}")
         return int(word)
 
     def body(self, frame: int) -> Sighting:
-        words = self.line().split()
+        words = self.words()
         if len(words) != _BODY_VALUES:
             self.fail(
                 f"has {len(words)} values, expected the {_BODY_VALUES} of a body; is "
                 "row 1 the number of frames?"
             )
-        body = self.whole(words[0], "the body's number")
-        joints = self.whole(self.line(), "the number of joints")
+        body = self.whole("the body's number", words[0])
+        joints = self.whole("the number of joints")
         if joints != len(KINECT_V2):
             self.fail(f"is {joints} joints, expected {len(KINECT_V2)}")
-        values = np.array([self._joint() for _ in range(joints)])
+        values = np.empty((joints, 4))
+        for row in values:
+            words = self.words()
+            if len(words) != _JOINT_VALUES:
+                self.fail(f"has {len(words)} values, not {_JOINT_VALUES} of a joint")
+            try:
+                row[:] = *words[:3], words[-1]
+            except ValueError:
+                self.fail("has a word, expected numbers")
+            if np.isinf(row).any():
+                self.fail("has an infinite number, expected finite ones")
+            if row[-1] not in list(State):
+                self.fail(
+                    f"ends in {words[-1][:40]!r}, expected a tracking state: 0 not "
+                    "tracked, 1 inferred, 2 tracked"
+                )
         return Sighting(frame, body, values[:, :3], values[:, -1].astype(np.uint8))
-
-    def _joint(self) -> list[float]:
-        words = self.line().split()
-        if len(words) != _JOINT_VALUES:
-            self.fail(f"has {len(words)} values, expected {_JOINT_VALUES} of a joint")
-        try:
-            values = [float(word) for word in (*words[:3], words[-1])]
-        except ValueError:
-            self.fail("has a word, expected numbers")
-        if any(abs(value) == float("inf") for value in values):
-            self.fail("has an infinite number, expected finite ones")
-        if values[-1] not in list(State):
-            self.fail(
-                f"ends in {words[-1][:40]!r}, expected a tracking state: 0 not "
-                "tracked, 1 inferred, 2 tracked"
-            )
-        return values
-
-    def fail(self, complaint: str) -> NoReturn:
-        raise InputError(f"{self.source}: row {self.row} {complaint}")

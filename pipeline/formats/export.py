@@ -8,24 +8,28 @@ from typing import Any, Literal
 
 import numpy as np
 
-from kinefilter.characters import Clip, InputError, standard_body
+from kinefilter.characters import Clip, InputError, Prop, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import between, multiply, slerp
+
+from .recording import chunks
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
-"""Extensions of USD files."""
 _RIGGED = ("up", "units", "fps", "rest", "rig", "target")
 # What each kind of file can follow; kinefilter's own are in meters, y up.
 _FOLLOWED = {
     **dict.fromkeys(USD_SUFFIXES, (*_RIGGED, "character")),
     ".usdz": _RIGGED,
     ".bvh": (*_RIGGED, "rotation_order"),
-    ".csv": ("fps",),
-    ".npz": ("fps",),
+    **dict.fromkeys((".csv", ".npz"), ("fps",)),
 }
+_END = 1e-6  # of a frame: the last one is not lost to rounding
+_MOVED = ("moved_by_correction", "moved_by_physics")
+_ON_A_LINE = ("root", "reliability", *_MOVED, "external_force")
+_NEAREST = ("state", "deciding_term", "origin", "contacts")
 
 
 @dataclass(frozen=True)
@@ -63,9 +67,8 @@ class Export:
 
     def __post_init__(self) -> None:
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
-            raise InputError(
-                f"--fps {self.fps:g}: expected {_SLOWEST:g} to {_FASTEST:g} frames/s"
-            )
+            known = f"{_SLOWEST:g} to {_FASTEST:g} frames/s"
+            raise InputError(f"--fps {self.fps:g}: expected {known}")
         if self.target is not None and self.rig is None:
             raise InputError(f"--target {self.target}: name its joints with --rig")
         if self.rig is not None and (self.rest != "own" or self.character is not None):
@@ -98,25 +101,16 @@ class Export:
         """Return directions (..., 3) or rotations wxyz (..., 4) in the file's axes."""
         if self.up == "y":
             return values
-        x, y, z = np.moveaxis(values[..., -3:], -1, 0)
-        return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, -z, y], axis=-1)
+        turned = values.copy()
+        turned[..., -2], turned[..., -1] = -values[..., -1], values[..., -2]
+        return turned
 
 
 def with_y_up(values: Array) -> Array:
     """Return directions (..., 3) or rotations wxyz (..., 4) that were given z up."""
-    x, y, z = np.moveaxis(values[..., -3:], -1, 0)
-    return np.stack([*np.moveaxis(values[..., :-3], -1, 0), x, z, -y], axis=-1)
-
-
-# Clips at another frame rate, and in another rest pose
-
-_CHUNK = 4096  # frames at a time, to bound the memory
-_END = 1e-6  # of a frame: the last one is not lost to rounding
-_ON_A_LINE = (
-    *("root", "reliability", "moved_by_correction", "moved_by_physics"),
-    "external_force",
-)
-_NEAREST = ("state", "deciding_term", "origin", "contacts")
+    turned = values.copy()
+    turned[..., -2], turned[..., -1] = values[..., -1], -values[..., -2]
+    return turned
 
 
 def resampled(clip: Clip, fps: float) -> Clip:
@@ -147,26 +141,26 @@ def resampled(clip: Clip, fps: float) -> Clip:
     def arc(rotations: Array) -> Array:
         part = share.reshape(-1, *[1] * (rotations.ndim - 2))
         found = np.empty((count, *rotations.shape[1:]))
-        for start in range(0, count, _CHUNK):
-            some = slice(start, start + _CHUNK)
-            start_end = rotations[before[some]], rotations[after[some]]
-            found[some] = slerp(*start_end, part[some])
+        for some in chunks(count):
+            start, end = rotations[before[some]], rotations[after[some]]
+            found[some] = slerp(start, end, part[some])
         return found
+
+    def prop_at(prop: Prop) -> Prop:
+        if not prop.moves:
+            return prop
+        return replace(
+            prop, positions=line(prop.positions), rotations=arc(prop.rotations)
+        )
 
     nearest = np.where(share < 0.5, before, after)
     found: dict[str, Any] = {
         **{name: line(getattr(clip, name)) for name in _ON_A_LINE},
         **{name: getattr(clip, name)[nearest] for name in _NEAREST},
+        "rotations": arc(clip.rotations),
+        "props": tuple(prop_at(prop) for prop in clip.props),
     }
-    props = [
-        replace(prop, positions=line(prop.positions), rotations=arc(prop.rotations))
-        if prop.moves
-        else prop
-        for prop in clip.props
-    ]
-    return replace(
-        clip, time=time, rotations=arc(clip.rotations), props=tuple(props), **found
-    )
+    return replace(clip, time=time, **found)
 
 
 def in_strict_t(clip: Clip) -> Clip:

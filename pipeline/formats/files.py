@@ -11,15 +11,17 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, TextIO, cast
+from typing import Any, TextIO
 
 from kinefilter.characters import InputError
 
+AnyPath = str | os.PathLike[str]
+
+_Limited = tuple[io.BufferedReader | gzip.GzipFile, int]  # and the most bytes of it
 _GZIP_MAGIC = b"\x1f\x8b"
 
 _LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; a recording is shorter
-LARGEST_TOML = 2**16
-"""Bytes of a TOML file that somebody wrote by hand."""
+LARGEST_TOML = 2**16  # bytes of what somebody wrote by hand
 _LARGEST_RATIO = 100
 """Text that is this many times as long as its gzip file, and longer than
 ``_ANY_RATIO``, is not a recording: numbers give 2 to 10. A guess."""
@@ -29,7 +31,7 @@ _BEGINNING = 2**16  # bytes in which a text begins
 _MOST_BLANK = 10_000  # lines in a row
 
 
-def check_folder(path: str | os.PathLike[str]) -> Path:
+def check_folder(path: AnyPath) -> Path:
     """Return ``path`` if a file may be written there, else raise InputError."""
     path = Path(path)
     if not path.parent.is_dir():
@@ -42,7 +44,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: AnyPath) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` that takes its place on success.
 
     An older file stays as it was until then, and for good if the block raises. The
@@ -64,7 +66,17 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def check_file(path: str | os.PathLike[str]) -> Path:
+@contextmanager
+def new_text(path: AnyPath) -> Iterator[TextIO]:
+    """Yield a text to write that takes the place of ``path`` on success."""
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="\n") as file,
+    ):
+        yield file
+
+
+def check_file(path: AnyPath) -> Path:
     """Return ``path`` if there is a file to read, else raise InputError."""
     path = Path(path)
     if path.is_dir():
@@ -75,90 +87,82 @@ def check_file(path: str | os.PathLike[str]) -> Path:
 
 
 @contextmanager
-def open_text(path: str | os.PathLike[str]) -> Iterator[Iterator[str]]:
+def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
     """Yield the lines of a file of UTF-8 text, unzipped where it is gzip's.
 
     One line at a time is in memory. Raises InputError, also while the block reads, if
     the file is missing, unreadable, not UTF-8 text, too long, or a line has no end.
     """
     path = check_file(path)
-    with _readable(path) as stream:
+    with _readable(path) as (stream, most):
         # utf-8-sig: spreadsheets put a byte-order mark in front.
-        yield _lines(io.TextIOWrapper(stream, encoding="utf-8-sig"), path)
+        text = io.TextIOWrapper(stream, encoding="utf-8-sig")
+
+        def lines() -> Iterator[str]:
+            row = blank = size = 0
+            while line := text.readline(_LONGEST_LINE):
+                row, size = row + 1, size + len(line)
+                blank = 0 if line.strip() else blank + 1
+                wrong = ""
+                if size > most:
+                    raise _too_long(path, most)
+                if "\0" in line:
+                    wrong = "is binary; expected a text file, export it as CSV"
+                elif blank > _MOST_BLANK:
+                    wrong = "follows only blank rows; expected recorded frames"
+                elif len(line) == _LONGEST_LINE:
+                    wrong = "does not end; expected recorded frames"
+                if wrong:
+                    raise InputError(f"{path}: row {row} {wrong}")
+                yield line
+
+        yield lines()
 
 
-def beginning(path: str | os.PathLike[str], most: int = 100) -> str:
+def beginning(path: AnyPath, most: int = 100) -> str:
     """Return the first characters of a text, without leading blanks."""
-    with _readable(check_file(path)) as stream:
+    with _readable(check_file(path)) as (stream, _):
         return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
-def read_limited(path: str | os.PathLike[str], most: int) -> str:
+def read_limited(path: AnyPath, most: int) -> str:
     """Return a file's text, unzipped; raises InputError beyond ``most`` bytes."""
     path = check_file(path)
-    with _readable(path, most) as stream:
-        return stream.read().decode("utf-8-sig")
+    with _readable(path, most) as (stream, most):
+        data = stream.read(most + 1)
+        if len(data) > most:
+            raise _too_long(path, most)
+        return data.decode("utf-8-sig")
+
+
+def _too_long(path: Path, most: int) -> InputError:
+    return InputError(f"{path}: more than {most / 1e6:.3g} MB of text; split it")
 
 
 @contextmanager
-def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[io.BufferedReader]:
-    """Yield a file's bytes, unzipped and counted; errors become InputErrors."""
+def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[_Limited]:
+    """Yield a file unzipped, and its most bytes; errors in it become InputErrors."""
     try:
         with path.open("rb") as raw:
-            zipped = raw.peek(2)[:2] == _GZIP_MAGIC
-            if zipped:
-                size = path.stat().st_size
-                most = min(most, max(_ANY_RATIO, _LARGEST_RATIO * size))
-            stream = gzip.GzipFile(fileobj=raw) if zipped else raw
-            yield io.BufferedReader(_Counted(cast("IO[bytes]", stream), most, path))
+            if raw.peek(2)[:2] != _GZIP_MAGIC:
+                yield raw, most
+                return
+            ratio = _LARGEST_RATIO * path.stat().st_size
+            with gzip.GzipFile(fileobj=raw) as stream:
+                yield stream, min(most, max(_ANY_RATIO, ratio))
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); "
             "expected a text file, save it as CSV in UTF-8"
         ) from None
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise InputError(
-            f"{path}: damaged gzip file ({error}); copy it again"
-        ) from None
+        raise InputError(f"{path}: damaged gzip ({error}); copy it again") from None
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{path}: cannot be read ({reason})") from error
 
 
-class _Counted(io.RawIOBase):
-    def __init__(self, stream: IO[bytes], most: int, path: Path) -> None:
-        self._stream, self._left, self._path, self._most = stream, most, path, most
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        data = self._stream.read(len(buffer))
-        self._left -= len(data)
-        if self._left < 0:
-            raise InputError(
-                f"{self._path}: more than {self._most / 1e6:.3g} MB of text; split it"
-            )
-        buffer[: len(data)] = data
-        return len(data)
-
-
-def _lines(file: TextIO, path: Path) -> Iterator[str]:
-    row = blank = 0
-    while line := file.readline(_LONGEST_LINE):
-        row += 1
-        blank = 0 if line.strip() else blank + 1
-        if "\0" in line:
-            raise InputError(
-                f"{path}: row {row} is binary; expected a text file, export it as CSV"
-            )
-        if len(line) == _LONGEST_LINE or blank > _MOST_BLANK:
-            wrong = "follows only blank rows" if blank else "does not end"
-            raise InputError(f"{path}: row {row} {wrong}; expected recorded frames")
-        yield line
-
-
-def read_toml(path: str | os.PathLike[str], expected: str) -> dict[str, Any]:
+def read_toml(path: AnyPath, expected: str) -> dict[str, Any]:
     """Return the table in a file as ``parse_toml``; raises InputError without one."""
     return parse_toml(read_limited(path, LARGEST_TOML), os.fspath(path), expected)
 

@@ -12,6 +12,7 @@ import io
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -52,11 +53,9 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
 
 
 def _main(reader: str, path: str) -> int:
-    try:
+    with suppress(ImportError):  # Windows has no such limit; that of time still holds
         import resource
-    except ImportError:  # Windows has no such limit; the time limit still holds
-        pass
-    else:
+
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # What the libraries themselves print must not get between the arrays.

@@ -1,60 +1,203 @@
-"""Motion of any skeleton, as mocap files have it, and the Kinect's joints in it."""
+"""Mocap files of every kind, and the Kinect's joints in them; BVH also as takes.
+
+BVH that tools recorded from a Kinect gives the joints of Kinect v2 where the file has
+the SDK's names, as kinefilter's own; else those of Kinect v1, found by the names of
+``retarget/source_rigs``. A BVH knows no tracking states: every joint counts as tracked.
+Its unit is the one in which the bones are a person's: m, cm, mm or inches.
+
+C3D has points that marker mocap measured, read by ezc3d (extra ``c3d``). Only points
+that are joints are of use here: named as the Kinect's joints, or as the joint centers
+that Vicon's Plug-in Gait writes. Bare markers have to be solved for a skeleton first.
+"""
 
 from __future__ import annotations
 
+import os
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinefilter.characters import InputError, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    InputError,
+    Skeleton,
+    State,
+    standard_body,
+)
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.retarget.rig_map import SourceRig, listed, matching_source_rig
+from kinefilter.pipeline.extras import require
+from kinefilter.retarget.rig_map import listed, matching_source_rig
 
+from .acclaim import read_amc, read_asf
+from .bvh import MOST_CELLS, read_bvh
+from .files import AnyPath, beginning, check_file
+from .guarded import read_guarded
+from .recording import Mocap, Recording, check_length, recording_of
+from .rows import LARGEST_NUMBER
+
+RIGS = ("cmu", "motionbuilder", "acclaim", "plug_in_gait")
+"""Skeletons that mocap comes on, besides the Kinects' own."""
+_BVH_RIGS = ("cmu", "motionbuilder", "jointed")  # the most particular first
+_BLOCK = 512  # bytes of a C3D file
+_C3D_MAGIC = 0x50  # second byte of every C3D file
+_LARGEST_C3D = 2**30  # bytes
 _Z_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """Minus a quarter turn about x, wxyz: what pointed along z points along y."""
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU": 0.056444}
 """Meters in units that mocap comes in; CMU's is an inch over 0.45."""
+_TITLES = {
+    "cmu": "the joint names of the cgspeed conversion of CMU mocap",
+    "motionbuilder": "the joint names of MotionBuilder",
+    "acclaim": "the bone names of CMU's ASF files",
+    "plug_in_gait": "the joint centers of Vicon's Plug-in Gait",
+    "jointed": "the names of a skeleton of joints",
+}
 _TOLERANCE = 1.5
 """Lengths of bodies over those of the standard one, or under, at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class Mocap:
-    """Joints in motion, in the file's own axes and unit."""
+def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Return the files with motion and the ASF files; raises InputError if only ASF."""
+    skeletons = [file for file in files if file.suffix.lower() == ".asf"]
+    motions = [file for file in files if file not in skeletons]
+    if not motions:
+        raise InputError("no BVH, AMC or C3D files given; name one or more")
+    return motions, skeletons
 
-    names: tuple[str, ...]
-    positions: Array
-    """Joint positions, NaN where missing, shape (T, N, 3)."""
-    rotations: Array | None
-    """World rotation of each joint, unit quaternions wxyz, shape (T, N, 4); None where
-    the file has none."""
-    frame_time: float
-    """Time between frames [s]."""
-    source: str
+
+def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
+    """Read a BVH, AMC or C3D file, told apart by content; BVH and AMC may be gzipped.
+
+    The ASF file for an AMC is the one of ``skeletons`` whose name the motion's begins
+    with, or the only one; without any, one beside the motion. Raises InputError if the
+    file is missing or malformed, or there is no skeleton for it.
+    """
+    path = check_file(path)
+    with path.open("rb") as file:
+        if file.read(2)[1:] == bytes([_C3D_MAGIC]):
+            return read_c3d(path)
+    first = beginning(path)
+    if first.startswith("HIERARCHY"):
+        return _bvh_mocap(os.fspath(path))
+    if first[:1] not in ("#", ":"):
+        raise InputError(
+            f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, or "
+            "C3D"
+        )
+    given = skeletons or sorted(path.parent.glob("*.asf"))
+    fitting = [asf for asf in given if path.name.startswith(asf.stem)]
+    if not fitting and len(given) != 1:
+        raise InputError(
+            f"{path}: no ASF file for it among {len(given)}; give the subject's "
+            "skeleton, such as 01.asf for 01_02.amc"
+        )
+    return read_amc(path, read_asf(max(fitting or given, key=lambda a: len(a.stem))))
+
+
+def _bvh_mocap(source: str) -> Mocap:
+    bvh = read_bvh(source)
+    return Mocap(bvh.names, bvh.positions, bvh.rotations, bvh.frame_time, source)
+
+
+def read_bvh_take(source: str) -> Recording:
+    """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
+    mocap = _bvh_mocap(source)
+    check_length(len(mocap.positions), source)
+    _, missing = matching_source_rig(mocap.bare_names, KINECT_V2, ())
+    skeleton = KINECT_V1 if missing else KINECT_V2
+    motion = kinect_motion(mocap, skeleton, _BVH_RIGS)
+    positions = motion.meters * motion.positions
+    time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
+    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    known: dict[str, Any] = {"unit": motion.unit}
+    if not motion.unit:
+        note = f"no unit of length fits the bones; scaled by {motion.meters:.4g}"
+        known = {"unit": "unknown", "notes": (note,)}
+    return recording_of(time, positions, state, skeleton, source, "bvh", **known)
+
+
+def read_c3d(path: AnyPath) -> Mocap:
+    """Read a C3D file; raises InputError if it is malformed or ezc3d is missing."""
+    source = os.fspath(path)
+    _check_header(source)
+    require("ezc3d", f"{source}: C3D", "c3d")
+    arrays = read_guarded("mocap:c3d_arrays", source)
+    points, rate = arrays["points"], float(arrays["rate"].item())
+    names, count = tuple(arrays["names"].tolist()), points.shape[1]
+    if not 0.01 < rate < 1e4 or len(names) < count or not points.size:
+        raise InputError(
+            f"{source}: has {points.shape[2]} frames of {count} points, "
+            f"{len(names)} labels, {rate:g} frames a second; export it again"
+        )
+    positions = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1)
+    # What no camera saw has a residual below zero, and zeros for a place.
+    unseen = (arrays["residuals"] < 0) | (positions == 0).all(axis=-1)
+    positions = np.where(unseen[..., None], np.nan, positions)
+    if not np.nanmax(np.abs(positions), initial=0.0) < LARGEST_NUMBER:
+        raise InputError(f"{source}: a point is beyond any room; export it again")
+    return Mocap(names[:count], positions, None, 1.0 / rate, source)
+
+
+def c3d_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """Return points, residuals, labels and rate of a file, or raise InputError."""
+    import ezc3d
+
+    try:
+        file = ezc3d.c3d(path)
+        parameters = file["parameters"]["POINT"]
+        names = [str(name) for name in parameters["LABELS"]["value"]]
+        return {
+            "points": np.asarray(file["data"]["points"], dtype=np.float64),
+            "residuals": np.asarray(file["data"]["meta_points"]["residuals"][0].T),
+            "names": np.array(names, dtype=str),
+            "rate": np.array(float(parameters["RATE"]["value"][0])),
+        }
+    except Exception as error:  # ezc3d raises whatever its C++ does
+        raise InputError(
+            f"{path}: cannot be read as C3D ({type(error).__name__}); export it again"
+        ) from None
+
+
+def _check_header(source: str) -> None:
+    """Raise InputError for a wrong length in the header, which ezc3d believes."""
+    path = check_file(source)
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = file.read(_BLOCK)
+    if len(header) < _BLOCK or header[1] != _C3D_MAGIC or size > _LARGEST_C3D:
+        raise InputError(f"{source}: not a C3D file, or cut off; export it again")
+    points, analog, first, last, scale, start = struct.unpack("<4H2xfH", header[2:18])
+    frames = last - first + 1
+    # Whole numbers where the scale is positive, floats where it is negative.
+    width = 4 if scale < 0 else 2
+    needed = frames * (4 * points + analog) * width
+    if frames < 1 or start * _BLOCK > size or needed > size or points == 0:
+        raise InputError(
+            f"{source}: {frames} frames of {points} points do not fit into {size} "
+            "bytes; the file may be cut off, or its header damaged"
+        )
+    if frames * points > MOST_CELLS:
+        raise InputError(
+            f"{source}: {frames} frames of {points} points are too many; split it"
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class KinectMotion:
     """The joints of a Kinect in motion that was recorded otherwise, y up."""
 
-    positions: Array
-    """Joint positions in the file's unit, NaN where missing, shape (T, J, 3)."""
-    turns: Array | None
-    """World rotation of what turns each segment, wxyz, shape (T, J, 4), or unknown."""
-    unit: str
-    """Name of the unit of length that fits a body best; empty: none does."""
-    meters: float
-    """Length of that unit, or of what a standard body would need [m]."""
-    frame_time: float
-    """Time between frames [s]."""
+    positions: Array  # of joints in the file's unit, NaN where missing, (T, J, 3)
+    turns: Array | None  # world rotation of what turns each segment, wxyz, (T, J, 4)
+    unit: str  # that fits a body best; empty: none does
+    meters: float  # length of that unit, or of what a standard body would need [m]
     rig: str
-
-
-def bare_name(name: str) -> str:
-    """Return a joint's name without the name of the subject or rig before it."""
-    return name.rpartition(":")[2].strip()
 
 
 def kinect_motion(
@@ -66,12 +209,13 @@ def kinect_motion(
     to look for (``retarget/source_rigs``). Raises InputError if the joints are of no
     known rig, or are in no frame.
     """
-    names = [bare_name(name) for name in mocap.names]
+    names = mocap.bare_names
     rig, missing = matching_source_rig(names, skeleton, known)
     if missing:
+        title = _TITLES.get(rig.name, f"the joint names of {rig.name}")
         raise InputError(
             f"{mocap.source}: no joint {missing[0]!r} ({len(missing)} missing); "
-            f"expected {_expected(rig)}; found {listed(names)}"
+            f"expected {title} ({listed(sorted(rig.needed))}); found {listed(names)}"
         )
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
     turned = mocap.rotations is not None and all(
@@ -84,42 +228,24 @@ def kinect_motion(
         positions[:, j] = mocap.positions[:, columns].mean(axis=1)
         if turns is not None and mocap.rotations is not None and row.turned_by:
             turns[:, j] = mocap.rotations[:, names.index(row.turned_by)]
-    if _z_is_up(positions, skeleton, mocap.source):
-        positions = rotate(_Z_TO_Y_UP, positions)
-        turns = None if turns is None else multiply(_Z_TO_Y_UP, turns)
-    unit, meters = _unit(positions, skeleton, mocap.source)
-    return KinectMotion(positions, turns, unit, meters, mocap.frame_time, rig.name)
-
-
-def _expected(rig: SourceRig) -> str:
-    titles = {
-        "cmu": "the joint names of the cgspeed conversion of CMU mocap",
-        "motionbuilder": "the joint names of MotionBuilder",
-        "acclaim": "the bone names of CMU's ASF files",
-        "plug_in_gait": "the joint centers of Vicon's Plug-in Gait",
-        "jointed": "the names of a skeleton of joints",
-    }
-    title = titles.get(rig.name, f"the joint names of {rig.name}")
-    return f"{title} ({listed(sorted(rig.needed))})"
-
-
-def _z_is_up(positions: Array, skeleton: Skeleton, source: str) -> bool:
     spine = positions[:, skeleton.index("Head")] - positions[:, skeleton.root]
     spine = spine[np.isfinite(spine).all(axis=1)]
     if not len(spine):
-        raise InputError(f"{source}: no frame has head and hips; give whole bodies")
-    middle = np.median(spine, axis=0)
-    return bool(np.abs(middle).argmax() == 2 and middle[2] > 0.0)
+        raise InputError(f"{mocap.source}: no frame has head and hips")
+    up = np.median(spine, axis=0)
+    if np.abs(up).argmax() == 2 and up[2] > 0.0:
+        positions = rotate(_Z_TO_Y_UP, positions)
+        turns = None if turns is None else multiply(_Z_TO_Y_UP, turns)
+    unit, meters = _unit(positions, skeleton, mocap.source)
+    return KinectMotion(positions, turns, unit, meters, rig.name)
 
 
 def _unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float]:
     """Return name and length [m] of the unit in which these are a person's bones."""
     ends = skeleton.segments
     bones = positions[:, ends] - positions[:, skeleton.segment_parents]
-    norms = np.linalg.norm(bones, axis=2)
-    lengths = np.array(
-        [np.median(n[np.isfinite(n)]) if np.isfinite(n).any() else 0 for n in norms.T]
-    )
+    seen = [n[np.isfinite(n)] for n in np.linalg.norm(bones, axis=2).T]
+    lengths = np.array([np.median(norms) if len(norms) else 0.0 for norms in seen])
     usual = standard_body(skeleton).lengths[ends]
     known = lengths > 1e-3 * max(lengths.max(), 1e-12)
     if not known.any() or not np.isfinite(lengths).all():

@@ -6,7 +6,7 @@ import math
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from itertools import count
@@ -18,30 +18,26 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, InputError, Prop, Shape, skeleton_named
 
-from .files import atomic_path, check_file
+from .files import AnyPath, atomic_path, check_file
 
-_LARGEST = 2**31
-"""Bytes of all arrays: nine hours of the largest skeleton's positions."""
+_LARGEST = 2**31  # bytes of all arrays: nine hours of the largest skeleton's positions
 _KINDS = "biufUS"  # truth values, numbers and text
 _MOST_ARRAYS = 1000
 _LONGEST_HEADER = 10_000  # bytes, numpy's own limit for files from elsewhere
 
-_NO_ARRAYS = ("root", "rotations", "body", "source", "props", "tilt", "floor")
-_ARRAYS = (
-    "time",
-    "positions",
-    "rotations",
-    *(f.name for f in fields(Clip) if f.name not in ("time", *_NO_ARRAYS)),
-)
 _FRAME = ("tilt", "floor")  # archives of older versions lack them
+_FIRST = ("time", "positions", "rotations")
+_OTHERS = (*_FIRST, *_FRAME, "root", "body", "source", "props")
+_ARRAYS = (*_FIRST, *(f.name for f in fields(Clip) if f.name not in _OTHERS))
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
 
+_OURS = "a file that kinefilter wrote"
+
+
 @contextmanager
-def _archive(
-    path: str | os.PathLike[str], expected: str = "a file that kinefilter wrote"
-) -> Iterator[zipfile.ZipFile]:
+def _archive(path: AnyPath, expected: str = _OURS) -> Iterator[zipfile.ZipFile]:
     source = os.fspath(check_file(path))
     try:
         with zipfile.ZipFile(source) as archive:
@@ -59,15 +55,13 @@ def _archive(
         ) from None
 
 
-def array_names(path: str | os.PathLike[str]) -> set[str]:
+def array_names(path: AnyPath) -> set[str]:
     """Return the names of the arrays in an npz file, or raise InputError."""
     with _archive(path) as archive:
         return {name.removesuffix(".npy") for name in archive.namelist()}
 
 
-def read_arrays(
-    path: str | os.PathLike[str], expected: str = "a file that kinefilter wrote"
-) -> dict[str, NDArray[Any]]:
+def read_arrays(path: AnyPath, expected: str = _OURS) -> dict[str, NDArray[Any]]:
     """Return the arrays of an npz file, without running anything in it.
 
     The sizes that archive and arrays claim are compared before memory is allocated, so
@@ -82,14 +76,14 @@ def read_arrays(
                 f"{os.fspath(path)}: {len(members)} arrays of {size / 1e6:.0f} MB are "
                 "more than kinefilter writes; is it the right file?"
             )
-        return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
-
-
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
-    with archive.open(member) as file:
-        _check_header(file, member.file_size)
-    with archive.open(member) as file:
-        return np.asarray(npy.read_array(file, allow_pickle=False))
+        arrays = {}
+        for member in members:
+            with archive.open(member) as file:
+                _check_header(file, member.file_size)
+                file.seek(0)
+                array: NDArray[Any] = npy.read_array(file, allow_pickle=False)
+            arrays[member.filename.removesuffix(".npy")] = np.asarray(array)
+        return arrays
 
 
 def _check_header(file: IO[bytes], size: int) -> None:
@@ -104,44 +98,38 @@ def _check_header(file: IO[bytes], size: int) -> None:
         raise ValueError("larger than the archive says, or not numbers or text")
 
 
-def write_npz(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write_npz(clip: Clip, path: AnyPath) -> None:
     """Write every array of a clip and every measure of its body under its own name.
 
     Besides them there are ``skeleton``, ``joints`` and ``source``, and for each prop
     ``prop:K:name``, ``positions``, ``rotations``, ``kinds`` and, for each of its
     shapes, ``prop:K:L:size`` and so on. Equal clips give equal bytes.
     """
-    arrays: dict[str, Any] = {name: getattr(clip, name) for name in _ARRAYS + _FRAME}
-    measures: dict[str, Any] = {name: getattr(clip.body, name) for name in _BODY}
+    arrays: dict[str, Any] = {
+        **{name: getattr(clip, name) for name in _ARRAYS + _FRAME},
+        **{name: getattr(clip.body, name) for name in _BODY},
+        **props_as_arrays(clip.props),
+        "skeleton": np.array(clip.skeleton.name),
+        "joints": np.array(clip.skeleton.joints),
+        "source": np.array(clip.source),
+    }
     # An open file, as numpy adds .npz to a name that ends in .NPZ.
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(
-            file,
-            **arrays,
-            **measures,
-            **_props_as_arrays(clip.props),
-            skeleton=np.array(clip.skeleton.name),
-            joints=np.array(clip.skeleton.joints),
-            source=np.array(clip.source),
-        )
+        np.savez_compressed(file, **arrays)
 
 
-def read_npz(path: str | os.PathLike[str]) -> Clip:
+def read_npz(path: AnyPath) -> Clip:
     """Read a clip that write_clip wrote as npz; raises InputError of other files."""
-    name = os.fspath(path)
     arrays = read_arrays(path, "a clip that kinefilter wrote")
     try:
         return _clip(arrays)
     except InputError as error:
-        raise InputError(f"{name}: {error}") from None
+        wrong = str(error)
     except KeyError as error:
-        raise InputError(
-            f"{name}: not a kinefilter clip (no array {error.args[0]}); write it again"
-        ) from None
+        wrong = f"not a kinefilter clip (no array {error.args[0]}); write it again"
     except (ValueError, TypeError, IndexError):
-        raise InputError(
-            f"{name}: its arrays do not make a clip; write it again"
-        ) from None
+        wrong = "its arrays do not make a clip; write it again"
+    raise InputError(f"{os.fspath(path)}: {wrong}")
 
 
 def _clip(archive: dict[str, Any]) -> Clip:
@@ -150,10 +138,9 @@ def _clip(archive: dict[str, Any]) -> Clip:
     arrays = {name: archive[name] for name in _ARRAYS}
     frame = {name: archive.get(name, np.nan) for name in _FRAME}
     for name, array in (*arrays.items(), *measures.items(), *frame.items()):
-        if np.asarray(array).dtype.kind not in "biuf":
+        kinds = "f" if name == "time" else "biuf"
+        if np.asarray(array).dtype.kind not in kinds:
             raise InputError(f"{name} is not numbers; write the clip again")
-    if arrays["time"].dtype.kind != "f":
-        raise InputError("time is not numbers; write the clip again")
     numbers = {name: measures[name].item() for name in ("height", "mass")}
     positions = arrays.pop("positions")
     if positions.shape != (len(arrays["time"]), len(skeleton), 3):
@@ -169,8 +156,9 @@ def _clip(archive: dict[str, Any]) -> Clip:
     )
 
 
-def _props_as_arrays(props: tuple[Prop, ...]) -> dict[str, Any]:
-    arrays: dict[str, Any] = {}
+def props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of props as ``write_npz`` names them."""
+    arrays: dict[str, NDArray[Any]] = {}
     for k, prop in enumerate(props):
         arrays[f"prop:{k}:name"] = np.array(prop.name)
         arrays[f"prop:{k}:positions"] = prop.positions
@@ -192,5 +180,5 @@ def props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
             Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
             for n, kind in enumerate(kinds)
         ]
-        moves = (archive[f"prop:{k}:{path}"] for path in ("positions", "rotations"))
-        yield Prop(str(name), tuple(shapes), *moves)
+        places, turns = archive[f"prop:{k}:positions"], archive[f"prop:{k}:rotations"]
+        yield Prop(str(name), tuple(shapes), places, turns)

@@ -1,14 +1,11 @@
-"""What a recorded file holds: a take of every person in it.
-
-Whose body is whose is told through gaps: who is lost and back within 2 s and 0.5 m is
-the same person.
-"""
+"""What a recorded file holds: a take of every person, or a skeleton in motion."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import PurePath
 from typing import Any, Literal, TypeVar
 
@@ -22,33 +19,26 @@ from .files import open_text
 
 _Path = TypeVar("_Path", bound=PurePath)
 
-MOST_FRAMES = 1_000_000
-"""Frames that a recording has at most: nine hours at 30 a second."""
+MOST_FRAMES = 1_000_000  # of a recording: nine hours at 30 a second
 _FASTEST = 2000.0  # frames a second, of marker mocap
 _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
 _FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
-_AWAY = 2.0
-"""A body that is new within this time [s] may be one that was lost. A guess."""
-_NEAR = 0.5
-"""It is where it is new within this distance [m] of where the other was lost, the
-mean of the joints compared: half a stride. A guess."""
-_FEWEST = 2
-"""Frames of a person at least; what is seen once moves nothing."""
+_FRAMES_AT_ONCE = 1000  # about a megabyte of text
+_AWAY, _NEAR = 2.0, 0.5
+"""A body that is new within this time [s] and distance [m] of where another was lost,
+the mean of the joints compared, is the same: half a stride. Guesses."""
+_FEWEST = 2  # frames of a person; what is seen once moves nothing
 
 
 @dataclass(frozen=True)
 class Recording:
     """A file that a sensor or its tools wrote."""
 
-    takes: tuple[Take, ...]
-    """One a person, in the order in which they appear."""
-    format: str
-    """Name of the file's layout (``takes.FORMATS``)."""
-    unit: str = "m"
-    """The file's own unit of length."""
-    notes: tuple[str, ...] = ()
-    """What the user should know about how it was read."""
+    takes: tuple[Take, ...]  # one a person, in the order in which they appear
+    format: str  # name of the file's layout (``takes.FORMATS``)
+    unit: str = "m"  # the file's own unit of length
+    notes: tuple[str, ...] = ()  # what the user should know about how it was read
 
     @property
     def main(self) -> int:
@@ -72,6 +62,12 @@ class Recording:
                 "'kinefilter info' lists them"
             )
         return self.takes[body - 1]
+
+
+def chunks(frames: int) -> Iterator[slice]:
+    """Yield a thousand frames after the other, to bound the memory of what follows."""
+    for start in range(0, frames, _FRAMES_AT_ONCE):
+        yield slice(start, start + _FRAMES_AT_ONCE)
 
 
 def numbered(path: _Path, body: int | None) -> _Path:
@@ -101,10 +97,8 @@ def missing_marked(
     sensors put what they do not see.
     """
     seen = np.isfinite(positions).all(-1) & (positions != 0).any(-1) & (state > 0)
-    return (
-        np.where(seen[..., None], positions, np.nan),
-        np.where(seen, state, State.NOT_TRACKED).astype(np.uint8),
-    )
+    known = np.where(seen, state, State.NOT_TRACKED).astype(np.uint8)
+    return np.where(seen[..., None], positions, np.nan), known
 
 
 def recording_of(
@@ -143,11 +137,11 @@ def check_length(frames: int, source: str) -> None:
 
 def check_rate(time: Array, source: str) -> None:
     """Raise InputError for frames faster than any sensor's; times may repeat [s]."""
-    distinct = 1 + int(np.sum(np.diff(time) > 0))
-    if distinct > 1 and distinct > _FASTEST * (time[-1] - time[0]) + 2:
+    distinct, seconds = 1 + int(np.sum(np.diff(time) > 0)), time[-1] - time[0]
+    if distinct > 1 and distinct > _FASTEST * seconds + 2:
         raise InputError(
-            f"{source}: {distinct} frames in {time[-1] - time[0]:.3g} s are more than "
-            "any sensor takes; are the times in seconds?"
+            f"{source}: {distinct} frames in {seconds:.3g} s are more than any sensor "
+            "takes; are the times in seconds?"
         )
 
 
@@ -194,12 +188,9 @@ class Sighting:
     """A body in a frame."""
 
     frame: int
-    body: int
-    """The tracker's number for the body."""
-    positions: Array
-    """Joint positions [m], shape (J, 3)."""
-    state: NDArray[np.uint8]
-    """Tracking states (State), shape (J,)."""
+    body: int  # the tracker's number for the body
+    positions: Array  # of joints [m], shape (J, 3)
+    state: NDArray[np.uint8]  # tracking states (State), shape (J,)
 
 
 def takes_of(
@@ -208,10 +199,9 @@ def takes_of(
     """Return a take for every person, in the order in which they appear.
 
     A person is the bodies of one number, and those that are new near to where and soon
-    after one was lost. A take goes from its person's first frame to the last; every
-    joint is missing in frames between without the person. Sightings are in the order of
-    the frames, whose time stamps [s] have shape (T,). Raises InputError if nobody is
-    seen, a body is in a frame twice, or it is not a take.
+    after one was lost. A take goes from its person's first frame to the last. Sightings
+    are in the order of the frames, whose time stamps [s] have shape (T,). Raises
+    InputError if nobody is seen, a body is in a frame twice, or it is not a take.
     """
     check_length(len(time), source)
     check_rate(time, source)
@@ -221,11 +211,20 @@ def takes_of(
             f"{source}: nobody is tracked for two frames or more; record again with "
             "the person in view"
         )
-    names = [f"{source}, body {number + 1}" for number in range(len(people))]
-    return tuple(
-        _take(time, person, skeleton, name if len(people) > 1 else source)
-        for person, name in zip(people, names, strict=True)
-    )
+    takes = []
+    for number, person in enumerate(people, start=1):
+        name = f"{source}, body {number}" if len(people) > 1 else source
+        frames = np.array([sighting.frame for sighting in person])
+        span = slice(frames[0], frames[-1] + 1)
+        positions = np.full((span.stop - span.start, len(skeleton), 3), np.nan)
+        state = np.zeros(positions.shape[:2], dtype=np.uint8)
+        positions[frames - span.start], state[frames - span.start] = missing_marked(
+            np.array([sighting.positions for sighting in person]),
+            np.array([sighting.state for sighting in person]),
+        )
+        check_extent(positions, name)
+        takes.append(Take(time[span], positions, state, skeleton, name))
+    return tuple(takes)
 
 
 def _people(
@@ -241,24 +240,21 @@ def _people(
             )
         track.append(sighting)
     parts, pairs = list(tracks.values()), []
-    for k, lost in enumerate(parts):
-        for m, new in enumerate(parts):
-            gap = time[new[0].frame] - time[lost[-1].frame]
-            if new[0].frame > lost[-1].frame and gap <= _AWAY:
-                away = float(np.linalg.norm(_place(new[0]) - _place(lost[-1])))
-                if away <= _NEAR:
-                    pairs.append((away, k, m))
+    for (k, lost), (m, new) in product(enumerate(parts), repeat=2):
+        gap = time[new[0].frame] - time[lost[-1].frame]
+        if new[0].frame > lost[-1].frame and gap <= _AWAY:
+            away = float(np.linalg.norm(_place(new[0]) - _place(lost[-1])))
+            pairs += [(away, k, m)] * (away <= _NEAR)
     after: dict[int, int] = {}
     for _, k, m in sorted(pairs):
         if k not in after and m not in after.values():
             after[k] = m
     people = []
     for k in sorted(set(range(len(parts))) - set(after.values())):
-        person = list(parts[k])
+        people.append(list(parts[k]))
         while k in after:
             k = after[k]
-            person += parts[k]
-        people.append(person)
+            people[-1] += parts[k]
     return people
 
 
@@ -269,15 +265,17 @@ def _place(sighting: Sighting) -> Array:
     return known.mean(axis=0) if len(known) else np.full(3, np.nan)
 
 
-def _take(time: Array, person: list[Sighting], skeleton: Skeleton, source: str) -> Take:
-    first, last = person[0].frame, person[-1].frame
-    shape = (last - first + 1, len(skeleton))
-    positions = np.full((*shape, 3), np.nan)
-    state = np.full(shape, State.NOT_TRACKED, dtype=np.uint8)
-    rows = np.array([sighting.frame for sighting in person]) - first
-    positions[rows], state[rows] = missing_marked(
-        np.array([sighting.positions for sighting in person]),
-        np.array([sighting.state for sighting in person]),
-    )
-    check_extent(positions, source)
-    return Take(time[first : last + 1], positions, state, skeleton, source)
+@dataclass(frozen=True, eq=False)
+class Mocap:
+    """Joints in motion, in the file's own axes and unit."""
+
+    names: tuple[str, ...]
+    positions: Array  # of the joints, NaN where missing, shape (T, N, 3)
+    rotations: Array | None  # of each joint in the world, wxyz, (T, N, 4), or unknown
+    frame_time: float  # between frames [s]
+    source: str
+
+    @property
+    def bare_names(self) -> list[str]:
+        """Names of joints without the name of the subject or rig before them."""
+        return [name.rpartition(":")[2].strip() for name in self.names]

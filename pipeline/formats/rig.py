@@ -31,16 +31,11 @@ class Rig:
     segment, a leaf with its own. On somebody else's rig each node turns for itself.
     """
 
-    names: tuple[str, ...]
-    """Name of each node: the sensor's for a joint, ``<Child>Pivot`` for a helper."""
-    parents: tuple[int, ...]
-    """Index of each node's parent, -1 for the root."""
-    offsets: Array
-    """Vector [m] from the parent in the T-pose, shape (N, 3), root 0."""
-    segments: NDArray[np.intp]
-    """Index of the skeleton's segment that each node turns with, shape (N,)."""
-    root: Array
-    """Position of the root in the T-pose [m], shape (3,)."""
+    names: tuple[str, ...]  # the sensor's for a joint, ``<Child>Pivot`` for a helper
+    parents: tuple[int, ...]  # index of each node's parent, -1 for the root
+    offsets: Array  # vector [m] from the parent in the T-pose, shape (N, 3), root 0
+    segments: NDArray[np.intp]  # the skeleton's that each node turns with, shape (N,)
+    root: Array  # position of the root in the T-pose [m], shape (3,)
     axes: Array | None = None
     """World rotation of each node's own axes in the rest pose, wxyz, shape (N, 4);
     None: those of the world."""
@@ -51,18 +46,12 @@ class Rig:
     def __len__(self) -> int:
         return len(self.names)
 
-    @property
-    def leaves(self) -> set[int]:
-        """Indices of the nodes without children."""
-        return set(range(len(self))).difference(self.parents)
-
     @cached_property
     def rest_positions(self) -> Array:
         """T-pose position [m] of each node, soles on y = 0, shape (N, 3)."""
-        positions = np.empty((len(self), 3))
-        for n, parent in enumerate(self.parents):
-            start = self.root if parent < 0 else positions[parent]
-            positions[n] = start + self.offsets[n]
+        positions = self.root + self.offsets
+        for n, parent in enumerate(self.parents[1:], start=1):
+            positions[n] = positions[parent] + self.offsets[n]
         return positions
 
     @cached_property
@@ -87,15 +76,15 @@ class Rig:
 
         Rotations are those of a clip's segments in the world, (..., J, 4).
         """
-        world = self._world(rotations, node)
+
+        def world(node: int) -> Array:
+            turn = rotations[..., self.segments[node], :]
+            return turn if self.axes is None else multiply(turn, self.axes[node])
+
         parent = self.parents[node]
         if parent < 0:
-            return world
-        return multiply(inverse(self._world(rotations, parent)), world)
-
-    def _world(self, rotations: Array, node: int) -> Array:
-        world = rotations[..., self.segments[node], :]
-        return world if self.axes is None else multiply(world, self.axes[node])
+            return world(node)
+        return multiply(inverse(world(parent)), world(node))
 
     @cached_property
     def at_rest(self) -> tuple[Array, Array]:
@@ -182,12 +171,9 @@ class RigMotion:
     """What a rig does."""
 
     rig: Rig
-    rotations: Array
-    """World rotations of its segments since the rest pose, wxyz, shape (T, S, 4)."""
-    path: Array
-    """Place of the node ``rig.mover`` in its parent [m], shape (T, 3)."""
-    positions: Array
-    """World positions of joints, all that differ [m], shape (T, J, 3)."""
+    rotations: Array  # of its segments since the rest pose, world, wxyz, (T, S, 4)
+    path: Array  # place of the node ``rig.mover`` in its parent [m], shape (T, 3)
+    positions: Array  # world positions of joints, all that differ [m], shape (T, J, 3)
 
 
 def retargeted_motion(target: TargetRig, motion: Retargeted) -> RigMotion:

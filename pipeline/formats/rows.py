@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import NoReturn
+from typing import ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
 
+LARGEST_NUMBER = 1e9
+"""Of lengths and angles at most, whatever their unit; a damaged number may be more."""
 _BLOCK_LINES = 2000  # some megabytes of text at a time, whatever the file's length
 
 
@@ -20,10 +22,8 @@ _BLOCK_LINES = 2000  # some megabytes of text at a time, whatever the file's len
 class Block:
     """Some rows of a file."""
 
-    rows: NDArray[np.intp]
-    """Line number of each row, counted from 1, shape (R,)."""
-    values: Array
-    """The numbers, NaN where a cell is empty, none infinite, shape (R, C)."""
+    rows: NDArray[np.intp]  # line number of each row, counted from 1, shape (R,)
+    values: Array  # the numbers, NaN where a cell is empty, none infinite, (R, C)
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,12 @@ class RowReader:
         """
         numbered = enumerate(lines, start=first_row)
         while chunk := list(islice(numbered, _BLOCK_LINES)):
-            filled = [(row, line.strip()) for row, line in chunk if line.strip()]
+            filled = {row: line.strip() for row, line in chunk if line.strip()}
             if filled:
-                yield self._block(filled)
+                texts = [self.normalize(line) for line in filled.values()]
+                yield self._block(np.array(list(filled)), texts)
 
-    def _block(self, numbered: list[tuple[int, str]]) -> Block:
-        rows = np.array([row for row, _ in numbered])
-        texts = [self.normalize(line) for _, line in numbered]
+    def _block(self, rows: NDArray[np.intp], texts: list[str]) -> Block:
         try:
             named = [_name_the_empty(text) for text in texts]
             values = np.loadtxt(named, delimiter=",", comments=None, ndmin=2)
@@ -77,10 +76,8 @@ class RowReader:
                 numbers.append(float(cell or "nan"))
             except ValueError:
                 word = cell if len(cell) <= 40 else f"{cell[:37]}..."
-                words = (
-                    "expected a number; leave the cell empty if nothing was measured"
-                )
-                self._fail(row, column, f"is {word!r}, {words}")
+                words = "leave the cell empty if nothing was measured"
+                self._fail(row, column, f"is {word!r}, expected a number; {words}")
         return numbers
 
     def refuse(
@@ -104,3 +101,36 @@ def _name_the_empty(text: str) -> str:
     if text.startswith(","):
         text = f"nan{text}"
     return f"{text}nan" if text.endswith(",") else text
+
+
+@dataclass
+class LineReader:
+    """Goes through the lines of a text that is no table, and knows where it is."""
+
+    source: str
+    lines: Iterator[str]
+    row: int = 0  # number of the last line that was read, counted from 1
+    noun: ClassVar[str] = "line"
+
+    def filled(self, comments: str = "") -> Iterator[list[str]]:
+        """Yield the words of each line that has some and is no comment."""
+        for line in self.lines:
+            self.row += 1
+            words = line.split()
+            if words and words[0][0] not in comments:
+                yield words
+
+    def numbers(self, words: Sequence[str], count: int, what: str = "") -> Array:
+        """Return words as that many finite numbers, or fail."""
+        try:
+            numbers = np.array(words, dtype=np.float64)
+        except ValueError:
+            numbers = np.full(count, np.nan)
+        if len(numbers) != count or not (np.abs(numbers) < LARGEST_NUMBER).all():
+            found = " ".join(words)[:40]
+            self.fail(f"has {what}{found!r}, expected {count} finite numbers")
+        return numbers
+
+    def fail(self, complaint: str) -> NoReturn:
+        """Raise an InputError about the last line that was read."""
+        raise InputError(f"{self.source}: {self.noun} {self.row} {complaint}")

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,33 +26,32 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import Array
 
-from .files import atomic_path, beginning, open_text
+from .files import AnyPath, beginning, new_text, open_text
 from .npz import read_npz
 from .recording import (
     MOST_FRAMES,
     Recording,
     check_length,
     check_order,
+    chunks,
     missing_marked,
     open_rows,
     recording_of,
 )
 from .rows import Block, RowReader
 
-_FRAMES_AT_ONCE = 1000  # about a megabyte of text
 _LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
 _AXES = ("x", "y", "z")
-_PARTS = (*_AXES, "state")
+_CONTACT_HEADER = ("time", *CONTACTS)
+_ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 
 
 def _columns(skeleton: Skeleton) -> tuple[str, ...]:
-    return ("time", *(f"{j}.{part}" for j in skeleton.joints for part in _PARTS))
+    parts = (*_AXES, "state")
+    return ("time", *(f"{joint}.{part}" for joint in skeleton.joints for part in parts))
 
 
-# Writing
-
-
-def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
+def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
     """Write time [s], joint positions [m] and states, one row per frame.
 
     The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` in the sensor's
@@ -66,13 +64,9 @@ def write_take_csv(motion: Take | Clip, path: str | os.PathLike[str]) -> None:
         # What the sensor did not see has a place now, but only inferred.
         measured = motion.origin == Origin.MEASURED
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", encoding="utf-8", newline="\n") as file,
-    ):
+    with new_text(path) as file:
         file.write(take_header(motion.skeleton))
-        for start in range(0, len(motion), _FRAMES_AT_ONCE):
-            some = slice(start, start + _FRAMES_AT_ONCE)
+        for some in chunks(len(motion)):
             rows = take_rows(motion.time[some], motion.positions[some], state[some])
             file.write(rows)
 
@@ -92,9 +86,6 @@ def take_rows(time: Array, positions: Array, state: NDArray[np.uint8]) -> str:
     return text.replace("nan", "")
 
 
-# Layouts
-
-
 @dataclass(frozen=True)
 class _Layout:
     name: str
@@ -108,45 +99,40 @@ class _Layout:
 
 def _kinefilter(line: str, source: str) -> _Layout:
     columns = tuple(cell.strip().strip('"') for cell in line.strip().split(","))
-    if columns[0] != "time":
-        raise InputError(
-            f"{source}: row 1, column 1 is {columns[0][:40]!r}, expected the header "
-            "'time'; give the file's own format"
-        )
-    if len(set(columns)) < len(columns):
-        twice = Counter(columns).most_common(1)[0][0]
-        raise InputError(f"{source}: row 1 has column {twice[:40]!r} twice; delete one")
     joints = tuple(dict.fromkeys(c.rpartition(".")[0] or c for c in columns[1:]))
-    skeleton = _skeleton_with(joints, source)
-    needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
-    known, present = {*_columns(skeleton), *needed}, set(columns)
-    if unknown := [column for column in columns if column not in known]:
-        raise InputError(
-            f"{source}: row 1, column {unknown[0][:40]!r} is unknown; expected "
-            "Joint.x, Joint.y, Joint.z or Joint.state"
-        )
-    if missing := [column for column in needed if column not in present]:
-        raise InputError(
-            f"{source}: row 1 has no column {missing[0]}; add it or delete the other "
-            "columns of that joint"
-        )
-    return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
-
-
-def _skeleton_with(joints: tuple[str, ...], source: str) -> Skeleton:
-    """Return the smallest skeleton that has all the joints."""
-    if not joints:
-        raise InputError(f"{source}: row 1 names no joints; expected Joint.x and so on")
     skeletons = sorted(SKELETONS.values(), key=len)
-    for skeleton in skeletons:
-        if set(joints) <= set(skeleton.joints):
-            return skeleton
-    nearest = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
-    unknown = next(joint for joint in joints if joint not in nearest.joints)
-    raise InputError(
-        f"{source}: row 1, joint {unknown[:40]!r} is not one of {nearest.name}: "
-        f"{', '.join(nearest.joints)}; rename or delete its columns"
-    )
+    # The smallest skeleton that has all the joints, or else most of them.
+    skeleton = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
+    needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
+    twice, times = Counter(columns).most_common(1)[0]
+    wrong = ""
+    if columns[0] != "time":
+        wrong = (
+            f", column 1 is {columns[0][:40]!r}, expected the header 'time'; give the "
+            "file's own format"
+        )
+    elif times > 1:
+        wrong = f" has column {twice[:40]!r} twice; delete one"
+    elif not joints:
+        wrong = " names no joints; expected Joint.x and so on"
+    elif unknown := [joint for joint in joints if joint not in skeleton.joints]:
+        wrong = (
+            f", joint {unknown[0][:40]!r} is not one of {skeleton.name}: "
+            f"{', '.join(skeleton.joints)}; rename or delete its columns"
+        )
+    elif unknown := [name for name in columns if name not in _columns(skeleton)]:
+        wrong = (
+            f", column {unknown[0][:40]!r} is unknown; expected Joint.x, Joint.y, "
+            "Joint.z or Joint.state"
+        )
+    elif missing := [column for column in needed if column not in columns]:
+        wrong = (
+            f" has no column {missing[0]}; add it or delete the other columns of that "
+            "joint"
+        )
+    if wrong:
+        raise InputError(f"{source}: row 1{wrong}")
+    return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
 
 
 def _kinect_v2(_line: str, _source: str) -> _Layout:
@@ -181,15 +167,11 @@ def _kinect_v1(line: str, source: str) -> _Layout:
 
 
 def _msrc_12(_line: str, _source: str) -> _Layout:
+    def normalize(line: str) -> str:
+        return ",".join(line.replace(",", " ").split())
+
     columns = _columns(KINECT_V1)
-    return _Layout("msrc-12", KINECT_V1, columns, _commas, 1e-6, weighted=True)
-
-
-def _commas(line: str) -> str:
-    return ",".join(line.replace(",", " ").split())
-
-
-# Reading
+    return _Layout("msrc-12", KINECT_V1, columns, normalize, 1e-6, weighted=True)
 
 
 def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
@@ -233,55 +215,43 @@ def _frames(
     positions = np.full((len(values), len(skeleton), 3), np.nan)
     state = np.zeros((len(values), len(skeleton)), dtype=np.uint8)
     for j, joint in enumerate(skeleton.joints):
-        if f"{joint}.x" not in index:
-            continue
-        positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
-        state[:, j] = State.TRACKED
-        if f"{joint}.state" in index:
-            column = index[f"{joint}.state"]
-            given = values[:, column]
+        if f"{joint}.x" in index:
+            positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
+            state[:, j] = State.TRACKED
+        if (column := index.get(f"{joint}.state")) is not None:
             # An empty cell says nothing against the joint.
-            states = np.where(np.isnan(given), State.TRACKED, given)
+            given = np.nan_to_num(values[:, column], nan=State.TRACKED)
             words = "is {:g}, expected a tracking state: 0 not tracked, 1 inferred, "
-            unknown = ~np.isin(states, list(State))
+            unknown = ~np.isin(given, list(State))
             reader.refuse(block, column, unknown, words + "2 tracked")
-            state[:, j] = states
+            state[:, j] = given
     time = np.zeros(len(values))
-    if "time" in index:
-        time = values[:, index["time"]]
+    if (column := index.get("time")) is not None:
+        time = values[:, column]
         words = "is empty, expected a time; delete the row"
-        reader.refuse(block, index["time"], np.isnan(time), words)
+        reader.refuse(block, column, np.isnan(time), words)
         words = "is {:.3g}, expected a time; correct or delete the row"
-        reader.refuse(block, index["time"], np.abs(time) > _LATEST, words)
+        reader.refuse(block, column, np.abs(time) > _LATEST, words)
     return block.rows, time, *missing_marked(positions, state)
 
 
-# Foot contacts, as a table that people can edit
-
-_CONTACT_HEADER = ("time", *CONTACTS)
-_ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
-
-
-def write_contacts(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write_contacts(clip: Clip, path: AnyPath) -> None:
     """Write 1 where a part of a foot is on the floor, else 0, one row per frame."""
     rows = zip(clip.time.tolist(), clip.contacts.astype(int).tolist(), strict=True)
-    with (
-        atomic_path(path) as temporary,
-        temporary.open("w", encoding="utf-8", newline="\n") as file,
-    ):
+    with new_text(path) as file:
         file.write(",".join(_CONTACT_HEADER) + "\n")
         for time, flags in rows:
             file.write(",".join([repr(time), *map(str, flags)]) + "\n")
 
 
-def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_]:
+def read_contacts(path: AnyPath, time: Array) -> NDArray[np.bool_]:
     """Return the contacts (CONTACTS) of a file at times [s] (T,), shape (T, 4).
 
     The file is one of ``write_contacts``, edited or not, or a clip as npz. Each time
     gets the last row at or before it: a file may have a row per frame, or one per
     change. Raises InputError if it is missing, no such table, or of another time.
     """
-    if Path(path).suffix.lower() == ".npz":
+    if os.fspath(path).lower().endswith(".npz"):
         clip = read_npz(path)
         stamps, flags = clip.time, clip.contacts
     else:
@@ -295,14 +265,17 @@ def read_contacts(path: str | os.PathLike[str], time: Array) -> NDArray[np.bool_
     return np.asarray(flags[np.maximum(rows, 0)])
 
 
-def claims_contacts(path: str | os.PathLike[str]) -> bool:
+def claims_contacts(path: AnyPath) -> bool:
     """Tell whether a file begins as ``write_contacts`` does."""
     return beginning(path).startswith(",".join(_CONTACT_HEADER))
 
 
-def contact_table(path: str | os.PathLike[str]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return times [s] (T,) and contacts (T, 4) of a table; raises InputError."""
+def contact_table(path: AnyPath) -> tuple[Array, NDArray[np.bool_]]:
+    """Return times [s] (T,) and contacts (T, 4) of a table or clip, or InputError."""
     source = os.fspath(path)
+    if source.lower().endswith(".npz"):
+        clip = read_npz(path)
+        return clip.time, clip.contacts
     with open_text(path) as file:
         header = tuple(cell.strip() for cell in next(iter(file), "").split(","))
         if header != _CONTACT_HEADER:

@@ -1,5 +1,7 @@
 """Takes out of the files that sensors and their tools write, whatever their layout."""
 
+# ruff: noqa: A002 - "format" is the word that users know
+
 from __future__ import annotations
 
 import os
@@ -9,7 +11,7 @@ from importlib import import_module
 
 from kinefilter.characters import InputError, Take
 
-from .files import beginning
+from .files import AnyPath, beginning
 from .recording import Recording, open_rows
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
@@ -45,7 +47,7 @@ FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
     ),
     "ntu": ("datasets:read_ntu", lambda line: line.strip().isdigit()),
     "azure": ("azure:read_azure", lambda line: line.startswith("{")),
-    "bvh": ("mocap_files:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]),
+    "bvh": ("mocap:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]),
 }
 """By the name of a format: module of this package and function in it that makes a
 Recording of a path, and whether a file can begin with a line. The first that can is
@@ -53,10 +55,7 @@ the format of a file."""
 
 
 def read_take(
-    path: str | os.PathLike[str],
-    *,
-    format: str | None = None,  # noqa: A002 - the word that users know
-    body: int | None = None,
+    path: AnyPath, *, format: str | None = None, body: int | None = None
 ) -> Take:
     """Read a recording of a person.
 
@@ -72,7 +71,7 @@ def read_take(
       v1's 20 joints in the SDK's order, split by blanks or commas. Where no state is 2,
       1 says that there is a joint (Fothergill et al. 2012, CHI).
     - ``msr-action3d`` and ``ntu``: see ``datasets``. ``azure``: see the module of this
-      name. ``bvh``: see ``mocap_files``.
+      name. ``bvh``: see ``mocap``.
 
     A joint that is not tracked, not a number or exactly at the origin, where the
     sensors put what they do not see, is missing: NaN and state 0.
@@ -84,32 +83,24 @@ def read_take(
     return read_recording(path, format=format).take(body)
 
 
-def read_takes(
-    path: str | os.PathLike[str],
-    *,
-    format: str | None = None,  # noqa: A002 - the word that users know
-) -> tuple[Take, ...]:
+def read_takes(path: AnyPath, *, format: str | None = None) -> tuple[Take, ...]:
     """Read a take for each person, as they appear; raises InputError as read_take."""
     return read_recording(path, format=format).takes
 
 
-def read_recording(
-    path: str | os.PathLike[str],
-    *,
-    format: str | None = None,  # noqa: A002 - the word that users know
-) -> Recording:
+def read_recording(path: AnyPath, *, format: str | None = None) -> Recording:
     """Read all that is known about a recorded file; raises InputError as read_take."""
     source = os.fspath(path)
     if format is not None and format not in FORMATS:
         raise InputError(f"unknown take format {format!r}; known: {', '.join(FORMATS)}")
     name = format or _detected(_first_line(source), source)
     module, _, function = FORMATS[name][0].partition(":")
+    read: Callable[[str], Recording]
     read = getattr(import_module(f".{module}", __package__), function)
-    recording: Recording = read(source)
-    return recording
+    return read(source)
 
 
-def claims_take(path: str | os.PathLike[str]) -> bool:
+def claims_take(path: AnyPath) -> bool:
     """Return whether a file claims by how it begins to be a recording.
 
     Names of joints in a header, or numbers, tell a damaged recording from notes and
@@ -142,8 +133,7 @@ def _detected(line: str, source: str) -> str:
             return name
     raise InputError(
         f"{source}: row 1 is of no known layout ({len(_cells(line))} comma-separated "
-        "cells); expected a kinefilter CSV (header "
-        "time,Joint.x,Joint.y,Joint.z,Joint.state), "
-        f"Kinect v2 rows of {_V2_CELLS} numbers, Kinect v1 joints split by ;, or one "
-        f"of the other formats: {', '.join(list(FORMATS)[3:])}"
+        "cells); expected a kinefilter CSV (header time,Joint.x,Joint.y,Joint.z,"
+        f"Joint.state), Kinect v2 rows of {_V2_CELLS} numbers, Kinect v1 joints split "
+        f"by ;, or one of the other formats: {', '.join(list(FORMATS)[3:])}"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ from kinefilter.characters import (
     Clip,
     InputError,
     Origin,
-    Prop,
     Shape,
     Skeleton,
     Term,
@@ -58,13 +58,26 @@ def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:
     }
 
 
-def set_axes(stage: Any, export: Export) -> None:
-    """Say which axis points up and what the unit of length is."""
-    from pxr import UsdGeom
+def new_stage(path: Path, export: Export) -> Any:
+    """Return a stage on a new layer, with axes, unit and an empty ``/Character``."""
+    from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 
-    up = UsdGeom.Tokens.z if export.up == "z" else UsdGeom.Tokens.y
-    UsdGeom.SetStageUpAxis(stage, up)
+    stage = Usd.Stage.Open(Sdf.Layer.CreateNew(str(path)))
+    UsdGeom.SetStageUpAxis(stage, export.up.upper())
     UsdGeom.SetStageMetersPerUnit(stage, export.meters_per_unit)
+    root = UsdSkel.Root.Define(stage, CHARACTER).GetPrim()
+    stage.SetDefaultPrim(root)
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    return stage
+
+
+def set_samples(layer: Any, path: Any, codes: Array, values: Iterable[Any]) -> None:
+    """Set time samples straight in a layer: a stage looks each one up again."""
+    from pxr import Sdf
+
+    with Sdf.ChangeBlock():
+        for code, value in zip(codes.tolist(), values, strict=True):
+            layer.SetTimeSample(path, code, value)
 
 
 def joint_paths(rig: Rig) -> list[str]:
@@ -76,19 +89,6 @@ def joint_paths(rig: Rig) -> list[str]:
     for name, parent in zip(names, rig.parents, strict=True):
         paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
     return paths
-
-
-def write_character(body: Body, path: Path, export: Export) -> None:
-    """Write a layer with nothing but the character, for clips to refer to."""
-    from pxr import Kind, Sdf, Usd
-
-    stage = Usd.Stage.Open(Sdf.Layer.CreateNew(str(path)))
-    set_axes(stage, export)
-    define_character(stage, body, export)
-    root = stage.GetPrimAtPath(CHARACTER)
-    stage.SetDefaultPrim(root)
-    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-    stage.GetRootLayer().Save()
 
 
 def check_character(path: Path, rig: Rig, export: Export) -> None:
@@ -119,10 +119,9 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
 
 
 def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
-    """Define a skeleton at rest, and nothing else, under ``/Character``."""
+    """Define a skeleton at rest under ``/Character``."""
     from pxr import UsdSkel
 
-    UsdSkel.Root.Define(stage, CHARACTER)
     skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
     skeleton.CreateJointsAttr(joint_paths(rig))
     places, turns = rig.at_rest
@@ -136,22 +135,21 @@ def define_character(stage: Any, body: Body, export: Export) -> None:
     """Define the skeleton and the skin of a body under ``/Character``."""
     from pxr import Gf, UsdSkel, Vt
 
-    rig = rig_of(body)
+    rig, skin = rig_of(body), skin_of(body)
     define_skeleton(stage, rig, export)
-    skin = skin_of(body)
     points = export.points(skin.points)
-    mesh = _mesh(stage, SKIN, points, skin.quads, export.axes(skin.normals))
+    mesh = _mesh(stage, SKIN, points, skin.quads)
+    mesh.CreateNormalsAttr(vectors(export.axes(skin.normals)))
+    mesh.SetNormalsInterpolation("vertex")
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*_COLOR)])
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([SKELETON])
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
     nodes = rig.starts[skin.segments].astype(np.int32)
-    binding.CreateJointIndicesPrimvar(False, INFLUENCES).Set(
-        Vt.IntArray.FromNumpy(nodes.ravel())
-    )
-    binding.CreateJointWeightsPrimvar(False, INFLUENCES).Set(
-        Vt.FloatArray.FromNumpy(skin.weights.astype(np.float32).ravel())
-    )
+    indices = binding.CreateJointIndicesPrimvar(False, INFLUENCES)
+    indices.Set(Vt.IntArray.FromNumpy(nodes.ravel()))
+    weights = binding.CreateJointWeightsPrimvar(False, INFLUENCES)
+    weights.Set(Vt.FloatArray.FromNumpy(skin.weights.astype(np.float32).ravel()))
     _set_extent(stage, points, SKIN)
 
 
@@ -182,22 +180,13 @@ def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
     return Vt.Matrix4dArray.FromNumpy(matrices)
 
 
-def _mesh(
-    stage: Any,
-    path: Any,
-    points: Array,
-    faces: NDArray[Any],
-    normals: Array | None = None,
-) -> Any:
+def _mesh(stage: Any, path: Any, points: Array, faces: NDArray[Any]) -> Any:
     """Define a mesh of faces that have as many corners each, shape (F, C)."""
     from pxr import UsdGeom, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, path)
     corners = faces.astype(np.int32)
     mesh.CreatePointsAttr(vectors(points))
-    if normals is not None:
-        mesh.CreateNormalsAttr(vectors(normals))
-        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(corners), corners.shape[1]))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -217,8 +206,7 @@ def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
             name += "_"
         path = folder.AppendChild(name)
         prim = UsdGeom.Xform.Define(stage, path)
-        places = export.points(prop.positions)
-        turns = export.axes(prop.rotations)
+        places, turns = export.points(prop.positions), export.axes(prop.rotations)
         _move(prim, places, turns, codes if prop.moves else None)
         for n, shape in enumerate(prop.shapes):
             _define_shape(stage, path.AppendChild(f"Shape{n}"), shape, export)
@@ -226,73 +214,60 @@ def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
 
 def _move(prim: Any, places: Array, turns: Array, codes: Array | None) -> None:
     """Place a prim: for good, or with one sample per time code."""
-    from pxr import Gf, Sdf
+    from pxr import Gf
 
-    translate = prim.AddTranslateOp().GetAttr()
-    orient = prim.AddOrientOp().GetAttr()
+    translate, orient = prim.AddTranslateOp(), prim.AddOrientOp()
+    translations = [Gf.Vec3d(*place) for place in places.tolist()]
+    rotations = [Gf.Quatf(*turn) for turn in turns.tolist()]
     if codes is None:
-        translate.Set(Gf.Vec3d(*places[0].tolist()))
-        orient.Set(Gf.Quatf(*turns[0].tolist()))
+        translate.Set(translations[0])
+        orient.Set(rotations[0])
         return
     layer = prim.GetPrim().GetStage().GetRootLayer()
-    with Sdf.ChangeBlock():
-        for code, place, turn in zip(
-            codes.tolist(), places.tolist(), turns.tolist(), strict=True
-        ):
-            layer.SetTimeSample(translate.GetPath(), code, Gf.Vec3d(*place))
-            layer.SetTimeSample(orient.GetPath(), code, Gf.Quatf(*turn))
+    set_samples(layer, translate.GetAttr().GetPath(), codes, translations)
+    set_samples(layer, orient.GetAttr().GetPath(), codes, rotations)
 
 
 def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
     from pxr import Gf, Usd, UsdGeom
 
-    if shape.kind == "box":
+    if shape.kind == "mesh":
+        geometry = _mesh(stage, path, export.points(shape.points), shape.triangles)
+    elif shape.kind == "box":
         geometry = UsdGeom.Cube.Define(stage, path)
         geometry.CreateSizeAttr(2.0)
     elif shape.kind == "ellipsoid":
         geometry = UsdGeom.Sphere.Define(stage, path)
         geometry.CreateRadiusAttr(1.0)
-    elif shape.kind == "mesh":
-        geometry = _mesh(stage, path, export.points(shape.points), shape.triangles)
     else:
         kind = UsdGeom.Capsule if shape.kind == "capsule" else UsdGeom.Cylinder
         geometry = kind.Define(stage, path)
         radius, half, _ = (shape.size / export.meters_per_unit).tolist()
         geometry.CreateRadiusAttr(radius)
         geometry.CreateHeightAttr(2.0 * half)
-        up = UsdGeom.Tokens.z if export.up == "z" else UsdGeom.Tokens.y
-        geometry.CreateAxisAttr(up)
+        geometry.CreateAxisAttr(export.up.upper())
     place, turn = export.points(shape.position), export.axes(shape.rotation)
     _move(geometry, place[None], turn[None], None)
     if shape.kind in ("box", "ellipsoid"):
         size = np.abs(export.points(shape.size))
         geometry.AddScaleOp().Set(Gf.Vec3f(*size.tolist()))
     geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**LINEAR).tolist())])
-    time = Usd.TimeCode.Default()
-    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(geometry, time)
-    geometry.CreateExtentAttr(extent)
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins
+    geometry.CreateExtentAttr(extent(geometry, Usd.TimeCode.Default()))
 
 
 def props_extent(clip: Clip, export: Export, boxes: Array) -> Array:
     """Return boxes (T, 2, 3), lowest and highest corner, grown to hold the props."""
     grown = boxes.copy()
     for prop in clip.props:
-        corners = export.points(_corners(prop))
-        np.minimum(grown[:, 0], corners.min(axis=1), out=grown[:, 0])
-        np.maximum(grown[:, 1], corners.max(axis=1), out=grown[:, 1])
-    return grown
-
-
-def _corners(prop: Prop) -> Array:
-    """Return the corners of the box around a prop's shapes [m], shape (T, 8, 3)."""
-    own = np.concatenate(
-        [
+        shapes = [
             shape.position + rotate(shape.rotation, _CORNERS * shape.half_extents)
             for shape in prop.shapes
         ]
-    )
-    low, high = own.min(axis=0), own.max(axis=0)
-    corners = 0.5 * (low + high) + 0.5 * (high - low) * _CORNERS
-    return np.asarray(
-        prop.positions[:, None] + rotate(prop.rotations[:, None], corners)
-    )
+        low, high = np.min(shapes, axis=(0, 1)), np.max(shapes, axis=(0, 1))
+        corners = 0.5 * (low + high) + 0.5 * (high - low) * _CORNERS
+        turned = rotate(prop.rotations[:, None], corners)
+        placed = export.points(prop.positions[:, None] + turned)
+        np.minimum(grown[:, 0], placed.min(axis=1), out=grown[:, 0])
+        np.maximum(grown[:, 1], placed.max(axis=1), out=grown[:, 1])
+    return grown

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from kinefilter.characters import (
     Clip,
     InputError,
+    Prop,
+    Shape,
     Skeleton,
     skeleton_named,
     standard_body,
@@ -27,18 +29,16 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize
 
 from .export import with_y_up
-from .files import check_file
+from .files import AnyPath, check_file
 from .guarded import read_guarded
-from .npz import props_from_arrays
+from .npz import props_as_arrays, props_from_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
 from .usd_character import CHARACTER, LINEAR, PER_FRAME, name_tables
 
 _LARGEST = 2**31  # bytes
 _BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
-_MOVED = ("moved_by_correction", "moved_by_physics", "reliability")
+_MOVED = {"moved_by_correction", "moved_by_physics", "reliability"}
 _KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # others have the same name
-
-_Animated = tuple[Any, Any, Any, list[str], list[float]]
 
 
 def check_usd(path: str) -> None:
@@ -55,42 +55,35 @@ def check_usd(path: str) -> None:
         raise InputError(f"{path}: damaged USD package; export it again") from None
     stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
     if not stored or sum(member.file_size for member in members) > size:
-        raise InputError(
-            f"{path}: is packed smaller than a USD package may be; export it again"
-        )
+        raise InputError(f"{path}: packed smaller than USD may be; export it again")
 
 
-def read_usd_positions(
-    path: str | os.PathLike[str],
-) -> tuple[Array, tuple[str, ...], Array]:
+def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
     """Return where UsdSkel puts the joints of the first animated skeleton.
 
     Time of each sample since time code 0 [s], shape (T,); joint names, shape (N,);
     world positions [m], stage axes, shape (T, N, 3). Raises InputError if the file
     cannot be opened or has no animated skeleton.
     """
-    from pxr import Gf, UsdGeom
+    from pxr import UsdGeom
 
     stage, prim, query, names, codes = _first_animated(os.fspath(check_file(path)))
     positions = np.empty((len(codes), len(names), 3))
     for frame, code in enumerate(codes):
-        world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code)
+        world = np.array(UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code))
         matrices = np.array(query.ComputeJointSkelTransforms(code))
-        places = matrices[:, 3, :3] @ np.array(world)[:3, :3]
-        positions[frame] = places + np.array(Gf.Matrix4d(world).ExtractTranslation())
+        positions[frame] = matrices[:, 3, :3] @ world[:3, :3] + world[3, :3]
     time = np.array(codes) / stage.GetTimeCodesPerSecond()
     return time, tuple(names), positions * UsdGeom.GetStageMetersPerUnit(stage)
 
 
-def usd_contents(path: str) -> dict[str, Any]:
+def usd_contents(path: str) -> Any:
     """Return units, axis, rate, joints and duration of the first animated skeleton."""
     check_usd(path)
-    found = read_guarded("usd_reader:contents_arrays", path)
-    contents: dict[str, Any] = json.loads(str(found["json"]))
-    return contents
+    return json.loads(str(read_guarded("usd_reader:contents_arrays", path)["json"]))
 
 
-def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
+def read_usd_clip(path: AnyPath) -> Clip:
     """Read a clip that kinefilter wrote as USD on its skeleton, or raise InputError.
 
     Axes and unit are undone; frame rate and rest pose are the file's, and time starts
@@ -109,9 +102,8 @@ def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
         known: dict[str, Any] = {
             name: arrays[name] for name in PER_FRAME.values() if name in arrays
         }
-        for name in _MOVED:
-            if name in known:
-                known[name] = np.where(known[name] < 0.0, np.nan, known[name])
+        for name in _MOVED & known.keys():
+            known[name] = np.where(known[name] < 0.0, np.nan, known[name])
         return Clip.of(
             motion,
             **known,
@@ -120,9 +112,6 @@ def read_usd_clip(path: str | os.PathLike[str]) -> Clip:
             floor=arrays["floor"].item(),
             props=tuple(props_from_arrays(arrays)),
         )
-    except InputError as error:
-        told = str(error)
-        raise InputError(told if source in told else f"{source}: {told}") from None
     except (KeyError, *_BROKEN):
         raise InputError(
             f"{source}: its joints and frames do not fit together; write it again"
@@ -139,14 +128,8 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
     with _refused(path):
         stage, *_ = _first_animated(path)
         time, names, _ = read_usd_positions(path)
-        attributes = sorted(
-            {
-                attribute.GetName()
-                for prim in stage.Traverse()
-                for attribute in prim.GetAuthoredAttributes()
-                if "kinefilter:" in attribute.GetName()
-            }
-        )
+        prims = stage.Traverse()
+        authored = {a.GetName() for prim in prims for a in prim.GetAuthoredAttributes()}
         meters = float(UsdGeom.GetStageMetersPerUnit(stage))
     steps = np.diff(time)
     contents = {
@@ -158,7 +141,7 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
         "seconds": float(time[-1] - time[0]) if len(time) else 0.0,
         "fps": float(1.0 / np.median(steps)) if len(steps) and steps.all() else None,
         "time_codes_per_second": float(stage.GetTimeCodesPerSecond()),
-        "attributes": attributes,
+        "attributes": sorted(name for name in authored if "kinefilter:" in name),
     }
     return {"json": np.array(json.dumps(contents))}
 
@@ -168,7 +151,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
     from pxr import UsdGeom, UsdSkel
 
     with _refused(path):
-        stage, prim, query, names, codes = _first_animated(path)
+        stage, found, query, names, codes = _first_animated(path)
         skeleton = own_skeleton(names)
         if skeleton is None:
             raise InputError(
@@ -179,9 +162,15 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
         axes = with_y_up if turned else np.asarray
         animation = UsdSkel.Animation(query.GetAnimQuery().GetPrim())
-        rest = np.array(UsdSkel.Skeleton(prim).GetRestTransformsAttr().Get())
+        rest = np.array(UsdSkel.Skeleton(found).GetRestTransformsAttr().Get())
         places = _samples(animation.GetTranslationsAttr(), codes)
         xyzw = _samples(animation.GetRotationsAttr(), codes)
+        folder, props = stage.GetPrimAtPath(f"{CHARACTER}/Props"), []
+        for prim in folder.GetChildren() if folder else ():
+            shapes = tuple(_shape(part, axes, meters) for part in prim.GetChildren())
+            where, turns = _placed(prim, codes)
+            where, turns = axes(where) * meters, axes(turns)
+            props.append(Prop(prim.GetName(), shapes, where, turns))
         return {
             "skeleton": np.array(skeleton.name),
             "time": np.array(codes) / stage.GetTimeCodesPerSecond(),
@@ -189,7 +178,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
             "root": axes(places[:, 0].astype(np.float64)) * meters,
             "turns": axes(normalize(np.roll(xyzw, 1, axis=-1).astype(np.float64))),
             **_provenance(stage.GetPrimAtPath(CHARACTER), codes, skeleton, path),
-            **_props(stage, codes, axes, meters),
+            **props_as_arrays(props),
         }
 
 
@@ -199,22 +188,23 @@ def _refused(path: str) -> Iterator[None]:
 
     try:
         yield
+    except InputError as error:
+        told = str(error)
+        raise InputError(told if path in told else f"{path}: {told}") from None
     except (Tf.ErrorException, *_BROKEN):
-        raise InputError(
-            f"{path}: its skeleton and animation do not fit; export it again"
-        ) from None
+        wrong = "its skeleton and animation do not fit; export it again"
+        raise InputError(f"{path}: {wrong}") from None
 
 
-def _first_animated(path: str) -> _Animated:
+def _first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
     """Return stage, prim, query, joint names and time codes of a skeleton."""
     from pxr import Tf, Usd, UsdSkel
 
     try:
         stage = Usd.Stage.Open(path)
     except Tf.ErrorException:
-        raise InputError(
-            f"{path}: cannot be read as USD; expected .usda, .usdc or .usd"
-        ) from None
+        known = "expected .usda, .usdc or .usd"
+        raise InputError(f"{path}: cannot be read as USD; {known}") from None
     cache = UsdSkel.Cache()
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Root):
@@ -258,25 +248,6 @@ def _provenance(
     return arrays
 
 
-def _props(
-    stage: Any, codes: Sequence[float], axes: Callable[[Array], Array], meters: float
-) -> dict[str, NDArray[Any]]:
-    folder = stage.GetPrimAtPath(f"{CHARACTER}/Props")
-    arrays: dict[str, NDArray[Any]] = {}
-    for k, prim in enumerate(folder.GetChildren() if folder else ()):
-        shapes = prim.GetChildren()
-        arrays[f"prop:{k}:name"] = np.array(prim.GetName())
-        kinds = [str(shape.GetTypeName()) for shape in shapes]
-        arrays[f"prop:{k}:kinds"] = np.array([_KINDS.get(t, t.lower()) for t in kinds])
-        places, turns = _placed(prim, codes)
-        arrays[f"prop:{k}:positions"] = axes(places) * meters
-        arrays[f"prop:{k}:rotations"] = axes(turns)
-        for n, shape in enumerate(shapes):
-            for name, array in _shape(shape, axes, meters).items():
-                arrays[f"prop:{k}:{n}:{name}"] = array
-    return arrays
-
-
 def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
     """Return a prim's places (T, 3) and rotations wxyz (T, 4); T is 1 at rest."""
     translate, orient = (
@@ -288,28 +259,22 @@ def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
     return np.array([translate.Get(code) for code in times], dtype=float), wxyz
 
 
-def _shape(
-    prim: Any, axes: Callable[[Array], Array], meters: float
-) -> dict[str, NDArray[Any]]:
+def _shape(prim: Any, axes: Callable[[Array], Array], meters: float) -> Shape:
     def number(name: str) -> Any:
         return np.array(prim.GetAttribute(name).Get(), dtype=float)
 
+    kind = str(prim.GetTypeName())
     (place,), (turn,) = _placed(prim, [0.0])
     points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
-    if prim.GetTypeName() == "Mesh":
+    if kind == "Mesh":
         points = axes(number("points")) * meters
         triangles = number("faceVertexIndices").astype(np.int64).reshape(-1, 3)
         size = np.abs(points).max(axis=0)
-    elif prim.GetTypeName() in ("Capsule", "Cylinder"):
+    elif kind in ("Capsule", "Cylinder"):
         radius, height = number("radius"), number("height")
         size = np.array([radius, 0.5 * height, radius]) * meters
     else:
         size = np.abs(axes(number("xformOp:scale"))) * meters
-    return {
-        "size": size,
-        "position": axes(place) * meters,
-        "rotation": axes(turn),
-        "color": number("primvars:displayColor")[0] ** (1.0 / LINEAR),
-        "points": points,
-        "triangles": triangles,
-    }
+    ours: Any = _KINDS.get(kind, kind.lower())
+    color = number("primvars:displayColor")[0] ** (1.0 / LINEAR)
+    return Shape(ours, size, axes(place) * meters, axes(turn), color, points, triangles)

@@ -1,4 +1,4 @@
-"""Where frames come from and poses go, and who may connect there.
+"""Where frames come from and poses go, who may connect there, and servers for them.
 
 A program sends the token as ``Authorization: Bearer TOKEN``. A page in a browser cannot
 set that header and appends ``?token=TOKEN`` to the address.
@@ -6,12 +6,17 @@ set that header and appends ``?token=TOKEN`` to the address.
 
 from __future__ import annotations
 
+import asyncio
 import hmac
+import logging
 import re
 import secrets
+import socket
 import ssl
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, replace
+from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, urlsplit
@@ -22,18 +27,24 @@ from kinefilter.pipeline.formats.files import read_limited
 from kinefilter.pipeline.loopback import OWN_PAGES, is_loopback
 
 from .config import AccessConfig, LiveConfig
+from .tally import Event, Tally
 
 if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
     from websockets.datastructures import Headers
+    from websockets.http11 import Request, Response
 
-STANDARD = "-"
-"""The scheme of the standard input and output."""
+STANDARD = "-"  # the scheme of the standard input and output
 MOST_PORT = 2**16 - 1
-"""The last port."""
 _SOURCES = ("udp", "ws", "wss", STANDARD)
 _TARGETS = ("vmc", "ws", "wss", STANDARD)
 _SHORTEST_TOKEN = 16  # characters; shorter ones can be guessed
 _LARGEST_TOKEN_FILE = 2**12  # bytes
+MOST_CONNECTIONS = 8  # senders, or readers, on a port. A guess: a room of sensors
+_PATIENCE = 5.0  # s for a handshake, and for the answer to a ping
+_GOODBYE = 1.0  # s for the end of a connection
+_SILENT = logging.Logger("kinefilter.live")  # or any stranger could fill the terminal
+_SILENT.disabled = True
 
 
 @dataclass(frozen=True)
@@ -54,8 +65,7 @@ class Address:
 def read_address(text: str, schemes: Sequence[str]) -> Address:
     """Return the address that a text names: ``scheme://host:port`` or ``-``.
 
-    Raises:
-        InputError: It is not such an address.
+    Raises InputError if it is not such an address.
     """
     if text == STANDARD and STANDARD in schemes:
         return Address(STANDARD)
@@ -77,17 +87,14 @@ def read_address(text: str, schemes: Sequence[str]) -> Address:
 def listening_host(address: Address, bind: str | None) -> str:
     """Return the host that a server listens on.
 
-    Raises:
-        InputError: Others could reach it, and the user did not say that they may.
+    Raises InputError if others could reach it and the user did not say that they may.
     """
-    if bind is not None:
-        return bind
-    if not is_loopback(address.host):
+    if bind is None and not is_loopback(address.host):
         raise InputError(
             f"{address} would listen to other machines; write 127.0.0.1, or add "
             f"--bind {address.host} if they are meant to connect"
         )
-    return address.host
+    return address.host if bind is None else bind
 
 
 @dataclass(frozen=True)
@@ -127,19 +134,18 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     """Return where frames come from and poses go.
 
     Where other machines can connect there is a token: that of the file, or a new one.
-
-    Raises:
-        InputError: An address is wrong, others could reach it though the user did not
-            allow it, a file is wrong, or a package is not installed.
+    Raises InputError if an address or a file is wrong, others could reach it though the
+    user did not allow it, or a package is not installed.
     """
+    addresses = [
+        read_address(config.source, _SOURCES),
+        *(read_address(out, _TARGETS) for out in config.out),
+    ]
     source, *targets = (
         replace(address, host=listening_host(address, access.bind))
         if address.scheme in ("udp", "ws", "wss")
         else address
-        for address in (
-            read_address(config.source, _SOURCES),
-            *(read_address(out, _TARGETS) for out in config.out),
-        )
+        for address in addresses
     )
     if not targets:
         raise InputError("--out is missing; give one, such as --out -")
@@ -153,18 +159,23 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
         token = secrets.token_urlsafe()
     tls = None
     if access.certificate is not None:
-        tls = _server_context(access.certificate, access.key)
-    if "wss" in schemes and tls is None:
+        tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        try:
+            # A key that needs a password would ask for it on the terminal.
+            tls.load_cert_chain(access.certificate, access.key, password="")
+        except OSError as error:
+            reason = error.strerror or getattr(error, "reason", None) or error
+            raise InputError(
+                f"{access.certificate}: not a certificate with its key ({reason}); "
+                "expected PEM files, the key without a password"
+            ) from None
+    elif "wss" in schemes:
         raise InputError("wss:// needs --certificate; give one, or write ws://")
     return Endpoints(source, tuple(targets), Access(token, access.origin, tls))
 
 
 def read_token(path: Path) -> str:
-    """Return the token that a file holds.
-
-    Raises:
-        InputError: There is no such file, or its token is too short.
-    """
+    """Return the token in a file; raises InputError if it is too short or missing."""
     token = read_limited(path, _LARGEST_TOKEN_FILE).strip()
     if len(token) < _SHORTEST_TOKEN or not token.isascii() or len(token.split()) > 1:
         raise InputError(
@@ -174,15 +185,107 @@ def read_token(path: Path) -> str:
     return token
 
 
-def _server_context(certificate: Path, key: Path | None) -> ssl.SSLContext:
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+@asynccontextmanager
+async def open_server(
+    handler: Callable[[ServerConnection], Awaitable[None]],
+    address: Address,
+    access: Access,
+    tally: Tally,
+    *,
+    largest: int,
+) -> AsyncIterator[Address]:
+    """Serve WebSockets; yields the address in use.
+
+    Raises InputError if the port is taken or the host is not of this machine.
+    """
+    from websockets.asyncio.server import serve
+
+    connections: set[ServerConnection] = set()
+
+    def guard(connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse clients that may not connect."""
+        if not access.grants(request.path, request.headers):
+            status, reason = HTTPStatus.UNAUTHORIZED, "a token is needed\n"
+        elif len(connection.server.connections) >= MOST_CONNECTIONS:
+            status, reason = HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n"
+        else:
+            return None
+        tally.count(Event.REFUSED)
+        return connection.respond(status, reason)
+
+    async def handle(connection: ServerConnection) -> None:
+        connections.add(connection)
+        try:
+            await handler(connection)
+        finally:
+            connections.discard(connection)
+
     try:
-        # A key that needs a password would ask for it on the terminal.
-        context.load_cert_chain(certificate, key, password="")
-    except (ssl.SSLError, OSError) as error:
-        reason = error.strerror or error.reason if hasattr(error, "reason") else error
+        server = await serve(
+            handle,
+            address.host,
+            address.port,
+            # websockets declares origins more narrowly than it takes them.
+            origins=access.allowed_origins,  # type: ignore[arg-type]
+            process_request=guard,
+            ssl=access.tls,
+            compression=None,  # poses are small, and time counts
+            max_size=largest,
+            open_timeout=_PATIENCE,
+            ping_timeout=_PATIENCE,
+            close_timeout=_GOODBYE,
+            server_header=None,
+            logger=_SILENT,
+        )
+    except OSError as error:
+        raise cannot_listen(address, error) from None
+    try:
+        port = int(next(iter(server.sockets)).getsockname()[1])
+        yield Address("ws" if access.tls is None else "wss", address.host, port)
+    finally:
+        server.close()
+        try:
+            async with asyncio.timeout(_GOODBYE):
+                await server.wait_closed()
+        except TimeoutError:  # without a goodbye to clients that do not read
+            for connection in connections:
+                connection.transport.abort()
+            await server.wait_closed()
+
+
+def cannot_listen(address: Address, error: OSError) -> InputError:
+    """Return the error of a port that is taken, or a host not of this machine."""
+    return InputError(
+        f"{address}: cannot listen there ({error.strerror or error}); choose another "
+        "port or address"
+    )
+
+
+Datagrams = Callable[[bytes, int], bool]
+"""Sends a datagram to a port so many further than the first, whether a program listens
+there or not; tells whether the system took it."""
+
+
+@contextmanager
+def open_datagrams(address: Address) -> Iterator[Datagrams]:
+    """Yield what sends to an address; raises InputError if there is no such host."""
+    try:
+        found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
+    except OSError as error:
         raise InputError(
-            f"{certificate}: not a certificate with its key ({reason}); expected PEM "
-            "files, the key without a password"
+            f"{address}: no such host ({error.strerror or error}); check the name"
         ) from None
-    return context
+    family, _, _, _, place = found[0]
+
+    def send(datagram: bytes, offset: int) -> bool:
+        if address.port + offset > MOST_PORT:
+            return False
+        try:
+            out.sendto(datagram, (str(place[0]), address.port + offset))
+        except OSError:  # too long, or the system's buffer is full
+            return False
+        return True
+
+    with socket.socket(family, socket.SOCK_DGRAM) as out:
+        out.setblocking(False)
+        yield send

@@ -49,8 +49,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.avatar import Pose
 
 LARGEST_MESSAGE = 2**15
-"""Bytes of a message: twice those of six bodies of 25 joints with all their digits, and
-less than a datagram holds."""
+"""Bytes: twice six bodies of 25 joints with all digits; less than a datagram holds."""
 States = NDArray[np.uint8]
 
 _FARTHEST = 100.0  # m: no sensor of people sees that far
@@ -118,22 +117,25 @@ class LivePose:
 
 def stacked(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, States]:
     """Return stamps [s], positions [m] and states of one person's frames."""
-    return (
-        np.array([time for time, _ in frames]),
-        np.array([seen.positions for _, seen in frames]),
-        np.array([seen.state for _, seen in frames]),
-    )
+    rows = [(time, seen.positions, seen.state) for time, seen in frames]
+    time, positions, state = zip(*rows, strict=True)
+    return np.array(time), np.array(positions), np.array(state)
 
 
 def parse_frame(
     message: str | bytes, skeleton: Skeleton, most_bodies: int = MOST_BODIES
 ) -> Frame:
-    """Return the frame that a message holds.
-
-    Raises:
-        MalformedError: The message is anything else.
-    """
-    data = _data(message)
+    """Return the frame in a message; raises MalformedError of anything else."""
+    if len(message) > LARGEST_MESSAGE:
+        raise MalformedError(Reason.TOO_LONG)
+    try:
+        text = message.decode("utf-8") if isinstance(message, bytes) else message
+        # Floats alone: a whole number of thousands of digits takes long to read.
+        data = json.loads(text, parse_int=float, parse_constant=_no_number)
+    except RecursionError:
+        raise MalformedError(Reason.TOO_DEEP) from None
+    except ValueError:
+        raise MalformedError(Reason.NOT_JSON) from None
     if not isinstance(data, dict):
         raise MalformedError(Reason.NOT_A_FRAME)
     if set(data) == {"time", "joints"}:
@@ -151,20 +153,6 @@ def parse_frame(
     return Frame(time, bodies)
 
 
-def _data(message: str | bytes) -> Any:
-    """Return what JSON says; all numbers are floats."""
-    if len(message) > LARGEST_MESSAGE:
-        raise MalformedError(Reason.TOO_LONG)
-    try:
-        text = message.decode("utf-8") if isinstance(message, bytes) else message
-        # Floats alone: a whole number of thousands of digits takes long to read.
-        return json.loads(text, parse_int=float, parse_constant=_no_number)
-    except RecursionError:
-        raise MalformedError(Reason.TOO_DEEP) from None
-    except ValueError:
-        raise MalformedError(Reason.NOT_JSON) from None
-
-
 def _no_number(_: str) -> NoReturn:
     raise MalformedError(Reason.NUMBER)
 
@@ -173,29 +161,23 @@ def _body(data: Any, skeleton: Skeleton) -> SeenBody:
     if not isinstance(data, dict) or set(data) != {"id", "joints"}:
         raise MalformedError(Reason.NOT_A_FRAME)
     joints = data["joints"]
-    if isinstance(joints, list) and len(joints) == len(skeleton):
-        rows = [_row(joint) for joint in joints]
-    elif isinstance(joints, dict):
+    if isinstance(joints, dict):
         if not joints.keys() <= set(skeleton.joints):
             raise MalformedError(Reason.JOINT)
-        rows = [_row(joints.get(name)) for name in skeleton.joints]
-    else:
+        joints = [joints.get(name) for name in skeleton.joints]
+    if not isinstance(joints, list) or len(joints) != len(skeleton):
         raise MalformedError(Reason.NOT_A_FRAME)
-    numbers = np.array(rows)
+    numbers = np.array([_row(joint) for joint in joints])
     positions, state = missing_marked(numbers[:, :3], numbers[:, 3].astype(np.uint8))
     return SeenBody(_id(data["id"]), positions, state)
-
-
-_MISSING = (math.nan, math.nan, math.nan, 0.0)
 
 
 def _row(joint: Any) -> tuple[float, float, float, float]:
     """Return x, y, z [m] and state of a joint."""
     if joint is None:
-        return _MISSING
-    if not isinstance(joint, list) or len(joint) not in (3, 4):
-        raise MalformedError(Reason.NOT_A_FRAME)
-    if not all(type(number) is float for number in joint):
+        return math.nan, math.nan, math.nan, 0.0
+    numbers = isinstance(joint, list) and all(type(n) is float for n in joint)
+    if not numbers or len(joint) not in (3, 4):
         raise MalformedError(Reason.NOT_A_FRAME)
     x, y, z, state = (*joint, float(State.TRACKED))[:4]
     # Infinite numbers, such as 1e999, are beyond it too.
@@ -213,23 +195,16 @@ def _id(data: Any) -> str:
 
 
 def format_frame(frame: Frame) -> str:
-    """Return a frame as a message, without a line end.
-
-    Joints are listed in the SDK's order, to 0.01 mm.
-    """
-    bodies = [
-        {"id": body.id, "joints": _joints(body.positions, body.state)}
-        for body in frame.bodies
-    ]
+    """Return a frame as a message without a line end, to 0.01 mm, joints in order."""
+    bodies = []
+    for body in frame.bodies:
+        places = np.round(body.positions, _DECIMALS).tolist()
+        joints = [
+            None if math.isnan(place[0]) else [*place, state]
+            for place, state in zip(places, body.state.tolist(), strict=True)
+        ]
+        bodies.append({"id": body.id, "joints": joints})
     return _line({"time": frame.time, "bodies": bodies})
-
-
-def _joints(positions: Array, state: States) -> list[list[float] | None]:
-    places = np.round(positions, _DECIMALS).tolist()
-    return [
-        None if place[0] != place[0] else [*place, rank]
-        for place, rank in zip(places, state.tolist(), strict=True)
-    ]
 
 
 def skeleton_line(skeleton: Skeleton) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import ssl
 from collections.abc import AsyncIterator, Iterator, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -18,10 +18,9 @@ import numpy as np
 from kinefilter.characters import InputError, Take
 from kinefilter.pipeline.extras import require
 
-from .endpoints import STANDARD, Address, read_token
+from .endpoints import STANDARD, Address, Datagrams, open_datagrams, read_token
 from .messages import Frame, SeenBody, format_frame
 from .sinks import write_out
-from .sockets import Datagrams, open_datagrams
 
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
@@ -39,15 +38,11 @@ class Sender(Protocol):
 
 @asynccontextmanager
 async def open_sender(
-    address: Address,
-    *,
-    token_file: Path | None = None,
-    certificate: Path | None = None,
+    address: Address, *, token_file: Path | None = None, certificate: Path | None = None
 ) -> AsyncIterator[Sender]:
     """Yield what sends frames to an address.
 
-    Raises:
-        InputError: The host is not known, or a file is wrong.
+    Raises InputError if the host is not known, or a file is wrong.
     """
     if address.scheme == STANDARD:
         yield _Printed()
@@ -57,16 +52,22 @@ async def open_sender(
     else:
         require("websockets", "a WebSocket", "live")
         token = None if token_file is None else read_token(token_file)
-        tls = _trusted(certificate) if address.scheme == "wss" else None
+        tls = None
+        if address.scheme == "wss":
+            tls = ssl.create_default_context()
+            try:
+                if certificate is not None:
+                    tls.load_verify_locations(certificate)
+            except OSError as error:
+                reason = f"not a certificate ({error.strerror}); expected a PEM file"
+                raise InputError(f"{certificate}: {reason}") from None
         connection = _Connection(address, token, tls)
         keeping = asyncio.ensure_future(connection.keep())
         try:
             await connection.tried.wait()
             if connection.refused:
-                raise InputError(
-                    f"{address}: refused; give --token-file with the token of the "
-                    "receiver"
-                )
+                hint = "give --token-file with the receiver's token"
+                raise InputError(f"{address}: refused; {hint}")
             yield connection
         finally:
             keeping.cancel()
@@ -143,26 +144,11 @@ class _Connection:
         return True
 
 
-def _trusted(certificate: Path | None) -> ssl.SSLContext:
-    try:
-        context = ssl.create_default_context()
-        if certificate is not None:
-            context.load_verify_locations(certificate)
-    except (ssl.SSLError, OSError) as error:
-        raise InputError(
-            f"{certificate}: not a certificate ({error.strerror}); expected a PEM file"
-        ) from None
-    return context
-
-
 def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
     """Yield the frames of a recording, those of one stamp together.
 
-    People of whom no joint is seen are left out.
-
-    Args:
-        takes: The people of one recording, who become bodies 1, 2 and so on.
-        loop: Whether to begin again at the end; time goes on.
+    Its people become bodies 1, 2 and so on; those of whom no joint is seen are left
+    out. With ``loop`` it begins again at the end, and time goes on.
     """
     time = np.unique(np.concatenate([take.time for take in takes]))
     rows = [np.searchsorted(take.time, time) for take in takes]
@@ -171,7 +157,7 @@ def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
     while True:
         for k, stamp in enumerate(time.tolist()):
             bodies = [
-                _seen(take, int(row[k]), number)
+                SeenBody(str(number), take.positions[row[k]], take.state[row[k]])
                 for number, (take, row) in enumerate(zip(takes, rows, strict=True), 1)
                 if row[k] < len(take) and take.time[row[k]] == stamp
             ]
@@ -180,10 +166,6 @@ def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
         if not loop:
             return
         passed += length
-
-
-def _seen(take: Take, row: int, number: int) -> SeenBody:
-    return SeenBody(str(number), take.positions[row], take.state[row])
 
 
 async def replay(
@@ -196,11 +178,7 @@ async def replay(
 ) -> int:
     """Send a recording's frames when they are due, until it ends or is stopped.
 
-    Returns:
-        How many frames were sent.
-
-    Raises:
-        InputError: The speed is not a positive number.
+    Returns how many were sent. Raises InputError if the speed is not over 0.
     """
     if not 0.0 < speed < np.inf:
         raise InputError(f"--speed {speed:g}: expected a number over 0, such as 2")
@@ -210,17 +188,10 @@ async def replay(
         first = frame.time if first is None else first
         due = began + (frame.time - first) / speed
         if due > clock.time():
-            await _until(due, stop)
+            with suppress(TimeoutError):
+                async with asyncio.timeout_at(due):
+                    await stop.wait()
         if stop.is_set():
             break
         sent += await sender.send(format_frame(frame))
     return sent
-
-
-async def _until(due: float, stop: asyncio.Event) -> None:
-    """Wait for a time of the loop's clock [s], or to be stopped."""
-    try:
-        async with asyncio.timeout_at(due):
-            await stop.wait()
-    except TimeoutError:
-        return

@@ -24,8 +24,6 @@ _LEAST = 2  # frames of a take
 
 @dataclass
 class _Part:
-    """One body's file while it is written."""
-
     path: Path
     file: BinaryIO
     last: float  # the last frame's stamp [s]
@@ -39,10 +37,8 @@ class Recorder:
     Parts are called ``take.1.part.csv``. They hold whole rows only, so that the part of
     a session that was killed is a take that lacks its last second. At the end they
     become ``take.csv``, or for several bodies ``take.1.csv``, ``take.2.csv`` and so on
-    in order of appearance.
-
-    Raises:
-        InputError: It cannot be written there, or a recording of that name exists.
+    in order of appearance. Raises InputError if it cannot be written there, or a
+    recording of that name exists.
     """
 
     def __init__(self, path: Path, skeleton: Skeleton, tally: Tally) -> None:
@@ -61,8 +57,7 @@ class Recorder:
         self._current: dict[str, _Part] = {}
         self._waiting, self._lock = 0, threading.Lock()
         self._writing = threading.Lock()
-        self.failure: str | None = None
-        """Why nothing more can be written; None while it can."""
+        self.failure: str | None = None  # why nothing more can be written, if it cannot
 
     def add(self, time: float, seen: SeenBody) -> None:
         """Keep a person's frame with the stamp ``time`` [s] for the next ``flush``."""
@@ -82,7 +77,11 @@ class Recorder:
                 with self._lock:
                     rows, part.waiting = part.waiting, []
                 if rows and self.failure is None:
-                    self._write(part, rows)
+                    try:
+                        _write_whole(part.file, take_rows(*stacked(rows)).encode())
+                        part.frames += len(rows)
+                    except OSError as error:
+                        self._fail(part.path, error)
                 with self._lock:
                     self._waiting -= len(rows)
 
@@ -96,7 +95,12 @@ class Recorder:
         }
         for part in self._parts:
             try:
-                _close(part, places.get(part.path))
+                with part.file as file:
+                    os.fsync(file.fileno())
+                if part.path in places:
+                    part.path.replace(places[part.path])
+                else:
+                    part.path.unlink()
             except OSError as error:
                 self._fail(part.path, error)
                 places.pop(part.path, None)
@@ -125,29 +129,11 @@ class Recorder:
         self._current[seen.id] = part
         return part
 
-    def _write(self, part: _Part, rows: list[tuple[float, SeenBody]]) -> None:
-        try:
-            _write_whole(part.file, take_rows(*stacked(rows)).encode())
-        except OSError as error:
-            self._fail(part.path, error)
-        else:
-            part.frames += len(rows)
-
     def _fail(self, path: Path, error: OSError) -> None:
         self.failure = (
             f"{path}: the recording ends here ({error.strerror or error}); make room "
             "and record again"
         )
-
-
-def _close(part: _Part, name: Path | None) -> None:
-    """Give a file its name, or delete it where it has none."""
-    with part.file as file:
-        os.fsync(file.fileno())
-    if name is None:
-        part.path.unlink()
-    else:
-        part.path.replace(name)
 
 
 def _write_whole(file: BinaryIO, data: bytes) -> None:

@@ -17,10 +17,9 @@ from kinefilter.characters import (
 )
 
 from .config import AccessConfig, LiveConfig
-from .crowd import Crowd, Presence, Waiting
+from .crowd import Crowd, Person, Presence, Waiting, make_avatar
 from .endpoints import Address, find_endpoints
 from .messages import LivePose, MalformedError, parse_frame
-from .person import Person, make_avatar
 from .recorder import Recorder
 from .sinks import Sink, open_sink
 from .sources import Intake, open_source
@@ -31,6 +30,7 @@ _FLUSH = 1.0  # s between writes of the recording: what a kill may cost
 _WARM_UP = 10  # frames; the first of a process take a hundred times as long
 _MOST_BODIES = 32
 _QUIET = 3  # turns of the loop: a WebSocket's message takes as many to get here
+_Started = Callable[[list[Address]], None]
 
 
 class Session:
@@ -38,16 +38,13 @@ class Session:
 
     Poses are made in the loop itself: to wake a thread for each takes a busy machine
     some milliseconds. Between two poses all frames that came are taken in; while poses
-    are late, the newest frame of each person waits and older ones are dropped.
-
-    Raises:
-        InputError: The configuration is wrong, or a package is not installed.
+    are late, the newest frame of each person waits and older ones are dropped. Raises
+    InputError if the configuration is wrong, or a package is not installed.
     """
 
     def __init__(self, config: LiveConfig, access: AccessConfig | None = None) -> None:
         self.tally = Tally()
-        self.recorded: list[Path] = []
-        """Files of the recording, once it is finished."""
+        self.recorded: list[Path] = []  # once the recording is finished
         self.endpoints = find_endpoints(config, access or AccessConfig())
         if not 1 <= config.bodies <= _MOST_BODIES:
             raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
@@ -61,18 +58,12 @@ class Session:
         self._idle.set()
 
     async def run(
-        self,
-        stop: asyncio.Event,
-        started: Callable[[list[Address]], None] = lambda _: None,
+        self, stop: asyncio.Event, started: _Started = lambda _: None
     ) -> None:
-        """Follow people until told to stop or the input ends; finish the recording.
+        """Follow people until ``stop`` is set or the input ends; end the recording.
 
-        Args:
-            stop: Ends the session when it is set.
-            started: Called with the addresses in use, of the input, then the outputs.
-
-        Raises:
-            InputError: A port is taken, or a host not known.
+        ``started`` is called with the addresses in use, of the input, then the outputs.
+        Raises InputError if a port is taken, or a host not known.
         """
         try:
             self._warm_up()
@@ -84,10 +75,7 @@ class Session:
                 self.recorded = self.recorder.finish()
 
     async def _serve(
-        self,
-        stack: AsyncExitStack,
-        stop: asyncio.Event,
-        started: Callable[[list[Address]], None],
+        self, stack: AsyncExitStack, stop: asyncio.Event, started: _Started
     ) -> None:
         access, used = self.endpoints.access, []
         for target in self.endpoints.targets:
@@ -167,14 +155,9 @@ class Session:
             return
         if pose is None or person.body is None:
             return
-        live = LivePose(
-            presence.id,
-            presence.slot,
-            waiting.time,
-            person.body,
-            pose,
-            time.perf_counter() - waiting.arrived,
-        )
+        latency = time.perf_counter() - waiting.arrived
+        named = presence.id, presence.slot, waiting.time
+        live = LivePose(*named, person.body, pose, latency)
         for sink in self._sinks:
             sink.send(live)
         self.tally.count(Event.POSES)

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 
 from kinefilter.characters import Skeleton
 
-from .endpoints import STANDARD, Access, Address
+from .endpoints import STANDARD, Access, Address, Datagrams, open_datagrams, open_server
 from .messages import LivePose, gone_line, pose_line, skeleton_line
-from .sockets import Datagrams, open_datagrams, open_server
 from .tally import Event, Tally
 from .vmc import VmcFigure, absence
 
@@ -45,7 +44,6 @@ class Sink:
 
     def put(self, line: str) -> None:
         """Send a line."""
-        raise NotImplementedError
 
     async def flushed(self) -> None:
         """Wait for readers; of those that come and go as they like, for none."""
@@ -61,18 +59,17 @@ async def open_sink(
 ) -> AsyncIterator[tuple[Sink, Address]]:
     """Yield what poses are sent to, and its address in use.
 
-    Raises:
-        InputError: The port is taken or the host not known.
+    Raises InputError if the port is taken or the host not known.
     """
     if address.scheme == STANDARD:
-        printer = Printer(skeleton, tally, lost)
+        printer = _Printer(skeleton, tally, lost)
         try:
             yield printer, address
         finally:
             await printer.finish()
     elif address.scheme == "vmc":
         with open_datagrams(address) as out:
-            yield Engine(out, tally), address
+            yield _Engine(out, tally), address
     else:
         lines = Broadcast(skeleton, tally)
         async with open_server(
@@ -81,11 +78,10 @@ async def open_sink(
             yield lines, actual
 
 
-class Engine(Sink):
+class _Engine(Sink):
     """Sends each person to a port of their own: the first to PORT, the next to PORT+1.
 
-    Where no engine listens, datagrams are lost, which does no harm: an engine that
-    comes back goes on with the next pose.
+    Datagrams that no engine listens for are lost; it goes on with the next pose.
     """
 
     def __init__(self, out: Datagrams, tally: Tally) -> None:
@@ -94,7 +90,6 @@ class Engine(Sink):
         self._since: float | None = None
 
     def send(self, live: LivePose) -> None:
-        """Send the datagrams of a pose."""
         figure = self._figures.get(live.slot)
         if figure is None or figure.body is not live.body:
             figure = self._figures[live.slot] = VmcFigure(live.body)
@@ -104,7 +99,6 @@ class Engine(Sink):
             self._send(live.slot, datagram)
 
     def gone(self, body: str, slot: int) -> None:
-        """Tell that a person is gone."""
         del body
         self._send(slot, absence())
 
@@ -118,8 +112,7 @@ class Broadcast(Sink):
 
     def __init__(self, skeleton: Skeleton, tally: Tally) -> None:
         self._first, self._tally = skeleton_line(skeleton), tally
-        self.readers: set[_Reader] = set()
-        """Who is connected."""
+        self.readers: set[_Reader] = set()  # who is connected
 
     def put(self, line: str) -> None:
         """Give a line to all readers."""
@@ -161,7 +154,7 @@ class _Reader:
         self.wake = asyncio.Event()
 
 
-class Printer(Sink):
+class _Printer(Sink):
     """Prints lines; if they are not read for long, the oldest are lost and counted."""
 
     def __init__(
@@ -178,7 +171,6 @@ class Printer(Sink):
         threading.Thread(target=self._write, args=(first,), daemon=True).start()
 
     async def flushed(self) -> None:
-        """Wait until all lines are out."""
         await self._idle.wait()
 
     async def finish(self) -> None:
@@ -190,7 +182,6 @@ class Printer(Sink):
             self._change.notify()
 
     def put(self, line: str) -> None:
-        """Print a line as soon as the last is out."""
         with self._change:
             if len(self._lines) == _WAITING:
                 self._lines.popleft()
@@ -229,11 +220,7 @@ class Printer(Sink):
 
 
 def write_out(data: bytes) -> None:
-    """Write to the standard output; wait until it is read.
-
-    Raises:
-        OSError: The other end is closed.
-    """
+    """Write to the standard output and wait; raises OSError if nobody reads it."""
     # To the descriptor: a buffer's lock would outlive the interpreter.
     while data:
         data = data[os.write(_STDOUT, data) :]

@@ -6,15 +6,21 @@ import asyncio
 import os
 import threading
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Hashable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Hashable
 from concurrent.futures import CancelledError
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .endpoints import STANDARD, Access, Address
+from .endpoints import (
+    MOST_CONNECTIONS,
+    STANDARD,
+    Access,
+    Address,
+    cannot_listen,
+    open_server,
+)
 from .messages import LARGEST_MESSAGE, Reason
-from .sockets import MOST_CONNECTIONS, cannot_listen, open_server
 from .tally import Event, Tally
 
 if TYPE_CHECKING:
@@ -38,13 +44,10 @@ class Intake:
 
 
 class Rate:
-    """Lets one sender's messages pass, up to a number a second.
-
-    Args:
-        now: The time [s], of any clock that does not go back.
-    """
+    """Lets one sender's messages pass, up to a number a second."""
 
     def __init__(self, now: float) -> None:
+        # The time [s] is that of any clock that does not go back.
         self._left, self.heard = _BURST, now
 
     def allows(self, now: float) -> bool:
@@ -81,13 +84,12 @@ async def open_source(
 ) -> AsyncIterator[Address]:
     """Hand over the messages that come to an address; yields the address in use.
 
-    Raises:
-        InputError: The port is taken or the host is not of this machine.
+    Raises InputError if the port is taken or the host is not of this machine.
     """
     if address.scheme == STANDARD:
         # A daemon: a read of a pipe that stays empty never ends.
-        reader = _Stdin(intake)
-        threading.Thread(target=reader.read, daemon=True).start()
+        loop = asyncio.get_running_loop()
+        threading.Thread(target=_read_stdin, args=(intake, loop), daemon=True).start()
         yield address
     elif address.scheme == "udp":
         loop = asyncio.get_running_loop()
@@ -148,46 +150,41 @@ def _handler(intake: Intake) -> Callable[[ServerConnection], Awaitable[None]]:
     return handle
 
 
-class _Stdin:
-    """Lines of the standard input, each of which waits for the poses of the last.
+def _read_stdin(intake: Intake, loop: asyncio.AbstractEventLoop) -> None:
+    """Take lines of the standard input, each after the poses of the last.
 
     A program that writes into a pipe can wait, so no frame is dropped.
     """
 
-    def __init__(self, intake: Intake) -> None:
-        self._intake = intake
-        self._loop = asyncio.get_running_loop()
+    async def take(line: bytes, too_long: bool) -> None:
+        if too_long:
+            intake.tally.malformed[Reason.TOO_LONG] += 1
+        elif line.strip():
+            intake.receive(line)
+            await intake.done()
 
-    def read(self) -> None:
-        # From the descriptor: a buffer's lock would outlive the interpreter.
-        rest, too_long = b"", False
-        while chunk := os.read(_STDIN, _CHUNK):
-            *lines, rest = (rest + chunk).split(b"\n")
-            for line in lines:
-                if not self._call(self._take(b"" if too_long else line, too_long)):
-                    return
-                too_long = False
-            if len(rest) > LARGEST_MESSAGE:
-                rest, too_long = b"", True
-        if rest.strip() or too_long:
-            self._call(self._take(rest, too_long))
-        self._call(self._end())
+    async def end() -> None:
+        intake.ended()
 
-    def _call(self, work: Any) -> bool:
+    def call(work: Coroutine[Any, Any, None]) -> bool:
         """Run something in the loop and wait for it; tell whether it could."""
         try:
-            asyncio.run_coroutine_threadsafe(work, self._loop).result()
+            asyncio.run_coroutine_threadsafe(work, loop).result()
         except (RuntimeError, CancelledError):  # the loop is closed, or closing
             work.close()
             return False
         return True
 
-    async def _take(self, line: bytes, too_long: bool) -> None:
-        if too_long:
-            self._intake.tally.malformed[Reason.TOO_LONG] += 1
-        elif line.strip():
-            self._intake.receive(line)
-            await self._intake.done()
-
-    async def _end(self) -> None:
-        self._intake.ended()
+    # From the descriptor: a buffer's lock would outlive the interpreter.
+    rest, too_long = b"", False
+    while chunk := os.read(_STDIN, _CHUNK):
+        *lines, rest = (rest + chunk).split(b"\n")
+        for line in lines:
+            if not call(take(b"" if too_long else line, too_long)):
+                return
+            too_long = False
+        if len(rest) > LARGEST_MESSAGE:
+            rest, too_long = b"", True
+    if rest.strip() or too_long:
+        call(take(rest, too_long))
+    call(end())

@@ -52,10 +52,7 @@ class Latency:
         self.most = max(self.most, seconds)
 
     def quantile(self, share: float) -> float:
-        """Return the time [s] that a share of all poses took at most, or NaN.
-
-        It is exact to 0.1 ms.
-        """
+        """Return the time [s], to 0.1 ms, that a share of all took at most, or NaN."""
         total = np.cumsum(self._bins)
         if not total[-1]:
             return float("nan")
@@ -63,9 +60,8 @@ class Latency:
 
     def recent(self, share: float) -> float:
         """Return the same [s] of the last 300 poses."""
-        if not self._recent:
-            return float("nan")
-        return float(np.quantile(np.array(self._recent), share))
+        recent = np.array(self._recent)
+        return float(np.quantile(recent, share)) if len(recent) else float("nan")
 
 
 class Tally:
@@ -83,14 +79,10 @@ class Tally:
 
     def as_json(self) -> dict[str, Any]:
         """Return all counts, and latencies in ms."""
-        latency = self.latency
-        known = latency.most > 0.0
+        most, quantile = self.latency.most, self.latency.quantile
+        known = {"p50": quantile(0.5), "p99": quantile(0.99), "max": most}
         return {
             **{event.name.lower(): self.events[event] for event in Event},
             "malformed": {r.name.lower(): self.malformed[r] for r in Reason},
-            "latency_ms": {
-                "p50": latency.quantile(0.5) * 1e3 if known else None,
-                "p99": latency.quantile(0.99) * 1e3 if known else None,
-                "max": latency.most * 1e3 if known else None,
-            },
+            "latency_ms": {k: v * 1e3 if most else None for k, v in known.items()},
         }

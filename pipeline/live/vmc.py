@@ -29,8 +29,7 @@ from kinefilter.retarget.target_rig import built_rig
 if TYPE_CHECKING:
     from kinefilter.pipeline.avatar import Pose
 
-LARGEST_BUNDLE = 1400
-"""Bytes: what an Ethernet packet holds, so that no network splits it."""
+LARGEST_BUNDLE = 1400  # bytes of an Ethernet packet, so that no network splits it
 _HEAD, _PREFIX = 16, 4  # bytes of a bundle's head, and before each message in it
 _AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # x, y, z [m], then xyzw
 _MIRRORED = np.array([-1.0, 1.0, 1.0])
@@ -53,7 +52,10 @@ class VmcFigure:
         self._parents = np.maximum(rest.parents, 0)
         self._root = np.array(rest.parents) < 0
         self._local = rest.positions - rest.positions[self._parents]
-        at_rest = turned(_at_rest(body), self.rig)
+        turns = np.tile(IDENTITY, (1, len(skeleton), 1))
+        root = body.rest_positions[None, skeleton.root]
+        still = Motion(time=np.zeros(1), body=body, root=root, rotations=turns)
+        at_rest = turned(still, self.rig)
         # Every bone of VRM is turned by a part.
         self._rest_turns = np.array([at_rest[n][0] for n in range(len(rest))])
         segments = np.zeros(len(rest), dtype=np.intp)
@@ -79,9 +81,8 @@ class VmcFigure:
     def _rest_over_hips(self) -> tuple[Array, Array]:
         """Return what takes our hips to VRM's.
 
-        Returns:
-            The hips bone over the middle of the thighs [m], which turns with it, and by
-            how much VRM's ankles are higher over flat soles than ours [m].
+        The hips bone over the middle of the thighs [m], which turns with it, and by how
+        much VRM's ankles are higher over flat soles than ours [m].
         """
         rest, rig, skeleton = self.rig.rest.positions, self.rig, self.body.skeleton
         thighs = [rig.joint(f"{side} thigh") for side in SIDES]
@@ -95,8 +96,7 @@ class VmcFigure:
     def bones(self, pose: Pose) -> dict[str, tuple[Array, Array]]:
         """Return where each bone is relative to its parent, in Unity's axes.
 
-        Returns:
-            By bone: position [m], shape (3,), and rotation wxyz, shape (4,).
+        By bone: position [m], shape (3,), and rotation wxyz, shape (4,).
         """
         segments = pose.rotations[self._segments]
         lower, upper = pose.rotations[list(self._trunk)]
@@ -114,9 +114,7 @@ class VmcFigure:
     def bundles(self, pose: Pose, seconds: float) -> list[bytes]:
         """Return a pose as bundles of messages, each of which fits into a datagram.
 
-        Args:
-            pose: The pose of the body.
-            seconds: Time since the first pose [s].
+        ``seconds`` is the time since the first pose [s].
         """
         bones = self.bones(pose).values()
         places = [[*place, *turn[1:], turn[0]] for place, turn in bones]
@@ -162,10 +160,3 @@ def _bundles(messages: Sequence[bytes]) -> list[NDArray[np.float32]]:
             room = LARGEST_BUNDLE - _HEAD - _PREFIX - len(message)
         builders[-1].add_content(OscMessage(message))
     return [np.frombuffer(builder.build().dgram, dtype=">f4") for builder in builders]
-
-
-def _at_rest(body: Body) -> Motion:
-    """Return the body in T-pose as a motion of one frame."""
-    turns = np.tile(IDENTITY, (1, len(body.skeleton), 1))
-    root = body.rest_positions[None, body.skeleton.root]
-    return Motion(time=np.zeros(1), body=body, root=root, rotations=turns)
