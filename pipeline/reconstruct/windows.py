@@ -139,8 +139,9 @@ def describe(
     per_second = seen.rate / SPEED_FRAMES
     end = pointing(last)
     end_speed = per_second * (end - pointing(np.maximum(last - SPEED_FRAMES, 0)))
+    seen_change = change(visible, bones(last), bones(after))
     features = [
-        change(visible, bones(last), bones(after)) / _SEEN_CHANGE,
+        seen_change / _SEEN_CHANGE,
         root[..., 0, :] / _ROOT_CHANGE,
         speeds / _SEEN_SPEED,
         visible / _SEEN,
@@ -158,15 +159,23 @@ def describe(
         base = np.einsum("wmk,wkc->wmc", matrix, pointing(around))
         begin = pointing(after)
         later = pointing(np.minimum(after + SPEED_FRAMES, count - 1))
+        begin_speed = per_second * (later - begin)
         features += [
             begin / _END,
-            per_second * (later - begin) / _END_SPEED,
+            begin_speed / _END_SPEED,
             time[1][..., None] / _TIME,
         ]
     else:
         base, begin = coast(end, end_speed, time[0][..., None]), end
     still = end + share * (begin - end) if ahead else np.broadcast_to(end, base.shape)
     base, still = (unit(d.reshape(*frames.shape, -1, 3)) for d in (base, still))
+    if limb.leg is None and ahead:
+        going = _momentum(
+            np.stack([np.broadcast_to(end_speed, begin_speed.shape), begin_speed]),
+            (length + 1) / seen.rate,
+            *(np.linalg.norm(f, axis=-1) for f in (seen_change, root[..., 0, :])),
+        )
+        base = unit(still + going[..., None, None] * (base - still))
     if limb.leg is not None:
         held = [
             _on_foot(seen, limb, frames, (last, after), time, d, ahead=ahead)
@@ -177,6 +186,37 @@ def describe(
     wide = [np.broadcast_to(f, (*frames.shape, f.shape[-1])) for f in features]
     truth = seen.directions[frames][..., hidden, :]
     return Windows(np.concatenate(wide, axis=2), base, still, truth)
+
+
+def _momentum(
+    speeds: Array, duration: float, seen_change: Array, root_change: Array
+) -> Array:
+    """Return how much of its speed at the ends an arm keeps in a gap, shape (W, M).
+
+    A linear rule, fitted to the arms of six people. On each of them, and on each of
+    ten movements, what the others gave took 3 to 5 % off the error of all the speed.
+
+    Args:
+        speeds: Speeds of the directions at both ends [1/s], shape (2, W, 1, C).
+        duration: Time between the ends [s].
+        seen_change: How far visible segments have moved [m], shape (W, M).
+        root_change: How far the root has [m], shape (W, M).
+    """
+    turns = duration * np.sqrt(3.0 / speeds.shape[-1]) * speeds
+    far = np.linalg.norm(turns, axis=-1)
+    less, more = np.minimum(*far), np.maximum(*far)
+    # Out and back again: the speeds at both ends are against each other.
+    back = -np.sum(turns[0] * turns[1], axis=-1) / np.maximum(less * more, 0.05)
+    keeps = (
+        0.56
+        + 0.53 * np.log(duration)
+        + 0.16 * less / np.maximum(more, 0.05)
+        + 0.48 * back
+        + 0.53 * np.tanh(less + more)
+        - 0.67 * np.tanh(3.0 * seen_change)
+        - 0.82 * np.tanh(3.0 * root_change)
+    )
+    return np.asarray(np.clip(keeps, 0.0, 1.3))
 
 
 def _on_foot(
