@@ -18,7 +18,7 @@ from dying import draw_or_die
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.commands import render as command
+from kinefilter.pipeline.commands import view as command
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.look import Look, render_clips, video, video_task
 from kinefilter.pipeline.look.video_opengl import Backend, find_backend
