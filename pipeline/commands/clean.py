@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline import look
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.config_files import overlaid, read_settings
 from kinefilter.pipeline.formats import (
@@ -105,7 +104,9 @@ class Clean:
         """Raise an InputError for files that cannot be written or must be kept."""
         check_writable(self.out, self.export)
         if self.report is not None:
-            look.check_report(self.report)
+            from kinefilter.pipeline.look.page import check_report
+
+            check_report(self.report)
         written = (self.out, self.json, self.save_contacts, self.report)
         for k, path in enumerate(written):
             check_output(path, *used, *written[:k])
@@ -140,8 +141,10 @@ class Clean:
         out.print(f"wrote {path}")
         if self.report is not None:
             path = numbered(self.report, body)
-            comparison = look.compare(result.clip, take)
-            look.write_report(comparison, path, look.read_limits())
+            from kinefilter.pipeline.look.comparison import compare
+            from kinefilter.pipeline.look.page import read_limits, write_report
+
+            write_report(compare(result.clip, take), path, read_limits())
             out.print(f"wrote {path}")
 
 

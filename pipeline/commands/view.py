@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline import look
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.look import Look
+from kinefilter.pipeline.look.drawing import Drawing, cleaned
+from kinefilter.pipeline.look.options import Look
+from kinefilter.pipeline.progress import Progress
 
 from .terminal import check_output, err, keep, out, progress_bars
 
 if TYPE_CHECKING:
-    from kinefilter.pipeline.look import Drawing
     from kinefilter.pipeline.look.viewer import CleanAgain
-    from kinefilter.pipeline.progress import Progress
 
 
 _CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz")
@@ -62,6 +61,8 @@ class View:
     def run(self) -> int:
         """Read or clean, serve, wait until it is ended."""
         require("viser", "viewing", "view")
+        from kinefilter.pipeline.look.viewer import opened_viewer
+
         # By default wave.contacts.csv for wave.csv.gz.
         stem = Path(self.motion.name.removesuffix(".gz")).stem
         beside = self.motion.with_name(f"{stem}.contacts.csv")
@@ -69,7 +70,7 @@ class View:
         self._check(save)
         try:
             drawing, again = self._drawing()
-            with look.opened_viewer(
+            with opened_viewer(
                 drawing, save, again=again, bind=self.bind, port=self.port
             ) as viewer:
                 out.print(f"{viewer.address} shows {self.motion}; Ctrl-C ends")
@@ -112,7 +113,9 @@ class View:
     def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
         """Return what is looked at, and how it is cleaned again."""
         if self._is_clip:
-            return look.read_drawing(self.motion, self.take, body=self.body), None
+            from kinefilter.pipeline.look.comparison import read_drawing
+
+            return read_drawing(self.motion, self.take, body=self.body), None
         recording = read_recording(self.motion, format=self.format)
         take = recording.take(self.body)
         for note in recording.notes:
@@ -120,10 +123,10 @@ class View:
 
         def again(contacts: Path, progress: Progress) -> Drawing:
             config = replace(self.config, contacts=contacts)
-            return look.cleaned(take, config, progress=progress)
+            return cleaned(take, config, progress=progress)
 
         with progress_bars() as progress:
-            return look.cleaned(take, self.config, progress=progress), again
+            return cleaned(take, self.config, progress=progress), again
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,8 @@ class Render:
 
     def run(self) -> int:
         """Draw, write, report."""
+        from kinefilter.pipeline.look.video import render_clips
+
         if not self.clips:
             raise InputError("no clips given; name one or more to draw")
         if self.jobs is not None and self.jobs < 1:
@@ -151,7 +156,7 @@ class Render:
         keep(self.out, *self.clips, self.look.compare)
         try:
             with progress_bars() as progress:
-                done = look.render_clips(
+                done = render_clips(
                     self.clips, self.out, self.look, jobs=self.jobs, progress=progress
                 )
         except KeyboardInterrupt:
@@ -194,14 +199,17 @@ class Report:
 
     def run(self) -> int:
         """Compare, write, say what failed."""
-        look.check_report(self.out)
+        from kinefilter.pipeline.look import page
+        from kinefilter.pipeline.look.comparison import read_comparison
+
+        page.check_report(self.out)
         check_output(self.out, self.clip, self.take, self.thresholds)
-        gates = [look.parse_limit(text) for text in self.fail_on]
-        limits = look.read_limits(self.thresholds)
-        comparison = look.read_comparison(self.clip, self.take, body=self.body)
+        gates = [page.parse_limit(text) for text in self.fail_on]
+        limits = page.read_limits(self.thresholds)
+        comparison = read_comparison(self.clip, self.take, body=self.body)
         # A gate that is a threshold too stands once in the table.
         limits = tuple(dict.fromkeys((*limits, *gates)))
-        look.write_report(comparison, self.out, limits)
+        page.write_report(comparison, self.out, limits)
         out.print(f"wrote {self.out}")
         failed = [gate for gate in gates if gate.fails(comparison.after)]
         for gate in failed:

@@ -13,15 +13,9 @@ from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.formats.files import read_toml
 
 _FOV = 28.0  # degrees, vertical: a normal lens, 48 mm on 35 mm film
-_FOVS = (1.0, 170.0)  # degrees
 # Degrees to the left of where the character faces, and up. Guesses by eye.
-_DIRECTIONS = {
-    "front": (0.0, 6.0),
-    "side": (90.0, 6.0),
-    "three-quarter": (35.0, 12.0),
-    "orbit": (35.0, 12.0),
-    "follow": (35.0, 12.0),
-}
+_DIRECTIONS = {"front": (0.0, 6.0), "side": (90.0, 6.0)}
+_DIRECTIONS |= dict.fromkeys(("three-quarter", "orbit", "follow"), (35.0, 12.0))
 CAMERAS = tuple(_DIRECTIONS)
 """Cameras that place themselves."""
 
@@ -64,14 +58,10 @@ class CameraPath:
 def camera_path(
     camera: str, motion: Motion, points: Array, *, aspect: float, rate: float
 ) -> CameraPath:
-    """Return the camera of a motion.
+    """Return one of CAMERAS, or the camera in a TOML file, for a motion.
 
-    Args:
-        camera: One of CAMERAS, or the path of a TOML file.
-        motion: The frames that are drawn.
-        points: What is to be seen in each frame [m], shape (T, N, 3).
-        aspect: Width of the picture over its height.
-        rate: Frames a second.
+    It shows points [m] (T, N, 3) in each frame; ``aspect`` is width over height, and
+    ``rate`` frames a second.
 
     Raises:
         InputError: There is no such camera, or the file does not describe one.
@@ -157,12 +147,9 @@ def _from_file(camera: str) -> CameraPath:
             "a file that ends in .toml"
         )
     table = read_toml(path, "write lines such as position = [0.0, 1.5, 4.0]")
-    unknown = set(table) - {"position", "target", "fov"}
+    unknown = ", ".join(sorted(set(table) - {"position", "target", "fov"}))
     if unknown:
-        raise InputError(
-            f"{path}: unknown {', '.join(sorted(unknown))}; known: position, target, "
-            "fov"
-        )
+        raise InputError(f"{path}: unknown {unknown}; known: position, target, fov")
     places = []
     for name in ("position", "target"):
         place = table.get(name)
@@ -174,12 +161,9 @@ def _from_file(camera: str) -> CameraPath:
                 "meters, y up"
             )
         places.append(np.array(place, dtype=np.float64))
-    position, target = places
-    fov = table.get("fov", _FOV)
-    if not isinstance(fov, int | float) or not _FOVS[0] <= fov <= _FOVS[1]:
-        raise InputError(
-            f"{path}: fov is {fov!r}; expected {_FOVS[0]:g} to {_FOVS[1]:g} degrees"
-        )
+    (position, target), fov = places, table.get("fov", _FOV)
+    if not isinstance(fov, int | float) or not 1.0 <= fov <= 170.0:
+        raise InputError(f"{path}: fov is {fov!r}; expected 1 to 170 degrees")
     if np.linalg.norm(np.cross(position - target, [0.0, 1.0, 0.0])) < 1e-3:
         raise InputError(
             f"{path}: the camera looks straight up or down, or at itself; move its "
