@@ -55,11 +55,7 @@ def encode_video(
 def write_mp4(
     parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
 ) -> None:
-    """Write the parts of a video (``encode_video``) one after another.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write the parts of a video (``encode_video``), or raise InputError."""
     import av
 
     with _media_file(path, {"movflags": "+faststart"}) as file:
@@ -76,11 +72,7 @@ def write_mp4(
 def write_gif(
     parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
 ) -> None:
-    """Write an endless animation of PNG pictures, all with one palette.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write an endless animation of PNG pictures, all with one palette."""
     pictures = [data for part in parts for data, _ in part]
     # One palette for all keeps a floor that does not change from flickering, and so
     # does ordered dither: diffusing errors would change the whole floor in every frame.
@@ -112,22 +104,14 @@ def encode_png(picture: Pixels) -> bytes:
 
 
 def write_frame(picture: Pixels, path: Path, fingerprint: str) -> None:
-    """Write a picture, whole or not at all, with the fingerprint of what it shows.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Write a picture, whole or not at all, with the fingerprint of what it shows."""
     data = encode_png(picture)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data[:_HEADER] + _chunk(fingerprint) + data[_HEADER:])
 
 
 def is_drawn(path: Path, fingerprint: str) -> bool:
-    """Tell whether a file is there and has a fingerprint.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """Tell whether a file is there and has a fingerprint, or raise InputError."""
     chunk = _chunk(fingerprint)
     try:
         with path.open("rb") as file:
@@ -149,7 +133,6 @@ def _fraction(rate: float) -> Fraction:
 
 
 def _x264(codec: Any, size: tuple[int, int], rate: float) -> Any:
-    """Return a codec with the settings that are the same for every part and file."""
     from av.codec.context import Flags
 
     codec.width, codec.height = size

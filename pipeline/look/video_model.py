@@ -29,7 +29,6 @@ _BONE_COLOR = (0.25, 0.25, 0.28)
 _LIGHT_AWAY = 4.0  # m, above everything
 _LEAST_REACH = 1.5  # m from the middle of the clip that is lit
 _MORE_GEOMS = 100  # room for those that MuJoCo itself adds to the model's
-_STAGE = Path(__file__).with_name("stage.xml")  # sky, floor and fog
 
 
 class ClipModel:
@@ -48,14 +47,26 @@ class ClipModel:
         toward: Array,
         translucent: bool = False,
     ) -> None:
-        clip, spec = drawing.clip, mujoco.MjSpec.from_file(str(_STAGE))
+        stage = Path(__file__).with_name("stage.xml")  # sky, floor and fog
+        clip, spec = drawing.clip, mujoco.MjSpec.from_file(str(stage))
         spec.visual.global_.offwidth, spec.visual.global_.offheight = size
         spec.visual.quality.offsamples = samples
         spread = clip.positions - clip.root.mean(axis=0)
         spec.stat.extent = max(_LEAST_REACH, np.linalg.norm(spread, axis=-1).max())
         spec.stat.center = middle = to_mujoco(clip.root).mean(axis=0)
         level = toward * [1.0, 0.0, 1.0]
-        _add_light(spec, to_mujoco(level / np.linalg.norm(level)), middle)
+        front = to_mujoco(level / np.linalg.norm(level))
+        left = np.array([-front[1], front[0], 0.0])
+        away = -0.5 * front - 0.45 * left - [0.0, 0.0, 1.0]
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it points to
+            dir=away,
+            diffuse=[0.45] * 3,
+            ambient=[0.0] * 3,
+            specular=[0.12] * 3,
+            castshadow=True,
+        )
         _add_character(spec, clip.body, _TRANSLUCENT if translucent else 1.0)
         for prop in clip.props:
             _add_prop(spec, prop)
@@ -183,21 +194,6 @@ def figure_names(skeleton: Skeleton) -> list[str]:
     """Return the names of the raw figure's geoms: the joints, then the bones."""
     joints = [f"joint:{joint}" for joint in skeleton.joints]
     return joints + [f"bone:{skeleton.joints[j]}" for j in skeleton.segments]
-
-
-def _add_light(spec: mujoco.MjSpec, front: Array, middle: Array) -> None:
-    """Add light from the front, the left and above."""
-    left = np.array([-front[1], front[0], 0.0])
-    away = -0.5 * front - 0.45 * left - [0.0, 0.0, 1.0]
-    spec.worldbody.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it points to
-        dir=away,
-        diffuse=[0.45] * 3,
-        ambient=[0.0] * 3,
-        specular=[0.12] * 3,
-        castshadow=True,
-    )
 
 
 def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:

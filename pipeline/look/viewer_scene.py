@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import trimesh
@@ -91,8 +91,7 @@ def _add_contacts(
     scene: viser.SceneApi, clip: Clip, edits: ContactEdits
 ) -> tuple[Any, Update]:
     """Add a disk on the floor under every heel and toe that stands."""
-    feet = ankles_and_toes(clip.skeleton)
-    parts = [j for pair in zip(*feet, strict=True) for j in pair]
+    parts = np.transpose(ankles_and_toes(clip.skeleton)).ravel()
     places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
     disk = _cylinder(_DISK, _THICK, sections=32)
     disks = _add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
@@ -110,18 +109,17 @@ def _add_sticks(
     """Add spheres and cylinders for joints and bones, which can be moved together."""
     group = scene.add_frame(f"/{name}", show_axes=False)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=_JOINT)
-    color, skeleton = figure.color or _BONE_COLOR, figure.skeleton
-    joints = _add_batch(scene, f"/{name}/joints", ball, len(skeleton), color)
     stick = _cylinder(_BONE, 1.0, sections=12)
-    count = len(skeleton.segments)
-    bones = _add_batch(scene, f"/{name}/bones", stick, count, color)
+    color, count = figure.color or _BONE_COLOR, len(figure.skeleton)
+    joints = _add_batch(scene, f"/{name}/joints", ball, count, color)
+    bones = _add_batch(scene, f"/{name}/bones", stick, count - 1, color)
 
     def update(frame: int) -> None:
         now = figure.at(frame)
+        there = now.bone_there
         joints.batched_positions = now.joints
         joints.batched_scales = now.joint_there[:, None].repeat(3, axis=1)
         bones.batched_positions, bones.batched_wxyzs = now.centers, now.rotations
-        there = now.bone_there
         bones.batched_scales = np.stack([there, there * now.lengths, there], axis=1)
         if now.joint_colors is not None:
             joints.batched_colors = _bytes(now.joint_colors)
@@ -202,7 +200,6 @@ def _add_force(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
 def _set_stage(
     server: viser.ViserServer, clip: Clip, offset: Array
 ) -> viser.DirectionalLightHandle:
-    """Set sky, floor, lights and the first view; return the light with shadows."""
     scene = server.scene
     scene.set_up_direction("+y")
     top, bottom = (np.array(color) for color in _SKY)
@@ -269,25 +266,22 @@ def _add_batch(
 
 
 def _surface(shape: Shape) -> trimesh.Trimesh:
-    """Return the surface of a shape in its own frame [m]."""
     radius, half = float(shape.size[0]), float(shape.size[1])
-    mesh: trimesh.Trimesh
     if shape.kind == "mesh":
-        mesh = trimesh.Trimesh(shape.points, shape.triangles, process=False)
-    elif shape.kind == "box":
+        return trimesh.Trimesh(shape.points, shape.triangles, process=False)
+    if shape.kind == "cylinder":
+        return _cylinder(radius, 2.0 * half, sections=32)
+    if shape.kind == "box":
         mesh = trimesh.creation.box(extents=2.0 * shape.size)
     elif shape.kind == "ellipsoid":
         mesh = trimesh.creation.icosphere(subdivisions=3)
         mesh.vertices = mesh.vertices * shape.size
-    elif shape.kind == "capsule":
-        mesh = trimesh.creation.capsule(2.0 * half, radius, transform=_UPRIGHT)
     else:
-        mesh = _cylinder(radius, 2.0 * half, sections=32)
-    return mesh
+        mesh = trimesh.creation.capsule(2.0 * half, radius, transform=_UPRIGHT)
+    return cast(trimesh.Trimesh, mesh)
 
 
 def _cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
-    """Return a cylinder about the y axis [m], centered."""
     make: Callable[..., trimesh.Trimesh] = trimesh.creation.cylinder
     return make(radius, height, sections, transform=_UPRIGHT)
 
