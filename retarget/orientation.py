@@ -64,10 +64,7 @@ def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:
 
 
 def _pelvis(positions: Array, body: Body) -> Array:
-    """Return the pelvis' rotation: x through the hips, y towards the spine.
-
-    The identity where hips and spine span no plane.
-    """
+    """Return the pelvis' rotation; the identity where hips and spine span no plane."""
     frame, plane = _pelvis_frame(positions, body.skeleton)
     pelvis = multiply(frame, _from_rest_pelvis(body))
     return pelvis if np.all(plane) else np.where(plane[..., None], pelvis, IDENTITY)
@@ -81,17 +78,14 @@ def _from_rest_pelvis(body: Body) -> Array:
 def _pelvis_frame(
     positions: Array, skeleton: Skeleton
 ) -> tuple[Array, NDArray[np.bool_]]:
-    left, right = skeleton.hips
-    (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
-    across = positions[..., left, :] - positions[..., right, :]
-    return _frame(across, positions[..., spine, :] - positions[..., skeleton.root, :])
-
-
-def _frame(x: Array, up: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the rotation whose x axis is along x and whose y axis is nearest to up.
+    """Return the rotation to x through the hips and y towards the spine.
 
     And whether the two span a plane: otherwise it is anything.
     """
+    left, right = skeleton.hips
+    (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
+    x = positions[..., left, :] - positions[..., right, :]
+    up = positions[..., spine, :] - positions[..., skeleton.root, :]
     turned = between(_X, x)
     # What is left is the angle about x from the turned y axis to up.
     seen = rotate(inverse(turned), up)

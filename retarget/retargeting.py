@@ -8,13 +8,12 @@ rest pose counts as upright and flat, and only headings differ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Body, Clip, Motion, Skeleton
-from kinefilter.characters.arrays import Array, freeze
+from kinefilter.characters.arrays import Array, read_only
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,
@@ -59,17 +58,15 @@ _SHORT = 1e-9  # m
 _UP, _LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
-class Retargeted:
-    """Where another skeleton's joints are, and how they are turned."""
+class Retargeted(NamedTuple):
+    """Where another skeleton's joints are, and how they are turned.
+
+    World rotations since the rest pose, wxyz, shape (T, N, 4); positions [m], floor at
+    y = 0, shape (T, N, 3).
+    """
 
     rotations: Array
-    """World rotation of each joint since the rest pose, wxyz, shape (T, N, 4)."""
     positions: Array
-    """World position of each joint [m], floor at y = 0, shape (T, N, 3)."""
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
@@ -93,8 +90,7 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     for side, goal in zip(SIDES, goals, strict=True):
         motion.bend(side, _LEG, goal)
         motion.bend(side, _ARM, motion.limb_end(side, _ARM))
-    rotations, positions = motion.posed(hips)
-    return Retargeted(rotations, positions)
+    return Retargeted(*map(read_only, motion.posed(hips)))
 
 
 class _Motion:
@@ -136,8 +132,8 @@ class _Motion:
         above = rest[pelvis] - rest[thighs].mean(axis=0)
         return np.asarray(path + rotate(self.turns[pelvis], above))
 
-    def posed(self, hips: Array) -> tuple[Array, Array]:
-        """Return rotations (T, N, 4) and positions (T, N, 3) [m] of all joints."""
+    def posed(self, hips: Array) -> Retargeted:
+        """Return rotations and positions of all joints, given those of the hips."""
         rest, pelvis = self.rig.rest, self.rig.joint("pelvis")
         rotations = np.empty((len(self.clip), len(rest), 4))
         positions = np.empty((len(self.clip), len(rest), 3))
@@ -151,7 +147,7 @@ class _Motion:
             else:
                 bone = rest.positions[n] - rest.positions[parent]
                 positions[:, n] = positions[:, parent] + rotate(above, bone)
-        return rotations, positions
+        return Retargeted(rotations, positions)
 
     def limb_end(self, side: str, limb: _Limb) -> Array:
         """Return where a limb ends if it is our scaled one [m], shape (T, 3)."""
@@ -169,7 +165,10 @@ class _Motion:
         frame, shape (T,).
         """
         time, foot = self.clip.time, self.rig.joint(f"{side} foot")
-        heel_stands, toe_stands = self._contacts(side)
+        heel_stands, toe_stands = (
+            self.clip.contacts[:, CONTACTS.index(f"{part}{side.capitalize()}")]
+            for part in ("Heel", "Toe")
+        )
         vector, ankle = self._foot(side), self._ankle_height(side)
         sole, slack = ankle + vector[1], _SLACK * self.rig.leg_length
         toes = rotate(self.turns[foot], vector)
@@ -186,11 +185,6 @@ class _Motion:
         if f"{side} toes" in self.rig.parts:
             self._level_toes(side, (goal + toes)[:, 1] - sole)
         return near_stance(time, heel_stands | toe_stands)
-
-    def _contacts(self, side: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        heel, toe = (f"{part}{side.capitalize()}" for part in ("Heel", "Toe"))
-        contacts = self.clip.contacts
-        return contacts[:, CONTACTS.index(heel)], contacts[:, CONTACTS.index(toe)]
 
     def _foot(self, side: str) -> Array:
         """Return the vector [m] from ankle to toes in the rest pose, shape (3,)."""

@@ -12,15 +12,13 @@ import tomllib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from kinefilter.characters import InputError, Skeleton
 
-RIGS = tuple(
-    sorted(path.stem for path in (Path(__file__).parent / "rigs").glob("*.toml"))
-)
+_HERE = Path(__file__).parent
+RIGS = tuple(sorted(path.stem for path in (_HERE / "rigs").glob("*.toml")))
 """Names of the maps that kinefilter has."""
 
 SIDES = ("left", "right")
@@ -42,10 +40,9 @@ CHAINS = {
 """Part of the body, and the part on which it hangs."""
 PARTS = ("pelvis", *CHAINS)
 """What turns bones."""
-OPTIONAL = {"neck", *(f"{side} {part}" for side in SIDES for part in _LIMBS)} - {
-    f"{side} {part}"
-    for side in SIDES
-    for part in ("upper arm", "lower arm", "hand", "thigh", "shin", "foot")
+OPTIONAL = {
+    "neck",
+    *(f"{side} {part}" for side in SIDES for part in ("clavicle", "toes")),
 }
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
@@ -55,17 +52,17 @@ _LARGEST = 2**20  # bytes: five thousand bones
 
 @dataclass(frozen=True)
 class MapBone:
-    """A bone of another skeleton, from its joint on."""
+    """A bone of another skeleton, from the joint of its name on.
+
+    The root has no parent, and what its parent alone turns has no part (PARTS). The
+    offset from the parent in the rest pose is in shares of stature, x to the left, y
+    up, z ahead; a bone without is looked for in a target, but not built.
+    """
 
     name: str
-    """Name of its joint."""
     parent: str | None
-    """Name of the joint it hangs on; None: it is the root."""
     part: str | None
-    """What turns it (PARTS); None: its parent alone."""
     offset: tuple[float, float, float] | None
-    """From the parent in the rest pose, shares of stature, x to the left, y up, z
-    ahead; None: it is looked for in a target, but not built."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +115,7 @@ def _embedded(rig: str) -> RigMap:
 
 
 def _embedded_text(folder: str, name: str) -> str:
-    file = resources.files("kinefilter.retarget").joinpath(folder, f"{name}.toml")
-    return file.read_text(encoding="utf-8")
+    return (_HERE / folder / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def _parsed(text: str, source: str) -> RigMap:
@@ -152,17 +148,14 @@ def _bone(name: str, row: Any, source: str) -> MapBone:
         )
     if parent is not None and not isinstance(parent, str):
         raise InputError(f"{where}: parent is {parent!r}, expected a bone's name")
-    vector = None if offset is None else _vector(offset, where)
-    return MapBone(name, parent, part, vector)
-
-
-def _vector(offset: Any, where: str) -> tuple[float, float, float]:
+    if offset is None:
+        return MapBone(name, parent, part, None)
     numbers = offset if isinstance(offset, list) else []
     known = [n for n in numbers if isinstance(n, int | float) and abs(n) < 100.0]
     if len(numbers) != 3 or len(known) != 3:
         raise InputError(f"{where}: offset is {offset!r}, expected three shares")
     x, y, z = (float(n) for n in known)
-    return x, y, z
+    return MapBone(name, parent, part, (x, y, z))
 
 
 def _check(bones: tuple[MapBone, ...], source: str) -> None:
@@ -197,12 +190,13 @@ def listed(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class SourceJoint:
-    """Where a Kinect joint lies on another skeleton."""
+    """Where a Kinect joint lies on another skeleton: at the mean of these joints.
+
+    ``turned_by`` is the joint that turns the segment which ends there, if it is known.
+    """
 
     at: tuple[str, ...]
-    """At the mean of these joints."""
     turned_by: str | None
-    """The joint that turns the segment which ends there; None: no one knows."""
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,8 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
     rig = matched_rig(rig_map, rest, body)
     joints, height = _lowest(rig, body)
-    moving = _below(rest, rig.joint("pelvis"))
+    moving = [rig.joint("pelvis")]  # and all that hangs on it
+    moving += [n for n in range(moving[0] + 1, len(rest)) if _hangs(rest, n, moving[0])]
     positions[moving, 1] += height - positions[joints, 1].min()
     full = tuple(rig_map.prefix + name for name in names)
     return TargetRig(replace(rest, names=full), rig.parts, 0.0)
@@ -124,11 +125,16 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
             f"{rest.source}: has {len(roots)} roots ({listed(roots)}), expected one; "
             "hang them under one joint"
         )
-    parts = _found(rig_map, rest)
-    _check_chains(rest, parts)
-    rig = TargetRig(rest, parts, 0.0)
+    rig = TargetRig(rest, _found(rig_map, rest), 0.0)
+    _check_chains(rest, rig.parts)
     _check_lengths(rig)
-    return TargetRig(rest, parts, _floor(rig, body))
+    joints, height = _lowest(rig, body)
+    lowest = float(rest.positions[joints, 1].min())
+    if 0.0 <= lowest <= _ON_FLOOR * rig.leg_length:
+        return rig
+    legs = [body.skeleton.index(f"{j}Left") for j in ("Knee", "Ankle")]
+    floor = lowest - height * rig.leg_length / float(body.lengths[legs].sum())
+    return replace(rig, floor=floor if rest.lowest is None else min(floor, rest.lowest))
 
 
 def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:
@@ -154,13 +160,10 @@ def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
     return np.asarray(length * share / max(float(np.linalg.norm(share)), 1e-9))
 
 
-def _below(rest: RestPose, joint: int) -> list[int]:
-    """Return a joint and all that hangs on it."""
-    inside = [joint]
-    for n in range(joint + 1, len(rest)):
-        if rest.parents[n] in inside:
-            inside.append(n)
-    return inside
+def _hangs(rest: RestPose, joint: int, above: int) -> bool:
+    while joint > above:
+        joint = rest.parents[joint]
+    return joint == above
 
 
 def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
@@ -188,7 +191,6 @@ def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
 
 
 def _check_chains(rest: RestPose, parts: dict[str, tuple[int, ...]]) -> None:
-    """Raise an InputError where a part does not hang where a body has it."""
     of = {joint: part for part, joints in parts.items() for joint in joints}
     for joint, part in of.items():
         above = rest.parents[joint]
@@ -219,13 +221,3 @@ def _check_lengths(rig: TargetRig) -> None:
                 f"{rig.rest.source}: {start!r} and {end!r} are in one place; a bone "
                 "between them needs a length"
             )
-
-
-def _floor(rig: TargetRig, body: Body) -> float:
-    joints, height = _lowest(rig, body)
-    lowest = float(rig.rest.positions[joints, 1].min())
-    if 0.0 <= lowest <= _ON_FLOOR * rig.leg_length:
-        return 0.0
-    legs = [body.skeleton.index(f"{j}Left") for j in ("Knee", "Ankle")]
-    floor = lowest - height * rig.leg_length / float(body.lengths[legs].sum())
-    return floor if rig.rest.lowest is None else min(floor, rig.rest.lowest)
