@@ -13,7 +13,6 @@ from .skeleton import Skeleton
 
 Box = tuple[slice, ...]
 
-_SIDES = ("Left", "Right")
 _LIMBS = 5  # the trunk, two arms, two legs
 
 # How far the crease between two capsules is filled, as a share of the thinner radius:
@@ -44,14 +43,9 @@ class Flesh:
         return len(self.starts)
 
     def distances(self, points: Array, which: int) -> tuple[Array, Array]:
-        """Return distances from one capsule's surface, negative inside, and its radius.
+        """Return distances [m] from a capsule, negative inside, and its radii [m].
 
-        Args:
-            points: Points [m], shape (..., 3).
-            which: Index of the capsule.
-
-        Returns:
-            Distance and radius beside each point [m], both of shape (...,).
+        Both are beside points [m] (..., 3) and of shape (...).
         """
         share = nearest_on_line(points, self.starts[which], self.ends[which])
         near, far = self.radii[which]
@@ -64,11 +58,7 @@ class Flesh:
         """Return the distance, about, from the united capsules, negative inside.
 
         Only what hangs together is rounded: arms and legs with the trunk, not with one
-        another.
-
-        Args:
-            points: Points [m], shape (..., 3).
-            boxes: Which points are near each capsule; by default all are.
+        another. Points [m] are (..., 3), those near a capsule in its box, if given.
         """
         limbs = np.full((_LIMBS, *points.shape[:-1]), _FAR)
         for c, k in enumerate(self.limbs):
@@ -83,12 +73,7 @@ class Flesh:
         return whole
 
     def slope(self, points: Array, step: float) -> Array:
-        """Return the gradient of the field by central differences, shape (P, 3).
-
-        Args:
-            points: Points [m], shape (P, 3).
-            step: Length of a difference [m].
-        """
+        """Return the field's gradient (P, 3) by differences over ``step`` [m]."""
         rise = [
             self.field(points + s) - self.field(points - s) for s in step * np.eye(3)
         ]
@@ -104,10 +89,13 @@ def nearest_on_line(points: Array, start: Array, end: Array) -> Array:
 
 def flesh_of(body: Body) -> Flesh:
     """Return a body's capsules: pelvis, segments, a head, and a heel for each foot."""
-    skeleton, rest = body.skeleton, body.rest_positions
+    skeleton, rest, root = body.skeleton, body.rest_positions, body.skeleton.root
     radii = _radii(body)
-    thick = _joint_radii(skeleton, radii)
-    root = skeleton.root
+    # Along a limb, the body is as thick at a joint as the mean of what meets there.
+    thick = radii.copy()
+    for j, children in enumerate(skeleton.children):
+        if len(children) == 1:
+            thick[j] = np.sqrt(radii[j] * radii[children[0]])
     rows = [(rest[root], rest[root], (thick[root], thick[root]), root)]
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         if skeleton.joints[j] == "Head":
@@ -121,14 +109,8 @@ def flesh_of(body: Body) -> Flesh:
         if skeleton.joints[j].startswith("Foot"):
             heel = np.array([rest[p, 0], radii[j], rest[p, 2]])
             rows.append((heel, rest[j], (radii[j], radii[j]), j))
-    starts, ends, pairs, segments = zip(*rows, strict=True)
-    return Flesh(
-        np.array(starts),
-        np.array(ends),
-        np.array(pairs),
-        np.array(segments),
-        _limbs(skeleton)[list(segments)],
-    )
+    starts, ends, pairs, segments = (np.array(c) for c in zip(*rows, strict=True))
+    return Flesh(starts, ends, pairs, segments, _limbs(skeleton)[segments])
 
 
 def _radii(body: Body) -> Array:
@@ -143,28 +125,13 @@ def _radii(body: Body) -> Array:
     return np.asarray(np.maximum(radii, _THINNEST * body.height))
 
 
-def _joint_radii(skeleton: Skeleton, radii: Array) -> Array:
-    """Return how thick the body is at each joint [m]: the mean of what meets there.
-
-    Along a limb only: where the skeleton branches and at its ends, each segment is as
-    thick as it is.
-    """
-    thick = radii.copy()
-    for j, children in enumerate(skeleton.children):
-        if len(children) == 1:
-            thick[j] = np.sqrt(radii[j] * radii[children[0]])
-    return thick
-
-
 def _limbs(skeleton: Skeleton) -> NDArray[np.int64]:
     """Return which limb each segment is part of, 0 for the trunk, shape (J,)."""
-    starts = [f"{part}{side}" for part in ("Elbow", "Knee") for side in _SIDES]
+    starts = ["ElbowLeft", "ElbowRight", "KneeLeft", "KneeRight"]
     limbs = np.zeros(len(skeleton), dtype=np.int64)
-    for j in skeleton.order:
-        name, parent = skeleton.joints[j], skeleton.parents[j]
-        limbs[j] = starts.index(name) + 1 if name in starts else limbs[parent]
-        if j == skeleton.root:
-            limbs[j] = 0
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        name = skeleton.joints[j]
+        limbs[j] = starts.index(name) + 1 if name in starts else limbs[p]
     return limbs
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body
-from .arrays import freeze, read_only
+from .arrays import Array, check_shapes, freeze, read_only
 from .errors import InputError
-from .kinematics import positions_from_rotations
 from .props import Prop
+from .rotations import rotate
 from .skeleton import Skeleton
 
 _UNIT = 1e-3  # by which a quaternion may be longer than 1: single precision, and room
@@ -60,17 +60,8 @@ class Term(IntEnum):
         return self.name.lower().replace("_", " ")
 
 
-def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:
-    for name, shape in expected.items():
-        found = np.shape(getattr(motion, name))
-        if found != shape:
-            raise InputError(
-                f"{motion.source}: {name} has shape {found}, expected {shape} "
-                f"for {motion.skeleton.name}"
-            )
-
-
-def _check_time(motion: Any) -> None:
+def _check(motion: Take | Motion, shapes: dict[str, tuple[int, ...]]) -> None:
+    check_shapes(motion, motion.source, shapes, f" for {motion.skeleton.name}")
     time = motion.time
     wrong = np.flatnonzero(~np.isfinite(time))
     if len(wrong):
@@ -106,6 +97,21 @@ def frames_per_second(time: NDArray[np.float64]) -> float:
     return float(1.0 / np.median(steps)) if len(steps) else 30.0
 
 
+def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array:
+    """Return joint positions [m] of a body, world frame, shape (..., J, 3).
+
+    Segments have world rotations, unit quaternions wxyz, identity in the T-pose, shape
+    (..., J, 4); the root joint is at ``root`` [m], shape (..., 3).
+    """
+    bones = rotate(rotations, body.rest_offsets)
+    positions = np.empty_like(bones)
+    skeleton = body.skeleton
+    positions[..., skeleton.root, :] = root
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        positions[..., j, :] = positions[..., p, :] + bones[..., j, :]
+    return positions
+
+
 @dataclass(frozen=True, eq=False)
 class Take:
     """A recording as the sensor gave it; arrays are read-only."""
@@ -123,8 +129,7 @@ class Take:
 
     def __post_init__(self) -> None:
         t, j = len(self.time), len(self.skeleton)
-        _check_shapes(self, {"time": (t,), "positions": (t, j, 3), "state": (t, j)})
-        _check_time(self)
+        _check(self, {"time": (t,), "positions": (t, j, 3), "state": (t, j)})
         freeze(self)
 
     def __len__(self) -> int:
@@ -157,8 +162,7 @@ class Motion:
     """Where the motion came from, for messages."""
 
     def __post_init__(self) -> None:
-        _check_shapes(self, self._shapes())
-        _check_time(self)
+        _check(self, self._shapes())
         with np.errstate(over="ignore"):  # of a damaged file
             lengths = np.sqrt(np.vecdot(self.rotations, self.rotations))
         _refuse(self, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
@@ -251,7 +255,9 @@ class Clip(Motion):
         t, j = len(self.time), len(self.skeleton)
         return {
             **super()._shapes(),
-            **dict.fromkeys(_PER_JOINT, (t, j)),
+            **dict.fromkeys(("state", "reliability", "deciding_term"), (t, j)),
+            **dict.fromkeys(("origin", "moved_by_correction"), (t, j)),
+            "moved_by_physics": (t, j),
             "contacts": (t, len(CONTACTS)),
             "external_force": (t,),
         }
@@ -262,13 +268,9 @@ class Clip(Motion):
 
     @classmethod
     def of(cls, motion: Motion, **known: Any) -> Self:
-        """Return a clip of a motion of which nothing else is known.
+        """Return a clip of a motion of which nothing but ``known`` fields is known.
 
         Joints count as tracked and measured, feet as lifted; numbers are NaN.
-
-        Args:
-            motion: How the body moves.
-            known: Fields of the clip that are known after all.
         """
         shape = motion.rotations.shape[:2]
         unknown = np.full(shape, np.nan)
@@ -282,16 +284,5 @@ class Clip(Motion):
             "contacts": np.zeros((shape[0], len(CONTACTS)), dtype=np.bool_),
             "external_force": np.full(shape[0], np.nan),
         }
-        moves = {name: getattr(motion, name) for name in _MOTION}
+        moves = {field.name: getattr(motion, field.name) for field in fields(Motion)}
         return cls(**moves | unknowns | known)
-
-
-_MOTION = tuple(field.name for field in fields(Motion))
-_PER_JOINT = (
-    "state",
-    "reliability",
-    "deciding_term",
-    "origin",
-    "moved_by_correction",
-    "moved_by_physics",
-)

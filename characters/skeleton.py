@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,13 +32,12 @@ class Skeleton:
 
     def index(self, joint: str) -> int:
         """Return the index of ``joint``; raises InputError where there is none."""
-        try:
-            return self._index[joint]
-        except KeyError:
+        if joint not in self._index:
             raise InputError(
                 f"skeleton {self.name} has no joint {joint!r}; it has "
                 + ", ".join(self.joints)
-            ) from None
+            )
+        return self._index[joint]
 
     @cached_property
     def _index(self) -> dict[str, int]:
@@ -95,14 +95,12 @@ class Skeleton:
     def mirror(self) -> NDArray[np.intp]:
         """Permutation that swaps the left and the right joint of every pair."""
         swap = {"Left": "Right", "Right": "Left"}
-
-        def partner(joint: str) -> str:
-            for side, other in swap.items():
-                if joint.endswith(side):
-                    return joint[: -len(side)] + other
-            return joint
-
-        return np.array([self.index(partner(joint)) for joint in self.joints])
+        return np.array(
+            [
+                self.index(re.sub("(Left|Right)$", lambda side: swap[side[0]], joint))
+                for joint in self.joints
+            ]
+        )
 
 
 def _skeleton(name: str, hierarchy: str) -> Skeleton:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .anthropometry import Body
 from .arrays import Array, freeze
-from .flesh import Box, Flesh, flesh_of, nearest_on_line
+from .flesh import Flesh, flesh_of, nearest_on_line
 from .skeleton import Skeleton
 
 if TYPE_CHECKING:
@@ -34,12 +34,7 @@ _LEAST = 0.02  # shares below this are none
 # Corners of a cell, and its edges as pairs of them along x, y and z.
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 _EDGES = np.array(
-    [
-        (a, b)
-        for a in range(8)
-        for b in range(a + 1, 8)
-        if np.abs(_CORNERS[a] - _CORNERS[b]).sum() == 1
-    ]
+    [(a, a + step) for a in range(8) for step in (1, 2, 4) if not a & step]
 )
 
 
@@ -91,7 +86,9 @@ def _mesh(flesh: Flesh, cell: float) -> tuple[Array, NDArray[np.int64]]:
     # Whole cells from the origin: the plane between the legs keeps them apart.
     first, count = low.min(axis=0), high.max(axis=0) - low.min(axis=0) + 1
     grid = (np.moveaxis(np.indices(count), 0, -1) + first) * cell
-    points, quads = quads_of(flesh.field(grid, _boxes(low - first, high - first)))
+    corners = zip((low - first).tolist(), (high - first + 1).tolist(), strict=True)
+    boxes = [tuple(map(slice, *corner)) for corner in corners]
+    points, quads = quads_of(flesh.field(grid, boxes))
     points = (points + first) * cell
     slope = flesh.slope(points, 0.1 * cell)
     for _ in range(3):
@@ -108,13 +105,6 @@ def _normals(points: Array, quads: NDArray[np.int64]) -> Array:
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     mesh = trimesh.Trimesh(points, triangles, process=False)
     return np.asarray(mesh.vertex_normals, dtype=np.float64)
-
-
-def _boxes(low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Box]:
-    return [
-        tuple(slice(a, b + 1) for a, b in zip(*corners, strict=True))
-        for corners in zip(low.tolist(), high.tolist(), strict=True)
-    ]
 
 
 def _weights(
@@ -176,15 +166,11 @@ def _margins(
 
 
 def quads_of(values: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the surface where a field on a grid is zero.
+    """Return points (P, 3) and quads (Q, 4) of the surface where a field is zero.
 
-    Args:
-        values: The field at the points of the grid, negative inside, positive on all
-            of the grid's border, shape (X, Y, Z).
-
-    Returns:
-        Points in units of the grid, shape (P, 3), and quads of indices of points, seen
-        from outside counter-clockwise, shape (Q, 4).
+    The field (X, Y, Z) on a grid is negative inside and positive on all of its border.
+    Points are in units of the grid; quads have their indices, seen from outside
+    counter-clockwise.
     """
     inside = values < 0.0
     around = [

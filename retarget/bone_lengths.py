@@ -86,7 +86,7 @@ class BoneLengths:
         return np.where(exact[:, None, None], points, walked)
 
     def _bones(self, points: Array) -> tuple[Array, Array]:
-        """Return unit directions (at rest of bones without length), length errors [m]."""
+        """Return unit directions and length errors [m]; no length: as at rest."""
         bones = points[:, self._ends] - points[:, self._starts]
         lengths = np.sqrt(np.vecdot(bones, bones))
         there = (lengths > 1e-6)[..., None]
