@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -65,10 +65,8 @@ class Avatar:
         corrector: Corrector | None = None,
     ) -> None:
         self.body, self.floor = body, floor
-        config = CleanConfig(
-            scene=None if scene is None else str(scene),
-            floor="auto" if floor is None else floor,
-        )
+        room = None if scene is None else str(scene)
+        config = CleanConfig(scene=room, floor="auto" if floor is None else floor)
         self.cleaner = Cleaner(config, tracking=tracking, corrector=corrector)
         self.start()
 
@@ -81,10 +79,7 @@ class Avatar:
         self.physics = physics.character
 
     def step(
-        self,
-        positions: ArrayLike,
-        time: float,
-        state: ArrayLike | None = None,
+        self, positions: ArrayLike, time: float, state: ArrayLike | None = None
     ) -> Pose:
         """Follow the next frame.
 
@@ -119,13 +114,7 @@ class Avatar:
             states = np.asarray(state, dtype=np.uint8)
         states = np.where(np.isnan(seen[:, 0]), State.NOT_TRACKED, states)
         found = self.cleaner.step(seen, time, states.astype(np.uint8))
-        return Pose(
-            found.positions,
-            found.rotations,
-            found.stands,
-            found.external_force,
-            found.reset,
-        )
+        return Pose(**{f.name: getattr(found, f.name) for f in fields(Pose)})
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push a part of the body for some time; see ``PulledCharacter.push``."""

@@ -62,10 +62,9 @@ class Quality:
 
 def bone_length_cv(positions: Array, body: Body) -> float:
     """Return the mean coefficient of variation of segment lengths over the frames."""
-    variations = []
-    for j in body.skeleton.segments:
-        bones = positions[:, j] - positions[:, body.skeleton.parents[j]]
-        lengths = _known(np.linalg.norm(bones, axis=1))
+    skeleton, variations = body.skeleton, []
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        lengths = _known(np.linalg.norm(positions[:, j] - positions[:, p], axis=1))
         if len(lengths) > 1:
             variations.append(lengths.std() / lengths.mean())
     return _mean(np.array(variations))
@@ -107,11 +106,9 @@ def lowest_point(positions: Array, body: Body) -> Array:
     joint is nowhere, a frame without joints NaN.
     """
     skeleton = body.skeleton
-    radii = body.radii[skeleton.segments]
-    heights = positions[..., 1]
-    ends = heights[:, skeleton.segments] - radii
-    starts = heights[:, skeleton.segment_parents] - radii
-    return np.asarray(np.fmin.reduce(np.concatenate([ends, starts], axis=1), axis=1))
+    ends = np.concatenate([skeleton.segments, skeleton.segment_parents])
+    radii = np.tile(body.radii[skeleton.segments], 2)
+    return np.asarray(np.fmin.reduce(positions[:, ends, 1] - radii, axis=1))
 
 
 def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, float]:
@@ -122,10 +119,9 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     of those frames with more than 0.2 m/s, and the highest speed [m/s]; NaN where no
     foot ever stands.
     """
-    steps = np.diff(time)
+    steps, speeds = np.diff(time), []
     steps = np.where(steps > 0, steps, np.nan)
-    speeds = []
-    for side in ("Left", "Right"):
+    for side in SIDES:
         foot = body.skeleton.index(f"Foot{side}")
         height = positions[:, foot, 1] - body.radii[foot]
         low = height < SKATE_HEIGHT
@@ -179,9 +175,9 @@ def flight_error(
 
 
 def amplitude(positions: Array, body: Body) -> Array:
-    """Return how far each joint moves about its mean place under the root, (J,).
+    """Return the rms distance [m] of joints from their mean place under the root, (J,).
 
-    Root mean square distance [m]; NaN for the root and for joints never seen.
+    NaN for the root and for joints never seen.
     """
     relative = positions - positions[:, [body.skeleton.root]]
     moves = np.full(positions.shape[1], np.nan)
@@ -215,11 +211,7 @@ def distances(positions: Array, raw: Array) -> Array:
 
 
 def measure(
-    time: Array,
-    positions: Array,
-    raw: Array,
-    body: Body,
-    stands: NDArray[np.bool_],
+    time: Array, positions: Array, raw: Array, body: Body, stands: NDArray[np.bool_]
 ) -> Quality:
     """Return the quality of a motion beside ``raw``, the measurement it came from."""
     hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]

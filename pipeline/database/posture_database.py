@@ -67,13 +67,9 @@ class PostureDatabase:
     ) -> tuple[NDArray[np.intp], Array]:
         """Return the indices of the nearest postures, nearest first, and their D.
 
-        D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] (Shum 2013, eq. 9).
-
-        Args:
-            posture: Normalized joint positions [m], finite where the weight is not 0,
-                shape (J, 3).
-            weights: Reliability of each joint, shape (J,).
-            count: How many.
+        D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] (Shum 2013, eq. 9). The posture,
+        normalized joint positions [m] (J, 3), is finite where the weight is not 0;
+        weights (J,) are the joints' reliability.
         """
         return self._index.nearest(posture, weights, min(count, len(self)))
 
@@ -125,16 +121,15 @@ class PostureDatabase:
         arrays = read_arrays(path, "a motion database of 'kinefilter database build'")
         try:
             skeleton = skeleton_named(str(arrays["skeleton"]))
-            shape = (len(arrays["labels"]), len(skeleton))
             recorded = bool(np.asarray(arrays.get("recorded", False)).item())
+            labels = arrays["labels"]
+            places, turns = arrays["positions"], arrays["rotations"]
+            shape = (len(labels), len(skeleton))
             sound = (
-                arrays["positions"].shape == (*shape, 3)
-                and arrays["rotations"].shape == (*shape, 4)
+                (places.shape, turns.shape) == ((*shape, 3), (*shape, 4))
                 and shape[0] >= 2
-                and arrays["labels"].shape == shape[:1]
-                and arrays["labels"].dtype.kind == "U"
-                and np.isfinite(arrays["positions"]).all()
-                and bool(np.isfinite(arrays["rotations"]).all())
+                and (labels.ndim, labels.dtype.kind) == (1, "U")
+                and bool(np.isfinite(places).all() and np.isfinite(turns).all())
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
@@ -145,14 +140,7 @@ class PostureDatabase:
                 f"{path}: not a kinefilter motion database; make one with 'kinefilter "
                 "database build'"
             )
-        return cls(
-            arrays["positions"].astype(np.float32, copy=False),
-            arrays["rotations"].astype(np.float32, copy=False),
-            arrays["labels"],
-            skeleton,
-            str(path),
-            recorded,
-        )
+        return cls(places, turns, labels, skeleton, str(path), recorded)
 
 
 class PostureIndex:
