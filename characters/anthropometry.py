@@ -20,6 +20,9 @@ from .arrays import Array, check_shapes, freeze, read_only
 from .errors import InputError
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton
 
+GRAVITY = 9.81
+"""Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
+
 STANDARD_HEIGHT = 1.75
 """Stature [m] of the standard body that postures are compared on."""
 
@@ -226,3 +229,17 @@ def random_body(skeleton: Skeleton, rng: np.random.Generator) -> Body:
         for part, joint in zip(parts, skeleton.joints, strict=True)
     ]
     return replace(body, lengths=body.lengths * np.array(factors))
+
+
+def joint_masses(body: Body) -> Array:
+    """Return the mass [kg] that moves with each joint, shape (J,).
+
+    Half of every segment that meets there: the two-point model of a rod. The masses
+    sum to the body's.
+    """
+    skeleton = body.skeleton
+    masses = np.zeros(len(skeleton))
+    masses[skeleton.root] = body.masses[skeleton.root]
+    np.add.at(masses, skeleton.segments, 0.5 * body.masses[skeleton.segments])
+    np.add.at(masses, skeleton.segment_parents, 0.5 * body.masses[skeleton.segments])
+    return masses

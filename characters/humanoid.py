@@ -16,12 +16,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from .anthropometry import Body, joint_range
+from .anthropometry import GRAVITY, Body, joint_masses, joint_range
 from .arrays import Array
 from .tracking import Tracking
-
-GRAVITY = 9.81
-"""Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
 
 PULLS = 30
 """Actuator group of everything that pulls the character."""
@@ -267,17 +264,3 @@ def _add_pd(
         forcelimited=True,
         forcerange=[-bound, bound],
     )
-
-
-def joint_masses(body: Body) -> Array:
-    """Return the mass [kg] that moves with each joint, shape (J,).
-
-    Half of every segment that meets there: the two-point model of a rod. The masses
-    sum to the body's.
-    """
-    skeleton = body.skeleton
-    masses = np.zeros(len(skeleton))
-    masses[skeleton.root] = body.masses[skeleton.root]
-    np.add.at(masses, skeleton.segments, 0.5 * body.masses[skeleton.segments])
-    np.add.at(masses, skeleton.segment_parents, 0.5 * body.masses[skeleton.segments])
-    return masses

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
+from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.humanoid import GRAVITY, joint_masses
 from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
 from kinefilter.retarget.runs import runs
 
@@ -28,36 +28,42 @@ SKATE_SPEED = 0.2
 _SHORTEST_FLIGHT = 5  # frames that a parabola is fitted to
 
 
+METRICS = {
+    "skate": "feet on the floor slide, m per frame",
+    "skate_mm_per_frame": "the same, mm per frame",
+    "skate_share_over_0p2": "share of their frames over 0.2 m/s",
+    "skate_max_m_per_s": "fastest slide of a foot on the floor, m/s",
+    "float_mm": "soles of standing feet over the floor, mm",
+    "penetration_mm": "deepest point under the floor, mm",
+    "penetration_mean_mm": "lowest point under the floor, mean, mm",
+    "lowest_point_mm": "height of the lowest point, mm",
+    "bone_length_cv": "bone-length variation, share of the length",
+    "jitter": "jitter, m/s³",
+    "amplitude_kept": "amplitude kept, share of the raw one",
+    "peak_hand_speed": "speed of the hands in the fastest 1% of frames, m/s",
+    "flight_error": "acceleration in flight off gravity, m/s²",
+    "moved_cm": "moved from raw, mean, cm",
+}
+"""Name and meaning of each metric; names as in ``clean --json``, and ``skate``."""
+
+
 @dataclass(frozen=True)
 class Quality:
-    """How good a motion is by itself; names and units as in ``clean --json``."""
+    """How good a motion is by itself: METRICS without ``skate``."""
 
     bone_length_cv: float
-    """Standard deviation over mean of segment lengths, mean over segments."""
     jitter: float
-    """Mean magnitude of the third time derivative of joint positions [m/s^3]."""
     skate_mm_per_frame: float
-    """Mean horizontal movement of feet on the floor [mm per frame]."""
     skate_share_over_0p2: float
-    """Share of the frames of feet on the floor that move over 0.2 m/s."""
     skate_max_m_per_s: float
-    """Fastest horizontal movement of a foot on the floor [m/s]."""
     penetration_mm: float
-    """How far the lowest point of the body ever is under the floor [mm]."""
     penetration_mean_mm: float
-    """The same, mean over frames [mm]."""
     float_mm: float
-    """How far the soles of standing feet are over the floor, mean [mm]."""
     amplitude_kept: float
-    """Root mean square movement of the joints about their mean, over that of raw."""
     peak_hand_speed: float
-    """Speed [m/s] that the hands exceed in a hundredth of the frames."""
     flight_error: float
-    """How far the center of mass is from falling freely in flight [m/s^2]."""
     lowest_point_mm: float
-    """Height of the lowest point of the body over the floor [mm]."""
     moved_cm: float
-    """Mean distance of the joints from where they were measured [cm]."""
 
 
 def bone_length_cv(positions: Array, body: Body) -> float:

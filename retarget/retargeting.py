@@ -25,8 +25,7 @@ from kinefilter.characters.rotations import (
 )
 
 from .rig_map import SIDES
-from .smooth_step import smooth_step
-from .stance import held, near_stance
+from .stance import held, near_stance, smooth_step
 from .target_rig import TargetRig
 
 _SEGMENTS = {

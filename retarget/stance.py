@@ -10,12 +10,17 @@ from numpy.typing import NDArray
 from kinefilter.characters.arrays import Array
 
 from .runs import runs
-from .smooth_step import smooth_step
 
 _BLEND = 0.15
 """Seconds in which a foot joins its own path after it stood, and leaves it before. A
 guess."""
 _TINY = 1e-12
+
+
+def smooth_step(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 0 up to 0 and 1 from 1 on, between them the cubic level at both ends."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share**2 * (3.0 - 2.0 * share))
 
 
 def near_stance(time: Array, stands: NDArray[np.bool_]) -> Array:

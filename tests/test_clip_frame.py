@@ -17,7 +17,6 @@ from kinefilter.pipeline.failures import unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
 from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.look.comparison import (
-    METRICS,
     compare,
     in_clip_frame,
     raw_positions,

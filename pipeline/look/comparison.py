@@ -14,28 +14,11 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
+from kinefilter.pipeline.metrics import METRICS, measure
 from kinefilter.pipeline.target.feet import feet_of
 from kinefilter.pipeline.target.floor import leveled, to_world
 
 from .drawing import Drawing, read_finite_clip
-
-METRICS = {
-    "skate": "feet on the floor slide, m per frame",
-    "skate_mm_per_frame": "the same, mm per frame",
-    "skate_share_over_0p2": "share of their frames over 0.2 m/s",
-    "skate_max_m_per_s": "fastest slide of a foot on the floor, m/s",
-    "float_mm": "soles of standing feet over the floor, mm",
-    "penetration_mm": "deepest point under the floor, mm",
-    "penetration_mean_mm": "lowest point under the floor, mean, mm",
-    "lowest_point_mm": "height of the lowest point, mm",
-    "bone_length_cv": "bone-length variation, share of the length",
-    "jitter": "jitter, m/s³",
-    "amplitude_kept": "amplitude kept, share of the raw one",
-    "peak_hand_speed": "speed of the hands in the fastest 1% of frames, m/s",
-    "flight_error": "acceleration in flight off gravity, m/s²",
-    "moved_cm": "moved from raw, mean, cm",
-}
-"""Name and meaning of each metric; names as in ``clean --json``, and ``skate``."""
 
 _TRY = "give the take that the clip was made of"
 _SKEW = 1e-6  # s between stamps of the same frames: rounding
@@ -99,9 +82,6 @@ def compare(clip: Clip, take: Take) -> Comparison:
         InputError: The clip was not made from the take, or does not say where its floor
             was, or has numbers that are not finite, or too few frames to be a motion.
     """
-    # It loads MuJoCo, which must not happen where pictures are only waited for.
-    from kinefilter.pipeline.metrics import measure
-
     clip = in_time_of(clip, take)
     _check(clip, take)
     raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)

@@ -29,9 +29,9 @@ from kinefilter.pipeline.formats.files import (
     parse_toml,
     read_limited,
 )
-from kinefilter.pipeline.metrics import even_differences
+from kinefilter.pipeline.metrics import METRICS, even_differences
 
-from .comparison import METRICS, Comparison
+from .comparison import Comparison
 from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 
 _FORM = re.compile(r"\s*(\w+)\s*([<>])\s*(\S+)\s*")
