@@ -72,21 +72,28 @@ class Skin:
     def __post_init__(self) -> None:
         freeze(self)
 
+    @property
+    def triangles(self) -> NDArray[np.int64]:
+        """The faces as triangles, shape (2 Q, 3)."""
+        return _triangles(self.quads)
+
 
 @lru_cache(maxsize=4)
 def skin_of(body: Body) -> Skin:
     """Return the skin of a body, the same again for the same body."""
+    import trimesh  # takes as long to load as the rest of this takes to run
+
     flesh, cell = flesh_of(body), _CELL * body.height
     points, quads = _mesh(flesh, cell)
+    mesh = trimesh.Trimesh(points, _triangles(quads), process=False)
+    normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
     segments, weights = _weights(flesh, body.skeleton, points, quads)
-    return Skin(
-        points=points,
-        normals=_normals(points, quads),
-        quads=quads,
-        segments=segments,
-        weights=weights,
-        margins=_margins(body, points, segments, weights),
-    )
+    margins = _margins(body, points, segments, weights)
+    return Skin(points, normals, quads, segments, weights, margins)
+
+
+def _triangles(quads: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
 def _mesh(flesh: Flesh, cell: float) -> tuple[Array, NDArray[np.int64]]:
@@ -101,21 +108,14 @@ def _mesh(flesh: Flesh, cell: float) -> tuple[Array, NDArray[np.int64]]:
     boxes = [tuple(map(slice, *corner)) for corner in corners]
     points, quads = quads_of(flesh.field(grid, boxes))
     points = (points + first) * cell
-    slope = flesh.slope(points, 0.1 * cell)
+    near = 0.1 * cell * np.eye(3)
+    rise = [flesh.field(points + d) - flesh.field(points - d) for d in near]
+    slope = np.stack(rise, axis=-1) / (2.0 * (0.1 * cell))
     for _ in range(3):
         # Not farther than half a cell, also where the field is flat.
         step = flesh.field(points) / np.maximum(np.sum(slope * slope, axis=-1), 0.1)
         points = points - np.clip(step, -0.5 * cell, 0.5 * cell)[:, None] * slope
     return points, quads
-
-
-def _normals(points: Array, quads: NDArray[np.int64]) -> Array:
-    """Return the mean direction of the faces around each point, shape (P, 3)."""
-    import trimesh  # takes as long to load as the rest of this takes to run
-
-    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    mesh = trimesh.Trimesh(points, triangles, process=False)
-    return np.asarray(mesh.vertex_normals, dtype=np.float64)
 
 
 def _weights(
@@ -224,21 +224,18 @@ def _across(
 
 @dataclass(frozen=True, eq=False)
 class Flesh:
-    """Tapered capsules in the T-pose, C of them."""
+    """Tapered capsules, or spheres, in the T-pose, C of them.
+
+    Their starts and ends [m] (C, 3), with radii [m] (C, 2); the index of the segment
+    that each moves with (C,), the root: pelvis; and its limb (C,), 0 for the trunk, 1
+    to 4 for arms and legs.
+    """
 
     starts: Array
-    """One end of each [m], shape (C, 3)."""
     ends: Array
-    """The other end, the same for a sphere [m], shape (C, 3)."""
     radii: Array
-    """Radius at start and end [m], shape (C, 2)."""
     segments: NDArray[np.int64]
-    """Index of the segment that each moves with, the root: pelvis, (C,)."""
     limbs: NDArray[np.int64]
-    """0 for what is part of the trunk, 1 to 4 for arms and legs, shape (C,)."""
-
-    def __len__(self) -> int:
-        return len(self.starts)
 
     def distances(self, points: Array, which: int) -> tuple[Array, Array]:
         """Return distances [m] from a capsule, negative inside, and its radii [m].
@@ -269,13 +266,6 @@ class Flesh:
             rounding = _LIMB_ON_TRUNK * self.radii[self.limbs == k].max()
             whole = np.minimum(whole, _smaller(limbs[0], limbs[k], rounding))
         return whole
-
-    def slope(self, points: Array, step: float) -> Array:
-        """Return the field's gradient (P, 3) by differences over ``step`` [m]."""
-        rise = [
-            self.field(points + s) - self.field(points - s) for s in step * np.eye(3)
-        ]
-        return np.stack(rise, axis=-1) / (2.0 * step)
 
 
 def nearest_on_line(points: Array, start: Array, end: Array) -> Array:

@@ -22,6 +22,7 @@ from kinefilter.pipeline.look.comparison import (
     raw_positions,
     same_stamps,
 )
+from kinefilter.pipeline.metrics import METRICS
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

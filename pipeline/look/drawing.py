@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Clip, InputError, Motion, Prop, Skeleton, Take
+from kinefilter.characters import Clip, InputError, Motion, Prop, Skeleton, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import between, rotate
-from kinefilter.characters.skin import Skin, skin_of
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip
 from kinefilter.pipeline.progress import Progress, silent
@@ -184,13 +183,6 @@ def read_finite_clip(path: Path) -> Clip:
 def segment_starts(skeleton: Skeleton) -> list[int]:
     """Return the joint at which each segment starts; the root's starts at itself."""
     return [p if p >= 0 else j for j, p in enumerate(skeleton.parents)]
-
-
-def skin_triangles(body: Body) -> tuple[Skin, NDArray[np.int64]]:
-    """Return the skin of a body and its faces as triangles, shape (2 Q, 3)."""
-    skin = skin_of(body)
-    first, second = skin.quads[:, [0, 1, 2]], skin.quads[:, [0, 2, 3]]
-    return skin, np.concatenate([first, second])
 
 
 def corners_of(prop: Prop, count: int) -> Array:

@@ -16,9 +16,10 @@ from kinefilter.characters import Body, Prop, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import matrix_from_wxyz
+from kinefilter.characters.skin import skin_of
 
 from .cameras import CameraPath
-from .drawing import Drawing, segment_starts, skin_triangles
+from .drawing import Drawing, segment_starts
 from .video_files import Pixels
 
 _FLOOR_GROUP = 1  # of the geoms (stage.xml) that stay the same while the camera does
@@ -202,7 +203,7 @@ def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:
     starts = to_mujoco(body.rest_positions)[segment_starts(skeleton)]
     for joint, start in zip(skeleton.joints, starts, strict=True):
         spec.worldbody.add_body(name=f"segment:{joint}", mocap=True, pos=start)
-    skin, triangles = skin_triangles(body)
+    skin = skin_of(body)
     moved = [
         np.nonzero((skin.segments == j) & (skin.weights > 0.0))
         for j in range(len(skeleton))
@@ -210,7 +211,7 @@ def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:
     bones = [j for j, (points, _) in enumerate(moved) if len(points)]
     mesh = spec.add_skin(name="skin")
     mesh.vert = to_mujoco(skin.points).ravel()
-    mesh.face = triangles.ravel()
+    mesh.face = skin.triangles.ravel()
     mesh.bodyname = [f"segment:{skeleton.joints[j]}" for j in bones]
     mesh.bindpos = starts[bones].ravel()
     mesh.bindquat = np.tile([1.0, 0.0, 0.0, 0.0], len(bones))

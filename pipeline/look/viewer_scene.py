@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, Shape
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY
+from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_path
@@ -23,7 +24,6 @@ from .drawing import (
     StickFigure,
     left_of,
     segment_starts,
-    skin_triangles,
 )
 
 Update = Callable[[int], None]
@@ -130,13 +130,13 @@ def _add_sticks(
 def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     body, joints = clip.body, len(clip.skeleton)
     starts = segment_starts(clip.skeleton)
-    skin, triangles = skin_triangles(body)
+    skin = skin_of(body)
     weights = np.zeros((len(skin.points), joints))
     np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
     mesh = scene.add_mesh_skinned(
         "/mesh",
         skin.points,
-        triangles,
+        skin.triangles,
         bone_wxyzs=np.tile(IDENTITY, (joints, 1)),
         bone_positions=body.rest_positions[starts],
         skin_weights=weights,
