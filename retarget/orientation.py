@@ -35,7 +35,11 @@ def rotations_from_positions(
     skeleton, root = body.skeleton, body.skeleton.root
     rest = body.rest_offsets
     rotations = np.empty((*positions.shape[:-1], 4))
-    rotations[..., root, :] = _pelvis(positions, body)
+    pelvis, plane = _pelvis_frame(positions, skeleton)
+    pelvis = multiply(pelvis, _from_rest_pelvis(body))
+    if not np.all(plane):
+        pelvis = np.where(plane[..., None], pelvis, IDENTITY)
+    rotations[..., root, :] = pelvis
     if prior is not None:
         ends, starts = skeleton.segments, skeleton.segment_parents
         bones = positions[..., ends, :] - positions[..., starts, :]
@@ -61,13 +65,6 @@ def hang_missing(positions: Array, body: Body) -> Array:
 
 def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:
     return multiply(between(rotate(rotation, rest), bone), rotation)
-
-
-def _pelvis(positions: Array, body: Body) -> Array:
-    """Return the pelvis' rotation; the identity where hips and spine span no plane."""
-    frame, plane = _pelvis_frame(positions, body.skeleton)
-    pelvis = multiply(frame, _from_rest_pelvis(body))
-    return pelvis if np.all(plane) else np.where(plane[..., None], pelvis, IDENTITY)
 
 
 @lru_cache(maxsize=4)

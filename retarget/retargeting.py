@@ -182,7 +182,13 @@ class _Motion:
         goal[:] = heel + on_toes[:, None] * (toe - toes - heel)
         goal[:, 1] += np.maximum(sole - (goal + toes)[:, 1], 0.0)
         if f"{side} toes" in self.rig.parts:
-            self._level_toes(side, (goal + toes)[:, 1] - sole)
+            # Toes near the floor are turned flat, below a foot whose heel is up.
+            turns = self.turns[foot]
+            up = rotate(turns, _UP)
+            share = smooth_step(1.0 - ((goal + toes)[:, 1] - sole) / _TOE_NEAR)
+            share *= smooth_step((up[:, 1] - _STEEP) / (_SLOPING - _STEEP))
+            level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
+            self.turns[self.rig.joint(f"{side} toes")] = slerp(turns, level, share)
         return near_stance(time, heel_stands | toe_stands)
 
     def _foot(self, side: str) -> Array:
@@ -194,15 +200,6 @@ class _Motion:
         theirs = rotate(inverse(heading(self.rig)), ours)
         sole = self._scale * self.clip.body.radii[foot]
         return np.asarray(theirs * _LEVEL + (sole - self._ankle_height(side)) * _UP)
-
-    def _level_toes(self, side: str, heights: Array) -> None:
-        """Turn toes that are near the floor flat, below a foot whose heel is up."""
-        turns = self.turns[self.rig.joint(f"{side} foot")]
-        up = rotate(turns, _UP)
-        share = smooth_step(1.0 - heights / _TOE_NEAR)
-        share *= smooth_step((up[:, 1] - _STEEP) / (_SLOPING - _STEEP))
-        level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
-        self.turns[self.rig.joint(f"{side} toes")] = slerp(turns, level, share)
 
     def shortage(self, side: str, goal: Array) -> Array:
         """Return by how much the hips are too high for a leg [m], shape (T,)."""
@@ -308,6 +305,5 @@ def _difference(rig: TargetRig, part: str, body: Body, facing: Array) -> Array:
         return multiply(between(theirs, ours), facing)
     if limb in ("foot", "toes") and f"{side} toes" in rig.parts:
         theirs = rotate(facing, rig.bone(f"{side} foot", f"{side} toes"))
-        level = np.array([1.0, 0.0, 1.0])
-        return multiply(between(level * theirs, level * ours), facing)
+        return multiply(between(_LEVEL * theirs, _LEVEL * ours), facing)
     return facing

@@ -67,14 +67,14 @@ class MapBone:
 
 @dataclass(frozen=True)
 class RigMap:
-    """Names, hierarchy and rest pose of another skeleton."""
+    """Names, hierarchy and rest pose of another skeleton, parents before children.
+
+    Its files write the prefix before every name, or leave it out.
+    """
 
     name: str
-    """What it is called, for messages."""
     prefix: str
-    """What its files write before every name, or leave out."""
     bones: tuple[MapBone, ...]
-    """Every parent before its children."""
 
     def of(self, part: str) -> list[MapBone]:
         """Return the bones that a part turns, from the root on."""
@@ -201,12 +201,13 @@ class SourceJoint:
 
 @dataclass(frozen=True)
 class SourceRig:
-    """A skeleton that motion comes on."""
+    """A skeleton that motion comes on: a file in ``source_rigs``, or a Kinect's own.
+
+    Its joints are by the Kinect joint; those that it has not are left out.
+    """
 
     name: str
-    """Name of its file in ``source_rigs``, or of the Kinect whose joints it has."""
     joints: dict[str, SourceJoint]
-    """By the Kinect joint; those that it has not are left out."""
 
     @property
     def needed(self) -> set[str]:
@@ -227,15 +228,6 @@ def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
     return SourceRig(name, joints)
 
 
-@cache
-def _own(skeleton: Skeleton) -> SourceRig:
-    """Return the rig whose joints are the Kinect's own, fingers left out."""
-    fine = ("HandTip", "Thumb")
-    names = [joint for joint in skeleton.joints if not joint.startswith(fine)]
-    joints = {name: SourceJoint((name,), None) for name in names}
-    return SourceRig(skeleton.name, joints)
-
-
 def matching_source_rig(
     names: Collection[str], skeleton: Skeleton, known: Sequence[str]
 ) -> tuple[SourceRig, list[str]]:
@@ -244,7 +236,10 @@ def matching_source_rig(
     The first whose joints are all there; if there is none, the one that lacks the
     smallest share of its own. ``known`` are data files, the most particular first.
     """
-    rigs = [_own(skeleton), *(load_source_rig(name, skeleton) for name in known)]
+    fine = ("HandTip", "Thumb")
+    own = [joint for joint in skeleton.joints if not joint.startswith(fine)]
+    kinect = SourceRig(skeleton.name, {j: SourceJoint((j,), None) for j in own})
+    rigs = [kinect, *(load_source_rig(name, skeleton) for name in known)]
     lacks = [sorted(rig.needed - set(names)) for rig in rigs]
     best = min(range(len(rigs)), key=lambda k: len(lacks[k]) / len(rigs[k].needed))
     return rigs[best], lacks[best]

@@ -20,20 +20,20 @@ _LEGS = (0.01, 100.0)  # m, of what somebody animates
 
 @dataclass(frozen=True, eq=False)
 class RestPose:
-    """Joints of a skeleton that stands in T- or A-pose, in whatever heading."""
+    """Joints of a skeleton that stands in T- or A-pose, in whatever heading.
+
+    Every parent is before its children; the root's is -1. Positions [m] have y up,
+    shape (N, 3).
+    """
 
     names: tuple[str, ...]
-    """Name of each joint, every parent before its children."""
     parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root."""
     positions: Array
-    """Positions [m], y up, shape (N, 3)."""
     axes: Array | None = None
     """World rotation of each joint's own axes, wxyz, shape (N, 4); None: identity."""
     lowest: float | None = None
     """Height [m] of the lowest point if the file knows more than joints."""
     source: str = "rig"
-    """Where it came from, for messages."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -41,15 +41,14 @@ class RestPose:
 
 @dataclass(frozen=True, eq=False)
 class TargetRig:
-    """A rest pose whose parts of the body are known."""
+    """A rest pose whose parts of the body are known, and the height of its floor [m].
+
+    Each part that it has turns joints, from the root on.
+    """
 
     rest: RestPose
-    """The skeleton."""
     parts: dict[str, tuple[int, ...]]
-    """Joints that each part turns, from the root on; parts that it lacks are left
-    out."""
     floor: float
-    """Height [m] of the floor in the rest pose."""
 
     def joint(self, part: str) -> int:
         """Return the joint that a part turns, its first."""
@@ -103,7 +102,9 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     rig = matched_rig(rig_map, rest, body)
     joints, height = _lowest(rig, body)
     moving = [rig.joint("pelvis")]  # and all that hangs on it
-    moving += [n for n in range(moving[0] + 1, len(rest)) if _hangs(rest, n, moving[0])]
+    for n in range(moving[0] + 1, len(rest)):
+        if parents[n] in moving:
+            moving.append(n)
     positions[moving, 1] += height - positions[joints, 1].min()
     full = tuple(rig_map.prefix + name for name in names)
     return TargetRig(replace(rest, names=full), rig.parts, 0.0)
@@ -158,12 +159,6 @@ def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
         return share * body.height
     length = body.lengths[body.skeleton.index(f"{segment[part]}{side.capitalize()}")]
     return np.asarray(length * share / max(float(np.linalg.norm(share)), 1e-9))
-
-
-def _hangs(rest: RestPose, joint: int, above: int) -> bool:
-    while joint > above:
-        joint = rest.parents[joint]
-    return joint == above
 
 
 def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:

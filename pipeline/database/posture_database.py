@@ -205,8 +205,12 @@ class PostureIndex:
         while done < (end := int(np.searchsorted(bounds, limit, side="right"))):
             some = blocks[done : min(done + step, end)]
             done, step = done + len(some), min(2 * step, _MOST)
-            rows = np.concatenate([rows, self._rows(some)])
-            away = np.concatenate([away, self._away(some, query)])
+            new = (some[:, None] * self._block + np.arange(self._block)).ravel()
+            new = new[new < len(self._order)]
+            rows = np.concatenate([rows, new])
+            # D without a constant that all postures share.
+            spans = (slice(b * self._block, (b + 1) * self._block) for b in some)
+            away = np.concatenate([away, *(self._products[s] @ query for s in spans)])
             if len(away) >= count:
                 best = _smallest(away, count)
                 limit = best + constant + slack
@@ -222,17 +226,6 @@ class PostureIndex:
         outside *= outside
         bounds: Singles = outside @ np.repeat(weights, 3).astype(np.float32)
         return bounds
-
-    def _rows(self, blocks: NDArray[np.intp]) -> NDArray[np.intp]:
-        rows = (blocks[:, None] * self._block + np.arange(self._block)).ravel()
-        return rows[rows < len(self._order)]
-
-    def _away(self, blocks: NDArray[np.intp], query: Singles) -> Singles:
-        """Return D, less a constant that all postures share, of the rows of blocks."""
-        size = self._block
-        return np.concatenate(
-            [self._products[b * size : (b + 1) * size] @ query for b in blocks]
-        )
 
 
 def _smallest(away: Singles, count: int) -> float:

@@ -29,14 +29,15 @@ _MARGIN = 0.06  # of the picture, on every side
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """A camera in every frame, or one that stays."""
+    """A camera in every frame, or one that stays.
+
+    Where it is and what is in the middle of its picture [m], world frame, shape (T, 3),
+    or (1, 3) if it stays; and its vertical field of view [degrees].
+    """
 
     positions: Array
-    """Where it is [m], world frame, shape (T, 3), or (1, 3) if it stays."""
     targets: Array
-    """What is in the middle of its picture [m], of the same shape."""
     fov: float
-    """Vertical field of view [degrees]."""
 
     @property
     def stays(self) -> bool:

@@ -32,23 +32,20 @@ _STEPS = 8  # of Newton's method: each squares the error of the angle
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Comparison(Drawing):
-    """A clip beside its measurement, with the metrics of both."""
+    """A clip beside its measurement, with the metrics before and after cleaning.
+
+    They are by their name in ``METRICS``, NaN where unknown.
+    """
 
     raw: Array
-    """Measured joint positions [m], clip's frame, NaN where missing, (T, J, 3)."""
     before: dict[str, float]
-    """Metrics of the measurement, by their name in ``METRICS``, NaN where unknown."""
     after: dict[str, float]
-    """Metrics of the clip."""
 
 
 def read_comparison(
     clip_path: Path, take_path: Path, *, body: int | None = None
 ) -> Comparison:
-    """Read a clip, in any format that ``write_clip`` writes, and its take.
-
-    ``body`` is which person of the take, counted from 1; None: who is seen in most
-    frames.
+    """Read a clip and its take, of which ``body`` is the person, counted from 1.
 
     Raises:
         InputError: One cannot be read, or they do not belong together.
@@ -63,11 +60,7 @@ def read_comparison(
 def read_drawing(
     clip_path: Path, take_path: Path | None = None, *, body: int | None = None
 ) -> Drawing:
-    """Read a clip and, if it is given, the take that it was made from.
-
-    Raises:
-        InputError: As ``read_comparison``.
-    """
+    """Read a clip and, if it is given, its take, as ``read_comparison`` does."""
     if take_path is None:
         return Drawing(read_finite_clip(clip_path))
     return read_comparison(clip_path, take_path, body=body)
@@ -87,14 +80,12 @@ def compare(clip: Clip, take: Take) -> Comparison:
     raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
     distinct = np.concatenate([[True], np.diff(clip.time) > 0])
     time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
-    seen = raw[distinct]
     figures = []
-    for positions in (seen, clip.positions[distinct]):
-        found = asdict(measure(time, positions, seen, clip.body, stands))
+    for positions in (raw[distinct], clip.positions[distinct]):
+        found = asdict(measure(time, positions, raw[distinct], clip.body, stands))
         found["skate"] = found["skate_mm_per_frame"] * 1e-3
         figures.append({name: float(found[name]) for name in METRICS})
-    before, after = figures
-    return Comparison(clip=clip, raw=raw, before=before, after=after)
+    return Comparison(clip=clip, raw=raw, before=figures[0], after=figures[1])
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:

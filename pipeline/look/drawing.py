@@ -92,14 +92,14 @@ class StickFigure:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A clip and what it was made from, in the clip's frame."""
+    """A clip and joint positions [m] that it was made from, in the clip's frame.
+
+    They are measured (NaN where missing) and before physics, shape (T, J, 3).
+    """
 
     clip: Clip
-    """The motion, with its props, contacts and external force."""
     raw: Array | None = None
-    """Measured joint positions [m], NaN where missing, shape (T, J, 3)."""
     target: Array | None = None
-    """Joint positions [m] before physics, shape (T, J, 3)."""
 
     @property
     def simulated(self) -> bool:

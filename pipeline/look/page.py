@@ -44,14 +44,11 @@ _NO_RATE = 255  # of the uint8 that reliability is written as, where it is unkno
 
 @dataclass(frozen=True)
 class Limit:
-    """A metric beyond a number fails."""
+    """A metric (``METRICS``) on this side of a number, in its own unit, fails."""
 
     metric: str
-    """Name of the metric, one of ``METRICS``."""
     side: Literal["<", ">"]
-    """Which side of the number fails."""
     number: float
-    """In the metric's unit."""
 
     def __str__(self) -> str:
         return f"{self.metric}{self.side}{self.number:g}"

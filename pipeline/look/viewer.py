@@ -163,7 +163,10 @@ class Viewer:
         for key, (label, action) in keys.items():
             self._on(gui.add_command(label, hotkey=key).on_trigger, action)
         speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
-        self._on(speed.on_update, self._change_speed)
+        self._on(
+            speed.on_update,
+            lambda s: self._playback.change_speed(float(s), perf_counter()),
+        )
         with gui.add_folder("Foot contacts"):
             self._picture = gui.add_html("")
             self._span: Any = gui.add_multi_slider("frames", 1, last, 1, (1, last))
@@ -224,9 +227,6 @@ class Viewer:
     def _play_or_pause(self, _: object) -> None:
         playback = self._playback
         (playback.pause if playback.playing else playback.play)(perf_counter())
-
-    def _change_speed(self, speed: str) -> None:
-        self._playback.change_speed(float(speed), perf_counter())
 
     def _step(self, button: str) -> None:
         self._playback.seek(self._playback.frame(perf_counter()) + _STEPS[button])
