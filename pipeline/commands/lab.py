@@ -12,14 +12,7 @@ from kinefilter.characters import InputError, State
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import write_take_csv
 
-from .terminal import (
-    Skeletons,
-    check_output,
-    clips_of,
-    out,
-    progress_bars,
-    write_json,
-)
+from .terminal import Skeletons, check_output, clips_of, out, progress_bars, write_json
 
 
 @dataclass(frozen=True)

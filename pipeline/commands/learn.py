@@ -13,14 +13,7 @@ from kinefilter.characters import SKELETONS, InputError
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.methods import LEARNED, LearnedName
 
-from .terminal import (
-    Skeletons,
-    check_output,
-    clips_of,
-    in_folders,
-    out,
-    progress_bars,
-)
+from .terminal import Skeletons, check_output, clips_of, in_folders, out, progress_bars
 
 _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".npz")
 

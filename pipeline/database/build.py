@@ -62,10 +62,7 @@ def database_from_mocap(
 
 
 def database_from_pairs(
-    pairs: Iterable[PairedTake],
-    skeleton: Skeleton,
-    *,
-    count: int = FILTERED_POSTURES,
+    pairs: Iterable[PairedTake], skeleton: Skeleton, *, count: int = FILTERED_POSTURES
 ) -> PostureDatabase:
     """Build a database, as ``database_from_mocap``, from the mocap side of pairs.
 

@@ -18,13 +18,7 @@ from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_path
 from .contact_editing import ContactEdits
-from .drawing import (
-    Color,
-    Drawing,
-    StickFigure,
-    left_of,
-    segment_starts,
-)
+from .drawing import Color, Drawing, StickFigure, left_of, segment_starts
 
 Update = Callable[[int], None]
 """Puts something where it is in a frame."""
