@@ -45,13 +45,10 @@ class Avatar:
 
     Args:
         body: The person; ``standard_body(KINECT_V2, height=1.8)`` will do.
-        scene: One of the scenes, or an MJCF file, that the character is in. The person
-            begins at its origin, facing +z (MuJoCo's +x); without one, the character
-            stays where the sensor sees the person.
-        floor: Height of the floor in the sensor's frame [m]; by default it is followed
-            under the feet.
-        tracking: How hard the character is pulled. Softer (15 rad/s) gives way when it
-            is pushed.
+        scene: One of the scenes, or an MJCF file. The person begins at its origin,
+            facing +z (MuJoCo's +x); without one, where the sensor sees them.
+        floor: Its height in the sensor's frame [m]; by default followed under the feet.
+        tracking: How hard the character is pulled; 15 rad/s gives way to pushes.
         corrector: What corrects frames; by default as ``clean``.
     """
 
@@ -81,17 +78,11 @@ class Avatar:
     def step(
         self, positions: ArrayLike, time: float, state: ArrayLike | None = None
     ) -> Pose:
-        """Follow the next frame.
+        """Follow the next frame, with a time stamp [s] later than the last.
 
-        Args:
-            positions: Joint positions [m] as the sensor gives them, y up, NaN where
-                missing, shape (J, 3).
-            time: Time stamp [s], later than the last.
-            state: Tracking state of each joint (State), shape (J,); by default what is
-                there is tracked.
-
-        Raises:
-            InputError: Wrong shape, or time does not go on.
+        Joint positions [m] are as the sensor gives them, y up, NaN where missing, shape
+        (J, 3); states (State), shape (J,), by default tracked where there is a joint.
+        Raises an InputError for a wrong shape, or a time that does not go on.
         """
         seen = np.asarray(positions, dtype=float)
         skeleton = self.body.skeleton

@@ -29,14 +29,11 @@ class PairedTake:
 
 
 def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
-    """Read the clips of a pairs file (npz).
+    """Read the clips of a pairs file (npz), or raise an InputError.
 
     Arrays: ``joints`` (names), ``fps``, ``subject``, ``kinect`` and ``mocap`` (N, J, 3)
     in meters, ``clip`` names with their rows ``start`` to ``stop``; optionally
     ``state`` (N, J). NaN is a joint that the recording does not have.
-
-    Raises:
-        InputError: The file is missing or not a pairs file, or its two sides differ.
     """
     path = Path(path)
     if not path.is_file():

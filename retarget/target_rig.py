@@ -115,10 +115,8 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
 
     The floor is y = 0 where toes (or ankles) are just over it. Otherwise it is as far
     under them as the person's soles, or the file's lowest point if that is lower.
-
-    Raises:
-        InputError: The skeleton has not one root, or joints are missing, ambiguous,
-            elsewhere, or two of them in one place.
+    Raises an InputError if the skeleton has not one root, or joints are missing,
+    ambiguous, elsewhere, or two of them in one place.
     """
     roots = [rest.names[n] for n, parent in enumerate(rest.parents) if parent < 0]
     if len(roots) != 1:

@@ -48,10 +48,7 @@ def database_from_mocap(
 
     Files are BVH, AMC with its ASF, or C3D, with the joint names of
     ``retarget/source_rigs``, in whatever unit. The threshold rule keeps about ``count``
-    postures.
-
-    Raises:
-        InputError: A file is no mocap, or lacks a joint; no files.
+    postures. Raises an InputError if there are none, or one lacks a joint.
     """
     motions, skeletons = sorted_mocap(files)
     parts = (
@@ -66,8 +63,7 @@ def database_from_pairs(
 ) -> PostureDatabase:
     """Build a database, as ``database_from_mocap``, from the mocap side of pairs.
 
-    Raises:
-        InputError: No pairs, none with mocap in it, or one of another skeleton.
+    Raises an InputError if they have no mocap, or another skeleton.
     """
     people: set[str] = set()
     truths = _truths(pairs, skeleton, people)

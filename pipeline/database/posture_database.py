@@ -109,11 +109,7 @@ class PostureDatabase:
 
     @classmethod
     def load(cls, path: Path) -> PostureDatabase:
-        """Read a database that ``save`` wrote.
-
-        Raises:
-            InputError: The file is missing or is no posture database.
-        """
+        """Read a database that ``save`` wrote; an InputError if the file is none."""
         if not Path(path).is_file():
             raise InputError(
                 f"{path}: no such database; make one with 'kinefilter database build'"
@@ -146,13 +142,11 @@ class PostureDatabase:
 class PostureIndex:
     """Finds D(p, x) = sum of w_j |p_j - x_j|^2 (Shum 2013, eq. 9) at its smallest.
 
-    The weights differ from query to query, so no metric tree fits. Postures lie in
-    blocks, split where they spread most as in a k-d tree; a block's bounding box tells
-    how near its postures can be at best, joint by joint, whatever the weights. Blocks
-    are looked at from the nearest box on, until the next can hold nothing nearer.
-
-    Args:
-        positions: Normalized joint positions [m], shape (N, J, 3).
+    The weights differ from query to query, so no metric tree fits. Postures, normalized
+    joint positions [m] (N, J, 3), lie in blocks, split where they spread most as in a
+    k-d tree; a block's bounding box tells how near its postures can be at best, joint
+    by joint, whatever the weights. Blocks are looked at from the nearest box on, until
+    the next can hold nothing nearer.
     """
 
     def __init__(self, positions: Singles) -> None:

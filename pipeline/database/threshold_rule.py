@@ -27,14 +27,9 @@ def filter_postures(
 ) -> NDArray[np.intp]:
     """Return the indices of postures that differ from all kept before them.
 
-    A posture stays if the sum of squared differences of its joint positions to every
-    posture kept so far is over the threshold.
-
-    Args:
-        positions: Normalized joint positions [m], shape (N, J, 3).
-        threshold: Smallest sum of squared differences [m^2].
-        among: Indices of the postures that may stay; by default all.
-        most: Stop at once when more than these are kept.
+    A posture (N, J, 3) stays if the sum of squared differences of its joint positions
+    to every posture kept so far is over the threshold [m^2]. Only those ``among`` some
+    indices may stay, and more than ``most`` end it at once.
     """
     rows = np.arange(len(positions)) if among is None else among
     kept = _Kept(int(np.prod(positions.shape[1:])))

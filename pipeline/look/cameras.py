@@ -62,10 +62,7 @@ def camera_path(
     """Return one of CAMERAS, or the camera in a TOML file, for a motion.
 
     It shows points [m] (T, N, 3) in each frame; ``aspect`` is width over height, and
-    ``rate`` frames a second.
-
-    Raises:
-        InputError: There is no such camera, or the file does not describe one.
+    ``rate`` frames a second. Raises an InputError if there is no such camera.
     """
     if camera not in CAMERAS:
         return _from_file(camera)

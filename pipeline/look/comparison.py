@@ -47,8 +47,7 @@ def read_comparison(
 ) -> Comparison:
     """Read a clip and its take, of which ``body`` is the person, counted from 1.
 
-    Raises:
-        InputError: One cannot be read, or they do not belong together.
+    Raises an InputError if one cannot be read, or they do not belong together.
     """
     clip, take = read_finite_clip(clip_path), read_take(take_path, body=body)
     try:
@@ -70,10 +69,8 @@ def compare(clip: Clip, take: Take) -> Comparison:
     """Put a take where its clip is and measure both.
 
     For both, feet stand where the clip has contacts. Repeated time stamps count once.
-
-    Raises:
-        InputError: The clip was not made from the take, or does not say where its floor
-            was, or has numbers that are not finite, or too few frames to be a motion.
+    Raises an InputError if the clip was not made from the take, does not say where its
+    floor was, has numbers that are not finite, or too few frames to be a motion.
     """
     clip = in_time_of(clip, take)
     _check(clip, take)
@@ -89,13 +86,10 @@ def compare(clip: Clip, take: Take) -> Comparison:
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
-    """Read the take of a clip and return its joints in the clip's frame.
+    """Return the joints [m] of a clip's take at times [s] of the clip, in its frame.
 
-    Positions [m] at some times [s] of the clip, NaN where nothing was measured, shape
-    (T, J, 3).
-
-    Raises:
-        InputError: The file is no take, or not the one that the clip was made from.
+    NaN where nothing was measured, shape (T, J, 3). Raises an InputError if the file is
+    no take, or not the one that the clip was made from.
     """
     take = read_take(path)
     if take.skeleton.name != clip.skeleton.name:
@@ -191,14 +185,11 @@ def nearest_frames(stamps: Array, times: Array) -> NDArray[np.intp]:
 
 
 def in_clip_frame(take: Take, clip: Clip) -> Array:
-    """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
+    """Return joint positions [m] of a take, leveled as its clip was, shape (T, J, 3).
 
-    The take is leveled as cleaning leveled it. Where both have the same frames, the
-    distances that the clip keeps show whether it was made from this take.
-
-    Raises:
-        InputError: The clip does not keep its tilt and floor, or it was made from
-            another take.
+    Where both have the same frames, the distances that the clip keeps show whether it
+    was made from this take. Raises an InputError if it was not, or if it does not keep
+    its tilt and floor.
     """
     if not _keeps_frame(clip):
         raise InputError(
@@ -215,10 +206,7 @@ def leveled_to_clip(take: Take, clip: Clip) -> Array:
     """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
 
     For clips that do not keep their tilt and floor (BVH, CSV): both are estimated from
-    the heights of the joints.
-
-    Raises:
-        InputError: The take has no joints in the time of the clip.
+    the heights of the joints. Raises an InputError if the take has none at their time.
     """
     frames = nearest_frames(take.time, clip.time)
     raw, clean = take.positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)

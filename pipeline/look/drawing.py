@@ -167,11 +167,7 @@ def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> 
 
 
 def read_finite_clip(path: Path) -> Clip:
-    """Read a clip (``read_clip``) that has frames, and only finite numbers.
-
-    Raises:
-        InputError: As ``read_clip``, or there is nothing to draw.
-    """
+    """Read a clip (``read_clip``); an InputError unless it has frames, all finite."""
     clip = read_clip(path)
     if not len(clip):
         raise InputError(f"{path}: has no frames; nothing can be drawn")

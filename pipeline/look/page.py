@@ -60,11 +60,7 @@ class Limit:
 
 
 def parse_limit(text: str) -> Limit:
-    """Return the limit that a text such as ``skate>0.003`` describes.
-
-    Raises:
-        InputError: It is not a metric, < or >, and a finite number.
-    """
+    """Return the limit that a text such as ``skate>0.003`` describes, or InputError."""
     form = _FORM.fullmatch(text)
     if form is None or form[1] not in METRICS:
         raise InputError(
@@ -83,9 +79,7 @@ def parse_limit(text: str) -> Limit:
 def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]:
     """Read the limits of a TOML file, by default those that ship with kinefilter.
 
-    Raises:
-        InputError: There is no such file, it is not TOML with a list ``fail_on`` of
-            texts, or a limit is malformed.
+    Raises an InputError unless it is a list ``fail_on`` of texts (``parse_limit``).
     """
     if path is None:
         name = "thresholds.toml"

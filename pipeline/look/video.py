@@ -60,11 +60,8 @@ def render_clips(
 
     The same clip and look give the same pixels, however many processes (``jobs``, by
     default one per core) draw. Numbered pictures of an earlier run are kept if they are
-    of the same clip and look.
-
-    Raises:
-        InputError: Nothing can be drawn: the look, the name of the output, OpenGL or
-            the only clip is wrong. Of several clips, those that are wrong are left out.
+    of the same clip and look. Of several clips, those that are wrong are left out.
+    Raises an InputError if the look, the output, OpenGL or the only clip is wrong.
     """
     look = look or Look()
     if look.compare is not None and len(clips) > 1:
@@ -104,14 +101,11 @@ def render_clips(
 
 
 def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
-    """Return the file, or pattern of files, of each clip.
+    """Return the file, or pattern of files, of each clip, or raise an InputError.
 
     ``{clip}`` in a name stands for the clip's name. If there are several clips and it
     is missing, the clip's name is added before the extension, or as a folder of
     numbered pictures. Folders of numbered pictures are created.
-
-    Raises:
-        InputError: No such file can be written, or two clips have the same.
     """
     if out.suffix.lower() not in _EXTENSIONS:
         raise InputError(

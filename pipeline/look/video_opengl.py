@@ -56,8 +56,7 @@ class Backend:
 def find_backend() -> Backend:
     """Return the first OpenGL that draws: MUJOCO_GL's if it is set, else EGL or OSMesa.
 
-    Raises:
-        InputError: None draws; the message names what to install.
+    If none does, an InputError names what to install.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     reasons = []

@@ -81,8 +81,7 @@ class RenderTask:
 class Composition:
     """What is in each picture of a task; read once, without OpenGL.
 
-    Raises:
-        InputError: The clip, the take, the scene or the camera cannot be used.
+    An InputError if the clip, the take, the scene or the camera cannot be used.
     """
 
     def __init__(self, task: RenderTask) -> None:
@@ -117,8 +116,7 @@ class Composition:
 def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
     """Return the frames that are drawn, evenly spaced in time, and their rate [1/s].
 
-    Raises:
-        InputError: The clip has none between --from and --to.
+    Raises an InputError if the clip has none between --from and --to.
     """
     rate = look.fps or clip.fps
     even = resampled(clip, rate)
@@ -157,8 +155,7 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
 def draw_parts(task: RenderTask, parts: Parts) -> list[list[Coded]]:
     """Draw frames of a task: pictures of a video or a GIF are returned, others written.
 
-    Raises:
-        InputError: The task cannot be drawn, or a picture cannot be written.
+    Raises an InputError if something cannot be drawn or written.
     """
     out, suffix = task.out, task.out.suffix.lower()
     if suffix == ".png":

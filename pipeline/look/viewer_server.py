@@ -46,10 +46,7 @@ def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
     Only pages that it served itself may connect to it: with every WebSocket a browser
     says which page opened it (Origin, RFC 6455, section 10.2), which viser does not
     check. On loopback the page's own address must be on loopback too, so that no
-    foreign name that points there passes for it.
-
-    Raises:
-        InputError: Nothing can listen there.
+    foreign name that points there passes for it. Raises as ``check_address``.
     """
     import rich
     import viser
