@@ -13,6 +13,10 @@ from .errors import InputError
 Array = NDArray[np.float64]
 """Numbers in double precision; docstrings say their quantity, unit, frame and shape."""
 
+Flags = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+"""Truths, and indices of joints, frames or points."""
+
 Number = TypeVar("Number", bound=np.generic)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body
-from .arrays import Array, check_shapes, freeze, read_only
+from .arrays import Array, Flags, check_shapes, freeze, read_only
 from .errors import InputError
 from .props import Prop
 from .rotations import rotate
@@ -79,9 +79,7 @@ def _check(motion: Take | Motion, shapes: dict[str, tuple[int, ...]]) -> None:
         )
 
 
-def _refuse(
-    motion: Motion, what: str, values: NDArray[Any], good: NDArray[np.bool_]
-) -> None:
+def _refuse(motion: Motion, what: str, values: NDArray[Any], good: Flags) -> None:
     if not good.all():
         frame, joint = np.argwhere(~good)[0]
         raise InputError(
@@ -90,7 +88,7 @@ def _refuse(
         )
 
 
-def frames_per_second(time: NDArray[np.float64]) -> float:
+def frames_per_second(time: Array) -> float:
     """Return the nominal frame rate [1/s]: one over the median time step, or 30."""
     steps = np.diff(time)
     steps = steps[steps > 0]
@@ -116,9 +114,9 @@ def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array
 class Take:
     """A recording as the sensor gave it; arrays are read-only."""
 
-    time: NDArray[np.float64]
+    time: Array
     """Time stamps [s], shape (T,), never decreasing; repeats and gaps are normal."""
-    positions: NDArray[np.float64]
+    positions: Array
     """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN: missing."""
     state: NDArray[np.uint8]
     """Tracking state per joint (State), shape (T, J)."""
@@ -149,13 +147,13 @@ class Motion:
     follow from root and rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
     """
 
-    time: NDArray[np.float64]
+    time: Array
     """Time stamps [s], never decreasing, shape (T,)."""
     body: Body
     """The body that moves: skeleton, segment lengths and rest posture."""
-    root: NDArray[np.float64]
+    root: Array
     """Position of the root joint [m], world frame, shape (T, 3)."""
-    rotations: NDArray[np.float64]
+    rotations: Array
     """World rotation of the segment that ends at each joint, unit quaternions wxyz,
     shape (T, J, 4), identity in the rest posture; the root's row is the pelvis."""
     source: str = "motion"
@@ -181,7 +179,7 @@ class Motion:
         return self.body.skeleton
 
     @cached_property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Array:
         """Joint positions [m], world frame, shape (T, J, 3)."""
         found = positions_from_rotations(self.rotations, self.root, self.body)
         return read_only(found)
@@ -209,21 +207,21 @@ class Clip(Motion):
     state: NDArray[np.uint8]
     """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
     frames where left and right were put back."""
-    reliability: NDArray[np.float64]
+    reliability: Array
     """Reliability in [0, 1], NaN where unknown, shape (T, J)."""
     deciding_term: NDArray[np.uint8]
     """Which reliability term decided (Term), shape (T, J)."""
     origin: NDArray[np.uint8]
     """Where each joint came from (Origin), shape (T, J)."""
-    moved_by_correction: NDArray[np.float64]
+    moved_by_correction: Array
     """Distance from the measurement to the corrected joint [m], NaN where nothing was
     measured, shape (T, J); where left and right were put back, from the other side's
     measurement."""
-    moved_by_physics: NDArray[np.float64]
+    moved_by_physics: Array
     """Distance from the corrected to the final joint [m], shape (T, J)."""
-    contacts: NDArray[np.bool_]
+    contacts: Flags
     """Which parts of the feet stand on the floor (CONTACTS), shape (T, 4)."""
-    external_force: NDArray[np.float64]
+    external_force: Array
     """Force on the body that no muscle and no floor gives [body weights], shape (T,);
     NaN where nothing was simulated."""
     props: tuple[Prop, ...] = ()

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .arrays import Array, check_shapes, freeze
+from .arrays import Array, Indices, check_shapes, freeze
 from .errors import InputError
 
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
@@ -30,7 +29,7 @@ class Shape:
     """Red, green and blue as a screen gets them, 0 to 1, shape (3,)."""
     points: Array
     """Points of a mesh [m], shape (P, 3); of other kinds none."""
-    triangles: NDArray[np.int64]
+    triangles: Indices
     """Indices of points, counter-clockwise from outside, shape (F, 3)."""
 
     def __post_init__(self) -> None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Indices
 from .errors import InputError
 
 
@@ -49,7 +49,7 @@ class Skeleton:
         return self.parents.index(-1)
 
     @cached_property
-    def hips(self) -> NDArray[np.intp]:
+    def hips(self) -> Indices:
         """Indices of the left and the right hip."""
         return np.array([self.index("HipLeft"), self.index("HipRight")])
 
@@ -82,17 +82,17 @@ class Skeleton:
         return joints
 
     @cached_property
-    def segments(self) -> NDArray[np.intp]:
+    def segments(self) -> Indices:
         """Indices of the joints that end a segment: all but the root."""
         return np.array([j for j in self.order if j != self.root])
 
     @cached_property
-    def segment_parents(self) -> NDArray[np.intp]:
+    def segment_parents(self) -> Indices:
         """Index of the joint each of ``segments`` starts at."""
         return np.array([self.parents[j] for j in self.segments])
 
     @cached_property
-    def mirror(self) -> NDArray[np.intp]:
+    def mirror(self) -> Indices:
         """Permutation that swaps the left and the right joint of every pair."""
         swap = {"Left": "Right", "Right": "Left"}
         return np.array(

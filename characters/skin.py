@@ -13,10 +13,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .anthropometry import Body
-from .arrays import Array, freeze
+from .arrays import Array, Flags, Indices, freeze
 from .skeleton import Skeleton
 
 if TYPE_CHECKING:
@@ -57,10 +56,10 @@ class Skin:
     """Points [m], where the body's T-pose has them, shape (P, 3)."""
     normals: Array
     """Unit vectors out of the body, shape (P, 3)."""
-    quads: NDArray[np.int64]
+    quads: Indices
     """Indices of the points around each face, counter-clockwise from outside, shape
     (Q, 4)."""
-    segments: NDArray[np.int64]
+    segments: Indices
     """Indices of the segments (by the joint they end at, the root: the pelvis) that
     move each point, the first the most, shape (P, INFLUENCES)."""
     weights: Array
@@ -73,7 +72,7 @@ class Skin:
         freeze(self)
 
     @property
-    def triangles(self) -> NDArray[np.int64]:
+    def triangles(self) -> Indices:
         """The faces as triangles, shape (2 Q, 3)."""
         return _triangles(self.quads)
 
@@ -92,11 +91,11 @@ def skin_of(body: Body) -> Skin:
     return Skin(points, normals, quads, segments, weights, margins)
 
 
-def _triangles(quads: NDArray[np.int64]) -> NDArray[np.int64]:
+def _triangles(quads: Indices) -> Indices:
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def _mesh(flesh: Flesh, cell: float) -> tuple[Array, NDArray[np.int64]]:
+def _mesh(flesh: Flesh, cell: float) -> tuple[Array, Indices]:
     """Return points on the flesh [m] and quads between them."""
     reach = flesh.radii.max(axis=1)[:, None] + 3.0 * cell
     low = np.floor((np.minimum(flesh.starts, flesh.ends) - reach) / cell).astype(int)
@@ -119,8 +118,8 @@ def _mesh(flesh: Flesh, cell: float) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _weights(
-    flesh: Flesh, skeleton: Skeleton, points: Array, quads: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], Array]:
+    flesh: Flesh, skeleton: Skeleton, points: Array, quads: Indices
+) -> tuple[Indices, Array]:
     """Return which segments move each point, and their shares, shape (P, 4)."""
     deep = np.full((len(points), len(skeleton)), np.inf)
     thick = np.zeros_like(deep)
@@ -141,7 +140,7 @@ def _weights(
     return order, chosen / chosen.sum(axis=1, keepdims=True)
 
 
-def _averaging(quads: NDArray[np.int64], count: int) -> sparse.csr_array:
+def _averaging(quads: Indices, count: int) -> sparse.csr_array:
     """Return the matrix that gives each point the mean of itself and its neighbors."""
     from scipy import sparse  # commands that draw no skin need not wait for it
 
@@ -153,7 +152,7 @@ def _averaging(quads: NDArray[np.int64], count: int) -> sparse.csr_array:
     return sparse.csr_array(ones.multiply(1.0 / ones.sum(axis=1)[:, None]))
 
 
-def _related(skeleton: Skeleton) -> NDArray[np.bool_]:
+def _related(skeleton: Skeleton) -> Flags:
     """Tell which segments meet, or both meet a third one, shape (J, J)."""
     parents = np.array(skeleton.parents)
     own = np.arange(len(skeleton))
@@ -162,9 +161,7 @@ def _related(skeleton: Skeleton) -> NDArray[np.bool_]:
     return np.asarray((meets.astype(int) @ meets.astype(int)) > 0)
 
 
-def _margins(
-    body: Body, points: Array, segments: NDArray[np.int64], weights: Array
-) -> Array:
+def _margins(body: Body, points: Array, segments: Indices, weights: Array) -> Array:
     skeleton, rest = body.skeleton, body.rest_positions
     margins = np.zeros(len(skeleton))
     for j, p in enumerate(skeleton.parents):
@@ -176,7 +173,7 @@ def _margins(
     return margins
 
 
-def quads_of(values: Array) -> tuple[Array, NDArray[np.int64]]:
+def quads_of(values: Array) -> tuple[Array, Indices]:
     """Return points (P, 3) and quads (Q, 4) of the surface where a field is zero.
 
     The field (X, Y, Z) on a grid is negative inside and positive on all of its border.
@@ -196,7 +193,7 @@ def quads_of(values: Array) -> tuple[Array, NDArray[np.int64]]:
     return _middles(values, cells), np.concatenate(quads)
 
 
-def _middles(values: Array, cells: NDArray[np.int64]) -> Array:
+def _middles(values: Array, cells: Indices) -> Array:
     """Return the mean of the points where the surface cuts each cell's edges."""
     corners = cells[:, None] + _CORNERS
     field = values[tuple(np.moveaxis(corners, -1, 0))]
@@ -209,9 +206,7 @@ def _middles(values: Array, cells: NDArray[np.int64]) -> Array:
     return np.asarray(cells + mean)
 
 
-def _across(
-    inside: NDArray[np.bool_], index: NDArray[np.int64], axis: int
-) -> NDArray[np.int64]:
+def _across(inside: Flags, index: Indices, axis: int) -> Indices:
     """Return the quads across the cut edges along one axis, shape (Q, 4)."""
     flags, cells = np.moveaxis(inside, axis, 0), np.moveaxis(index, axis, 0)
     k, i, j = np.argwhere(flags[1:] != flags[:-1]).T
@@ -234,8 +229,8 @@ class Flesh:
     starts: Array
     ends: Array
     radii: Array
-    segments: NDArray[np.int64]
-    limbs: NDArray[np.int64]
+    segments: Indices
+    limbs: Indices
 
     def distances(self, points: Array, which: int) -> tuple[Array, Array]:
         """Return distances [m] from a capsule, negative inside, and its radii [m].
@@ -313,7 +308,7 @@ def _radii(body: Body) -> Array:
     return np.asarray(np.maximum(radii, _THINNEST * body.height))
 
 
-def _limbs(skeleton: Skeleton) -> NDArray[np.int64]:
+def _limbs(skeleton: Skeleton) -> Indices:
     """Return which limb each segment is part of, 0 for the trunk, shape (J,)."""
     starts = ["ElbowLeft", "ElbowRight", "KneeLeft", "KneeRight"]
     limbs = np.zeros(len(skeleton), dtype=np.int64)

@@ -9,10 +9,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kinefilter.characters import Body, InputError, State, Tracking
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 
 from .cleaner import Cleaner
 from .config import CleanConfig
@@ -28,7 +28,7 @@ class Pose:
     """Joint positions [m], y up, floor at 0, shape (J, 3)."""
     rotations: Array
     """World segment rotations, wxyz, shape (J, 4)."""
-    stands: NDArray[np.bool_]
+    stands: Flags
     """Whether each foot (left, right) stands, shape (2,)."""
     external_force: float
     """Force on the body that no muscle and no floor gives [body weights]."""

@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
 from kinefilter.retarget.runs import runs
 
@@ -140,7 +139,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     return float(speed.mean() * _nominal_step(time) * 1e3), share, float(speed.max())
 
 
-def floating(positions: Array, stands: NDArray[np.bool_], body: Body) -> float:
+def floating(positions: Array, stands: Flags, body: Body) -> float:
     """Return how far the soles of standing feet are over the floor, mean [m]."""
     _, toes = ankles_and_toes(body.skeleton)
     over = np.maximum(positions[:, toes, 1] - body.radii[toes], 0.0)[stands]
@@ -155,9 +154,7 @@ def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:
     return float(np.percentile(speed, 99.0)) if len(speed) else float("nan")
 
 
-def flight_error(
-    time: Array, positions: Array, stands: NDArray[np.bool_], body: Body
-) -> float:
+def flight_error(time: Array, positions: Array, stands: Flags, body: Body) -> float:
     """Return how far the center of mass is from falling freely in flight [m/s^2].
 
     In flight, no foot stands and nothing of the body is under 5 cm, for five frames or
@@ -217,7 +214,7 @@ def distances(positions: Array, raw: Array) -> Array:
 
 
 def measure(
-    time: Array, positions: Array, raw: Array, body: Body, stands: NDArray[np.bool_]
+    time: Array, positions: Array, raw: Array, body: Body, stands: Flags
 ) -> Quality:
     """Return the quality of a motion beside ``raw``, the measurement it came from."""
     hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]

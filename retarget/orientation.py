@@ -5,10 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_x,
@@ -72,9 +71,7 @@ def _from_rest_pelvis(body: Body) -> Array:
     return inverse(_pelvis_frame(body.rest_positions, body.skeleton)[0])
 
 
-def _pelvis_frame(
-    positions: Array, skeleton: Skeleton
-) -> tuple[Array, NDArray[np.bool_]]:
+def _pelvis_frame(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags]:
     """Return the rotation to x through the hips and y towards the spine.
 
     And whether the two span a plane: otherwise it is anything.

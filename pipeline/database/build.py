@@ -7,10 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
 from kinefilter.pipeline.formats.mocap import Mocap, kinect_motion
 from kinefilter.pipeline.formats.mocap_files import RIGS, read_mocap, sorted_mocap
@@ -170,7 +169,7 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     return standard_postures(unit * positions[frames], prior, body)
 
 
-def _whole(positions: Array) -> NDArray[np.bool_]:
+def _whole(positions: Array) -> Flags:
     """Return the frames that have every joint the motion ever has, shape (T,).
 
     Joints that it never has are put in their rest positions later.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, skeleton_named
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.pipeline.formats.npz import read_arrays
 
 Singles = NDArray[np.float32]
@@ -64,7 +64,7 @@ class PostureDatabase:
 
     def neighbors(
         self, posture: Array, weights: Array, count: int
-    ) -> tuple[NDArray[np.intp], Array]:
+    ) -> tuple[Indices, Array]:
         """Return the indices of the nearest postures, nearest first, and their D.
 
         D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] (Shum 2013, eq. 9). The posture,
@@ -166,7 +166,7 @@ class PostureIndex:
 
     def nearest(
         self, posture: Array, weights: Array, count: int
-    ) -> tuple[NDArray[np.intp], Array]:
+    ) -> tuple[Indices, Array]:
         """Return what ``PostureDatabase.neighbors`` does, for a count that there is."""
         if not weights.any():
             return np.arange(count), np.zeros(count)
@@ -183,7 +183,7 @@ class PostureIndex:
 
     def _candidates(
         self, seen: Array, weights: Array, count: int, slack: float
-    ) -> NDArray[np.intp]:
+    ) -> Indices:
         """Return rows among which the nearest are, whatever was rounded."""
         weighted = seen * weights[:, None]
         query = np.concatenate([weights, weighted.ravel()]).astype(np.float32)
@@ -227,7 +227,7 @@ def _smallest(away: Singles, count: int) -> float:
     return float(np.partition(away, count - 1)[count - 1])
 
 
-def _ordered(flat: Singles, block: int) -> NDArray[np.intp]:
+def _ordered(flat: Singles, block: int) -> Indices:
     """Return the order of postures in which each block's lie near each other."""
     order = np.arange(len(flat))
     parts = [(0, len(flat))]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 
 _BLOCK = 512  # postures compared at a time, a matter of speed alone
 _TOO_MANY = 50_000
@@ -22,9 +22,9 @@ def filter_postures(
     positions: NDArray[np.floating[Any]],
     threshold: float,
     *,
-    among: NDArray[np.intp] | None = None,
+    among: Indices | None = None,
     most: int | None = None,
-) -> NDArray[np.intp]:
+) -> Indices:
     """Return the indices of postures that differ from all kept before them.
 
     A posture (N, J, 3) stays if the sum of squared differences of its joint positions
@@ -74,9 +74,7 @@ class _Kept:
         return least
 
 
-def filter_to_count(
-    positions: NDArray[np.floating[Any]], count: int
-) -> NDArray[np.intp]:
+def filter_to_count(positions: NDArray[np.floating[Any]], count: int) -> Indices:
     """Return the indices that the threshold rule keeps, about ``count`` of them.
 
     Bisects the threshold until the rule keeps the count within 2 % of the positions

@@ -9,10 +9,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.metrics import METRICS, measure
 from kinefilter.pipeline.target.feet import feet_of
@@ -179,7 +178,7 @@ def same_stamps(clip: Clip, take: Take) -> bool:
     )
 
 
-def nearest_frames(stamps: Array, times: Array) -> NDArray[np.intp]:
+def nearest_frames(stamps: Array, times: Array) -> Indices:
     """Return which of some time stamps [s] is nearest to each time, shape (T,)."""
     return np.searchsorted(0.5 * (stamps[:-1] + stamps[1:]), times)
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS
-from kinefilter.characters.arrays import read_only
+from kinefilter.characters.arrays import Flags, read_only
 from kinefilter.retarget.runs import runs
-
-Flags = NDArray[np.bool_]
 
 PARTS: dict[str, tuple[int, ...]] = {
     "both feet": (0, 1, 2, 3),

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, Motion, Prop, Skeleton, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import between, rotate
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip
@@ -50,12 +49,12 @@ class Sticks(NamedTuple):
     """
 
     joints: Array
-    joint_there: NDArray[np.bool_]
+    joint_there: Flags
     joint_colors: Array | None
     centers: Array
     lengths: Array
     rotations: Array
-    bone_there: NDArray[np.bool_]
+    bone_there: Flags
 
 
 @dataclass(frozen=True, eq=False)

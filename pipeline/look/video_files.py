@@ -23,6 +23,8 @@ from kinefilter.pipeline.formats import atomic_path
 
 Pixels = NDArray[np.uint8]
 """A picture, shape (height, width, 3)."""
+Size = tuple[int, int]
+"""Width and height in pixels."""
 Coded = tuple[bytes, bool]
 """An encoded picture, and whether it is a keyframe."""
 
@@ -38,9 +40,7 @@ _HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
 _KEY = b"kinefilter\0"
 
 
-def encode_video(
-    pictures: Iterable[Pixels], size: tuple[int, int], rate: float
-) -> list[Coded]:
+def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Coded]:
     """Return the pictures of one part, encoded."""
     import av
 
@@ -53,7 +53,7 @@ def encode_video(
 
 
 def write_mp4(
-    parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
+    parts: Iterable[list[Coded]], path: Path, size: Size, rate: float
 ) -> None:
     """Write the parts of a video (``encode_video``), or raise InputError."""
     import av
@@ -70,7 +70,7 @@ def write_mp4(
 
 
 def write_gif(
-    parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
+    parts: Iterable[list[Coded]], path: Path, size: Size, rate: float
 ) -> None:
     """Write an endless animation of PNG pictures, all with one palette."""
     pictures = [data for part in parts for data, _ in part]
@@ -132,7 +132,7 @@ def _fraction(rate: float) -> Fraction:
     return Fraction(rate).limit_denominator(_LARGEST_RATE)
 
 
-def _x264(codec: Any, size: tuple[int, int], rate: float) -> Any:
+def _x264(codec: Any, size: Size, rate: float) -> Any:
     from av.codec.context import Flags
 
     codec.width, codec.height = size
@@ -170,11 +170,7 @@ def _media_file(path: Path, options: dict[str, str]) -> Iterator[Any]:
 
 
 def _filtered(
-    pictures: Sequence[bytes],
-    size: tuple[int, int],
-    name: str,
-    options: str,
-    palette: Any = None,
+    pictures: Sequence[bytes], size: Size, name: str, options: str, palette: Any = None
 ) -> Iterator[Any]:
     """Yield what a filter makes of PNG pictures and, if it takes one, of a palette."""
     import av

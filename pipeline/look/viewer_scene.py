@@ -22,6 +22,7 @@ from .drawing import Color, Drawing, StickFigure, left_of, segment_starts
 
 Update = Callable[[int], None]
 """Puts something where it is in a frame."""
+Layer = tuple[Any, Update]
 
 _JOINT, _BONE = 0.026, 0.011  # m, radii of stick figures
 _BONE_COLOR = (82, 84, 94)
@@ -53,7 +54,7 @@ class ViewerScene:
         self._offset = drawing.raw_offset
         self._sun = _set_stage(server, drawing.clip, self._offset)
         self._skin, update = _add_skin(scene, drawing.clip)
-        self._layers: dict[str, tuple[Any, Update]] = {"skin": (self._skin, update)}
+        self._layers: dict[str, Layer] = {"skin": (self._skin, update)}
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
         self._layers["contacts"] = _add_contacts(scene, drawing.clip, edits)
@@ -81,9 +82,7 @@ class ViewerScene:
             self._layers[name][1](frame)
 
 
-def _add_contacts(
-    scene: viser.SceneApi, clip: Clip, edits: ContactEdits
-) -> tuple[Any, Update]:
+def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: ContactEdits) -> Layer:
     """Add a disk on the floor under every heel and toe that stands."""
     parts = np.transpose(ankles_and_toes(clip.skeleton)).ravel()
     places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
@@ -97,9 +96,7 @@ def _add_contacts(
     return disks, update
 
 
-def _add_sticks(
-    scene: viser.SceneApi, name: str, figure: StickFigure
-) -> tuple[Any, Update]:
+def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
     """Add spheres and cylinders for joints and bones, which can be moved together."""
     group = scene.add_frame(f"/{name}", show_axes=False)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=_JOINT)
@@ -121,7 +118,7 @@ def _add_sticks(
     return group, update
 
 
-def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+def _add_skin(scene: viser.SceneApi, clip: Clip) -> Layer:
     body, joints = clip.body, len(clip.skeleton)
     starts = segment_starts(clip.skeleton)
     skin = skin_of(body)
@@ -146,7 +143,7 @@ def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     return mesh, update
 
 
-def _add_props(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+def _add_props(scene: viser.SceneApi, clip: Clip) -> Layer:
     group = scene.add_frame("/things", show_axes=False)
     frames = []
     for n, prop in enumerate(clip.props):
@@ -171,7 +168,7 @@ def _add_props(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     return group, update
 
 
-def _add_force(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+def _add_force(scene: viser.SceneApi, clip: Clip) -> Layer:
     """Add a bar beside the character, as high as the external force is large."""
     mesh = _cylinder(_BAR, 1.0, sections=24)
     mesh.apply_translation([0.0, 0.5, 0.0])
