@@ -34,9 +34,7 @@ def check_shapes(
     for name, shape in expected.items():
         found = np.shape(getattr(value, name))
         if found != shape:
-            raise InputError(
-                f"{source}: {name} has shape {found}, expected {shape}{of}"
-            )
+            raise InputError(f"{source}: {name} has shape {found}, not {shape}{of}")
 
 
 def freeze(value: Any) -> None:

@@ -36,11 +36,9 @@ class Shape:
         shapes: dict[str, tuple[int, ...]] = {"rotation": (4,)}
         shapes |= dict.fromkeys(("size", "position", "color"), (3,))
         check_shapes(self, "a prop", shapes)
-        kinds = get_args(ShapeKind)
-        if self.kind not in kinds:
-            raise InputError(
-                f"unknown kind of shape {self.kind!r}; known: {', '.join(kinds)}"
-            )
+        if self.kind not in get_args(ShapeKind):
+            known = ", ".join(get_args(ShapeKind))
+            raise InputError(f"unknown kind of shape {self.kind!r}; known: {known}")
         if self.kind == "mesh" and not len(self.points):
             raise InputError("a mesh has no points; give it some, or leave it out")
         freeze(self)

@@ -23,10 +23,8 @@ from .settings import Settings, names_file
 FOLDER_FILE = "kinefilter.toml"
 """Name of the file with the settings for the takes of its folder."""
 
-_PARTS: dict[str, type[CleanConfig | Export]] = {
-    "config": CleanConfig,
-    "export": Export,
-}
+_Part = CleanConfig | Export
+_PARTS: dict[str, type[_Part]] = {"config": CleanConfig, "export": Export}
 _OWN = {k: hint for k, hint in get_type_hints(Settings).items() if k not in _PARTS}
 _HINTS = get_type_hints(CleanConfig) | get_type_hints(Export) | _OWN
 _WORDS = {

@@ -40,11 +40,10 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
         raise InputError(f"{path}: there is no such file; check the name")
     arrays = read_arrays(path, "a pairs file (npz of arrays)")
     needed = ("joints", "fps", "subject", "kinect", "mocap", "clip", "start", "stop")
-    for key in needed:
-        if key not in arrays:
-            raise InputError(
-                f"{path}: no array {key!r}; a pairs file holds {', '.join(needed)}"
-            )
+    lacking = [key for key in needed if key not in arrays]
+    if lacking:
+        has = f"a pairs file holds {', '.join(needed)}"
+        raise InputError(f"{path}: no array {lacking[0]!r}; {has}")
     try:
         return _clips_of(path, arrays)
     except (ValueError, TypeError, IndexError, OverflowError) as error:
@@ -74,9 +73,7 @@ def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
     state = np.where(missing, State.NOT_TRACKED, state).astype(np.uint8)
     fps, subject = float(arrays["fps"].item()), str(arrays["subject"])
     if not 0.01 < fps < 1e4:
-        raise InputError(
-            f"{path}: fps is {fps:g}, expected frames a second, such as 30"
-        )
+        raise InputError(f"{path}: fps is {fps:g}, expected frames a second, as 30")
     pairs = []
     spans = zip(arrays["clip"], arrays["start"], arrays["stop"], strict=True)
     for clip, start, stop in spans:

@@ -63,7 +63,7 @@ def hash_of(path: Path) -> str:
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(
-            f"{path}: cannot be read ({reason}); check the name"
+            f"{path}: cannot be read ({reason}); check its name"
         ) from error
 
 

@@ -44,6 +44,5 @@ class Spool:
         shape = (self._count, *self._shape)
         if 0 in shape:
             return np.empty(shape, dtype=self._dtype)
-        return np.asarray(
-            np.memmap(self._file, dtype=self._dtype, mode="r", shape=shape)
-        )
+        rows = np.memmap(self._file, dtype=self._dtype, mode="r", shape=shape)
+        return np.asarray(rows)

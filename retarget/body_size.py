@@ -129,11 +129,9 @@ class Standardizer:
         if missing.any():
             seen[:, skeleton.root] = 0.0
             for j in skeleton.order[1:]:
-                bone = seen[:, j] - seen[:, skeleton.parents[j]]
-                bone = _held(
-                    np.where(missing[:, j, None], np.nan, bone), self._bones[j]
-                )
-                seen[:, j] = seen[:, skeleton.parents[j]] + bone
+                parent = seen[:, skeleton.parents[j]]
+                bone = np.where(missing[:, j, None], np.nan, seen[:, j] - parent)
+                seen[:, j] = parent + _held(bone, self._bones[j])
         bones = self._bones_of(seen)
         self._root, self._yaw, self._bones = root[-1], yaw[-1], bones[-1]
         standard = self._chain @ _apply(self._to_standard, bones)

@@ -42,9 +42,7 @@ class BoneLengths:
         missing.
         """
         if not np.isfinite(positions).all():
-            raise InputError(
-                "positions that are not finite have no lengths; fill missing joints"
-            )
+            raise InputError("positions are not finite; fill missing joints")
         projected = positions.copy()
         for first in range(0, len(positions), _CHUNK):
             chunk = slice(first, first + _CHUNK)

@@ -40,10 +40,7 @@ CHAINS = {
 """Part of the body, and the part on which it hangs."""
 PARTS = ("pelvis", *CHAINS)
 """What turns bones."""
-OPTIONAL = {
-    "neck",
-    *(f"{side} {part}" for side in SIDES for part in ("clavicle", "toes")),
-}
+OPTIONAL = {"neck", *(f"{s} {part}" for s in SIDES for part in ("clavicle", "toes"))}
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
 _FIELDS = {"parent", "turned_by", "offset"}
@@ -93,9 +90,8 @@ def load_rig_map(rig: str) -> RigMap:
         return _embedded(rig)
     path = Path(rig)
     if path.suffix.lower() != ".toml":
-        raise InputError(
-            f"unknown rig {rig!r}; expected {', '.join(RIGS)} or a map (.toml)"
-        )
+        known = ", ".join(RIGS)
+        raise InputError(f"unknown rig {rig!r}; expected {known} or a map (.toml)")
     try:
         if path.stat().st_size > _LARGEST:
             raise InputError(f"{rig}: larger than any map; expected bones by name")
@@ -170,13 +166,9 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
     for part in PARTS:
         count = sum(bone.part == part for bone in bones)
         if count == 0 and part not in OPTIONAL:
-            raise InputError(
-                f"{source}: no bone is turned_by {part!r}; name the bone that is"
-            )
+            raise InputError(f"{source}: no bone is turned_by {part!r}; name the one")
         if count > 1 and part not in _SEVERAL:
-            raise InputError(
-                f"{source}: {count} bones are turned_by {part!r}, expected one"
-            )
+            raise InputError(f"{source}: {count} bones are turned_by {part!r}, not one")
 
 
 def listed(names: Sequence[str]) -> str:

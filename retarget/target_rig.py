@@ -169,7 +169,7 @@ def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
             places = [n for n, p in enumerate(plain) if p == rig_map.plain(name)]
             if len(places) > 1:
                 raise InputError(
-                    f"{rest.source}: has {len(places)} joints {name!r}, expected one"
+                    f"{rest.source}: has {len(places)} joints {name!r}, not one"
                 )
             parts.setdefault(part, []).extend(places)
         if not parts.get(part) and part not in OPTIONAL:

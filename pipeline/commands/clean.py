@@ -230,9 +230,7 @@ def _bar(scheduler: str | None) -> Iterator[OnProgress]:
         def show(progress: JobProgress) -> None:
             nonlocal told
             if progress.idle and not told:
-                err.print(
-                    f"no worker yet; start one: dask worker {scheduler} --nthreads 1"
-                )
+                err.print(f"no worker; start one: dask worker {scheduler} --nthreads 1")
                 told = True
             words = f"clean {progress.takes_done}/{progress.takes}"
             if progress.failed:

@@ -67,9 +67,8 @@ class Evaluate:
         elif self.database is not None:
             database = PostureDatabase.load(self.database)
         with progress_bars() as progress:
-            train, test = (
-                list(clips_of(files, progress)) for files in (self.train, self.test)
-            )
+            train = list(clips_of(self.train, progress))
+            test = list(clips_of(self.test, progress))
             figures = evaluate(
                 train,
                 test,

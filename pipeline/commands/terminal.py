@@ -48,9 +48,7 @@ def keep(written: Path, *others: Path | None) -> None:
     """Raise an InputError if a file to write is one that must not be lost."""
     for other in others:
         if other is not None and written.resolve() == other.resolve():
-            raise InputError(
-                f"{written}: would overwrite {other}; give another name to write to"
-            )
+            raise InputError(f"{written}: would overwrite {other}; give another name")
 
 
 def progress_display(*, counted: bool = True) -> RichProgress:

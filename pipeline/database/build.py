@@ -153,9 +153,7 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     whole = _whole(positions)
     frames = np.flatnonzero(whole)[:: max(1, round(step / motion.frame_time))]
     if not len(frames):
-        raise InputError(
-            f"{mocap.source}: no frame has all joints; give motion of a whole body"
-        )
+        raise InputError(f"{mocap.source}: no frame has all joints; give whole bodies")
     lengths = column_medians(segment_lengths(positions, skeleton))
     ends, average = skeleton.segments, standard_body(skeleton)
     # Meters per unit of the file; mocap's own lengths are taken as they are.

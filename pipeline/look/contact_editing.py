@@ -97,9 +97,8 @@ def _strip(
             f'<path class="stands" d="{parts}" stroke="{color}" '
             f'stroke-width="{_BAR}" fill="none"/>'
         )
-    first, end = (
-        min(max(k - frames.start, 0), len(frames)) for k in (chosen[0], chosen[1] + 1)
-    )
+    ends = np.array([chosen[0], chosen[1] + 1]) - frames.start
+    first, end = np.clip(ends, 0, len(frames)).tolist()
     mark = (frame - frames.start + 0.5) * scale
     return (
         '<div style="display:flex;gap:6px;font-size:11px;margin:4px 8px">'

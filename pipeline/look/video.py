@@ -67,9 +67,7 @@ def render_clips(
     if look.compare is not None and len(clips) > 1:
         raise InputError("--compare is the take of one clip; draw them one at a time")
     if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
-        raise InputError(
-            f"--size {look.size}: a video's width and height are even; add a pixel"
-        )
+        raise InputError(f"--size {look.size}: videos have even sides; add a pixel")
     check_camera(look.camera)
     paths = output_paths(clips, out)
     with ThreadPoolExecutor(1) as beside:  # drivers are slow to start

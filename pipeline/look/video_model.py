@@ -204,10 +204,8 @@ def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:
     for joint, start in zip(skeleton.joints, starts, strict=True):
         spec.worldbody.add_body(name=f"segment:{joint}", mocap=True, pos=start)
     skin = skin_of(body)
-    moved = [
-        np.nonzero((skin.segments == j) & (skin.weights > 0.0))
-        for j in range(len(skeleton))
-    ]
+    with_weight = np.where(skin.weights > 0.0, skin.segments, -1)
+    moved = [np.nonzero(with_weight == j) for j in range(len(skeleton))]
     bones = [j for j, (points, _) in enumerate(moved) if len(points)]
     mesh = spec.add_skin(name="skin")
     mesh.vert = to_mujoco(skin.points).ravel()

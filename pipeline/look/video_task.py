@@ -91,9 +91,8 @@ class Composition:
         if look.scene is not None:
             clip = replace(clip, props=props_around(whole, clip.props, look.scene))
         width, height = look.pixels
-        seen_by = partial(
-            camera_path, look.camera, clip, aspect=width / height, rate=self.rate
-        )
+        aspect, rate = width / height, self.rate
+        seen_by = partial(camera_path, look.camera, clip, aspect=aspect, rate=rate)
         joints, raw = clip.positions, None
         cubes = joints[:, :, None] + _SKIN * CORNERS
         points = [cubes.reshape(len(clip), -1, 3)]

@@ -141,9 +141,8 @@ class Viewer:
         self._asked.put(None)
 
     def _add_panel(self, gui: viser.GuiApi, drawing: Drawing) -> None:
-        gui.configure_theme(
-            control_width="large", show_logo=False, show_share_button=False
-        )
+        plain: Any = {"show_logo": False, "show_share_button": False}
+        gui.configure_theme(control_width="large", **plain)
         gui.set_panel_label("kinefilter")
         gui.main_panel.dock_right()
         last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
