@@ -199,9 +199,7 @@ class PostureIndex:
         while done < (end := int(np.searchsorted(bounds, limit, side="right"))):
             some = blocks[done : min(done + step, end)]
             done, step = done + len(some), min(2 * step, _MOST)
-            new = (some[:, None] * self._block + np.arange(self._block)).ravel()
-            new = new[new < len(self._order)]
-            rows = np.concatenate([rows, new])
+            rows = np.concatenate([rows, self._rows(some)])
             # D without a constant that all postures share.
             spans = (slice(b * self._block, (b + 1) * self._block) for b in some)
             away = np.concatenate([away, *(self._products[s] @ query for s in spans)])
@@ -211,6 +209,10 @@ class PostureIndex:
                 kept = away <= best + slack
                 rows, away = rows[kept], away[kept]
         return rows
+
+    def _rows(self, blocks: Indices) -> Indices:
+        rows = (blocks[:, None] * self._block + np.arange(self._block)).ravel()
+        return rows[rows < len(self._order)]
 
     def _bounds(self, seen: Array, weights: Array) -> Singles:
         """Return what D is at least in each block, shape (B,)."""
