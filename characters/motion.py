@@ -88,11 +88,17 @@ def _refuse(motion: Motion, what: str, values: NDArray[Any], good: Flags) -> Non
         )
 
 
-def frames_per_second(time: Array) -> float:
-    """Return the nominal frame rate [1/s]: one over the median time step, or 30."""
+def nominal_step(time: Array) -> float:
+    """Return the median time between frames that differ in time [s], or NaN."""
     steps = np.diff(time)
     steps = steps[steps > 0]
-    return float(1.0 / np.median(steps)) if len(steps) else 30.0
+    return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def frames_per_second(time: Array) -> float:
+    """Return the nominal frame rate [1/s]: one over the nominal step, or 30."""
+    step = nominal_step(time)
+    return 1.0 / step if step > 0.0 else 30.0
 
 
 def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array:

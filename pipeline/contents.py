@@ -23,6 +23,7 @@ from kinefilter.characters import (
     Take,
 )
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import nominal_step
 
 from .database import PostureDatabase
 from .failures import Failure, find_failures
@@ -209,17 +210,16 @@ def failures_as_json(failures: Iterable[Failure]) -> list[dict[str, Any]]:
 
 def _timing(time: Array) -> dict[str, Any]:
     steps = np.diff(time)
-    forward = steps[steps > 0]
-    usual = float(np.median(forward)) if len(forward) else 0.0
-    gaps = forward[forward > _GAP * usual]
+    usual = nominal_step(time)  # NaN without two frames: then there are no gaps
+    gaps = steps[steps > _GAP * usual]
     return {
         "frames": len(time),
         "start_s": float(time[0]) if len(time) else 0.0,
         "seconds": float(time[-1] - time[0]) if len(time) else 0.0,
         "fps": 1.0 / usual if usual > 0.0 else None,
         "repeated_frames": int(np.sum(steps == 0)),
-        "dropped_frames": int(np.sum(np.round(gaps / usual) - 1)) if len(gaps) else 0,
-        "longest_gap_s": float(gaps.max()) if len(gaps) else 0.0,
+        "dropped_frames": int(np.sum(np.round(gaps / usual) - 1)),
+        "longest_gap_s": float(gaps.max(initial=0.0)),
     }
 
 

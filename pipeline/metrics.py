@@ -15,6 +15,7 @@ import numpy as np
 from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
 from kinefilter.retarget.runs import runs
 
@@ -94,7 +95,7 @@ def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, 
     The order is 1 or more.
     """
     count, joints = max(len(time) - order, 0), positions.shape[1]
-    steps, nominal = np.diff(time), _nominal_step(time)
+    steps, nominal = np.diff(time), nominal_step(time)
     even = np.abs(steps - nominal) < 0.5 * nominal
     sizes = np.full((count, joints), np.nan)
     whole = np.all([even[k : k + count] for k in range(order)], axis=0)
@@ -136,7 +137,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     if len(speed) == 0:
         return float("nan"), float("nan"), float("nan")
     share = float(np.mean(speed > SKATE_SPEED))
-    return float(speed.mean() * _nominal_step(time) * 1e3), share, float(speed.max())
+    return float(speed.mean() * nominal_step(time) * 1e3), share, float(speed.max())
 
 
 def floating(positions: Array, stands: Flags, body: Body) -> float:
@@ -189,13 +190,6 @@ def amplitude(positions: Array, body: Body) -> Array:
         if len(path) > 1:
             moves[j] = np.sqrt(np.mean(np.sum((path - path.mean(axis=0)) ** 2, axis=1)))
     return moves
-
-
-def _nominal_step(time: Array) -> float:
-    """Return the median time between frames that differ in time [s], or NaN."""
-    steps = np.diff(time)
-    steps = steps[steps > 0]
-    return float(np.median(steps)) if len(steps) else float("nan")
 
 
 def _known(values: Array) -> Array:

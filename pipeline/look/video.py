@@ -181,7 +181,8 @@ def _drawn(
 
 def _finished(job: _Job, steps: Iterator[int]) -> str | None:
     """Write a job's file from its parts; return what went wrong."""
-    out, pixels = job.task.out, job.task.look.pixels
+    out, size = job.task.out, job.task.look.pixels
+    write = {".mp4": write_mp4, ".gif": write_gif}.get(out.suffix.lower())
 
     def drawn() -> Iterator[list[Coded]]:
         for future, parts in job.futures.items():
@@ -190,10 +191,8 @@ def _finished(job: _Job, steps: Iterator[int]) -> str | None:
                 next(steps, None)
 
     try:
-        if out.suffix.lower() == ".mp4":
-            write_mp4(drawn(), out, pixels, job.rate)
-        elif out.suffix.lower() == ".gif":
-            write_gif(drawn(), out, pixels, job.rate)
+        if write is not None:
+            write(drawn(), out, size, job.rate)
         else:
             deque(drawn(), maxlen=0)
     except BrokenProcessPool:

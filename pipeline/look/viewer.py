@@ -16,6 +16,7 @@ import viser
 
 from kinefilter.characters import Clip, InputError, Term
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.formats import write_contacts
 from kinefilter.pipeline.progress import Progress
 
@@ -41,10 +42,9 @@ class Playback:
     """A place in a motion, at rest or ``playing`` with a clock; the end leads back."""
 
     def __init__(self, time: Array) -> None:
-        steps = np.diff(time)
-        step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        last = np.nan_to_num(nominal_step(time), nan=1.0)
         self._starts = time - time[0]
-        self._ends = np.append(self._starts[1:], self._starts[-1] + step)
+        self._ends = np.append(self._starts[1:], self._starts[-1] + last)
         self._frame, self._speed, self.playing = 0, 1.0, False
         self._began = 0.0  # clock at which frame 0 was or would be, while it plays
 
