@@ -28,13 +28,13 @@ def read_only(array: NDArray[Number]) -> NDArray[Number]:
 
 
 def check_shapes(
-    value: Any, source: str, expected: dict[str, tuple[int, ...]], of: str = ""
+    value: Any, what: str, expected: dict[str, tuple[int, ...]], of: str = ""
 ) -> None:
     """Raise an InputError if arrays of a value have other shapes than expected."""
     for name, shape in expected.items():
         found = np.shape(getattr(value, name))
         if found != shape:
-            raise InputError(f"{source}: {name} has shape {found}, not {shape}{of}")
+            raise InputError(f"{what}: {name} has shape {found}, expected {shape}{of}")
 
 
 def freeze(value: Any) -> None:

@@ -60,7 +60,7 @@ _BITS = {group: bit for bit, group in enumerate(_GROUPS, start=1)}
 
 def to_mujoco(values: Array) -> Array:
     """Turn vectors (..., 3) or quaternions wxyz (..., 4) into MuJoCo's z-up world."""
-    return _permute(values, [2, 0, 1])  # forward, left, up from left, up, forward
+    return _permute(values, [2, 0, 1])  # (forward, left, up) of (x, y, z)
 
 
 def from_mujoco(values: Array) -> Array:

@@ -140,10 +140,10 @@ class Clean:
         out.print(as_tables(result))
         out.print(f"wrote {path}")
         if self.report is not None:
-            path = numbered(self.report, body)
             from kinefilter.pipeline.look.comparison import compare
             from kinefilter.pipeline.look.page import read_limits, write_report
 
+            path = numbered(self.report, body)
             write_report(compare(result.clip, take), path, read_limits())
             out.print(f"wrote {path}")
 

@@ -23,7 +23,6 @@ _TURN = 12.0  # s that an orbit takes, about
 _LAG = 0.5  # s over which a following camera averages the character's place
 _AZIMUTHS = 24  # at which an orbit is checked to show everything
 _FARTHEST = 1e6  # m from the origin, where single precision is already coarse
-_AHEAD = np.array([0.0, 0.0, 1.0])  # where a character with no heading faces
 _MARGIN = 0.06  # of the picture, on every side
 
 
@@ -67,7 +66,8 @@ def camera_path(
     if camera not in CAMERAS:
         return _from_file(camera)
     around, up = np.radians(_DIRECTIONS[camera])
-    headings = rotate(motion.rotations[:, motion.skeleton.root], _AHEAD)
+    ahead = np.array([0.0, 0.0, 1.0])  # where a character with no heading faces
+    headings = rotate(motion.rotations[:, motion.skeleton.root], ahead)
     x, _, z = headings.mean(axis=0)
     azimuth = np.arctan2(x, z) + around
     toward = _direction(azimuth, up)
@@ -107,10 +107,8 @@ def axes_toward(toward: Array) -> tuple[Array, Array]:
 
 
 def _direction(azimuth: float, elevation: float) -> Array:
-    level = np.cos(elevation)
-    return np.array(
-        [level * np.sin(azimuth), np.sin(elevation), level * np.cos(azimuth)]
-    )
+    level, up = np.cos(elevation), np.sin(elevation)
+    return np.array([level * np.sin(azimuth), up, level * np.cos(azimuth)])
 
 
 def _framed(

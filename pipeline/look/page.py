@@ -13,7 +13,6 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,13 +21,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, InputError, Origin, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.formats.files import (
-    LARGEST_TOML,
-    atomic_path,
-    check_folder,
-    parse_toml,
-    read_limited,
-)
+from kinefilter.pipeline.formats.files import atomic_path, check_folder, read_toml
 from kinefilter.pipeline.metrics import METRICS, even_differences
 
 from .comparison import Comparison
@@ -81,12 +74,8 @@ def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]
 
     Raises an InputError unless it is a list ``fail_on`` of texts (``parse_limit``).
     """
-    if path is None:
-        name = "thresholds.toml"
-        text = resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
-    else:
-        name, text = os.fspath(path), read_limited(path, LARGEST_TOML)
-    table = parse_toml(text, name, _EXPECTED)
+    name = os.fspath(path or Path(__file__).with_name("thresholds.toml"))
+    table = read_toml(name, _EXPECTED)
     texts = table.get("fail_on")
     listed = isinstance(texts, list) and all(isinstance(t, str) for t in texts)
     if not listed or len(table) > 1:
@@ -187,8 +176,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
 
 
 def _template(name: str) -> str:
-    folder = resources.files(__package__).joinpath("template")
-    return folder.joinpath(name).read_text(encoding="utf-8")
+    return (Path(__file__).parent / "template" / name).read_text(encoding="utf-8")
 
 
 def _packed(values: NDArray[Any], kind: str) -> str:

@@ -181,11 +181,12 @@ class Viewer:
             self._on(again.on_click, self._clean_again)
             self._said = gui.add_html("")
             self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
-        layers = dict(drawing.layers)
-        layers |= {_BESIDE: True} if "raw" in layers else {}
-        layers |= {_SHADOWS: True}
+        shown = dict(drawing.layers)
+        if "raw" in shown:
+            shown[_BESIDE] = True
+        shown[_SHADOWS] = True
         with gui.add_folder("Show"):
-            self._boxes = {n: gui.add_checkbox(n, on) for n, on in layers.items()}
+            self._boxes = {n: gui.add_checkbox(n, on) for n, on in shown.items()}
         for box in self._boxes.values():
             self._on(box.on_update, self._choose)
 
