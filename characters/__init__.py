@@ -2,8 +2,16 @@
 
 from .anthropometry import STANDARD_HEIGHT, STATURES, Body, random_body, standard_body
 from .errors import InputError, KinefilterError
-from .kinematics import positions_from_rotations
-from .motion import CONTACTS, Clip, Motion, Origin, State, Take, Term
+from .motion import (
+    CONTACTS,
+    Clip,
+    Motion,
+    Origin,
+    State,
+    Take,
+    Term,
+    positions_from_rotations,
+)
 from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
 from .tracking import Tracking

@@ -16,9 +16,12 @@ from functools import cached_property
 
 import numpy as np
 
-from .arrays import Array, freeze, read_only
+from .arrays import Array, check_shapes, freeze, read_only
 from .errors import InputError
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton
+
+GRAVITY = 9.81
+"""Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
 
 STANDARD_HEIGHT = 1.75
 """Stature [m] of the standard body that postures are compared on."""
@@ -88,12 +91,12 @@ def joint_range(name: str) -> float:
 
 def _table(skeleton: Skeleton) -> dict[str, _Row]:
     """Return the rows of a skeleton by joint name."""
-    trunks = {
+    trunk, limbs = {
         KINECT_V1.name: (_V1_TRUNK, _LIMBS),
         KINECT_V2.name: (_V2_TRUNK, {**_LIMBS, **_V2_HANDS}),
-    }
-    trunk, limbs = trunks[skeleton.name]
-    table = dict(trunk)
+    }[skeleton.name]
+    root: _Row = (0.0, 0.0, (0.0, 0.0, 0.0), 0.0)
+    table = {skeleton.joints[skeleton.root]: root, **trunk}
     for limb, (length, mass, (x, y, z), most) in limbs.items():
         table[f"{limb}Left"] = (length, mass, (x, y, z), most)
         table[f"{limb}Right"] = (length, mass, (-x, y, z), most)
@@ -104,13 +107,8 @@ def _check_segments(body: Body) -> None:
     """Raise an InputError for lengths and directions that no body has."""
     skeleton = body.skeleton
     count, ends = len(skeleton), skeleton.segments
-    for name, shape in (("lengths", (count,)), ("directions", (count, 3))):
-        found = np.shape(getattr(body, name))
-        if found != shape:
-            raise InputError(
-                f"{name} of a body have shape {found}, expected {shape} for "
-                f"{skeleton.name}"
-            )
+    shapes = {"lengths": (count,), "directions": (count, 3)}
+    check_shapes(body, "a body", shapes, f" for {skeleton.name}")
     lengths = body.lengths[ends]
     with np.errstate(over="ignore"):  # of a damaged file
         norms = np.linalg.norm(body.directions[ends], axis=1)
@@ -175,7 +173,7 @@ class Body:
     def masses(self) -> Array:
         """Mass [kg] of the segment that ends at each joint, root: the pelvis, (J,)."""
         table = _table(self.skeleton)
-        shares = np.array([table.get(j, (0, 0, 0))[1] for j in self.skeleton.joints])
+        shares = np.array([table[j][1] for j in self.skeleton.joints])
         shares[self.skeleton.root] = 1.0 - shares.sum()
         return read_only(shares * self.mass)
 
@@ -202,43 +200,46 @@ def standard_body(
 ) -> Body:
     """Return the body of average proportions.
 
-    Args:
-        skeleton: The joints.
-        height: Stature [m].
-        mass: Body mass [kg]; by default that of a body mass index of 22 kg/m^2.
-
-    Raises:
-        InputError: Height or mass is not a human's.
+    Stature is in m, mass in kg, by default that of a body mass index of 22 kg/m^2.
+    Raises an InputError where they are not a human's.
     """
-    table = _table(skeleton)
-    fractions = np.array([table.get(j, (0, 0, 0))[0] for j in skeleton.joints])
+    rows = [_table(skeleton)[joint] for joint in skeleton.joints]
     if mass is None:
         mass = _BODY_MASS_INDEX * height**2
-    directions = np.array(
-        [table[j][2] if j in table else (0, 0, 0) for j in skeleton.joints], dtype=float
-    )
+    directions = np.array([row[2] for row in rows])
     norms = np.linalg.norm(directions, axis=1, keepdims=True)
     directions /= np.where(norms > 0, norms, 1.0)
-    return Body(skeleton, height, mass, fractions * height, directions)
+    lengths = np.array([row[0] for row in rows]) * height
+    return Body(skeleton, height, mass, lengths, directions)
 
 
 def random_body(skeleton: Skeleton, rng: np.random.Generator) -> Body:
     """Return the body of somebody: stature, build and mass drawn.
 
     Left and right are alike. The same draws give the same person on every skeleton.
-
-    Args:
-        skeleton: The joints.
-        rng: Source of chance.
     """
     mean, deviation = _STATURES[int(rng.integers(2))]
     height = float(np.clip(rng.normal(mean, deviation), _SHORTEST, _TALLEST))
     index = float(np.clip(rng.normal(*_MASS_INDEX), 18.5, 30.0))
     scale = {part: 1.0 + sd * rng.normal() for part, sd in _BUILD.items()}
     body = standard_body(skeleton, height=height, mass=index * height**2)
-    factors = []
-    for joint in skeleton.joints:
-        part = joint.removesuffix("Left").removesuffix("Right")
-        paired = part != joint
-        factors.append(scale.get(part, 1.0) if paired else scale["trunk"])
+    parts = [j.removesuffix("Left").removesuffix("Right") for j in skeleton.joints]
+    factors = [
+        scale["trunk"] if part == joint else scale.get(part, 1.0)
+        for part, joint in zip(parts, skeleton.joints, strict=True)
+    ]
     return replace(body, lengths=body.lengths * np.array(factors))
+
+
+def joint_masses(body: Body) -> Array:
+    """Return the mass [kg] that moves with each joint, shape (J,).
+
+    Half of every segment that meets there: the two-point model of a rod. The masses
+    sum to the body's.
+    """
+    skeleton = body.skeleton
+    masses = np.zeros(len(skeleton))
+    masses[skeleton.root] = body.masses[skeleton.root]
+    np.add.at(masses, skeleton.segments, 0.5 * body.masses[skeleton.segments])
+    np.add.at(masses, skeleton.segment_parents, 0.5 * body.masses[skeleton.segments])
+    return masses

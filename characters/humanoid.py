@@ -16,12 +16,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from .anthropometry import Body, joint_range
+from .anthropometry import GRAVITY, Body, joint_masses, joint_range
 from .arrays import Array
 from .tracking import Tracking
-
-GRAVITY = 9.81
-"""Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
 
 PULLS = 30
 """Actuator group of everything that pulls the character."""
@@ -60,18 +57,15 @@ _GROUPS = {
 _SIDES = {"L": "Left", "R": "Right"}
 _BITS = {group: bit for bit, group in enumerate(_GROUPS, start=1)}
 
-_TO_MUJOCO = [2, 0, 1]  # forward, left, up from left (x), up (y), forward (z)
-_FROM_MUJOCO = [1, 2, 0]
-
 
 def to_mujoco(values: Array) -> Array:
     """Turn vectors (..., 3) or quaternions wxyz (..., 4) into MuJoCo's z-up world."""
-    return _permute(values, _TO_MUJOCO)
+    return _permute(values, [2, 0, 1])  # (forward, left, up) of (x, y, z)
 
 
 def from_mujoco(values: Array) -> Array:
     """Turn vectors (..., 3) or quaternions wxyz (..., 4) into kinefilter's world."""
-    return _permute(values, _FROM_MUJOCO)
+    return _permute(values, [1, 2, 0])
 
 
 def _permute(values: Array, order: list[int]) -> Array:
@@ -87,10 +81,6 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
     the site marks that joint. Actuators come in the skeleton's joint order, three
     forces (MuJoCo x, y, z) a joint, then three torques for the root and one for every
     segment. ``target:NAME`` are the mocap bodies whose orientation the torques follow.
-
-    Args:
-        body: Lengths, masses and radii.
-        tracking: Gains and bounds of the pull.
     """
     tracking = tracking or Tracking()
     skeleton = body.skeleton
@@ -105,17 +95,28 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 1.0],
+        friction=[1.0, 0.005, 0.0001],
         contype=1,
         conaffinity=1,
-        friction=[1.0, 0.005, 0.0001],
         solref=_HARD_FLOOR[0],
         solimp=_HARD_FLOOR[1],
     )
     world.add_site(name="world")
     _add_bodies(spec, body)
-    _add_forces(spec, body, tracking)
-    _add_torques(spec, body, tracking)
-    _add_grips(spec)
+    _add_pulls(spec, body, tracking)
+    # What lets a hand hold a thing: fingers, of which the capsule has none. Adhesion
+    # presses it to whatever is within its reach while its control is 1.
+    for hand in ("HandLeft", "HandRight"):
+        spec.geom(hand).gap = _REACH
+        spec.add_actuator(
+            name=f"grip:{hand}",
+            trntype=mujoco.mjtTrn.mjTRN_BODY,
+            target=hand,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            gainprm=[_GRIP] + [0.0] * 9,
+            ctrllimited=True,
+            ctrlrange=[0.0, 1.0],
+        )
     for joint in skeleton.joints:
         target = world.add_body(name=f"target:{joint}", mocap=True)
         target.add_site(name=f"target:{joint}")
@@ -190,13 +191,15 @@ def _collisions(name: str) -> dict[str, int]:
     return {"contype": 0, "conaffinity": 1}
 
 
-def _add_forces(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
+def _add_pulls(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
     """Add one Cartesian PD actuator per axis and joint (Shum 2013, eq. 16).
 
     force = kp (p_target - p) + kv (v_target - v), given ctrl = kp p_target +
-    kv v_target, clipped so that the vector stays under the bound.
+    kv v_target, clipped so that the vector stays under the bound. And the torque about
+    each segment's axis, all axes for the root (eq. 17).
     """
-    for joint, mass in zip(body.skeleton.joints, joint_masses(body), strict=True):
+    skeleton = body.skeleton
+    for joint, mass in zip(skeleton.joints, joint_masses(body), strict=True):
         for axis in range(3):
             _add_pd(
                 spec,
@@ -208,11 +211,6 @@ def _add_forces(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
                 frequency=tracking.natural_frequency,
                 bound=mass * tracking.largest_acceleration / np.sqrt(3.0),
             )
-
-
-def _add_torques(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
-    """Add the torque about each segment's axis, all axes for the root (eq. 17)."""
-    skeleton = body.skeleton
     inertias = _TURNED_ALONG * _swing_inertias(body)
     # The pelvis carries the hips, which lie on a lever of their own length.
     hips = np.array(skeleton.children[skeleton.root])
@@ -232,24 +230,6 @@ def _add_torques(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
                 frequency=tracking.twist_frequency,
                 bound=inertias[j] * tracking.largest_angular_acceleration,
             )
-
-
-def _add_grips(spec: mujoco.MjSpec) -> None:
-    """Add what lets a hand hold a thing: fingers, of which the capsule has none.
-
-    Adhesion presses a hand to whatever is within its reach while its control is 1.
-    """
-    for side in _SIDES.values():
-        spec.geom(f"Hand{side}").gap = _REACH
-        spec.add_actuator(
-            name=f"grip:Hand{side}",
-            trntype=mujoco.mjtTrn.mjTRN_BODY,
-            target=f"Hand{side}",
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            gainprm=[_GRIP] + [0.0] * 9,
-            ctrllimited=True,
-            ctrlrange=[0.0, 1.0],
-        )
 
 
 def _swing_inertias(body: Body) -> Array:
@@ -284,17 +264,3 @@ def _add_pd(
         forcelimited=True,
         forcerange=[-bound, bound],
     )
-
-
-def joint_masses(body: Body) -> Array:
-    """Return the mass [kg] that moves with each joint, shape (J,).
-
-    Half of every segment that meets there: the two-point model of a rod. The masses
-    sum to the body's.
-    """
-    skeleton = body.skeleton
-    masses = np.zeros(len(skeleton))
-    masses[skeleton.root] = body.masses[skeleton.root]
-    np.add.at(masses, skeleton.segments, 0.5 * body.masses[skeleton.segments])
-    np.add.at(masses, skeleton.segment_parents, 0.5 * body.masses[skeleton.segments])
-    return masses

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body
-from .arrays import freeze, read_only
+from .arrays import Array, Flags, check_shapes, freeze, read_only
 from .errors import InputError
-from .kinematics import positions_from_rotations
 from .props import Prop
+from .rotations import rotate
 from .skeleton import Skeleton
 
 _UNIT = 1e-3  # by which a quaternion may be longer than 1: single precision, and room
@@ -60,17 +60,8 @@ class Term(IntEnum):
         return self.name.lower().replace("_", " ")
 
 
-def _check_shapes(motion: Any, expected: dict[str, tuple[int, ...]]) -> None:
-    for name, shape in expected.items():
-        found = np.shape(getattr(motion, name))
-        if found != shape:
-            raise InputError(
-                f"{motion.source}: {name} has shape {found}, expected {shape} "
-                f"for {motion.skeleton.name}"
-            )
-
-
-def _check_time(motion: Any) -> None:
+def _check(motion: Take | Motion, shapes: dict[str, tuple[int, ...]]) -> None:
+    check_shapes(motion, motion.source, shapes, f" for {motion.skeleton.name}")
     time = motion.time
     wrong = np.flatnonzero(~np.isfinite(time))
     if len(wrong):
@@ -88,9 +79,7 @@ def _check_time(motion: Any) -> None:
         )
 
 
-def _refuse(
-    motion: Motion, what: str, values: NDArray[Any], good: NDArray[np.bool_]
-) -> None:
+def _refuse(motion: Motion, what: str, values: NDArray[Any], good: Flags) -> None:
     if not good.all():
         frame, joint = np.argwhere(~good)[0]
         raise InputError(
@@ -99,20 +88,41 @@ def _refuse(
         )
 
 
-def frames_per_second(time: NDArray[np.float64]) -> float:
-    """Return the nominal frame rate [1/s]: one over the median time step, or 30."""
+def nominal_step(time: Array) -> float:
+    """Return the median time between frames that differ in time [s], or NaN."""
     steps = np.diff(time)
     steps = steps[steps > 0]
-    return float(1.0 / np.median(steps)) if len(steps) else 30.0
+    return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def frames_per_second(time: Array) -> float:
+    """Return the nominal frame rate [1/s]: one over the nominal step, or 30."""
+    step = nominal_step(time)
+    return 1.0 / step if step > 0.0 else 30.0
+
+
+def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array:
+    """Return joint positions [m] of a body, world frame, shape (..., J, 3).
+
+    Segments have world rotations, unit quaternions wxyz, identity in the T-pose, shape
+    (..., J, 4); the root joint is at ``root`` [m], shape (..., 3).
+    """
+    bones = rotate(rotations, body.rest_offsets)
+    positions = np.empty_like(bones)
+    skeleton = body.skeleton
+    positions[..., skeleton.root, :] = root
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        positions[..., j, :] = positions[..., p, :] + bones[..., j, :]
+    return positions
 
 
 @dataclass(frozen=True, eq=False)
 class Take:
     """A recording as the sensor gave it; arrays are read-only."""
 
-    time: NDArray[np.float64]
+    time: Array
     """Time stamps [s], shape (T,), never decreasing; repeats and gaps are normal."""
-    positions: NDArray[np.float64]
+    positions: Array
     """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN: missing."""
     state: NDArray[np.uint8]
     """Tracking state per joint (State), shape (T, J)."""
@@ -123,8 +133,7 @@ class Take:
 
     def __post_init__(self) -> None:
         t, j = len(self.time), len(self.skeleton)
-        _check_shapes(self, {"time": (t,), "positions": (t, j, 3), "state": (t, j)})
-        _check_time(self)
+        _check(self, {"time": (t,), "positions": (t, j, 3), "state": (t, j)})
         freeze(self)
 
     def __len__(self) -> int:
@@ -144,21 +153,20 @@ class Motion:
     follow from root and rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
     """
 
-    time: NDArray[np.float64]
+    time: Array
     """Time stamps [s], never decreasing, shape (T,)."""
     body: Body
     """The body that moves: skeleton, segment lengths and rest posture."""
-    root: NDArray[np.float64]
+    root: Array
     """Position of the root joint [m], world frame, shape (T, 3)."""
-    rotations: NDArray[np.float64]
+    rotations: Array
     """World rotation of the segment that ends at each joint, unit quaternions wxyz,
     shape (T, J, 4), identity in the rest posture; the root's row is the pelvis."""
     source: str = "motion"
     """Where the motion came from, for messages."""
 
     def __post_init__(self) -> None:
-        _check_shapes(self, self._shapes())
-        _check_time(self)
+        _check(self, self._shapes())
         with np.errstate(over="ignore"):  # of a damaged file
             lengths = np.sqrt(np.vecdot(self.rotations, self.rotations))
         _refuse(self, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
@@ -177,7 +185,7 @@ class Motion:
         return self.body.skeleton
 
     @cached_property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Array:
         """Joint positions [m], world frame, shape (T, J, 3)."""
         found = positions_from_rotations(self.rotations, self.root, self.body)
         return read_only(found)
@@ -205,21 +213,21 @@ class Clip(Motion):
     state: NDArray[np.uint8]
     """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
     frames where left and right were put back."""
-    reliability: NDArray[np.float64]
+    reliability: Array
     """Reliability in [0, 1], NaN where unknown, shape (T, J)."""
     deciding_term: NDArray[np.uint8]
     """Which reliability term decided (Term), shape (T, J)."""
     origin: NDArray[np.uint8]
     """Where each joint came from (Origin), shape (T, J)."""
-    moved_by_correction: NDArray[np.float64]
+    moved_by_correction: Array
     """Distance from the measurement to the corrected joint [m], NaN where nothing was
     measured, shape (T, J); where left and right were put back, from the other side's
     measurement."""
-    moved_by_physics: NDArray[np.float64]
+    moved_by_physics: Array
     """Distance from the corrected to the final joint [m], shape (T, J)."""
-    contacts: NDArray[np.bool_]
+    contacts: Flags
     """Which parts of the feet stand on the floor (CONTACTS), shape (T, 4)."""
-    external_force: NDArray[np.float64]
+    external_force: Array
     """Force on the body that no muscle and no floor gives [body weights], shape (T,);
     NaN where nothing was simulated."""
     props: tuple[Prop, ...] = ()
@@ -251,7 +259,9 @@ class Clip(Motion):
         t, j = len(self.time), len(self.skeleton)
         return {
             **super()._shapes(),
-            **dict.fromkeys(_PER_JOINT, (t, j)),
+            **dict.fromkeys(("state", "reliability", "deciding_term"), (t, j)),
+            **dict.fromkeys(("origin", "moved_by_correction"), (t, j)),
+            "moved_by_physics": (t, j),
             "contacts": (t, len(CONTACTS)),
             "external_force": (t,),
         }
@@ -262,13 +272,9 @@ class Clip(Motion):
 
     @classmethod
     def of(cls, motion: Motion, **known: Any) -> Self:
-        """Return a clip of a motion of which nothing else is known.
+        """Return a clip of a motion of which nothing but ``known`` fields is known.
 
         Joints count as tracked and measured, feet as lifted; numbers are NaN.
-
-        Args:
-            motion: How the body moves.
-            known: Fields of the clip that are known after all.
         """
         shape = motion.rotations.shape[:2]
         unknown = np.full(shape, np.nan)
@@ -282,16 +288,5 @@ class Clip(Motion):
             "contacts": np.zeros((shape[0], len(CONTACTS)), dtype=np.bool_),
             "external_force": np.full(shape[0], np.nan),
         }
-        moves = {name: getattr(motion, name) for name in _MOTION}
+        moves = {field.name: getattr(motion, field.name) for field in fields(Motion)}
         return cls(**moves | unknowns | known)
-
-
-_MOTION = tuple(field.name for field in fields(Motion))
-_PER_JOINT = (
-    "state",
-    "reliability",
-    "deciding_term",
-    "origin",
-    "moved_by_correction",
-    "moved_by_physics",
-)

@@ -6,20 +6,11 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .arrays import Array, freeze
+from .arrays import Array, Indices, check_shapes, freeze
 from .errors import InputError
 
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
-
-
-def _check(value: Any, **expected: int | tuple[int, int]) -> None:
-    for name, shape in expected.items():
-        wanted = (shape,) if isinstance(shape, int) else shape
-        found = np.shape(getattr(value, name))
-        if found != wanted:
-            raise InputError(f"{name} of a prop has shape {found}, expected {wanted}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,16 +29,16 @@ class Shape:
     """Red, green and blue as a screen gets them, 0 to 1, shape (3,)."""
     points: Array
     """Points of a mesh [m], shape (P, 3); of other kinds none."""
-    triangles: NDArray[np.int64]
+    triangles: Indices
     """Indices of points, counter-clockwise from outside, shape (F, 3)."""
 
     def __post_init__(self) -> None:
-        _check(self, size=3, position=3, rotation=4, color=3)
+        shapes: dict[str, tuple[int, ...]] = {"rotation": (4,)}
+        shapes |= dict.fromkeys(("size", "position", "color"), (3,))
+        check_shapes(self, "a prop", shapes)
         if self.kind not in get_args(ShapeKind):
-            raise InputError(
-                f"unknown kind of shape {self.kind!r}; known: "
-                + ", ".join(get_args(ShapeKind))
-            )
+            known = ", ".join(get_args(ShapeKind))
+            raise InputError(f"unknown kind of shape {self.kind!r}; known: {known}")
         if self.kind == "mesh" and not len(self.points):
             raise InputError("a mesh has no points; give it some, or leave it out")
         freeze(self)
@@ -57,8 +48,8 @@ class Shape:
         """Half of the box around it along its own axes [m], shape (3,)."""
         if self.kind == "mesh":
             return np.asarray(np.abs(self.points).max(axis=0))
-        cap = [0.0, float(self.size[0]) if self.kind == "capsule" else 0.0, 0.0]
-        return np.asarray(self.size + np.array(cap))
+        cap = float(self.size[0]) if self.kind == "capsule" else 0.0
+        return np.asarray(self.size + np.array([0.0, cap, 0.0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +67,7 @@ class Prop:
 
     def __post_init__(self) -> None:
         count = len(self.positions)
-        _check(self, positions=(count, 3), rotations=(count, 4))
+        check_shapes(self, "a prop", {"positions": (count, 3), "rotations": (count, 4)})
         freeze(self)
 
     @property
@@ -88,6 +79,5 @@ class Prop:
         """Return the prop in some frames of the clip, in their order."""
         if not self.moves:
             return self
-        return Prop(
-            self.name, self.shapes, self.positions[frames], self.rotations[frames]
-        )
+        places, turns = self.positions[frames], self.rotations[frames]
+        return Prop(self.name, self.shapes, places, turns)

@@ -127,13 +127,7 @@ def rotation_vector(q: ArrayLike) -> Array:
 
 
 def slerp(a: ArrayLike, b: ArrayLike, share: ArrayLike) -> Array:
-    """Return rotations on the shortest arc from a to b, shape (..., 4).
-
-    Args:
-        a: Unit quaternions (..., 4).
-        b: Unit quaternions (..., 4).
-        share: 0 at a, 1 at b, shape (...).
-    """
+    """Return rotations on the shortest arc from a (0) to b (1), shape (..., 4)."""
     a, b, share = np.asarray(a), np.asarray(b), np.asarray(share)[..., None]
     cosine = np.sum(a * b, axis=-1, keepdims=True)
     b = np.where(cosine < 0.0, -b, b)
@@ -147,8 +141,7 @@ def slerp(a: ArrayLike, b: ArrayLike, share: ArrayLike) -> Array:
 
 def matrix_from_wxyz(q: ArrayLike) -> Array:
     """Return rotation matrices, columns the rotated axes, shape (..., 3, 3)."""
-    axes = np.eye(3)
-    return np.stack([rotate(q, axes[k]) for k in range(3)], axis=-1)
+    return np.stack([rotate(q, axis) for axis in np.eye(3)], axis=-1)
 
 
 def wxyz_from_matrix(matrix: ArrayLike) -> Array:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Indices
 from .errors import InputError
 
 
@@ -31,13 +32,12 @@ class Skeleton:
 
     def index(self, joint: str) -> int:
         """Return the index of ``joint``; raises InputError where there is none."""
-        try:
-            return self._index[joint]
-        except KeyError:
+        if joint not in self._index:
             raise InputError(
                 f"skeleton {self.name} has no joint {joint!r}; it has "
                 + ", ".join(self.joints)
-            ) from None
+            )
+        return self._index[joint]
 
     @cached_property
     def _index(self) -> dict[str, int]:
@@ -49,7 +49,7 @@ class Skeleton:
         return self.parents.index(-1)
 
     @cached_property
-    def hips(self) -> NDArray[np.intp]:
+    def hips(self) -> Indices:
         """Indices of the left and the right hip."""
         return np.array([self.index("HipLeft"), self.index("HipRight")])
 
@@ -82,27 +82,25 @@ class Skeleton:
         return joints
 
     @cached_property
-    def segments(self) -> NDArray[np.intp]:
+    def segments(self) -> Indices:
         """Indices of the joints that end a segment: all but the root."""
         return np.array([j for j in self.order if j != self.root])
 
     @cached_property
-    def segment_parents(self) -> NDArray[np.intp]:
+    def segment_parents(self) -> Indices:
         """Index of the joint each of ``segments`` starts at."""
         return np.array([self.parents[j] for j in self.segments])
 
     @cached_property
-    def mirror(self) -> NDArray[np.intp]:
+    def mirror(self) -> Indices:
         """Permutation that swaps the left and the right joint of every pair."""
         swap = {"Left": "Right", "Right": "Left"}
-
-        def partner(joint: str) -> str:
-            for side, other in swap.items():
-                if joint.endswith(side):
-                    return joint[: -len(side)] + other
-            return joint
-
-        return np.array([self.index(partner(joint)) for joint in self.joints])
+        return np.array(
+            [
+                self.index(re.sub("(Left|Right)$", lambda side: swap[side[0]], joint))
+                for joint in self.joints
+            ]
+        )
 
 
 def _skeleton(name: str, hierarchy: str) -> Skeleton:

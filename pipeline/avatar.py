@@ -5,14 +5,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kinefilter.characters import Body, InputError, State, Tracking
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 
 from .cleaner import Cleaner
 from .config import CleanConfig
@@ -28,7 +28,7 @@ class Pose:
     """Joint positions [m], y up, floor at 0, shape (J, 3)."""
     rotations: Array
     """World segment rotations, wxyz, shape (J, 4)."""
-    stands: NDArray[np.bool_]
+    stands: Flags
     """Whether each foot (left, right) stands, shape (2,)."""
     external_force: float
     """Force on the body that no muscle and no floor gives [body weights]."""
@@ -45,13 +45,10 @@ class Avatar:
 
     Args:
         body: The person; ``standard_body(KINECT_V2, height=1.8)`` will do.
-        scene: One of the scenes, or an MJCF file, that the character is in. The person
-            begins at its origin, facing +z (MuJoCo's +x); without one, the character
-            stays where the sensor sees the person.
-        floor: Height of the floor in the sensor's frame [m]; by default it is followed
-            under the feet.
-        tracking: How hard the character is pulled. Softer (15 rad/s) gives way when it
-            is pushed.
+        scene: One of the scenes, or an MJCF file. The person begins at its origin,
+            facing +z (MuJoCo's +x); without one, where the sensor sees them.
+        floor: Its height in the sensor's frame [m]; by default followed under the feet.
+        tracking: How hard the character is pulled; 15 rad/s gives way to pushes.
         corrector: What corrects frames; by default as ``clean``.
     """
 
@@ -65,10 +62,8 @@ class Avatar:
         corrector: Corrector | None = None,
     ) -> None:
         self.body, self.floor = body, floor
-        config = CleanConfig(
-            scene=None if scene is None else str(scene),
-            floor="auto" if floor is None else floor,
-        )
+        room = None if scene is None else str(scene)
+        config = CleanConfig(scene=room, floor="auto" if floor is None else floor)
         self.cleaner = Cleaner(config, tracking=tracking, corrector=corrector)
         self.start()
 
@@ -81,22 +76,13 @@ class Avatar:
         self.physics = physics.character
 
     def step(
-        self,
-        positions: ArrayLike,
-        time: float,
-        state: ArrayLike | None = None,
+        self, positions: ArrayLike, time: float, state: ArrayLike | None = None
     ) -> Pose:
-        """Follow the next frame.
+        """Follow the next frame, with a time stamp [s] later than the last.
 
-        Args:
-            positions: Joint positions [m] as the sensor gives them, y up, NaN where
-                missing, shape (J, 3).
-            time: Time stamp [s], later than the last.
-            state: Tracking state of each joint (State), shape (J,); by default what is
-                there is tracked.
-
-        Raises:
-            InputError: Wrong shape, or time does not go on.
+        Joint positions [m] are as the sensor gives them, y up, NaN where missing, shape
+        (J, 3); states (State), shape (J,), by default tracked where there is a joint.
+        Raises an InputError for a wrong shape, or a time that does not go on.
         """
         seen = np.asarray(positions, dtype=float)
         skeleton = self.body.skeleton
@@ -119,13 +105,7 @@ class Avatar:
             states = np.asarray(state, dtype=np.uint8)
         states = np.where(np.isnan(seen[:, 0]), State.NOT_TRACKED, states)
         found = self.cleaner.step(seen, time, states.astype(np.uint8))
-        return Pose(
-            found.positions,
-            found.rotations,
-            found.stands,
-            found.external_force,
-            found.reset,
-        )
+        return Pose(**{f.name: getattr(found, f.name) for f in fields(Pose)})
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push a part of the body for some time; see ``PulledCharacter.push``."""

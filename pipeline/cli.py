@@ -24,6 +24,15 @@ _GROUPS = {
     "learning": "train, database",
     "lab": "evaluate, simulate, reproduce, bench",
 }
+_FILES = {
+    "clean": "clean, batch",
+    "info": "info, character",
+    "view": "render, report, view",
+    "live": "live, replay",
+    "learn": "train, database",
+    "lab": "evaluate, simulate, reproduce, bench",
+}
+"""Files of ``commands``, with the commands in each."""
 COMMANDS = ", ".join(_GROUPS.values()).split(", ")
 """Names of the commands, group by group."""
 
@@ -76,18 +85,15 @@ def _read(words: Sequence[str]) -> Any:
 
 
 def _command(name: str) -> Any:
-    module = import_module(f"kinefilter.pipeline.commands.{name}")
+    (file,) = (file for file, names in _FILES.items() if name in names.split(", "))
+    module = import_module(f"kinefilter.pipeline.commands.{file}")
     return getattr(module, name.capitalize())
 
 
 def given_options(words: Sequence[str]) -> frozenset[str]:
-    """Return the options that a command line names, which no file may change.
+    """Return the fields of the options that a command line names (tyro: in full).
 
-    Args:
-        words: The command line; tyro does not accept shortened names of options.
-
-    Returns:
-        Names of the options, as their fields are called.
+    No file may change them.
     """
     names = set()
     for word in words:

@@ -9,9 +9,9 @@ from __future__ import annotations
 import os
 import types
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from kinefilter.characters import InputError
 
@@ -23,10 +23,8 @@ from .settings import Settings, names_file
 FOLDER_FILE = "kinefilter.toml"
 """Name of the file with the settings for the takes of its folder."""
 
-_PARTS: dict[str, type[CleanConfig | Export]] = {
-    "config": CleanConfig,
-    "export": Export,
-}
+_Part = CleanConfig | Export
+_PARTS: dict[str, type[_Part]] = {"config": CleanConfig, "export": Export}
 _OWN = {k: hint for k, hint in get_type_hints(Settings).items() if k not in _PARTS}
 _HINTS = get_type_hints(CleanConfig) | get_type_hints(Export) | _OWN
 _WORDS = {
@@ -38,41 +36,27 @@ _WORDS = {
 }
 
 
-@dataclass(frozen=True)
-class SettingsFile:
-    """The content of one file."""
+class SettingsFile(NamedTuple):
+    """A file's path or URL, and its values of the fields of the settings."""
 
     name: str
-    """Path or URL, for messages."""
     values: Mapping[str, Any]
-    """Values of the fields of ``CleanConfig``, ``Export`` and ``Settings``."""
 
 
 def read_settings(path: str | os.PathLike[str]) -> SettingsFile:
-    """Read a file of settings.
-
-    Raises:
-        InputError: There is no such file, or as ``parse_settings``.
-    """
+    """Read a file of settings; raises as ``parse_settings``, and if there is none."""
     text = read_limited(path, LARGEST_TOML)
     return parse_settings(text, os.fspath(path), Path(path).parent)
 
 
 def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
-    """Return the settings in the text of a file.
+    """Return the settings in the TOML of a file, or raise an InputError.
 
-    Args:
-        text: TOML.
-        name: Path or URL of the file, for messages.
-        folder: What paths in it are relative to; None: they have to be absolute.
-
-    Raises:
-        InputError: It is not TOML, a key is unknown, or a value has the wrong type.
+    Paths in it are relative to the folder; without one, they have to be absolute.
     """
     values = {}
-    for key, value in parse_toml(
-        text, name, "write lines such as cutoff = 4.0"
-    ).items():
+    table = parse_toml(text, name, "write lines such as cutoff = 4.0")
+    for key, value in table.items():
         field = key.replace("-", "_")
         if field not in _HINTS:
             known = ", ".join(sorted(name.replace("_", "-") for name in _HINTS))
@@ -86,13 +70,8 @@ def overlaid(
 ) -> Settings:
     """Return settings with the values of files, of which later ones override earlier.
 
-    Args:
-        settings: Values that hold where no file sets others.
-        files: The files.
-        given: Names of fields that the user gave, which no file may change.
-
-    Raises:
-        InputError: A file sets an impossible value.
+    No file may change the fields ``given`` by the user. Raises an InputError if a file
+    sets an impossible value.
     """
     for file in files:
         values = {k: v for k, v in file.values.items() if k not in given}
@@ -109,7 +88,6 @@ def overlaid(
 
 
 def _converted(value: object, field: str, where: str, folder: Path | None) -> Any:
-    """Return a value as its field has it."""
     hint = _HINTS[field]
     union = get_origin(hint) in (Union, types.UnionType)
     # A file leaves out what is None.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,10 @@ from kinefilter.characters import (
     Take,
 )
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import nominal_step
 
 from .database import PostureDatabase
-from .failures import find_failures
+from .failures import Failure, find_failures
 from .formats import Recording, read_recording
 from .formats.files import check_file
 from .formats.mocap import RIGS, kinect_motion, read_mocap
@@ -44,7 +46,6 @@ _PARTS = {
     for side in ("Left", "Right")
 }
 _USD = (b"#usda", b"PXR-USDC")
-_FAILURE = ("kind", "part", "start_s", "end_s")
 _LISTED = 30  # names of joints on a terminal
 _SHOWN_APART = (
     *("file", "kind", "format", "bodies", "notes", "body", "most_seen"),
@@ -82,39 +83,42 @@ def contents_of(
 
 
 def _of_npz(name: str) -> dict[str, Any]:
-    arrays, contents = array_names(name), {"format": "npz"}
+    arrays = array_names(name)
+    contents: dict[str, Any]
     if "moved_by_physics" in arrays:
-        return contents | _of_clip(read_npz(name))
-    if "mocap" in arrays:
+        contents = _of_clip(read_npz(name))
+    elif "mocap" in arrays:
         pairs = read_pairs(name)
-        return contents | {
+        contents = {
             "kind": "pairs",
             "skeleton": pairs[0].take.skeleton.name if pairs else None,
             "clips": len(pairs),
             "frames": sum(len(pair.take) for pair in pairs),
             "people": sorted({pair.subject for pair in pairs}),
         }
-    if "trained_on" in arrays:
+    elif "trained_on" in arrays:
         model = load_model(Path(name))
-        return contents | {
+        contents = {
             "kind": "model",
             "skeleton": model.skeleton.name,
             "method": model.method,
             "learned_from": model.source,
         }
-    if "labels" in arrays:
+    elif "labels" in arrays:
         base = PostureDatabase.load(Path(name))
-        return contents | {
+        contents = {
             "kind": "database",
             "skeleton": base.skeleton.name,
             "postures": len(base),
             "motions": len(set(base.labels.tolist())),
             "recorded": base.recorded,
         }
-    raise InputError(
-        f"{name}: not a kinefilter clip, pairs file, model or motion database; it has "
-        f"the arrays {', '.join(sorted(arrays)[:5])[:100] or '(none)'}"
-    )
+    else:
+        raise InputError(
+            f"{name}: not a kinefilter clip, pairs file, model or motion database; it "
+            f"has the arrays {', '.join(sorted(arrays)[:5])[:100] or '(none)'}"
+        )
+    return {"format": "npz"} | contents
 
 
 def _of_clip(clip: Clip) -> dict[str, Any]:
@@ -186,7 +190,6 @@ def contents_of_take(take: Take) -> dict[str, Any]:
     names = ("time", "positions", "state")
     distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
     failures = find_failures(distinct) if len(distinct) > 1 else ()
-    rows = [(f.kind.name.lower(), f.part, f.start, f.end) for f in failures]
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
@@ -194,23 +197,29 @@ def contents_of_take(take: Take) -> dict[str, Any]:
         "frames_without_anyone": int(np.sum(lacks.all(axis=1))),
         "joints_never_seen": np.array(take.skeleton.joints)[lacks.all(axis=0)].tolist(),
         "states": _states(take),
-        "failures": [dict(zip(_FAILURE, row, strict=True)) for row in rows],
+        "failures": failures_as_json(failures),
     }
+
+
+def failures_as_json(failures: Iterable[Failure]) -> list[dict[str, Any]]:
+    """Return what failed and when [s], ready for ``json.dump``."""
+    rows = [(f.kind.name.lower(), f.part, f.start, f.end) for f in failures]
+    names = ("kind", "part", "start_s", "end_s")
+    return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def _timing(time: Array) -> dict[str, Any]:
     steps = np.diff(time)
-    forward = steps[steps > 0]
-    usual = float(np.median(forward)) if len(forward) else 0.0
-    gaps = forward[forward > _GAP * usual]
+    usual = nominal_step(time)  # NaN without two frames: then there are no gaps
+    gaps = steps[steps > _GAP * usual]
     return {
         "frames": len(time),
         "start_s": float(time[0]) if len(time) else 0.0,
         "seconds": float(time[-1] - time[0]) if len(time) else 0.0,
         "fps": 1.0 / usual if usual > 0.0 else None,
         "repeated_frames": int(np.sum(steps == 0)),
-        "dropped_frames": int(np.sum(np.round(gaps / usual) - 1)) if len(gaps) else 0,
-        "longest_gap_s": float(gaps.max()) if len(gaps) else 0.0,
+        "dropped_frames": int(np.sum(np.round(gaps / usual) - 1)),
+        "longest_gap_s": float(gaps.max(initial=0.0)),
     }
 
 

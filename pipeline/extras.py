@@ -8,12 +8,9 @@ from kinefilter.characters import InputError
 
 
 def require(module: str, purpose: str, extra: str) -> None:
-    """Raise an InputError if a package is not installed; do not load it.
+    """Raise an InputError if a module is not installed; do not load it.
 
-    Args:
-        module: What is imported, such as ``websockets``.
-        purpose: What needs it, for the message.
-        extra: The extra of kinefilter that brings it.
+    The message says what needs it, and which extra of kinefilter brings it.
     """
     if importlib.util.find_spec(module) is None:
         raise InputError(

@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body
-from kinefilter.characters.arrays import Array
-from kinefilter.characters.humanoid import GRAVITY, joint_masses
+from kinefilter.characters.anthropometry import GRAVITY, joint_masses
+from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
 from kinefilter.retarget.runs import runs
 
@@ -28,44 +28,49 @@ SKATE_SPEED = 0.2
 _SHORTEST_FLIGHT = 5  # frames that a parabola is fitted to
 
 
+METRICS = {
+    "skate": "feet on the floor slide, m per frame",
+    "skate_mm_per_frame": "the same, mm per frame",
+    "skate_share_over_0p2": "share of their frames over 0.2 m/s",
+    "skate_max_m_per_s": "fastest slide of a foot on the floor, m/s",
+    "float_mm": "soles of standing feet over the floor, mm",
+    "penetration_mm": "deepest point under the floor, mm",
+    "penetration_mean_mm": "lowest point under the floor, mean, mm",
+    "lowest_point_mm": "height of the lowest point, mm",
+    "bone_length_cv": "bone-length variation, share of the length",
+    "jitter": "jitter, m/s³",
+    "amplitude_kept": "amplitude kept, share of the raw one",
+    "peak_hand_speed": "speed of the hands in the fastest 1% of frames, m/s",
+    "flight_error": "acceleration in flight off gravity, m/s²",
+    "moved_cm": "moved from raw, mean, cm",
+}
+"""Name and meaning of each metric; names as in ``clean --json``, and ``skate``."""
+
+
 @dataclass(frozen=True)
 class Quality:
-    """How good a motion is by itself; names and units as in ``clean --json``."""
+    """How good a motion is by itself: METRICS without ``skate``."""
 
     bone_length_cv: float
-    """Standard deviation over mean of segment lengths, mean over segments."""
     jitter: float
-    """Mean magnitude of the third time derivative of joint positions [m/s^3]."""
     skate_mm_per_frame: float
-    """Mean horizontal movement of feet on the floor [mm per frame]."""
     skate_share_over_0p2: float
-    """Share of the frames of feet on the floor that move over 0.2 m/s."""
     skate_max_m_per_s: float
-    """Fastest horizontal movement of a foot on the floor [m/s]."""
     penetration_mm: float
-    """How far the lowest point of the body ever is under the floor [mm]."""
     penetration_mean_mm: float
-    """The same, mean over frames [mm]."""
     float_mm: float
-    """How far the soles of standing feet are over the floor, mean [mm]."""
     amplitude_kept: float
-    """Root mean square movement of the joints about their mean, over that of raw."""
     peak_hand_speed: float
-    """Speed [m/s] that the hands exceed in a hundredth of the frames."""
     flight_error: float
-    """How far the center of mass is from falling freely in flight [m/s^2]."""
     lowest_point_mm: float
-    """Height of the lowest point of the body over the floor [mm]."""
     moved_cm: float
-    """Mean distance of the joints from where they were measured [cm]."""
 
 
 def bone_length_cv(positions: Array, body: Body) -> float:
     """Return the mean coefficient of variation of segment lengths over the frames."""
-    variations = []
-    for j in body.skeleton.segments:
-        bones = positions[:, j] - positions[:, body.skeleton.parents[j]]
-        lengths = _known(np.linalg.norm(bones, axis=1))
+    skeleton, variations = body.skeleton, []
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        lengths = _known(np.linalg.norm(positions[:, j] - positions[:, p], axis=1))
         if len(lengths) > 1:
             variations.append(lengths.std() / lengths.mean())
     return _mean(np.array(variations))
@@ -90,7 +95,7 @@ def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, 
     The order is 1 or more.
     """
     count, joints = max(len(time) - order, 0), positions.shape[1]
-    steps, nominal = np.diff(time), _nominal_step(time)
+    steps, nominal = np.diff(time), nominal_step(time)
     even = np.abs(steps - nominal) < 0.5 * nominal
     sizes = np.full((count, joints), np.nan)
     whole = np.all([even[k : k + count] for k in range(order)], axis=0)
@@ -107,11 +112,9 @@ def lowest_point(positions: Array, body: Body) -> Array:
     joint is nowhere, a frame without joints NaN.
     """
     skeleton = body.skeleton
-    radii = body.radii[skeleton.segments]
-    heights = positions[..., 1]
-    ends = heights[:, skeleton.segments] - radii
-    starts = heights[:, skeleton.segment_parents] - radii
-    return np.asarray(np.fmin.reduce(np.concatenate([ends, starts], axis=1), axis=1))
+    ends = np.concatenate([skeleton.segments, skeleton.segment_parents])
+    radii = np.tile(body.radii[skeleton.segments], 2)
+    return np.asarray(np.fmin.reduce(positions[:, ends, 1] - radii, axis=1))
 
 
 def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, float]:
@@ -122,10 +125,9 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     of those frames with more than 0.2 m/s, and the highest speed [m/s]; NaN where no
     foot ever stands.
     """
-    steps = np.diff(time)
+    steps, speeds = np.diff(time), []
     steps = np.where(steps > 0, steps, np.nan)
-    speeds = []
-    for side in ("Left", "Right"):
+    for side in SIDES:
         foot = body.skeleton.index(f"Foot{side}")
         height = positions[:, foot, 1] - body.radii[foot]
         low = height < SKATE_HEIGHT
@@ -135,10 +137,10 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     if len(speed) == 0:
         return float("nan"), float("nan"), float("nan")
     share = float(np.mean(speed > SKATE_SPEED))
-    return float(speed.mean() * _nominal_step(time) * 1e3), share, float(speed.max())
+    return float(speed.mean() * nominal_step(time) * 1e3), share, float(speed.max())
 
 
-def floating(positions: Array, stands: NDArray[np.bool_], body: Body) -> float:
+def floating(positions: Array, stands: Flags, body: Body) -> float:
     """Return how far the soles of standing feet are over the floor, mean [m]."""
     _, toes = ankles_and_toes(body.skeleton)
     over = np.maximum(positions[:, toes, 1] - body.radii[toes], 0.0)[stands]
@@ -153,9 +155,7 @@ def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:
     return float(np.percentile(speed, 99.0)) if len(speed) else float("nan")
 
 
-def flight_error(
-    time: Array, positions: Array, stands: NDArray[np.bool_], body: Body
-) -> float:
+def flight_error(time: Array, positions: Array, stands: Flags, body: Body) -> float:
     """Return how far the center of mass is from falling freely in flight [m/s^2].
 
     In flight, no foot stands and nothing of the body is under 5 cm, for five frames or
@@ -179,9 +179,9 @@ def flight_error(
 
 
 def amplitude(positions: Array, body: Body) -> Array:
-    """Return how far each joint moves about its mean place under the root, (J,).
+    """Return the rms distance [m] of joints from their mean place under the root, (J,).
 
-    Root mean square distance [m]; NaN for the root and for joints never seen.
+    NaN for the root and for joints never seen.
     """
     relative = positions - positions[:, [body.skeleton.root]]
     moves = np.full(positions.shape[1], np.nan)
@@ -190,13 +190,6 @@ def amplitude(positions: Array, body: Body) -> Array:
         if len(path) > 1:
             moves[j] = np.sqrt(np.mean(np.sum((path - path.mean(axis=0)) ** 2, axis=1)))
     return moves
-
-
-def _nominal_step(time: Array) -> float:
-    """Return the median time between frames that differ in time [s], or NaN."""
-    steps = np.diff(time)
-    steps = steps[steps > 0]
-    return float(np.median(steps)) if len(steps) else float("nan")
 
 
 def _known(values: Array) -> Array:
@@ -215,11 +208,7 @@ def distances(positions: Array, raw: Array) -> Array:
 
 
 def measure(
-    time: Array,
-    positions: Array,
-    raw: Array,
-    body: Body,
-    stands: NDArray[np.bool_],
+    time: Array, positions: Array, raw: Array, body: Body, stands: Flags
 ) -> Quality:
     """Return the quality of a motion beside ``raw``, the measurement it came from."""
     hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]

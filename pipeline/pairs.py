@@ -10,14 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    KINECT_V1,
-    SKELETONS,
-    InputError,
-    Skeleton,
-    State,
-    Take,
-)
+from kinefilter.characters import KINECT_V1, SKELETONS, InputError, State, Take
 from kinefilter.characters.arrays import Array
 
 from .formats.npz import read_arrays
@@ -25,38 +18,32 @@ from .formats.npz import read_arrays
 
 @dataclass(frozen=True, eq=False)
 class PairedTake:
-    """A take and what marker mocap saw at the same time."""
+    """A take and what marker mocap saw at the same time, of who moves in which clip."""
 
     take: Take
     """The recording."""
     truth: Array
     """Joint positions of the mocap [m], the take's frame, NaN where none, (T, J, 3)."""
     subject: str
-    """Who moves."""
     clip: str
-    """Name of the clip, such as m01_s02_e05 or m01_s02_e05_inc."""
 
 
 def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
-    """Read the clips of a pairs file (npz).
+    """Read the clips of a pairs file (npz), or raise an InputError.
 
     Arrays: ``joints`` (names), ``fps``, ``subject``, ``kinect`` and ``mocap`` (N, J, 3)
     in meters, ``clip`` names with their rows ``start`` to ``stop``; optionally
     ``state`` (N, J). NaN is a joint that the recording does not have.
-
-    Raises:
-        InputError: The file is missing or not a pairs file, or its two sides differ.
     """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the name")
     arrays = read_arrays(path, "a pairs file (npz of arrays)")
     needed = ("joints", "fps", "subject", "kinect", "mocap", "clip", "start", "stop")
-    for key in needed:
-        if key not in arrays:
-            raise InputError(
-                f"{path}: no array {key!r}; a pairs file holds {', '.join(needed)}"
-            )
+    lacking = [key for key in needed if key not in arrays]
+    if lacking:
+        has = f"a pairs file holds {', '.join(needed)}"
+        raise InputError(f"{path}: no array {lacking[0]!r}; {has}")
     try:
         return _clips_of(path, arrays)
     except (ValueError, TypeError, IndexError, OverflowError) as error:
@@ -66,22 +53,27 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
 
 
 def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
-    """Return the clips that the arrays of a pairs file hold."""
     kinect, mocap = arrays["kinect"].astype(float), arrays["mocap"].astype(float)
     if kinect.shape != mocap.shape:
         raise InputError(
             f"{path}: kinect has shape {kinect.shape} but mocap {mocap.shape}; both "
             "sides need the same frames and joints"
         )
-    skeleton = _skeleton_of(path, arrays["joints"].tolist(), kinect)
+    joints = arrays["joints"].tolist()
+    known = {skeleton.joints: skeleton for skeleton in SKELETONS.values()}
+    skeleton = known.get(tuple(joints))
+    if skeleton is None or kinect.shape[1:] != (len(joints), 3):
+        raise InputError(
+            f"{path}: joints {', '.join(map(str, joints[:3]))}, ... are no known "
+            "skeleton; expected the SDK's names in its order, such as "
+            f"{', '.join(KINECT_V1.joints)}"
+        )
     missing = np.isnan(kinect).any(axis=2)
     state = arrays.get("state", np.full(missing.shape, State.TRACKED))
     state = np.where(missing, State.NOT_TRACKED, state).astype(np.uint8)
     fps, subject = float(arrays["fps"].item()), str(arrays["subject"])
     if not 0.01 < fps < 1e4:
-        raise InputError(
-            f"{path}: fps is {fps:g}, expected frames a second, such as 30"
-        )
+        raise InputError(f"{path}: fps is {fps:g}, expected frames a second, as 30")
     pairs = []
     spans = zip(arrays["clip"], arrays["start"], arrays["stop"], strict=True)
     for clip, start, stop in spans:
@@ -89,19 +81,7 @@ def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
             raise InputError(
                 f"{path}: clip {clip} is rows {start} to {stop} of {len(kinect)}"
             )
-        rows = slice(int(start), int(stop))
-        time = np.arange(stop - start) / fps
-        name = f"{path}:{clip}"
-        take = Take(time, kinect[rows], state[rows], skeleton, name)
+        rows, time = slice(int(start), int(stop)), np.arange(stop - start) / fps
+        take = Take(time, kinect[rows], state[rows], skeleton, f"{path}:{clip}")
         pairs.append(PairedTake(take, mocap[rows], subject, str(clip)))
     return pairs
-
-
-def _skeleton_of(path: Path, joints: list[str], kinect: Array) -> Skeleton:
-    for skeleton in SKELETONS.values():
-        if tuple(joints) == skeleton.joints and kinect.shape[1:] == (len(joints), 3):
-            return skeleton
-    raise InputError(
-        f"{path}: joints {', '.join(map(str, joints[:3]))}, ... are no known skeleton; "
-        f"expected the SDK's names in its order, such as {', '.join(KINECT_V1.joints)}"
-    )

@@ -43,14 +43,9 @@ class Settings:
 def fingerprint(settings: Settings, suffix: str) -> str:
     """Return a hash of all that decides the bytes of a clip, apart from the take.
 
-    Files that the settings name count by their content, not by their path.
-
-    Args:
-        settings: How a take is cleaned.
-        suffix: Extension of the clip, such as ``.usdc``.
-
-    Raises:
-        InputError: A file that the settings name does not exist.
+    Files that the settings name count by their content, not by their path. ``suffix``
+    is the extension of the clip, such as ``.usdc``. Raises an InputError if a file that
+    the settings name does not exist.
     """
     known = asdict(settings)
     known |= {"suffix": suffix, "kinefilter": version("kinefilter")}
@@ -61,18 +56,14 @@ def fingerprint(settings: Settings, suffix: str) -> str:
 
 
 def hash_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
+    """Return the SHA-256 of a file's bytes, or raise an InputError."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(
-            f"{path}: cannot be read ({reason}); check the name"
+            f"{path}: cannot be read ({reason}); check its name"
         ) from error
 
 

@@ -16,9 +16,6 @@ class Spool:
 
     The file lies where temporary files lie (``TMPDIR``), has no name, and is gone with
     the last array that shows it.
-
-    Args:
-        dtype: What a number is kept as.
     """
 
     def __init__(self, dtype: DTypeLike) -> None:
@@ -30,11 +27,7 @@ class Spool:
         return self._count
 
     def add(self, rows: NDArray[Any]) -> None:
-        """Put rows after those that are there, all of one shape.
-
-        Raises:
-            InputError: The disk is full.
-        """
+        """Put rows after others of their shape; an InputError if the disk is full."""
         self._shape = rows.shape[1:]
         self._count += len(rows)
         try:
@@ -51,6 +44,5 @@ class Spool:
         shape = (self._count, *self._shape)
         if 0 in shape:
             return np.empty(shape, dtype=self._dtype)
-        return np.asarray(
-            np.memmap(self._file, dtype=self._dtype, mode="r", shape=shape)
-        )
+        rows = np.memmap(self._file, dtype=self._dtype, mode="r", shape=shape)
+        return np.asarray(rows)

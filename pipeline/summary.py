@@ -12,6 +12,7 @@ from rich.table import Table
 from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
+from .contents import failures_as_json
 from .failures import Failure
 
 _ROWS = (
@@ -29,7 +30,7 @@ _WORST = 5
 
 def as_json(result: CleanResult) -> dict[str, Any]:
     """Return the figures of a cleaned take, ready for ``json.dump``."""
-    clip = result.clip
+    clip, rates = result.clip, result.clip.reliability.mean(axis=0)
     figures: dict[str, Any] = {
         "source": clip.source,
         "skeleton": clip.skeleton.name,
@@ -37,26 +38,13 @@ def as_json(result: CleanResult) -> dict[str, Any]:
         "seconds": float(clip.time[-1] - clip.time[0]),
         "fps": clip.fps,
         "body": {"height_m": clip.body.height, "mass_kg": clip.body.mass},
-        "reliability": {
-            joint: float(rate)
-            for joint, rate in zip(
-                clip.skeleton.joints, clip.reliability.mean(axis=0), strict=True
-            )
-        },
+        "reliability": dict(zip(clip.skeleton.joints, rates.tolist(), strict=True)),
         "share_outside_database": _finite(result.share_outside),
         **{
             f"share_{origin.name.lower()}": float(np.mean(clip.origin == origin))
             for origin in Origin
         },
-        "failures": [
-            {
-                "kind": failure.kind.name.lower(),
-                "part": failure.part,
-                "start_s": failure.start,
-                "end_s": failure.end,
-            }
-            for failure in result.failures
-        ],
+        "failures": failures_as_json(result.failures),
         "notes": list(result.notes),
     }
     for stage, quality in result.stages.items():
@@ -87,47 +75,27 @@ def as_tables(result: CleanResult) -> RenderableType:
         values = [getattr(quality, key) for quality in result.stages.values()]
         stages.add_row(label, *(form.format(v) for v in values))
     rates = clip.reliability.mean(axis=0)
-    joints = Table(
-        "joint",
-        "reliability",
-        "decided by",
-        "filled",
-        title="least reliable joints",
-        title_justify="left",
-    )
+    columns = ("joint", "reliability", "decided by", "filled")
+    joints = Table(*columns, title="least reliable joints", title_justify="left")
     for j in np.argsort(rates, kind="stable")[:_WORST]:
         # By how much it cost, not how often: some term is the least in every frame.
-        terms = np.bincount(
-            clip.deciding_term[:, j],
-            weights=1.0 - clip.reliability[:, j],
-            minlength=len(Term),
-        )
+        cost = 1.0 - clip.reliability[:, j]
+        terms = np.bincount(clip.deciding_term[:, j], weights=cost)
         joints.add_row(
             clip.skeleton.joints[j],
             f"{rates[j]:.2f}",
             Term(int(terms.argmax())).words,
             f"{np.mean(clip.origin[:, j] == Origin.FILLED):.0%}",
         )
-    shares = ", ".join(
-        f"{origin.name.lower()} {np.mean(clip.origin == origin):.0%}"
-        for origin in Origin
-    )
-    failures = _told(result.failures)
-    lines = [f"of all joints: {shares}", *failures, *result.notes]
+    shares = (f"{o.name.lower()} {np.mean(clip.origin == o):.0%}" for o in Origin)
+    lines = [f"of all joints: {', '.join(shares)}"]
     if np.isfinite(result.share_outside):
-        lines.insert(
-            1, f"postures that the method knows too little: {result.share_outside:.0%}"
-        )
-    return Group(head, stages, joints, *lines)
-
-
-def _told(failures: tuple[Failure, ...]) -> list[str]:
-    """Return a line for every kind of failure of a part of the body."""
+        share = f"{result.share_outside:.0%}"
+        lines.append(f"postures that the method knows too little: {share}")
     kinds: dict[tuple[str, str], list[Failure]] = {}
-    for failure in failures:
+    for failure in result.failures:
         kinds.setdefault((failure.part, failure.kind), []).append(failure)
-    return [
-        f"tracker failure: {same[0]}"
-        + (f", and {len(same) - 1} times later" if len(same) > 1 else "")
-        for same in kinds.values()
-    ]
+    for same in kinds.values():
+        later = f", and {len(same) - 1} times later" if len(same) > 1 else ""
+        lines.append(f"tracker failure: {same[0]}{later}")
+    return Group(head, stages, joints, *lines, *result.notes)

@@ -61,13 +61,10 @@ def one_thread() -> Iterator[None]:
 def workers(
     count: int | None = None, *, environment: Mapping[str, str] | None = None
 ) -> Iterator[ProcessPoolExecutor]:
-    """Yield processes to work in, each with one thread of linear algebra.
+    """Yield processes to work in, by default one a core, with variables of their own.
 
-    The processes end with the one that waits for them, however it ends.
-
-    Args:
-        count: Number of processes; by default one a core that this one may use.
-        environment: Variables to set for the processes.
+    Each has one thread of linear algebra, and ends with the process that waits for it,
+    however that ends.
     """
     # Not forked: threads of the engine and of linear algebra do not survive it.
     context = multiprocessing.get_context("spawn")

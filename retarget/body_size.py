@@ -10,7 +10,6 @@ wrist where it was measured, which a walk with fixed lengths would not.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import (
     STANDARD_HEIGHT,
@@ -51,9 +50,13 @@ def measured_body(
     known = np.where(lengths > 0, lengths, np.nan)
     known = _mean_of_sides(known, known[skeleton.mirror])
     if height is None:
-        upright = _head_to_ankle(skeleton)
-        upright = upright[np.isfinite(known[upright])]
-        share = known[upright].sum() / average[upright].sum() if len(upright) else 1.0
+        stack = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
+        joint = skeleton.index("Head")
+        while joint != skeleton.root:
+            stack.append(joint)
+            joint = skeleton.parents[joint]
+        upright = [j for j in stack if np.isfinite(known[j])]
+        share = known[upright].sum() / average[upright].sum() if upright else 1.0
         height = STANDARD_HEIGHT * float(share)
         if not STATURES[0] < height < STATURES[1]:
             raise InputError(
@@ -80,16 +83,6 @@ def _mean_of_sides(values: Array, mirrored: Array) -> Array:
     return np.where(np.isnan(values), mirrored, both)
 
 
-def _head_to_ankle(skeleton: Skeleton) -> NDArray[np.intp]:
-    """Return the segments that stature is stacked from: head to hips, and a leg."""
-    stack = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
-    joint = skeleton.index("Head")
-    while joint != skeleton.root:
-        stack.append(joint)
-        joint = skeleton.parents[joint]
-    return np.array(stack)
-
-
 class Standardizer:
     """Brings a person's postures to the standard body and view, and back."""
 
@@ -104,7 +97,9 @@ class Standardizer:
         scale = (standard.lengths[ends] / body.lengths[ends])[:, None, None]
         self._to_standard[ends] = scale * turns[ends]
         self._to_person[ends] = turns[ends].transpose(0, 2, 1) / scale
-        self._chain = _chain_matrix(skeleton)
+        self._chain = np.eye(len(skeleton))  # sums bones from the root to every joint
+        for j, p in zip(ends, skeleton.segment_parents, strict=True):
+            self._chain[j] += self._chain[p]
         self.start()
 
     def start(self) -> None:
@@ -134,11 +129,9 @@ class Standardizer:
         if missing.any():
             seen[:, skeleton.root] = 0.0
             for j in skeleton.order[1:]:
-                bone = seen[:, j] - seen[:, skeleton.parents[j]]
-                bone = _held(
-                    np.where(missing[:, j, None], np.nan, bone), self._bones[j]
-                )
-                seen[:, j] = seen[:, skeleton.parents[j]] + bone
+                parent = seen[:, skeleton.parents[j]]
+                bone = np.where(missing[:, j, None], np.nan, seen[:, j] - parent)
+                seen[:, j] = parent + _held(bone, self._bones[j])
         bones = self._bones_of(seen)
         self._root, self._yaw, self._bones = root[-1], yaw[-1], bones[-1]
         standard = self._chain @ _apply(self._to_standard, bones)
@@ -181,13 +174,3 @@ def _held(values: Array, before: Array) -> Array:
         return values
     last = np.maximum.accumulate(np.where(there, np.arange(1, len(values) + 1), 0))
     return np.concatenate([before[None], values])[last]
-
-
-def _chain_matrix(skeleton: Skeleton) -> Array:
-    """Return the matrix that sums bones from the root to every joint, (J, J)."""
-    chain = np.zeros((len(skeleton), len(skeleton)))
-    chain[skeleton.root, skeleton.root] = 1.0
-    for j in skeleton.order[1:]:
-        chain[j] = chain[skeleton.parents[j]]
-        chain[j, j] = 1.0
-    return chain

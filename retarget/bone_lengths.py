@@ -42,9 +42,7 @@ class BoneLengths:
         missing.
         """
         if not np.isfinite(positions).all():
-            raise InputError(
-                "positions that are not finite have no lengths; fill missing joints"
-            )
+            raise InputError("positions are not finite; fill missing joints")
         projected = positions.copy()
         for first in range(0, len(positions), _CHUNK):
             chunk = slice(first, first + _CHUNK)
@@ -80,22 +78,15 @@ class BoneLengths:
         exact = worst < _EXACT
         if exact.all():
             return points
-        return np.where(exact[:, None, None], points, self._walk(points, directions))
+        walked, bones = points.copy(), directions * self._lengths[:, None]
+        for k, (j, p) in enumerate(zip(self._ends, self._starts, strict=True)):
+            walked[:, j] = walked[:, p] + bones[:, k]
+        return np.where(exact[:, None, None], points, walked)
 
     def _bones(self, points: Array) -> tuple[Array, Array]:
-        """Return unit directions (T, S, 3) and length errors [m] (T, S) of the bones.
-
-        A bone without a length points as it does at rest.
-        """
+        """Return unit directions and length errors [m]; no length: as at rest."""
         bones = points[:, self._ends] - points[:, self._starts]
         lengths = np.sqrt(np.vecdot(bones, bones))
         there = (lengths > 1e-6)[..., None]
         directions = bones / np.where(there, lengths[..., None], 1.0)
         return np.where(there, directions, self._rest), lengths - self._lengths
-
-    def _walk(self, points: Array, directions: Array) -> Array:
-        walked = points.copy()
-        bones = directions * self._lengths[:, None]
-        for k, (j, p) in enumerate(zip(self._ends, self._starts, strict=True)):
-            walked[:, j] = walked[:, p] + bones[:, k]
-        return walked

@@ -34,9 +34,8 @@ class Hands:
         """
         carried = after.copy()
         for elbow, wrist, hand in self._arms:
-            turn = between(
-                *(p[..., wrist, :] - p[..., elbow, :] for p in (before, after))
-            )
+            was, now = (p[..., wrist, :] - p[..., elbow, :] for p in (before, after))
+            turn = between(was, now)
             for j in hand:
                 p, share = self._parents[j], confidence[..., j, None]
                 follows = rotate(turn, _unit(before[..., j, :] - before[..., p, :]))

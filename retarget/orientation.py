@@ -5,10 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_x,
@@ -35,7 +34,11 @@ def rotations_from_positions(
     skeleton, root = body.skeleton, body.skeleton.root
     rest = body.rest_offsets
     rotations = np.empty((*positions.shape[:-1], 4))
-    rotations[..., root, :] = _pelvis(positions, body)
+    pelvis, plane = _pelvis_frame(positions, skeleton)
+    pelvis = multiply(pelvis, _from_rest_pelvis(body))
+    if not np.all(plane):
+        pelvis = np.where(plane[..., None], pelvis, IDENTITY)
+    rotations[..., root, :] = pelvis
     if prior is not None:
         ends, starts = skeleton.segments, skeleton.segment_parents
         bones = positions[..., ends, :] - positions[..., starts, :]
@@ -63,35 +66,20 @@ def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:
     return multiply(between(rotate(rotation, rest), bone), rotation)
 
 
-def _pelvis(positions: Array, body: Body) -> Array:
-    """Return the pelvis' rotation: x through the hips, y towards the spine.
-
-    The identity where hips and spine span no plane.
-    """
-    frame, plane = _pelvis_frame(positions, body.skeleton)
-    pelvis = multiply(frame, _from_rest_pelvis(body))
-    return pelvis if np.all(plane) else np.where(plane[..., None], pelvis, IDENTITY)
-
-
 @lru_cache(maxsize=4)
 def _from_rest_pelvis(body: Body) -> Array:
     return inverse(_pelvis_frame(body.rest_positions, body.skeleton)[0])
 
 
-def _pelvis_frame(
-    positions: Array, skeleton: Skeleton
-) -> tuple[Array, NDArray[np.bool_]]:
-    left, right = skeleton.hips
-    (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
-    across = positions[..., left, :] - positions[..., right, :]
-    return _frame(across, positions[..., spine, :] - positions[..., skeleton.root, :])
-
-
-def _frame(x: Array, up: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the rotation whose x axis is along x and whose y axis is nearest to up.
+def _pelvis_frame(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags]:
+    """Return the rotation to x through the hips and y towards the spine.
 
     And whether the two span a plane: otherwise it is anything.
     """
+    left, right = skeleton.hips
+    (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
+    x = positions[..., left, :] - positions[..., right, :]
+    up = positions[..., spine, :] - positions[..., skeleton.root, :]
     turned = between(_X, x)
     # What is left is the angle about x from the turned y axis to up.
     seen = rotate(inverse(turned), up)

@@ -8,13 +8,12 @@ rest pose counts as upright and flat, and only headings differ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Body, Clip, Motion, Skeleton
-from kinefilter.characters.arrays import Array, freeze
+from kinefilter.characters.arrays import Array, read_only
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,
@@ -26,8 +25,7 @@ from kinefilter.characters.rotations import (
 )
 
 from .rig_map import SIDES
-from .smooth_step import smooth_step
-from .stance import held, near_stance
+from .stance import held, near_stance, smooth_step
 from .target_rig import TargetRig
 
 _SEGMENTS = {
@@ -59,17 +57,15 @@ _SHORT = 1e-9  # m
 _UP, _LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
-class Retargeted:
-    """Where another skeleton's joints are, and how they are turned."""
+class Retargeted(NamedTuple):
+    """Where another skeleton's joints are, and how they are turned.
+
+    World rotations since the rest pose, wxyz, shape (T, N, 4); positions [m], floor at
+    y = 0, shape (T, N, 3).
+    """
 
     rotations: Array
-    """World rotation of each joint since the rest pose, wxyz, shape (T, N, 4)."""
     positions: Array
-    """World position of each joint [m], floor at y = 0, shape (T, N, 3)."""
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
@@ -93,8 +89,7 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     for side, goal in zip(SIDES, goals, strict=True):
         motion.bend(side, _LEG, goal)
         motion.bend(side, _ARM, motion.limb_end(side, _ARM))
-    rotations, positions = motion.posed(hips)
-    return Retargeted(rotations, positions)
+    return Retargeted(*map(read_only, motion.posed(hips)))
 
 
 class _Motion:
@@ -136,8 +131,8 @@ class _Motion:
         above = rest[pelvis] - rest[thighs].mean(axis=0)
         return np.asarray(path + rotate(self.turns[pelvis], above))
 
-    def posed(self, hips: Array) -> tuple[Array, Array]:
-        """Return rotations (T, N, 4) and positions (T, N, 3) [m] of all joints."""
+    def posed(self, hips: Array) -> Retargeted:
+        """Return rotations and positions of all joints, given those of the hips."""
         rest, pelvis = self.rig.rest, self.rig.joint("pelvis")
         rotations = np.empty((len(self.clip), len(rest), 4))
         positions = np.empty((len(self.clip), len(rest), 3))
@@ -151,7 +146,7 @@ class _Motion:
             else:
                 bone = rest.positions[n] - rest.positions[parent]
                 positions[:, n] = positions[:, parent] + rotate(above, bone)
-        return rotations, positions
+        return Retargeted(rotations, positions)
 
     def limb_end(self, side: str, limb: _Limb) -> Array:
         """Return where a limb ends if it is our scaled one [m], shape (T, 3)."""
@@ -169,7 +164,10 @@ class _Motion:
         frame, shape (T,).
         """
         time, foot = self.clip.time, self.rig.joint(f"{side} foot")
-        heel_stands, toe_stands = self._contacts(side)
+        heel_stands, toe_stands = (
+            self.clip.contacts[:, CONTACTS.index(f"{part}{side.capitalize()}")]
+            for part in ("Heel", "Toe")
+        )
         vector, ankle = self._foot(side), self._ankle_height(side)
         sole, slack = ankle + vector[1], _SLACK * self.rig.leg_length
         toes = rotate(self.turns[foot], vector)
@@ -184,13 +182,14 @@ class _Motion:
         goal[:] = heel + on_toes[:, None] * (toe - toes - heel)
         goal[:, 1] += np.maximum(sole - (goal + toes)[:, 1], 0.0)
         if f"{side} toes" in self.rig.parts:
-            self._level_toes(side, (goal + toes)[:, 1] - sole)
+            # Toes near the floor are turned flat, below a foot whose heel is up.
+            turns = self.turns[foot]
+            up = rotate(turns, _UP)
+            share = smooth_step(1.0 - ((goal + toes)[:, 1] - sole) / _TOE_NEAR)
+            share *= smooth_step((up[:, 1] - _STEEP) / (_SLOPING - _STEEP))
+            level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
+            self.turns[self.rig.joint(f"{side} toes")] = slerp(turns, level, share)
         return near_stance(time, heel_stands | toe_stands)
-
-    def _contacts(self, side: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        heel, toe = (f"{part}{side.capitalize()}" for part in ("Heel", "Toe"))
-        contacts = self.clip.contacts
-        return contacts[:, CONTACTS.index(heel)], contacts[:, CONTACTS.index(toe)]
 
     def _foot(self, side: str) -> Array:
         """Return the vector [m] from ankle to toes in the rest pose, shape (3,)."""
@@ -201,15 +200,6 @@ class _Motion:
         theirs = rotate(inverse(heading(self.rig)), ours)
         sole = self._scale * self.clip.body.radii[foot]
         return np.asarray(theirs * _LEVEL + (sole - self._ankle_height(side)) * _UP)
-
-    def _level_toes(self, side: str, heights: Array) -> None:
-        """Turn toes that are near the floor flat, below a foot whose heel is up."""
-        turns = self.turns[self.rig.joint(f"{side} foot")]
-        up = rotate(turns, _UP)
-        share = smooth_step(1.0 - heights / _TOE_NEAR)
-        share *= smooth_step((up[:, 1] - _STEEP) / (_SLOPING - _STEEP))
-        level = multiply(between(up, np.broadcast_to(_UP, up.shape)), turns)
-        self.turns[self.rig.joint(f"{side} toes")] = slerp(turns, level, share)
 
     def shortage(self, side: str, goal: Array) -> Array:
         """Return by how much the hips are too high for a leg [m], shape (T,)."""
@@ -315,6 +305,5 @@ def _difference(rig: TargetRig, part: str, body: Body, facing: Array) -> Array:
         return multiply(between(theirs, ours), facing)
     if limb in ("foot", "toes") and f"{side} toes" in rig.parts:
         theirs = rotate(facing, rig.bone(f"{side} foot", f"{side} toes"))
-        level = np.array([1.0, 0.0, 1.0])
-        return multiply(between(level * theirs, level * ours), facing)
+        return multiply(between(_LEVEL * theirs, _LEVEL * ours), facing)
     return facing

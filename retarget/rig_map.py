@@ -12,15 +12,13 @@ import tomllib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from kinefilter.characters import InputError, Skeleton
 
-RIGS = tuple(
-    sorted(path.stem for path in (Path(__file__).parent / "rigs").glob("*.toml"))
-)
+_HERE = Path(__file__).parent
+RIGS = tuple(sorted(path.stem for path in (_HERE / "rigs").glob("*.toml")))
 """Names of the maps that kinefilter has."""
 
 SIDES = ("left", "right")
@@ -42,11 +40,7 @@ CHAINS = {
 """Part of the body, and the part on which it hangs."""
 PARTS = ("pelvis", *CHAINS)
 """What turns bones."""
-OPTIONAL = {"neck", *(f"{side} {part}" for side in SIDES for part in _LIMBS)} - {
-    f"{side} {part}"
-    for side in SIDES
-    for part in ("upper arm", "lower arm", "hand", "thigh", "shin", "foot")
-}
+OPTIONAL = {"neck", *(f"{s} {part}" for s in SIDES for part in ("clavicle", "toes"))}
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
 _FIELDS = {"parent", "turned_by", "offset"}
@@ -55,29 +49,29 @@ _LARGEST = 2**20  # bytes: five thousand bones
 
 @dataclass(frozen=True)
 class MapBone:
-    """A bone of another skeleton, from its joint on."""
+    """A bone of another skeleton, from the joint of its name on.
+
+    The root has no parent, and what its parent alone turns has no part (PARTS). The
+    offset from the parent in the rest pose is in shares of stature, x to the left, y
+    up, z ahead; a bone without is looked for in a target, but not built.
+    """
 
     name: str
-    """Name of its joint."""
     parent: str | None
-    """Name of the joint it hangs on; None: it is the root."""
     part: str | None
-    """What turns it (PARTS); None: its parent alone."""
     offset: tuple[float, float, float] | None
-    """From the parent in the rest pose, shares of stature, x to the left, y up, z
-    ahead; None: it is looked for in a target, but not built."""
 
 
 @dataclass(frozen=True)
 class RigMap:
-    """Names, hierarchy and rest pose of another skeleton."""
+    """Names, hierarchy and rest pose of another skeleton, parents before children.
+
+    Its files write the prefix before every name, or leave it out.
+    """
 
     name: str
-    """What it is called, for messages."""
     prefix: str
-    """What its files write before every name, or leave out."""
     bones: tuple[MapBone, ...]
-    """Every parent before its children."""
 
     def of(self, part: str) -> list[MapBone]:
         """Return the bones that a part turns, from the root on."""
@@ -96,9 +90,8 @@ def load_rig_map(rig: str) -> RigMap:
         return _embedded(rig)
     path = Path(rig)
     if path.suffix.lower() != ".toml":
-        raise InputError(
-            f"unknown rig {rig!r}; expected {', '.join(RIGS)} or a map (.toml)"
-        )
+        known = ", ".join(RIGS)
+        raise InputError(f"unknown rig {rig!r}; expected {known} or a map (.toml)")
     try:
         if path.stat().st_size > _LARGEST:
             raise InputError(f"{rig}: larger than any map; expected bones by name")
@@ -118,8 +111,7 @@ def _embedded(rig: str) -> RigMap:
 
 
 def _embedded_text(folder: str, name: str) -> str:
-    file = resources.files("kinefilter.retarget").joinpath(folder, f"{name}.toml")
-    return file.read_text(encoding="utf-8")
+    return (_HERE / folder / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def _parsed(text: str, source: str) -> RigMap:
@@ -152,17 +144,14 @@ def _bone(name: str, row: Any, source: str) -> MapBone:
         )
     if parent is not None and not isinstance(parent, str):
         raise InputError(f"{where}: parent is {parent!r}, expected a bone's name")
-    vector = None if offset is None else _vector(offset, where)
-    return MapBone(name, parent, part, vector)
-
-
-def _vector(offset: Any, where: str) -> tuple[float, float, float]:
+    if offset is None:
+        return MapBone(name, parent, part, None)
     numbers = offset if isinstance(offset, list) else []
     known = [n for n in numbers if isinstance(n, int | float) and abs(n) < 100.0]
     if len(numbers) != 3 or len(known) != 3:
         raise InputError(f"{where}: offset is {offset!r}, expected three shares")
     x, y, z = (float(n) for n in known)
-    return x, y, z
+    return MapBone(name, parent, part, (x, y, z))
 
 
 def _check(bones: tuple[MapBone, ...], source: str) -> None:
@@ -177,13 +166,9 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
     for part in PARTS:
         count = sum(bone.part == part for bone in bones)
         if count == 0 and part not in OPTIONAL:
-            raise InputError(
-                f"{source}: no bone is turned_by {part!r}; name the bone that is"
-            )
+            raise InputError(f"{source}: no bone is turned_by {part!r}; name the one")
         if count > 1 and part not in _SEVERAL:
-            raise InputError(
-                f"{source}: {count} bones are turned_by {part!r}, expected one"
-            )
+            raise InputError(f"{source}: {count} bones are turned_by {part!r}, not one")
 
 
 def listed(names: Sequence[str]) -> str:
@@ -197,22 +182,24 @@ def listed(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class SourceJoint:
-    """Where a Kinect joint lies on another skeleton."""
+    """Where a Kinect joint lies on another skeleton: at the mean of these joints.
+
+    ``turned_by`` is the joint that turns the segment which ends there, if it is known.
+    """
 
     at: tuple[str, ...]
-    """At the mean of these joints."""
     turned_by: str | None
-    """The joint that turns the segment which ends there; None: no one knows."""
 
 
 @dataclass(frozen=True)
 class SourceRig:
-    """A skeleton that motion comes on."""
+    """A skeleton that motion comes on: a file in ``source_rigs``, or a Kinect's own.
+
+    Its joints are by the Kinect joint; those that it has not are left out.
+    """
 
     name: str
-    """Name of its file in ``source_rigs``, or of the Kinect whose joints it has."""
     joints: dict[str, SourceJoint]
-    """By the Kinect joint; those that it has not are left out."""
 
     @property
     def needed(self) -> set[str]:
@@ -233,15 +220,6 @@ def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
     return SourceRig(name, joints)
 
 
-@cache
-def _own(skeleton: Skeleton) -> SourceRig:
-    """Return the rig whose joints are the Kinect's own, fingers left out."""
-    fine = ("HandTip", "Thumb")
-    names = [joint for joint in skeleton.joints if not joint.startswith(fine)]
-    joints = {name: SourceJoint((name,), None) for name in names}
-    return SourceRig(skeleton.name, joints)
-
-
 def matching_source_rig(
     names: Collection[str], skeleton: Skeleton, known: Sequence[str]
 ) -> tuple[SourceRig, list[str]]:
@@ -250,7 +228,10 @@ def matching_source_rig(
     The first whose joints are all there; if there is none, the one that lacks the
     smallest share of its own. ``known`` are data files, the most particular first.
     """
-    rigs = [_own(skeleton), *(load_source_rig(name, skeleton) for name in known)]
+    fine = ("HandTip", "Thumb")
+    own = [joint for joint in skeleton.joints if not joint.startswith(fine)]
+    kinect = SourceRig(skeleton.name, {j: SourceJoint((j,), None) for j in own})
+    rigs = [kinect, *(load_source_rig(name, skeleton) for name in known)]
     lacks = [sorted(rig.needed - set(names)) for rig in rigs]
     best = min(range(len(rigs)), key=lambda k: len(lacks[k]) / len(rigs[k].needed))
     return rigs[best], lacks[best]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from kinefilter.characters.arrays import Flags
 
 
-def runs(flags: NDArray[np.bool_], shortest: int = 1) -> list[slice]:
+def runs(flags: Flags, shortest: int = 1) -> list[slice]:
     """Return the spans of ``shortest`` or more frames in which flags (T,) are true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
     pairs = edges.reshape(-1, 2).tolist()

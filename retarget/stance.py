@@ -5,12 +5,10 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 
 from .runs import runs
-from .smooth_step import smooth_step
 
 _BLEND = 0.15
 """Seconds in which a foot joins its own path after it stood, and leaves it before. A
@@ -18,16 +16,20 @@ guess."""
 _TINY = 1e-12
 
 
-def near_stance(time: Array, stands: NDArray[np.bool_]) -> Array:
+def smooth_step(share: Array) -> Array:
+    """Return 0 up to 0 and 1 from 1 on, between them the cubic level at both ends."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share**2 * (3.0 - 2.0 * share))
+
+
+def near_stance(time: Array, stands: Flags) -> Array:
     """Return 1 (T,) while something stands, falling to 0 in 0.15 s before and after."""
     last = np.maximum.accumulate(np.where(stands, time, -np.inf))
     following = np.minimum.accumulate(np.where(stands, time, np.inf)[::-1])[::-1]
     return 1.0 - smooth_step(np.minimum(time - last, following - time) / _BLEND)
 
 
-def held(
-    time: Array, path: Array, stands: NDArray[np.bool_], height: float, slack: float
-) -> Array:
+def held(time: Array, path: Array, stands: Flags, height: float, slack: float) -> Array:
     """Return the move [m] (T, 3) by which a part of a foot rests while it stands.
 
     Steps keep their own path but for their beginning and end. The path (T, 3) [m] has y

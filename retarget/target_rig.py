@@ -20,20 +20,20 @@ _LEGS = (0.01, 100.0)  # m, of what somebody animates
 
 @dataclass(frozen=True, eq=False)
 class RestPose:
-    """Joints of a skeleton that stands in T- or A-pose, in whatever heading."""
+    """Joints of a skeleton that stands in T- or A-pose, in whatever heading.
+
+    Every parent is before its children; the root's is -1. Positions [m] have y up,
+    shape (N, 3).
+    """
 
     names: tuple[str, ...]
-    """Name of each joint, every parent before its children."""
     parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root."""
     positions: Array
-    """Positions [m], y up, shape (N, 3)."""
     axes: Array | None = None
     """World rotation of each joint's own axes, wxyz, shape (N, 4); None: identity."""
     lowest: float | None = None
     """Height [m] of the lowest point if the file knows more than joints."""
     source: str = "rig"
-    """Where it came from, for messages."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -41,15 +41,14 @@ class RestPose:
 
 @dataclass(frozen=True, eq=False)
 class TargetRig:
-    """A rest pose whose parts of the body are known."""
+    """A rest pose whose parts of the body are known, and the height of its floor [m].
+
+    Each part that it has turns joints, from the root on.
+    """
 
     rest: RestPose
-    """The skeleton."""
     parts: dict[str, tuple[int, ...]]
-    """Joints that each part turns, from the root on; parts that it lacks are left
-    out."""
     floor: float
-    """Height [m] of the floor in the rest pose."""
 
     def joint(self, part: str) -> int:
         """Return the joint that a part turns, its first."""
@@ -102,7 +101,10 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
     rig = matched_rig(rig_map, rest, body)
     joints, height = _lowest(rig, body)
-    moving = _below(rest, rig.joint("pelvis"))
+    moving = [rig.joint("pelvis")]  # and all that hangs on it
+    for n in range(moving[0] + 1, len(rest)):
+        if parents[n] in moving:
+            moving.append(n)
     positions[moving, 1] += height - positions[joints, 1].min()
     full = tuple(rig_map.prefix + name for name in names)
     return TargetRig(replace(rest, names=full), rig.parts, 0.0)
@@ -113,10 +115,8 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
 
     The floor is y = 0 where toes (or ankles) are just over it. Otherwise it is as far
     under them as the person's soles, or the file's lowest point if that is lower.
-
-    Raises:
-        InputError: The skeleton has not one root, or joints are missing, ambiguous,
-            elsewhere, or two of them in one place.
+    Raises an InputError if the skeleton has not one root, or joints are missing,
+    ambiguous, elsewhere, or two of them in one place.
     """
     roots = [rest.names[n] for n, parent in enumerate(rest.parents) if parent < 0]
     if len(roots) != 1:
@@ -124,11 +124,16 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
             f"{rest.source}: has {len(roots)} roots ({listed(roots)}), expected one; "
             "hang them under one joint"
         )
-    parts = _found(rig_map, rest)
-    _check_chains(rest, parts)
-    rig = TargetRig(rest, parts, 0.0)
+    rig = TargetRig(rest, _found(rig_map, rest), 0.0)
+    _check_chains(rest, rig.parts)
     _check_lengths(rig)
-    return TargetRig(rest, parts, _floor(rig, body))
+    joints, height = _lowest(rig, body)
+    lowest = float(rest.positions[joints, 1].min())
+    if 0.0 <= lowest <= _ON_FLOOR * rig.leg_length:
+        return rig
+    legs = [body.skeleton.index(f"{j}Left") for j in ("Knee", "Ankle")]
+    floor = lowest - height * rig.leg_length / float(body.lengths[legs].sum())
+    return replace(rig, floor=floor if rest.lowest is None else min(floor, rest.lowest))
 
 
 def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:
@@ -154,15 +159,6 @@ def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
     return np.asarray(length * share / max(float(np.linalg.norm(share)), 1e-9))
 
 
-def _below(rest: RestPose, joint: int) -> list[int]:
-    """Return a joint and all that hangs on it."""
-    inside = [joint]
-    for n in range(joint + 1, len(rest)):
-        if rest.parents[n] in inside:
-            inside.append(n)
-    return inside
-
-
 def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
     plain = [rig_map.plain(name) for name in rest.names]
     parts: dict[str, list[int]] = {}
@@ -173,7 +169,7 @@ def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
             places = [n for n, p in enumerate(plain) if p == rig_map.plain(name)]
             if len(places) > 1:
                 raise InputError(
-                    f"{rest.source}: has {len(places)} joints {name!r}, expected one"
+                    f"{rest.source}: has {len(places)} joints {name!r}, not one"
                 )
             parts.setdefault(part, []).extend(places)
         if not parts.get(part) and part not in OPTIONAL:
@@ -188,7 +184,6 @@ def _found(rig_map: RigMap, rest: RestPose) -> dict[str, tuple[int, ...]]:
 
 
 def _check_chains(rest: RestPose, parts: dict[str, tuple[int, ...]]) -> None:
-    """Raise an InputError where a part does not hang where a body has it."""
     of = {joint: part for part, joints in parts.items() for joint in joints}
     for joint, part in of.items():
         above = rest.parents[joint]
@@ -219,13 +214,3 @@ def _check_lengths(rig: TargetRig) -> None:
                 f"{rig.rest.source}: {start!r} and {end!r} are in one place; a bone "
                 "between them needs a length"
             )
-
-
-def _floor(rig: TargetRig, body: Body) -> float:
-    joints, height = _lowest(rig, body)
-    lowest = float(rig.rest.positions[joints, 1].min())
-    if 0.0 <= lowest <= _ON_FLOOR * rig.leg_length:
-        return 0.0
-    legs = [body.skeleton.index(f"{j}Left") for j in ("Knee", "Ankle")]
-    floor = lowest - height * rig.leg_length / float(body.lengths[legs].sum())
-    return floor if rig.rest.lowest is None else min(floor, rig.rest.lowest)

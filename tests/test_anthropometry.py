@@ -144,7 +144,7 @@ def test_absurd_heights_are_refused_asking_for_meters(height: float) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("lengths", np.full(5, 0.3), r"lengths of a body have shape \(5,\)"),
+        ("lengths", np.full(5, 0.3), r"a body: lengths has shape \(5,\)"),
         ("directions", np.zeros(20), r"expected \(20, 3\) for kinect_v1"),
         ("lengths", 0.0, "segment to WristLeft is 0 m long"),
         ("lengths", -0.2, "segment to WristLeft is -0.2 m long"),

@@ -16,13 +16,13 @@ from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.failures import unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
 from kinefilter.pipeline.formats.export import resampled
-from kinefilter.pipeline.look import compare
 from kinefilter.pipeline.look.comparison import (
-    METRICS,
+    compare,
     in_clip_frame,
     raw_positions,
     same_stamps,
 )
+from kinefilter.pipeline.metrics import METRICS
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinefilter.characters.humanoid import GRAVITY
+from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.scenes.library.ball import RESTITUTION, flown, launch_speed, rolled
 
 

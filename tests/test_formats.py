@@ -165,9 +165,9 @@ def test_an_array_that_claims_to_be_larger_than_its_file_is_refused() -> None:
     [
         ("prop:0:kinds", np.array(["box", "cone"]), "unknown kind of shape 'cone'"),
         ("prop:0:kinds", np.array(["box", "mesh"]), "a mesh has no points"),
-        ("prop:0:positions", np.zeros((5, 2)), "positions of a prop"),
-        ("prop:1:positions", np.zeros((4, 3)), "rotations of a prop"),
-        ("prop:0:1:size", np.zeros(2), "size of a prop"),
+        ("prop:0:positions", np.zeros((5, 2)), "a prop: positions"),
+        ("prop:1:positions", np.zeros((4, 3)), "a prop: rotations"),
+        ("prop:0:1:size", np.zeros(2), "a prop: size"),
     ],
 )
 def test_an_npz_with_impossible_props_is_refused(

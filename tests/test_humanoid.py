@@ -16,11 +16,10 @@ from kinefilter.characters import (
     Tracking,
     standard_body,
 )
-from kinefilter.characters.anthropometry import joint_range
+from kinefilter.characters.anthropometry import joint_masses, joint_range
 from kinefilter.characters.humanoid import (
     build_humanoid,
     from_mujoco,
-    joint_masses,
     to_mujoco,
 )
 from kinefilter.characters.rotations import about_y, rotate

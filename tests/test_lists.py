@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args, get_type_hints
 
-from kinefilter.pipeline.commands.reproduce import Reproduce
-from kinefilter.pipeline.commands.train import Train
+from kinefilter.pipeline.commands.lab import Reproduce
+from kinefilter.pipeline.commands.learn import Train
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.studies import STUDIES
 from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS

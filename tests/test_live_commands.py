@@ -22,8 +22,7 @@ from live_session import PATIENCE, SAMPLE, Sender, sample_frame
 
 from kinefilter import read_take
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.commands.live import Live, status, summary
-from kinefilter.pipeline.commands.replay import Replay
+from kinefilter.pipeline.commands.live import Live, Replay, status, summary
 from kinefilter.pipeline.commands.terminal import stopped_by_signals
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live import AccessConfig, LiveConfig, Session, format_frame

@@ -7,7 +7,7 @@ import pytest
 from known_motions import BODY, Array, polynomial, stamps, standing
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.characters.humanoid import joint_masses
+from kinefilter.characters.anthropometry import joint_masses
 from kinefilter.pipeline.metrics import flight_error, jitter, peak_speed
 
 # Jitter

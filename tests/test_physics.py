@@ -17,8 +17,8 @@ from kinefilter.characters import (
     positions_from_rotations,
     standard_body,
 )
-from kinefilter.characters.anthropometry import joint_range
-from kinefilter.characters.humanoid import GRAVITY, from_mujoco, joint_masses
+from kinefilter.characters.anthropometry import GRAVITY, joint_masses, joint_range
+from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,

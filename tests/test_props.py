@@ -12,7 +12,8 @@ from posed_people import posed
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
-from kinefilter.characters.humanoid import GRAVITY, from_mujoco
+from kinefilter.characters.anthropometry import GRAVITY
+from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import rotate
 from kinefilter.scenes import SCENES, load_scene, movable_props
 from kinefilter.scenes.library import perform, prop_poses

@@ -18,9 +18,11 @@ from dying import draw_or_die
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.commands import render as command
+from kinefilter.pipeline.commands import view as command
 from kinefilter.pipeline.formats import write_clip, write_take_csv
-from kinefilter.pipeline.look import Look, render_clips, video, video_task
+from kinefilter.pipeline.look import video, video_task
+from kinefilter.pipeline.look.options import Look
+from kinefilter.pipeline.look.video import render_clips
 from kinefilter.pipeline.look.video_opengl import Backend, find_backend
 from kinefilter.pipeline.look.video_task import RenderTask
 

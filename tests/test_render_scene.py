@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, InputError
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.pipeline.formats import write_clip, write_take_csv
-from kinefilter.pipeline.look import Drawing, Look
 from kinefilter.pipeline.look.cameras import axes_toward
 from kinefilter.pipeline.look.drawing import (
     RELIABILITY,
     UNKNOWN,
+    Drawing,
     corners_of,
     reliability_colors,
 )
+from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.look.video_model import ClipModel, figure_names
 from kinefilter.pipeline.look.video_opengl import find_backend
 from kinefilter.pipeline.look.video_task import Composition, RenderTask, props_around
@@ -179,7 +180,7 @@ def test_a_scene_stands_where_the_clip_begins(make_clip: MakeClip) -> None:
 _DRAWN_TWICE = """
 import sys, numpy as np
 from pathlib import Path
-from kinefilter.pipeline.look import Look
+from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.look.video_model import ClipModel
 from kinefilter.pipeline.look.video_model import OffscreenRenderer
 from kinefilter.pipeline.look.video_task import Composition, RenderTask

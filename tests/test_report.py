@@ -21,15 +21,9 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skelet
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look import (
-    compare,
-    parse_limit,
-    read_comparison,
-    read_limits,
-    write_report,
-)
-from kinefilter.pipeline.look.comparison import METRICS
-from kinefilter.pipeline.metrics import distances
+from kinefilter.pipeline.look.comparison import compare, read_comparison
+from kinefilter.pipeline.look.page import parse_limit, read_limits, write_report
+from kinefilter.pipeline.metrics import METRICS, distances
 from kinefilter.pipeline.target.floor import leveled
 
 Pair = tuple[Clip, Take]

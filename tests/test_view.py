@@ -19,9 +19,10 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.sheets import read_contacts, write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look import Drawing, cleaned, opened_viewer, read_drawing
+from kinefilter.pipeline.look.comparison import read_drawing
 from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, timeline_html
-from kinefilter.pipeline.look.viewer import Playback, status_html
+from kinefilter.pipeline.look.drawing import Drawing, cleaned
+from kinefilter.pipeline.look.viewer import Playback, opened_viewer, status_html
 
 QUICK = CleanConfig(method="none", physics=False)
 TIME = np.array([5.0, 5.1, 5.2, 5.2, 5.5, 5.6])  # a repeated stamp and a gap

@@ -24,7 +24,7 @@ from kinefilter.pipeline.commands.view import View
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.sheets import write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look import read_drawing
+from kinefilter.pipeline.look.comparison import read_drawing
 from kinefilter.pipeline.look.viewer_server import may_connect, opened_server
 
 QUICK = CleanConfig(method="none", physics=False)

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look import Drawing, Viewer, cleaned, opened_viewer
+from kinefilter.pipeline.look.drawing import Drawing, cleaned
+from kinefilter.pipeline.look.viewer import Viewer, opened_viewer
 from kinefilter.pipeline.progress import Progress
 
 WINDOW = {"size": (900, 640), "webgl": True}  # of the browser

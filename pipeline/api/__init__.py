@@ -14,13 +14,8 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.cleaner import Cleaner, CleanResult, clean
     from kinefilter.pipeline.config import CleanConfig
     from kinefilter.pipeline.database import PostureDatabase
-    from kinefilter.pipeline.formats import (
-        Export,
-        read_clip,
-        read_take,
-        read_takes,
-        write_clip,
-    )
+    from kinefilter.pipeline.formats import Export, read_clip, write_clip
+    from kinefilter.pipeline.formats.takes import read_take, read_takes
     from kinefilter.pipeline.lab.evaluate import evaluate
 
 _PLACES = {
@@ -29,13 +24,8 @@ _PLACES = {
     "pipeline.cleaner": ("CleanResult", "Cleaner", "clean"),
     "pipeline.config": ("CleanConfig",),
     "pipeline.database": ("PostureDatabase",),
-    "pipeline.formats": (
-        "Export",
-        "read_clip",
-        "read_take",
-        "read_takes",
-        "write_clip",
-    ),
+    "pipeline.formats": ("Export", "read_clip", "write_clip"),
+    "pipeline.formats.takes": ("read_take", "read_takes"),
     "pipeline.lab.evaluate": ("evaluate",),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}

@@ -1,6 +1,6 @@
-"""The commands of the command line, one a file: they parse and print, nothing else.
+"""The commands of the command line: they parse and print, nothing else.
 
-``cli`` loads a command when it is asked for: ``Render`` of ``render.py``.
+``cli`` loads a file when one of its commands is asked for.
 """
 
 __all__: list[str] = []

@@ -1,7 +1,9 @@
-"""``kinefilter clean``."""
+"""The commands that clean takes: ``clean`` and ``batch``."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,15 +12,32 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
-from kinefilter.pipeline.formats.export import Export
+from kinefilter.pipeline.config_files import overlaid, read_settings
+from kinefilter.pipeline.formats import (
+    Export,
+    Recording,
+    check_writable,
+    read_recording,
+    write_clip,
+    write_contacts,
+)
+from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.settings import Settings
 
-from .terminal import err, keep, out, progress_bars, write_json
+from .terminal import (
+    check_output,
+    err,
+    out,
+    progress_bars,
+    progress_display,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from kinefilter.characters import Take
+    from kinefilter.pipeline.batch import JobProgress
+    from kinefilter.pipeline.batch.run import OnProgress
     from kinefilter.pipeline.cleaner import CleanResult
-    from kinefilter.pipeline.formats import Recording
 
 
 @dataclass(frozen=True)
@@ -49,24 +68,12 @@ class Clean:
 
     def run(self) -> int:
         """Clean the take, write the clip, and print its figures."""
-        from kinefilter.pipeline.config_files import overlaid, read_settings
-
         settings = Settings(self.config, self.export, self.format, self.body)
-        if self.config_file is None:
-            return self._run(settings)
-        settings = overlaid(settings, [read_settings(self.config_file)], self.given)
-        chosen = replace(
-            self,
-            config=settings.config,
-            export=settings.export,
-            format=settings.format,
-            body=settings.body,
-        )
-        return chosen._run(settings)
+        if self.config_file is not None:
+            settings = overlaid(settings, [read_settings(self.config_file)], self.given)
+        return replace(self, **vars(settings))._run(settings)
 
     def _run(self, settings: Settings) -> int:
-        from kinefilter.pipeline.formats.recording import numbered
-        from kinefilter.pipeline.formats.takes import read_recording
         from kinefilter.pipeline.summary import as_json
 
         used = [self.take, self.config_file, *settings.files]
@@ -76,14 +83,13 @@ class Clean:
         for body in recording.numbers(self.body) if several else ():
             for written in (self.out, self.save_contacts, self.report):
                 if written is not None:
-                    keep(numbered(written, body), *used, self.json)
+                    check_output(numbered(written, body), *used, self.json)
         results = self._cleaned(recording)
         for body, result in results.items():
             self._write(result, recording.take(body), body if several else None)
-        if self.json is not None:
-            figures = {body: as_json(result) for body, result in results.items()}
-            only = next(iter(figures.values()))
-            write_json({"bodies": figures} if several else only, self.json)
+        figures = {body: as_json(result) for body, result in results.items()}
+        only = next(iter(figures.values()))
+        write_json({"bodies": figures} if several else only, self.json)
         for note in recording.notes:
             out.print(note)
         count = len(recording.takes)
@@ -96,21 +102,14 @@ class Clean:
 
     def _check(self, used: list[Path | None]) -> None:
         """Raise an InputError for files that cannot be written or must be kept."""
-        from kinefilter.pipeline.formats import check_folder, check_writable
-        from kinefilter.pipeline.look import check_report
-
         check_writable(self.out, self.export)
-        written: list[Path | None] = []
-        for path, check in (
-            (self.out, check_folder),
-            (self.json, check_folder),
-            (self.save_contacts, check_folder),
-            (self.report, check_report),
-        ):
-            if path is not None:
-                check(path)
-                keep(path, *used, *written)
-            written.append(path)
+        if self.report is not None:
+            from kinefilter.pipeline.look.page import check_report
+
+            check_report(self.report)
+        written = (self.out, self.json, self.save_contacts, self.report)
+        for k, path in enumerate(written):
+            check_output(path, *used, *written[:k])
 
     def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
         """Return the result of each person asked for, by their number."""
@@ -132,9 +131,6 @@ class Clean:
         return results
 
     def _write(self, result: CleanResult, take: Take, body: int | None) -> None:
-        from kinefilter.pipeline.formats import write_clip, write_contacts
-        from kinefilter.pipeline.formats.recording import numbered
-        from kinefilter.pipeline.look import compare, read_limits, write_report
         from kinefilter.pipeline.summary import as_tables
 
         path = numbered(self.out, body)
@@ -144,6 +140,107 @@ class Clean:
         out.print(as_tables(result))
         out.print(f"wrote {path}")
         if self.report is not None:
+            from kinefilter.pipeline.look.comparison import compare
+            from kinefilter.pipeline.look.page import read_limits, write_report
+
             path = numbered(self.report, body)
             write_report(compare(result.clip, take), path, read_limits())
             out.print(f"wrote {path}")
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Clean all takes of folders; the same command again goes on where it ended.
+
+    Files that are not takes are skipped. OUT/manifest.jsonl (at a URL:
+    OUT/manifest/*.jsonl) has a line for each take that is finished, OUT/manifest.csv is
+    a table of them. A take is cleaned again if it failed, if its clip is missing, or if
+    anything changed: the take, its clip, the options, a database or model, or
+    kinefilter's version. A file kinefilter.toml in a folder of takes holds options for
+    them and for the folders in it, such as cutoff = 4.0 or rotation-order = "xyz";
+    options on the command line override it.
+
+    URLs are those that fsspec knows, such as s3://bucket/takes with pip install s3fs;
+    run one batch at a time into a store, which cannot be locked. For --scheduler every
+    worker needs pip install "kinefilter[cluster]"; workers may come and go. Start them
+    with dask scheduler --host 127.0.0.1, then dask worker tcp://127.0.0.1:8786
+    --nworkers 2 --nthreads 1. Keep the scheduler in a network of your own: whoever
+    reaches it can run code.
+    """
+
+    inputs: Positional[tuple[str, ...]]
+    """Takes, and folders to search for takes; paths, or URLs such as
+    s3://bucket/takes."""
+    out: Annotated[str, arg(aliases=["-o"])]
+    """Folder to write to, a path or URL: the tree of the takes, and the manifest."""
+    to: Literal["usdc", "usda", "usd", "usdz", "bvh", "csv", "npz"] = "usdc"
+    """Format of the clips."""
+    jobs: int | None = None
+    """Number of processes; default: one per core."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers clean instead; they
+    must reach the same paths and URLs."""
+    config_file: Annotated[Path | None, arg(name="config")] = None
+    """TOML file of options for all takes; kinefilter.toml in a folder overrides it."""
+    config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
+    export: OmitArgPrefixes[Export] = field(default_factory=Export)
+    format: TakeFormat | None = None
+    """Layout of the takes; default: detected from the content of each."""
+    body: int | Literal["all"] | None = None
+    """Which person, counted from 1 in order of appearance, or all: a clip each;
+    default: the person seen in most frames."""
+    given: Suppress[frozenset[str]] = frozenset()
+
+    def run(self) -> int:
+        """Clean the takes, and print what became of them."""
+        from kinefilter.pipeline.batch import as_tables, clean_files
+
+        if not self.inputs:
+            raise InputError("no takes given; name files or folders of takes")
+        if self.jobs is not None and self.jobs < 1:
+            raise InputError(f"--jobs {self.jobs}: expected 1 or more")
+        if self.jobs is not None and self.scheduler is not None:
+            raise InputError("--jobs is for this machine; leave it or --scheduler out")
+        try:
+            with _bar(self.scheduler) as show:
+                outcome = clean_files(
+                    self.inputs,
+                    self.out,
+                    Settings(self.config, self.export, self.format, self.body),
+                    suffix=f".{self.to}",
+                    config_file=self.config_file,
+                    given=self.given,
+                    jobs=self.jobs,
+                    scheduler=self.scheduler,
+                    on_progress=show,
+                )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("the same command again goes on") from None
+        out.print(as_tables(outcome))
+        return 1 if outcome.failed else 0
+
+
+@contextmanager
+def _bar(scheduler: str | None) -> Iterator[OnProgress]:
+    """Yield what shows how many takes are done, and when all will be."""
+    told = False
+    with progress_display(counted=False) as bars:
+        task = bars.add_task("clean", visible=False)
+
+        def show(progress: JobProgress) -> None:
+            nonlocal told
+            if progress.idle and not told:
+                err.print(f"no worker; start one: dask worker {scheduler} --nthreads 1")
+                told = True
+            words = f"clean {progress.takes_done}/{progress.takes}"
+            if progress.failed:
+                words += f", {progress.failed} failed"
+            bars.update(
+                task,
+                description=words,
+                completed=progress.size_done,
+                total=progress.size,
+                visible=True,
+            )
+
+        yield show

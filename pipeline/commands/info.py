@@ -1,16 +1,20 @@
-"""``kinefilter info``."""
+"""The commands ``info`` and ``character``."""
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
+from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, standard_body
 from kinefilter.pipeline.config import TakeFormat
+from kinefilter.pipeline.formats import atomic_path
 
-from .terminal import out
+from .terminal import Skeletons, check_output, out
 
 
 @dataclass(frozen=True)
@@ -26,8 +30,6 @@ class Info:
 
     def run(self) -> int:
         """Read and print."""
-        import json
-
         from kinefilter.pipeline.contents import as_tables, contents_of
 
         contents = contents_of(self.file, format=self.format)
@@ -35,4 +37,35 @@ class Info:
             sys.stdout.write(json.dumps(contents, indent=2) + "\n")
         else:
             out.print(as_tables(contents))
+        return 0
+
+
+@dataclass(frozen=True)
+class Character:
+    """Write the simulated character as MJCF, for your own MuJoCo scenes."""
+
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """File to write (.xml)."""
+    height: float = STANDARD_HEIGHT
+    """Body height [m]."""
+    mass: float | None = None
+    """Body mass [kg]; default: estimated from the height."""
+    skeleton: Skeletons = "kinect_v2"
+    """Skeleton whose joints the character has."""
+    scene: str = "basic"
+    """Surroundings: a scene (an unknown name lists the scenes), or an MJCF file
+    (.xml)."""
+
+    def run(self) -> int:
+        """Write the character."""
+        from kinefilter.scenes import scene_xml
+
+        check_output(self.out, Path(self.scene), suffix=".xml")
+        skeleton = SKELETONS[self.skeleton]
+        body = standard_body(skeleton, height=self.height, mass=self.mass)
+        text = scene_xml(self.scene, body)
+        with atomic_path(self.out) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        size = f"{body.height:.2f} m, {body.mass:.0f} kg"
+        out.print(f"wrote {self.out}: {self.skeleton}, {size}")
         return 0

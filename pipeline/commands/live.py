@@ -1,25 +1,31 @@
-"""``kinefilter live``."""
+"""The commands ``live`` and ``replay``."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import OmitArgPrefixes
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from kinefilter.pipeline.config import TakeFormat
+from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
+from kinefilter.pipeline.live.endpoints import read_address
+from kinefilter.pipeline.live.tally import Event, Tally
+from kinefilter.pipeline.loopback import is_loopback
 
-from .terminal import err, write_json
+from .terminal import check_output, err, stopped_by_signals, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from kinefilter.characters import Take
     from kinefilter.pipeline.live import Session
     from kinefilter.pipeline.live.endpoints import Address
-    from kinefilter.pipeline.live.tally import Tally
 
 _REFRESH = 0.3  # s between two lines on a terminal
 _LOGGED = 60.0  # s between two lines where there is no terminal, as in a log file
@@ -44,30 +50,21 @@ class Live:
 
     def run(self) -> int:
         """Follow people until Ctrl-C, SIGTERM or the end of the input."""
-        import asyncio
-
-        from kinefilter.pipeline.formats import check_folder
         from kinefilter.pipeline.live import Session
 
-        if self.json is not None:
-            check_folder(self.json)
+        check_output(self.json)
         session = Session(self.config, self.access)
         asyncio.run(self._follow(session))
         err.print(summary(session.tally))
         for path in session.recorded:
             err.print(f"wrote {path}")
-        if self.json is not None:
-            write_json(session.tally.as_json(), self.json)
+        write_json(session.tally.as_json(), self.json)
         if session.recorder is None or session.recorder.failure is None:
             return 0
         err.print(f"kinefilter: {session.recorder.failure}")
         return 1
 
     async def _follow(self, session: Session) -> None:
-        import asyncio
-
-        from .terminal import stopped_by_signals
-
         stop = asyncio.Event()
         with stopped_by_signals(stop):
             async with _shown(session):
@@ -75,8 +72,6 @@ class Live:
 
     def _print_places(self, session: Session, used: list[Address]) -> None:
         """Print where frames are expected and poses go, and a token that is new."""
-        from kinefilter.pipeline.loopback import is_loopback
-
         source, *targets = used
         err.print(f"from {source} to {', '.join(map(str, targets))}")
         sockets = [address for address in used if address.scheme in ("ws", "wss")]
@@ -92,8 +87,6 @@ class Live:
 @asynccontextmanager
 async def _shown(session: Session) -> AsyncIterator[None]:
     """Show a line of the session's state for as long as it runs."""
-    import asyncio
-
     from rich.live import Live as Display
     from rich.text import Text
 
@@ -119,8 +112,6 @@ async def _shown(session: Session) -> AsyncIterator[None]:
 
 def status(session: Session) -> str:
     """Return one line of how the session goes."""
-    from kinefilter.pipeline.live.tally import Event
-
     tally, crowd = session.tally, session.crowd
     events = tally.events
     frames, poses = events[Event.FRAMES], events[Event.POSES]
@@ -146,8 +137,6 @@ def summary(tally: Tally) -> Table:
     """Return a table of what happened, without counts of zero."""
     from rich.table import Table
 
-    from kinefilter.pipeline.live.tally import Event
-
     table = Table(show_header=False, box=None)
     for event in Event:
         if event in (Event.FRAMES, Event.POSES) or tally.events[event]:
@@ -160,3 +149,45 @@ def summary(tally: Tally) -> Table:
         cells = " / ".join(f"{value * 1e3:.1f}" for value in values)
         table.add_row("ms from frame to pose: half, 99 %, most", cells)
     return table
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Send a recorded take to 'kinefilter live', at its own time stamps."""
+
+    take: Positional[Path]
+    """Recording in any of the formats of --format; .gz too."""
+    out: Annotated[str, arg(metavar="ADDRESS")]
+    """Where to send frames: udp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT, or - for
+    the standard output."""
+    speed: float = 1.0
+    """Speed relative to that of the recording."""
+    loop: bool = False
+    """Begin again at the end."""
+    token_file: Path | None = None
+    """File with the token that the WebSocket server asks for."""
+    certificate: Path | None = None
+    """Certificate (PEM) to confidence for wss, besides those of the system."""
+    format: TakeFormat | None = None
+    """Layout of the take; default: detected from its content."""
+
+    def run(self) -> int:
+        """Send until the take ends."""
+        address = read_address(self.out, ("udp", "ws", "wss", "-"))
+        takes = read_recording(self.take, format=self.format).takes
+        sent = asyncio.run(self._sent(takes, address))
+        frames = f"{sent} frame{'s' * (sent != 1)}"
+        err.print(f"sent {frames} of {takes[0].skeleton.name}")
+        return 0
+
+    async def _sent(self, takes: tuple[Take, ...], address: Address) -> int:
+        from kinefilter.pipeline.live import open_sender, replay
+
+        stop = asyncio.Event()
+        with stopped_by_signals(stop):
+            async with open_sender(
+                address, token_file=self.token_file, certificate=self.certificate
+            ) as sender:
+                return await replay(
+                    takes, sender, stop, speed=self.speed, loop=self.loop
+                )

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Literal
 from rich.console import Console
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.formats import atomic_path, check_folder
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over
 
 if TYPE_CHECKING:
     import asyncio
 
     from rich.progress import Progress as RichProgress
-
-    from kinefilter.pipeline.pairs import PairedTake
 
 # Names of files are printed as they are, whatever brackets and colons they hold.
 out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
@@ -31,21 +31,28 @@ Skeletons = Literal["kinect_v1", "kinect_v2"]
 _ENDS = [s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP")]
 
 
+def check_output(path: Path | None, *others: Path | None, suffix: str = "") -> None:
+    """Raise an InputError if a file, if any, is not one that should be written.
+
+    It needs a folder and the suffix, and must not be one of ``others``.
+    """
+    if path is None:
+        return
+    if not path.name.endswith(suffix):
+        raise InputError(f"{path}: expected a name that ends in {suffix}")
+    check_folder(path)
+    keep(path, *others)
+
+
 def keep(written: Path, *others: Path | None) -> None:
     """Raise an InputError if a file to write is one that must not be lost."""
     for other in others:
         if other is not None and written.resolve() == other.resolve():
-            raise InputError(
-                f"{written}: would overwrite {other}; give another name to write to"
-            )
+            raise InputError(f"{written}: would overwrite {other}; give another name")
 
 
 def progress_display(*, counted: bool = True) -> RichProgress:
-    """Return bars for a terminal, nothing elsewhere.
-
-    Args:
-        counted: Show how many steps are done, instead of the percentage.
-    """
+    """Return bars, with counts or percentages, for a terminal; nothing elsewhere."""
     from rich import progress  # takes long to load
 
     return progress.Progress(
@@ -59,16 +66,6 @@ def progress_display(*, counted: bool = True) -> RichProgress:
     )
 
 
-def check_output(path: Path | None, suffix: str) -> None:
-    """Raise an InputError if a file to write has another suffix, or no folder."""
-    from kinefilter.pipeline.formats import check_folder
-
-    if path is not None and path.suffix != suffix:
-        raise InputError(f"{path}: expected a name that ends in {suffix}")
-    if path is not None:
-        check_folder(path)
-
-
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
     """Yield what shows on the terminal how far long work is."""
@@ -78,41 +75,33 @@ def progress_bars() -> Iterator[Progress]:
 
 def clips_of(files: Sequence[Path], progress: Progress) -> Iterator[PairedTake]:
     """Yield the clips of pairs files, a file at a time in memory."""
-    from kinefilter.pipeline.pairs import read_pairs
-
     for file in over(files, "read", progress):
         yield from read_pairs(file)
 
 
-def in_folders(paths: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
+def in_folders(paths: Sequence[Path], suffixes: tuple[str, ...]) -> list[Path]:
     """Return files as they are, and for a folder the files below it with a suffix.
 
-    Raises:
-        InputError: A folder holds no such file.
+    Raises an InputError if a folder holds no such file.
     """
     found: list[Path] = []
     for path in paths:
-        if not path.is_dir():
-            found.append(path)
-            continue
-        inside = sorted(
-            file
-            for file in path.rglob("*")
-            if file.name.lower().endswith(tuple(suffixes)) and file.is_file()
-        )
+        inside = [path]
+        if path.is_dir():
+            files = (p for p in path.rglob("*") if p.is_file())
+            inside = sorted(f for f in files if f.name.lower().endswith(suffixes))
         if not inside:
             raise InputError(f"{path}: no {', '.join(suffixes)} file in this folder")
         found += inside
     return found
 
 
-def write_json(figures: object, path: Path) -> None:
-    """Write figures as JSON, whole or not at all."""
-    from kinefilter.pipeline.formats import atomic_path
-
-    with atomic_path(path) as temporary:
-        text = json.dumps(figures, indent=2, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
+def write_json(figures: object, path: Path | None) -> None:
+    """Write figures as JSON, whole or not at all, if a file for them is given."""
+    if path is not None:
+        with atomic_path(path) as temporary:
+            text = json.dumps(figures, indent=2, allow_nan=False)
+            temporary.write_text(text + "\n", encoding="utf-8")
 
 
 @contextmanager

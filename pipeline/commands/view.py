@@ -1,22 +1,26 @@
-"""``kinefilter view``."""
+"""The commands that show motions: ``view``, ``render`` and ``report``."""
 
 from __future__ import annotations
 
+import webbrowser
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
+from kinefilter.pipeline.extras import require
+from kinefilter.pipeline.formats import read_recording
+from kinefilter.pipeline.look.drawing import Drawing, cleaned
+from kinefilter.pipeline.look.options import Look
+from kinefilter.pipeline.progress import Progress
 
-from .terminal import keep, out, progress_bars
+from .terminal import check_output, err, keep, out, progress_bars
 
 if TYPE_CHECKING:
-    from kinefilter.pipeline.look import Drawing
     from kinefilter.pipeline.look.viewer import CleanAgain
-    from kinefilter.pipeline.progress import Progress
 
 
 _CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz")
@@ -56,32 +60,38 @@ class View:
 
     def run(self) -> int:
         """Read or clean, serve, wait until it is ended."""
-        from kinefilter.pipeline.extras import require
-
         require("viser", "viewing", "view")
-        save = self.save_contacts or _beside(self.motion)
+        from kinefilter.pipeline.look.viewer import opened_viewer
+
+        # By default wave.contacts.csv for wave.csv.gz.
+        stem = Path(self.motion.name.removesuffix(".gz")).stem
+        beside = self.motion.with_name(f"{stem}.contacts.csv")
+        save = self.save_contacts or beside
         self._check(save)
         try:
             drawing, again = self._drawing()
-            self._serve(drawing, save, again)
+            with opened_viewer(
+                drawing, save, again=again, bind=self.bind, port=self.port
+            ) as viewer:
+                out.print(f"{viewer.address} shows {self.motion}; Ctrl-C ends")
+                if self.open:
+                    webbrowser.open(viewer.address)
+                viewer.run()
         except KeyboardInterrupt:
             pass  # that is how it ends
         return 0
 
     def _check(self, save: Path) -> None:
         """Raise what is wrong before any work is done."""
-        from kinefilter.pipeline.formats import check_folder
         from kinefilter.pipeline.look.viewer_server import check_address
 
         check_address(self.bind, self.port)
-        if self.save_contacts is not None:
-            check_folder(save)
-            if save.suffix.lower() != ".csv":
-                raise InputError(f"{save}: contacts are saved as a table; name it .csv")
+        check_output(self.save_contacts)
+        if save.suffix.lower() != ".csv":
+            raise InputError(f"{save}: contacts are saved as a table; name it .csv")
         config = self.config
-        keep(
-            save, self.motion, self.take, config.database, config.model, config.contacts
-        )
+        used = (self.motion, self.take, config.database, config.model, config.contacts)
+        keep(save, *used)
         if self._is_clip and config != CleanConfig():
             raise InputError(
                 f"{self.motion}: a clip is shown as it is; options of cleaning are for "
@@ -102,12 +112,10 @@ class View:
 
     def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
         """Return what is looked at, and how it is cleaned again."""
-        from kinefilter.pipeline.look import cleaned, read_drawing
-
         if self._is_clip:
-            return read_drawing(self.motion, self.take, body=self.body), None
-        from kinefilter.pipeline.formats.takes import read_recording
+            from kinefilter.pipeline.look.comparison import read_drawing
 
+            return read_drawing(self.motion, self.take, body=self.body), None
         recording = read_recording(self.motion, format=self.format)
         take = recording.take(self.body)
         for note in recording.notes:
@@ -120,21 +128,91 @@ class View:
         with progress_bars() as progress:
             return cleaned(take, self.config, progress=progress), again
 
-    def _serve(self, drawing: Drawing, save: Path, again: CleanAgain | None) -> None:
-        from kinefilter.pipeline.look import opened_viewer
 
-        with opened_viewer(
-            drawing, save, again=again, bind=self.bind, port=self.port
-        ) as viewer:
-            out.print(f"{viewer.address} shows {self.motion}; Ctrl-C ends")
-            if self.open:
-                import webbrowser
+@dataclass(frozen=True)
+class Render:
+    """Draw clips as videos, animations or pictures.
 
-                webbrowser.open(viewer.address)
-            viewer.run()
+    Needs no screen: EGL draws or, where no GPU is, OSMesa (Debian's libosmesa6).
+    """
+
+    clips: Positional[tuple[Path, ...]]
+    """Clips: .npz, USD, .bvh or .csv; the last two hold no props and reliability."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """What to write: out.mp4, out.gif or frames/%05d.png; {clip} stands for a clip's
+    name. Pictures that are there already are kept."""
+    look: OmitArgPrefixes[Look] = field(default_factory=Look)
+    jobs: int | None = None
+    """Processes that draw; default: one a core."""
+
+    def run(self) -> int:
+        """Draw, write, report."""
+        from kinefilter.pipeline.look.video import render_clips
+
+        if not self.clips:
+            raise InputError("no clips given; name one or more to draw")
+        if self.jobs is not None and self.jobs < 1:
+            raise InputError(f"--jobs {self.jobs}: expected 1 or more")
+        keep(self.out, *self.clips, self.look.compare)
+        try:
+            with progress_bars() as progress:
+                done = render_clips(
+                    self.clips, self.out, self.look, jobs=self.jobs, progress=progress
+                )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                "the same command again goes on with numbered pictures, a video begins "
+                "anew"
+            ) from None
+        out.print(str(done.backend))
+        for path in done.written:
+            out.print(f"wrote {path}")
+        for failure in done.failures:
+            err.print(f"kinefilter: {failure}; left out")
+        return 1 if done.failures else 0
 
 
-def _beside(path: Path) -> Path:
-    """Return where contacts are saved by default: wave.contacts.csv for wave.csv.gz."""
-    stem = Path(path.name.removesuffix(".gz")).stem
-    return path.with_name(f"{stem}.contacts.csv")
+@dataclass(frozen=True)
+class Report:
+    """Show a clip beside its take in one web page, which needs no network.
+
+    Raw and clean play side by side over reliability and origin of every joint,
+    contacts, distances moved, and the metrics, passed or failed. clean --report writes
+    it too.
+    """
+
+    clip: Positional[Path]
+    """Clip: .npz, USD, .bvh or .csv."""
+    take: Path
+    """The take that the clip was made of."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Page to write, .html."""
+    body: int | None = None
+    """Which person of the take, counted from 1; default: who is seen in most
+    frames."""
+    thresholds: Path | None = None
+    """TOML file of limits, as fail_on = ["skate > 0.003"]; default: those that ship
+    with kinefilter. They color the table of metrics."""
+    fail_on: UseAppendAction[tuple[str, ...]] = ()
+    """A limit, as skate>0.003 (quoted, for the shell); beyond it, exit code 1. May be
+    given several times."""
+
+    def run(self) -> int:
+        """Compare, write, say what failed."""
+        from kinefilter.pipeline.look import page
+        from kinefilter.pipeline.look.comparison import read_comparison
+
+        page.check_report(self.out)
+        check_output(self.out, self.clip, self.take, self.thresholds)
+        gates = [page.parse_limit(text) for text in self.fail_on]
+        limits = page.read_limits(self.thresholds)
+        comparison = read_comparison(self.clip, self.take, body=self.body)
+        # A gate that is a threshold too stands once in the table.
+        limits = tuple(dict.fromkeys((*limits, *gates)))
+        page.write_report(comparison, self.out, limits)
+        out.print(f"wrote {self.out}")
+        failed = [gate for gate in gates if gate.fails(comparison.after)]
+        for gate in failed:
+            value = comparison.after[gate.metric]
+            err.print(f"kinefilter: failed {gate}: it is {value:.4g}")
+        return 1 if failed else 0

@@ -7,10 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
 from kinefilter.pipeline.formats.mocap import (
     RIGS,
@@ -49,17 +48,11 @@ def database_from_mocap(
     count: int = FILTERED_POSTURES,
     progress: Progress = silent,
 ) -> PostureDatabase:
-    """Build a database from mocap.
+    """Build a database for the takes of a skeleton from mocap.
 
-    Args:
-        files: BVH, AMC with its ASF, or C3D files, with the joint names of
-            ``retarget/source_rigs``; their unit of length does not matter.
-        skeleton: The skeleton of the takes to clean.
-        count: About how many postures the threshold rule keeps.
-        progress: Wraps the loop over the files, for a progress bar.
-
-    Raises:
-        InputError: A file is no mocap, or lacks a joint; no files.
+    Files are BVH, AMC with its ASF, or C3D, with the joint names of
+    ``retarget/source_rigs``, in whatever unit. The threshold rule keeps about ``count``
+    postures. Raises an InputError if there are none, or one lacks a joint.
     """
     motions, skeletons = sorted_mocap(files)
     parts = (
@@ -70,25 +63,15 @@ def database_from_mocap(
 
 
 def database_from_pairs(
-    pairs: Iterable[PairedTake],
-    skeleton: Skeleton,
-    *,
-    count: int = FILTERED_POSTURES,
+    pairs: Iterable[PairedTake], skeleton: Skeleton, *, count: int = FILTERED_POSTURES
 ) -> PostureDatabase:
-    """Build a database from the mocap side of pairs.
+    """Build a database, as ``database_from_mocap``, from the mocap side of pairs.
 
-    Args:
-        pairs: Clips, looked at one after another.
-        skeleton: Of all of them.
-        count: About how many postures the threshold rule keeps.
-
-    Raises:
-        InputError: No pairs, none with mocap in it, or one of another skeleton.
+    Raises an InputError if they have no mocap, or another skeleton.
     """
     people: set[str] = set()
-    database = filtered_database(
-        _truths(pairs, skeleton, people), skeleton, "pairs", count
-    )
+    truths = _truths(pairs, skeleton, people)
+    database = filtered_database(truths, skeleton, "pairs", count)
     return replace(database, source=f"mocap of {', '.join(sorted(people))}")
 
 
@@ -112,8 +95,7 @@ def _truths(
         state = np.where(missing, State.NOT_TRACKED, State.TRACKED).astype(np.uint8)
         time = np.arange(len(truth)) * _EVERY_OTHER / POSTURES_PER_SECOND
         seen = np.where(missing[..., None], np.nan, truth)
-        take = Take(time, seen, state, skeleton, pair.take.source)
-        body = measure_body(take)
+        body = measure_body(Take(time, seen, state, skeleton, pair.take.source))
         yield pair.clip, *standard_postures(seen, None, body)
 
 
@@ -176,9 +158,7 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     whole = _whole(positions)
     frames = np.flatnonzero(whole)[:: max(1, round(step / mocap.frame_time))]
     if not len(frames):
-        raise InputError(
-            f"{mocap.source}: no frame has all joints; give motion of a whole body"
-        )
+        raise InputError(f"{mocap.source}: no frame has all joints; give whole bodies")
     lengths = column_medians(segment_lengths(positions, skeleton))
     ends, average = skeleton.segments, standard_body(skeleton)
     # Meters per unit of the file; mocap's own lengths are taken as they are.
@@ -188,12 +168,11 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     prior = None
     if motion.turns is not None and whole[0]:
         prior = _since_t_pose(motion.turns, positions[0], body)
-    return standard_postures(
-        unit * positions[frames], None if prior is None else prior[frames], body
-    )
+    prior = None if prior is None else prior[frames]
+    return standard_postures(unit * positions[frames], prior, body)
 
 
-def _whole(positions: Array) -> NDArray[np.bool_]:
+def _whole(positions: Array) -> Flags:
     """Return the frames that have every joint the motion ever has, shape (T,).
 
     Joints that it never has are put in their rest positions later.
@@ -209,16 +188,11 @@ def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
     """
     skeleton = body.skeleton
     heading = about_y(find_yaw(first, np.ones(len(skeleton)), skeleton))
-    limbs = [
-        skeleton.index(part + side)
-        for part in ("Elbow", "Wrist", "Knee", "Ankle")
-        for side in ("Left", "Right")
-    ]
-    bones = first[limbs] - first[[skeleton.parents[j] for j in limbs]]
+    parts = [j.startswith(("Elbow", "Wrist", "Knee", "Ankle")) for j in skeleton.joints]
+    limbs = np.flatnonzero(parts)
+    bones = first[limbs] - first[np.array(skeleton.parents)[limbs]]
     rest = rotate(heading, body.rest_offsets[limbs])
-    cosines = np.sum(bones * rest, axis=1) / (
-        np.linalg.norm(bones, axis=1) * np.linalg.norm(rest, axis=1)
-    )
-    if not np.all(cosines > np.cos(_T_POSE_TOLERANCE)):
+    lengths = np.linalg.norm(bones, axis=1) * np.linalg.norm(rest, axis=1)
+    if not np.all(np.vecdot(bones, rest) > np.cos(_T_POSE_TOLERANCE) * lengths):
         return None
     return multiply(multiply(turns, inverse(turns[:1])), heading)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, skeleton_named
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.pipeline.formats.npz import read_arrays
 
 Singles = NDArray[np.float32]
@@ -64,16 +64,12 @@ class PostureDatabase:
 
     def neighbors(
         self, posture: Array, weights: Array, count: int
-    ) -> tuple[NDArray[np.intp], Array]:
+    ) -> tuple[Indices, Array]:
         """Return the indices of the nearest postures, nearest first, and their D.
 
-        D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] (Shum 2013, eq. 9).
-
-        Args:
-            posture: Normalized joint positions [m], finite where the weight is not 0,
-                shape (J, 3).
-            weights: Reliability of each joint, shape (J,).
-            count: How many.
+        D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] (Shum 2013, eq. 9). The posture,
+        normalized joint positions [m] (J, 3), is finite where the weight is not 0;
+        weights (J,) are the joints' reliability.
         """
         return self._index.nearest(posture, weights, min(count, len(self)))
 
@@ -113,11 +109,7 @@ class PostureDatabase:
 
     @classmethod
     def load(cls, path: Path) -> PostureDatabase:
-        """Read a database that ``save`` wrote.
-
-        Raises:
-            InputError: The file is missing or is no posture database.
-        """
+        """Read a database that ``save`` wrote; an InputError if the file is none."""
         if not Path(path).is_file():
             raise InputError(
                 f"{path}: no such database; make one with 'kinefilter database build'"
@@ -125,16 +117,15 @@ class PostureDatabase:
         arrays = read_arrays(path, "a motion database of 'kinefilter database build'")
         try:
             skeleton = skeleton_named(str(arrays["skeleton"]))
-            shape = (len(arrays["labels"]), len(skeleton))
             recorded = bool(np.asarray(arrays.get("recorded", False)).item())
+            labels = arrays["labels"]
+            places, turns = arrays["positions"], arrays["rotations"]
+            shape = (len(labels), len(skeleton))
             sound = (
-                arrays["positions"].shape == (*shape, 3)
-                and arrays["rotations"].shape == (*shape, 4)
+                (places.shape, turns.shape) == ((*shape, 3), (*shape, 4))
                 and shape[0] >= 2
-                and arrays["labels"].shape == shape[:1]
-                and arrays["labels"].dtype.kind == "U"
-                and np.isfinite(arrays["positions"]).all()
-                and bool(np.isfinite(arrays["rotations"]).all())
+                and (labels.ndim, labels.dtype.kind) == (1, "U")
+                and bool(np.isfinite(places).all() and np.isfinite(turns).all())
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
@@ -145,26 +136,17 @@ class PostureDatabase:
                 f"{path}: not a kinefilter motion database; make one with 'kinefilter "
                 "database build'"
             )
-        return cls(
-            arrays["positions"].astype(np.float32, copy=False),
-            arrays["rotations"].astype(np.float32, copy=False),
-            arrays["labels"],
-            skeleton,
-            str(path),
-            recorded,
-        )
+        return cls(places, turns, labels, skeleton, str(path), recorded)
 
 
 class PostureIndex:
     """Finds D(p, x) = sum of w_j |p_j - x_j|^2 (Shum 2013, eq. 9) at its smallest.
 
-    The weights differ from query to query, so no metric tree fits. Postures lie in
-    blocks, split where they spread most as in a k-d tree; a block's bounding box tells
-    how near its postures can be at best, joint by joint, whatever the weights. Blocks
-    are looked at from the nearest box on, until the next can hold nothing nearer.
-
-    Args:
-        positions: Normalized joint positions [m], shape (N, J, 3).
+    The weights differ from query to query, so no metric tree fits. Postures, normalized
+    joint positions [m] (N, J, 3), lie in blocks, split where they spread most as in a
+    k-d tree; a block's bounding box tells how near its postures can be at best, joint
+    by joint, whatever the weights. Blocks are looked at from the nearest box on, until
+    the next can hold nothing nearer.
     """
 
     def __init__(self, positions: Singles) -> None:
@@ -184,7 +166,7 @@ class PostureIndex:
 
     def nearest(
         self, posture: Array, weights: Array, count: int
-    ) -> tuple[NDArray[np.intp], Array]:
+    ) -> tuple[Indices, Array]:
         """Return what ``PostureDatabase.neighbors`` does, for a count that there is."""
         if not weights.any():
             return np.arange(count), np.zeros(count)
@@ -201,7 +183,7 @@ class PostureIndex:
 
     def _candidates(
         self, seen: Array, weights: Array, count: int, slack: float
-    ) -> NDArray[np.intp]:
+    ) -> Indices:
         """Return rows among which the nearest are, whatever was rounded."""
         weighted = seen * weights[:, None]
         query = np.concatenate([weights, weighted.ravel()]).astype(np.float32)
@@ -218,13 +200,19 @@ class PostureIndex:
             some = blocks[done : min(done + step, end)]
             done, step = done + len(some), min(2 * step, _MOST)
             rows = np.concatenate([rows, self._rows(some)])
-            away = np.concatenate([away, self._away(some, query)])
+            # D without a constant that all postures share.
+            spans = (slice(b * self._block, (b + 1) * self._block) for b in some)
+            away = np.concatenate([away, *(self._products[s] @ query for s in spans)])
             if len(away) >= count:
                 best = _smallest(away, count)
                 limit = best + constant + slack
                 kept = away <= best + slack
                 rows, away = rows[kept], away[kept]
         return rows
+
+    def _rows(self, blocks: Indices) -> Indices:
+        rows = (blocks[:, None] * self._block + np.arange(self._block)).ravel()
+        return rows[rows < len(self._order)]
 
     def _bounds(self, seen: Array, weights: Array) -> Singles:
         """Return what D is at least in each block, shape (B,)."""
@@ -235,24 +223,13 @@ class PostureIndex:
         bounds: Singles = outside @ np.repeat(weights, 3).astype(np.float32)
         return bounds
 
-    def _rows(self, blocks: NDArray[np.intp]) -> NDArray[np.intp]:
-        rows = (blocks[:, None] * self._block + np.arange(self._block)).ravel()
-        return rows[rows < len(self._order)]
-
-    def _away(self, blocks: NDArray[np.intp], query: Singles) -> Singles:
-        """Return D, less a constant that all postures share, of the rows of blocks."""
-        size = self._block
-        return np.concatenate(
-            [self._products[b * size : (b + 1) * size] @ query for b in blocks]
-        )
-
 
 def _smallest(away: Singles, count: int) -> float:
     """Return the ``count``-th smallest."""
     return float(np.partition(away, count - 1)[count - 1])
 
 
-def _ordered(flat: Singles, block: int) -> NDArray[np.intp]:
+def _ordered(flat: Singles, block: int) -> Indices:
     """Return the order of postures in which each block's lie near each other."""
     order = np.arange(len(flat))
     parts = [(0, len(flat))]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Indices
 
 _BLOCK = 512  # postures compared at a time, a matter of speed alone
 _TOO_MANY = 50_000
@@ -22,66 +22,40 @@ def filter_postures(
     positions: NDArray[np.floating[Any]],
     threshold: float,
     *,
-    among: NDArray[np.intp] | None = None,
+    among: Indices | None = None,
     most: int | None = None,
-) -> NDArray[np.intp]:
+) -> Indices:
     """Return the indices of postures that differ from all kept before them.
 
-    A posture stays if the sum of squared differences of its joint positions to every
-    posture kept so far is over the threshold.
-
-    Args:
-        positions: Normalized joint positions [m], shape (N, J, 3).
-        threshold: Smallest sum of squared differences [m^2].
-        among: Indices of the postures that may stay; by default all.
-        most: Stop at once when more than these are kept.
+    A posture (N, J, 3) stays if the sum of squared differences of its joint positions
+    to every posture kept so far is over the threshold [m^2]. Only those ``among`` some
+    indices may stay, and more than ``most`` end it at once.
     """
     rows = np.arange(len(positions)) if among is None else among
-    kept = _Kept(int(np.prod(positions.shape[1:])))
+    kept = np.empty(0, dtype=np.intp)
+    others, lengths = np.empty((0, positions[:1].size)), np.empty(0)
     for start in range(0, len(rows), _BLOCK):
         block = rows[start : start + _BLOCK]
         flat = np.asarray(positions[block], dtype=np.float64).reshape(len(block), -1)
         squares = np.sum(flat * flat, axis=1)
-        far = kept.nearest(flat, squares) > threshold
+        far = np.ones(len(block), dtype=np.bool_)
+        for first in range(0, len(kept), 8 * _BLOCK):
+            some = slice(first, first + 8 * _BLOCK)
+            away = squares[:, None] - 2.0 * (flat @ others[some].T) + lengths[some]
+            far &= away.min(axis=1) > threshold
         within = squares[:, None] - 2.0 * flat @ flat.T + squares
         for k in np.flatnonzero(far):
             if far[k]:
-                kept.add(block[k], flat[k], squares[k])
                 far[k + 1 :] &= within[k, k + 1 :] > threshold
-        if most is not None and len(kept.indices) > most:
+        kept = np.concatenate([kept, block[far]])
+        others = np.concatenate([others, flat[far]])
+        lengths = np.concatenate([lengths, squares[far]])
+        if most is not None and len(kept) > most:
             break
-    return np.array(kept.indices, dtype=np.intp)
+    return kept
 
 
-class _Kept:
-    """The postures that stay, in arrays that grow."""
-
-    def __init__(self, width: int) -> None:
-        self.indices: list[int] = []
-        self._flat, self._squares = np.empty((_BLOCK, width)), np.empty(_BLOCK)
-
-    def add(self, index: int, flat: Array, square: float) -> None:
-        count = len(self.indices)
-        if count == len(self._flat):
-            self._flat = np.concatenate([self._flat, np.empty_like(self._flat)])
-            self._squares = np.concatenate([self._squares, self._squares])
-        self._flat[count], self._squares[count] = flat, square
-        self.indices.append(int(index))
-
-    def nearest(self, flat: Array, squares: Array) -> Array:
-        """Return the squared distance [m^2] of each row to the nearest that stays."""
-        least = np.full(len(flat), np.inf)
-        for start in range(0, len(self.indices), 8 * _BLOCK):
-            some = slice(start, min(start + 8 * _BLOCK, len(self.indices)))
-            products = flat @ self._flat[some].T
-            distances = squares[:, None] - 2.0 * products + self._squares[some]
-            np.minimum(least, distances.min(axis=1), out=least)
-        return least
-
-
-def filter_to_count(
-    positions: NDArray[np.floating[Any]], count: int
-) -> NDArray[np.intp]:
+def filter_to_count(positions: NDArray[np.floating[Any]], count: int) -> Indices:
     """Return the indices that the threshold rule keeps, about ``count`` of them.
 
     Bisects the threshold until the rule keeps the count within 2 % of the positions

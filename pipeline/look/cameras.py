@@ -13,15 +13,9 @@ from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.formats.files import read_toml
 
 _FOV = 28.0  # degrees, vertical: a normal lens, 48 mm on 35 mm film
-_FOVS = (1.0, 170.0)  # degrees
 # Degrees to the left of where the character faces, and up. Guesses by eye.
-_DIRECTIONS = {
-    "front": (0.0, 6.0),
-    "side": (90.0, 6.0),
-    "three-quarter": (35.0, 12.0),
-    "orbit": (35.0, 12.0),
-    "follow": (35.0, 12.0),
-}
+_DIRECTIONS = {"front": (0.0, 6.0), "side": (90.0, 6.0)}
+_DIRECTIONS |= dict.fromkeys(("three-quarter", "orbit", "follow"), (35.0, 12.0))
 CAMERAS = tuple(_DIRECTIONS)
 """Cameras that place themselves."""
 
@@ -29,20 +23,20 @@ _TURN = 12.0  # s that an orbit takes, about
 _LAG = 0.5  # s over which a following camera averages the character's place
 _AZIMUTHS = 24  # at which an orbit is checked to show everything
 _FARTHEST = 1e6  # m from the origin, where single precision is already coarse
-_AHEAD = np.array([0.0, 0.0, 1.0])  # where a character with no heading faces
 _MARGIN = 0.06  # of the picture, on every side
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """A camera in every frame, or one that stays."""
+    """A camera in every frame, or one that stays.
+
+    Where it is and what is in the middle of its picture [m], world frame, shape (T, 3),
+    or (1, 3) if it stays; and its vertical field of view [degrees].
+    """
 
     positions: Array
-    """Where it is [m], world frame, shape (T, 3), or (1, 3) if it stays."""
     targets: Array
-    """What is in the middle of its picture [m], of the same shape."""
     fov: float
-    """Vertical field of view [degrees]."""
 
     @property
     def stays(self) -> bool:
@@ -64,22 +58,16 @@ class CameraPath:
 def camera_path(
     camera: str, motion: Motion, points: Array, *, aspect: float, rate: float
 ) -> CameraPath:
-    """Return the camera of a motion.
+    """Return one of CAMERAS, or the camera in a TOML file, for a motion.
 
-    Args:
-        camera: One of CAMERAS, or the path of a TOML file.
-        motion: The frames that are drawn.
-        points: What is to be seen in each frame [m], shape (T, N, 3).
-        aspect: Width of the picture over its height.
-        rate: Frames a second.
-
-    Raises:
-        InputError: There is no such camera, or the file does not describe one.
+    It shows points [m] (T, N, 3) in each frame; ``aspect`` is width over height, and
+    ``rate`` frames a second. Raises an InputError if there is no such camera.
     """
     if camera not in CAMERAS:
         return _from_file(camera)
     around, up = np.radians(_DIRECTIONS[camera])
-    headings = rotate(motion.rotations[:, motion.skeleton.root], _AHEAD)
+    ahead = np.array([0.0, 0.0, 1.0])  # where a character with no heading faces
+    headings = rotate(motion.rotations[:, motion.skeleton.root], ahead)
     x, _, z = headings.mean(axis=0)
     azimuth = np.arctan2(x, z) + around
     toward = _direction(azimuth, up)
@@ -119,10 +107,8 @@ def axes_toward(toward: Array) -> tuple[Array, Array]:
 
 
 def _direction(azimuth: float, elevation: float) -> Array:
-    level = np.cos(elevation)
-    return np.array(
-        [level * np.sin(azimuth), np.sin(elevation), level * np.cos(azimuth)]
-    )
+    level, up = np.cos(elevation), np.sin(elevation)
+    return np.array([level * np.sin(azimuth), up, level * np.cos(azimuth)])
 
 
 def _framed(
@@ -157,12 +143,9 @@ def _from_file(camera: str) -> CameraPath:
             "a file that ends in .toml"
         )
     table = read_toml(path, "write lines such as position = [0.0, 1.5, 4.0]")
-    unknown = set(table) - {"position", "target", "fov"}
+    unknown = ", ".join(sorted(set(table) - {"position", "target", "fov"}))
     if unknown:
-        raise InputError(
-            f"{path}: unknown {', '.join(sorted(unknown))}; known: position, target, "
-            "fov"
-        )
+        raise InputError(f"{path}: unknown {unknown}; known: position, target, fov")
     places = []
     for name in ("position", "target"):
         place = table.get(name)
@@ -174,12 +157,9 @@ def _from_file(camera: str) -> CameraPath:
                 "meters, y up"
             )
         places.append(np.array(place, dtype=np.float64))
-    position, target = places
-    fov = table.get("fov", _FOV)
-    if not isinstance(fov, int | float) or not _FOVS[0] <= fov <= _FOVS[1]:
-        raise InputError(
-            f"{path}: fov is {fov!r}; expected {_FOVS[0]:g} to {_FOVS[1]:g} degrees"
-        )
+    (position, target), fov = places, table.get("fov", _FOV)
+    if not isinstance(fov, int | float) or not 1.0 <= fov <= 170.0:
+        raise InputError(f"{path}: fov is {fov!r}; expected 1 to 170 degrees")
     if np.linalg.norm(np.cross(position - target, [0.0, 1.0, 0.0])) < 1e-3:
         raise InputError(
             f"{path}: the camera looks straight up or down, or at itself; move its "

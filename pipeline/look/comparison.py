@@ -9,33 +9,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, InputError, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.pipeline.formats import read_take
+from kinefilter.pipeline.metrics import METRICS, measure
 from kinefilter.pipeline.target.feet import feet_of
 from kinefilter.pipeline.target.floor import leveled, to_world
 
 from .drawing import Drawing, read_finite_clip
-
-METRICS = {
-    "skate": "feet on the floor slide, m per frame",
-    "skate_mm_per_frame": "the same, mm per frame",
-    "skate_share_over_0p2": "share of their frames over 0.2 m/s",
-    "skate_max_m_per_s": "fastest slide of a foot on the floor, m/s",
-    "float_mm": "soles of standing feet over the floor, mm",
-    "penetration_mm": "deepest point under the floor, mm",
-    "penetration_mean_mm": "lowest point under the floor, mean, mm",
-    "lowest_point_mm": "height of the lowest point, mm",
-    "bone_length_cv": "bone-length variation, share of the length",
-    "jitter": "jitter, m/s³",
-    "amplitude_kept": "amplitude kept, share of the raw one",
-    "peak_hand_speed": "speed of the hands in the fastest 1% of frames, m/s",
-    "flight_error": "acceleration in flight off gravity, m/s²",
-    "moved_cm": "moved from raw, mean, cm",
-}
-"""Name and meaning of each metric; names as in ``clean --json``, and ``skate``."""
 
 _TRY = "give the take that the clip was made of"
 _SKEW = 1e-6  # s between stamps of the same frames: rounding
@@ -49,26 +31,22 @@ _STEPS = 8  # of Newton's method: each squares the error of the angle
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Comparison(Drawing):
-    """A clip beside its measurement, with the metrics of both."""
+    """A clip beside its measurement, with the metrics before and after cleaning.
+
+    They are by their name in ``METRICS``, NaN where unknown.
+    """
 
     raw: Array
-    """Measured joint positions [m], clip's frame, NaN where missing, (T, J, 3)."""
     before: dict[str, float]
-    """Metrics of the measurement, by their name in ``METRICS``, NaN where unknown."""
     after: dict[str, float]
-    """Metrics of the clip."""
 
 
 def read_comparison(
     clip_path: Path, take_path: Path, *, body: int | None = None
 ) -> Comparison:
-    """Read a clip, in any format that ``write_clip`` writes, and its take.
+    """Read a clip and its take, of which ``body`` is the person, counted from 1.
 
-    ``body`` is which person of the take, counted from 1; None: who is seen in most
-    frames.
-
-    Raises:
-        InputError: One cannot be read, or they do not belong together.
+    Raises an InputError if one cannot be read, or they do not belong together.
     """
     clip, take = read_finite_clip(clip_path), read_take(take_path, body=body)
     try:
@@ -80,11 +58,7 @@ def read_comparison(
 def read_drawing(
     clip_path: Path, take_path: Path | None = None, *, body: int | None = None
 ) -> Drawing:
-    """Read a clip and, if it is given, the take that it was made from.
-
-    Raises:
-        InputError: As ``read_comparison``.
-    """
+    """Read a clip and, if it is given, its take, as ``read_comparison`` does."""
     if take_path is None:
         return Drawing(read_finite_clip(clip_path))
     return read_comparison(clip_path, take_path, body=body)
@@ -94,37 +68,27 @@ def compare(clip: Clip, take: Take) -> Comparison:
     """Put a take where its clip is and measure both.
 
     For both, feet stand where the clip has contacts. Repeated time stamps count once.
-
-    Raises:
-        InputError: The clip was not made from the take, or does not say where its floor
-            was, or has numbers that are not finite, or too few frames to be a motion.
+    Raises an InputError if the clip was not made from the take, does not say where its
+    floor was, has numbers that are not finite, or too few frames to be a motion.
     """
-    # It loads MuJoCo, which must not happen where pictures are only waited for.
-    from kinefilter.pipeline.metrics import measure
-
     clip = in_time_of(clip, take)
     _check(clip, take)
     raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
     distinct = np.concatenate([[True], np.diff(clip.time) > 0])
     time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
-    seen = raw[distinct]
     figures = []
-    for positions in (seen, clip.positions[distinct]):
-        found = asdict(measure(time, positions, seen, clip.body, stands))
+    for positions in (raw[distinct], clip.positions[distinct]):
+        found = asdict(measure(time, positions, raw[distinct], clip.body, stands))
         found["skate"] = found["skate_mm_per_frame"] * 1e-3
         figures.append({name: float(found[name]) for name in METRICS})
-    before, after = figures
-    return Comparison(clip=clip, raw=raw, before=before, after=after)
+    return Comparison(clip=clip, raw=raw, before=figures[0], after=figures[1])
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
-    """Read the take of a clip and return its joints in the clip's frame.
+    """Return the joints [m] of a clip's take at times [s] of the clip, in its frame.
 
-    Positions [m] at some times [s] of the clip, NaN where nothing was measured, shape
-    (T, J, 3).
-
-    Raises:
-        InputError: The file is no take, or not the one that the clip was made from.
+    NaN where nothing was measured, shape (T, J, 3). Raises an InputError if the file is
+    no take, or not the one that the clip was made from.
     """
     take = read_take(path)
     if take.skeleton.name != clip.skeleton.name:
@@ -214,20 +178,17 @@ def same_stamps(clip: Clip, take: Take) -> bool:
     )
 
 
-def nearest_frames(stamps: Array, times: Array) -> NDArray[np.intp]:
+def nearest_frames(stamps: Array, times: Array) -> Indices:
     """Return which of some time stamps [s] is nearest to each time, shape (T,)."""
     return np.searchsorted(0.5 * (stamps[:-1] + stamps[1:]), times)
 
 
 def in_clip_frame(take: Take, clip: Clip) -> Array:
-    """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
+    """Return joint positions [m] of a take, leveled as its clip was, shape (T, J, 3).
 
-    The take is leveled as cleaning leveled it. Where both have the same frames, the
-    distances that the clip keeps show whether it was made from this take.
-
-    Raises:
-        InputError: The clip does not keep its tilt and floor, or it was made from
-            another take.
+    Where both have the same frames, the distances that the clip keeps show whether it
+    was made from this take. Raises an InputError if it was not, or if it does not keep
+    its tilt and floor.
     """
     if not _keeps_frame(clip):
         raise InputError(
@@ -244,10 +205,7 @@ def leveled_to_clip(take: Take, clip: Clip) -> Array:
     """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
 
     For clips that do not keep their tilt and floor (BVH, CSV): both are estimated from
-    the heights of the joints.
-
-    Raises:
-        InputError: The take has no joints in the time of the clip.
+    the heights of the joints. Raises an InputError if the take has none at their time.
     """
     frames = nearest_frames(take.time, clip.time)
     raw, clean = take.positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)

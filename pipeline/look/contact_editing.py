@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS
+from kinefilter.characters.arrays import Flags, read_only
 from kinefilter.retarget.runs import runs
-
-Flags = NDArray[np.bool_]
 
 PARTS: dict[str, tuple[int, ...]] = {
     "both feet": (0, 1, 2, 3),
@@ -34,8 +32,7 @@ class ContactEdits:
 
     def __init__(self, contacts: Flags) -> None:
         self._before: deque[Flags] = deque(maxlen=_STEPS)
-        self._keep(contacts)
-        self._saved = self.contacts
+        self.contacts = self._saved = read_only(contacts.copy())
 
     @property
     def unsaved(self) -> bool:
@@ -43,7 +40,7 @@ class ContactEdits:
         return not np.array_equal(self.contacts, self._saved)
 
     def put(self, part: str, first: int, last: int, *, stands: bool) -> None:
-        """Set whether a part (PARTS) stands in the frames from first to last."""
+        """Set whether a part (PARTS) stands from the first to the last frame."""
         edited = self.contacts.copy()
         edited[max(first, 0) : last + 1, list(PARTS[part])] = stands
         self.replace(edited)
@@ -52,11 +49,7 @@ class ContactEdits:
         """Take other contacts, shape (T, 4), as one step that can be undone."""
         if not np.array_equal(contacts, self.contacts):
             self._before.append(self.contacts)
-            self._keep(contacts)
-
-    def _keep(self, contacts: Flags) -> None:
-        self.contacts = np.array(contacts, dtype=np.bool_)
-        self.contacts.flags.writeable = False
+            self.contacts = read_only(contacts.copy())
 
     def undo(self) -> bool:
         """Take back the last change; return whether there was one."""
@@ -85,19 +78,27 @@ def timeline_html(contacts: Flags, frame: int, chosen: tuple[int, int]) -> str:
     if count > 2 * _CLOSE:
         first = min(max(frame - _CLOSE // 2, 0), count - _CLOSE)
         near = range(first, first + _CLOSE)
-        seen = contacts[first : first + _CLOSE]
-        strips += _strip("close-up", seen, near, frame, chosen)
+        strips += _strip("close-up", contacts[near], near, frame, chosen)
     return strips
 
 
 def _strip(
     name: str, contacts: Flags, frames: range, frame: int, chosen: tuple[int, int]
 ) -> str:
-    """Return rows with their labels, the chosen frames shaded and one frame marked."""
     height, scale = _ROW * len(CONTACTS), _WIDTH / len(frames)
-    first, end = (
-        min(max(k - frames.start, 0), len(frames)) for k in (chosen[0], chosen[1] + 1)
-    )
+    bars = ""
+    for row, color in enumerate(_COLORS):
+        y, step = _ROW * row + _ROW // 2, _WIDTH / len(contacts)
+        parts = "".join(
+            f"M{run.start * step:.1f} {y}h{(run.stop - run.start) * step:.1f}"
+            for run in runs(contacts[:, row])
+        )
+        bars += (
+            f'<path class="stands" d="{parts}" stroke="{color}" '
+            f'stroke-width="{_BAR}" fill="none"/>'
+        )
+    ends = np.array([chosen[0], chosen[1] + 1]) - frames.start
+    first, end = np.clip(ends, 0, len(frames)).tolist()
     mark = (frame - frames.start + 0.5) * scale
     return (
         '<div style="display:flex;gap:6px;font-size:11px;margin:4px 8px">'
@@ -107,24 +108,7 @@ def _strip(
         'style="background:rgba(128,128,128,0.12)">'
         f'<rect x="{first * scale:.1f}" width="{(end - first) * scale:.1f}" '
         f'height="{height}" fill="rgba(128,128,128,0.25)"/>'
-        f"{_bars(contacts)}"
+        f"{bars}"
         f'<path d="M{mark:.1f} 0V{height}" stroke="#d9342b" stroke-width="2" '
         'vector-effect="non-scaling-stroke"/></svg></div>'
     )
-
-
-def _bars(contacts: Flags) -> str:
-    """Return a path for each row, with a bar for each run of frames that stand."""
-    scale = _WIDTH / len(contacts)
-    paths = []
-    for row, color in enumerate(_COLORS):
-        y = _ROW * row + _ROW // 2
-        parts = "".join(
-            f"M{run.start * scale:.1f} {y}h{(run.stop - run.start) * scale:.1f}"
-            for run in runs(contacts[:, row])
-        )
-        paths.append(
-            f'<path class="stands" d="{parts}" stroke="{color}" '
-            f'stroke-width="{_BAR}" fill="none"/>'
-        )
-    return "".join(paths)

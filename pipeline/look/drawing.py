@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Clip, InputError, Motion, Prop, Skeleton, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters import Clip, InputError, Motion, Prop, Skeleton, Take
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import between, rotate
-from kinefilter.characters.skin import Skin, skin_of
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip
 from kinefilter.pipeline.progress import Progress, silent
@@ -38,9 +36,7 @@ UNKNOWN = "#999999"
 CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
 """Corners of a cube with sides of 2 about the origin, shape (8, 3)."""
 
-_HIDDEN = ("cleaned", "physics")  # at first: the skin shows where they are
 _GAP = 0.35  # m between the raw figure and the character, a guess by eye
-_UP = np.array([0.0, 1.0, 0.0])  # the axis of the cylinder that is drawn as a bone
 
 
 class Sticks(NamedTuple):
@@ -53,26 +49,26 @@ class Sticks(NamedTuple):
     """
 
     joints: Array
-    joint_there: NDArray[np.bool_]
+    joint_there: Flags
     joint_colors: Array | None
     centers: Array
     lengths: Array
     rotations: Array
-    bone_there: NDArray[np.bool_]
+    bone_there: Flags
 
 
 @dataclass(frozen=True, eq=False)
 class StickFigure:
-    """Joints and bones in every frame."""
+    """Joints and bones in every frame, gray or in one color.
+
+    Positions [m] are in the world frame, NaN where missing, shape (T, J, 3);
+    reliability, NaN where unknown, shape (T, J), colors the joints.
+    """
 
     skeleton: Skeleton
-    """The joints."""
     positions: Array
-    """Joint positions [m], world frame, NaN where missing, shape (T, J, 3)."""
     color: Color | None = None
-    """Color of joints and bones; None: bones are gray."""
     reliability: Array | None = None
-    """Reliability that colors the joints, NaN where unknown, shape (T, J)."""
 
     def at(self, frame: int) -> Sticks:
         """Return the figure in one frame."""
@@ -88,21 +84,21 @@ class StickFigure:
             joint_colors=None if rates is None else reliability_colors(rates),
             centers=0.5 * (points[ends] + points[starts]),
             lengths=np.linalg.norm(bones, axis=-1),
-            rotations=between(_UP, bones),
+            rotations=between([0.0, 1.0, 0.0], bones),  # from a cylinder's axis
             bone_there=there[ends] & there[starts],
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A clip and what it was made from, in the clip's frame."""
+    """A clip and joint positions [m] that it was made from, in the clip's frame.
+
+    They are measured (NaN where missing) and before physics, shape (T, J, 3).
+    """
 
     clip: Clip
-    """The motion, with its props, contacts and external force."""
     raw: Array | None = None
-    """Measured joint positions [m], NaN where missing, shape (T, J, 3)."""
     target: Array | None = None
-    """Joint positions [m] before physics, shape (T, J, 3)."""
 
     @property
     def simulated(self) -> bool:
@@ -129,7 +125,8 @@ class Drawing:
         names = ["skin", *self.figures, "contacts"]
         names += ["forces"] if self.simulated else []
         names += ["things"] if self.clip.props else []
-        return {name: name not in _HIDDEN for name in names}
+        # The skin shows where the figures are.
+        return {name: name not in ("cleaned", "physics") for name in names}
 
     @property
     def raw_offset(self) -> Array:
@@ -158,11 +155,7 @@ def left_of(motion: Motion) -> Array:
 
 
 def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> Drawing:
-    """Clean a take and keep its motion before correction and before physics.
-
-    Raises:
-        InputError: As ``clean``.
-    """
+    """Clean a take (``clean``) and keep its motion before correction and physics."""
     from kinefilter.pipeline.cleaner import clean
     from kinefilter.pipeline.target.floor import to_world
 
@@ -173,11 +166,7 @@ def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> 
 
 
 def read_finite_clip(path: Path) -> Clip:
-    """Read a clip (``read_clip``) that has frames, and only finite numbers.
-
-    Raises:
-        InputError: As ``read_clip``, or there is nothing to draw.
-    """
+    """Read a clip (``read_clip``); an InputError unless it has frames, all finite."""
     clip = read_clip(path)
     if not len(clip):
         raise InputError(f"{path}: has no frames; nothing can be drawn")
@@ -191,32 +180,21 @@ def segment_starts(skeleton: Skeleton) -> list[int]:
     return [p if p >= 0 else j for j, p in enumerate(skeleton.parents)]
 
 
-def skin_triangles(body: Body) -> tuple[Skin, NDArray[np.int64]]:
-    """Return the skin of a body and its faces as triangles, shape (2 Q, 3)."""
-    skin = skin_of(body)
-    first, second = skin.quads[:, [0, 1, 2]], skin.quads[:, [0, 2, 3]]
-    return skin, np.concatenate([first, second])
-
-
 def corners_of(prop: Prop, count: int) -> Array:
     """Return the corners of a prop's boxes [m], world frame, shape (T, 8 S, 3)."""
-    corners = np.concatenate(
-        [
-            shape.position + rotate(shape.rotation, CORNERS * shape.half_extents)
-            for shape in prop.shapes
-        ]
-    )
-    placed = prop.positions[:, None] + rotate(prop.rotations[:, None], corners)
+    corners = [
+        shape.position + rotate(shape.rotation, CORNERS * shape.half_extents)
+        for shape in prop.shapes
+    ]
+    turned = rotate(prop.rotations[:, None], np.concatenate(corners))
+    placed = prop.positions[:, None] + turned
     return np.broadcast_to(placed, (count, *placed.shape[1:]))
-
-
-def _rgb(color: str) -> Array:
-    return np.array(list(bytes.fromhex(color[1:]))) / 255.0
 
 
 def reliability_colors(reliability: Array) -> Array:
     """Return the colors of reliability in [0, 1] or NaN (unknown), shape (..., 3)."""
-    red_green_blue = np.stack([_rgb(color) for color in RELIABILITY]).T
-    colors = [np.interp(reliability, (0.0, 0.5, 1.0), c) for c in red_green_blue]
+    hexes = [bytes.fromhex(color[1:]) for color in (*RELIABILITY, UNKNOWN)]
+    *scale, unknown = np.array([list(color) for color in hexes]) / 255.0
+    colors = [np.interp(reliability, (0.0, 0.5, 1.0), c) for c in np.transpose(scale)]
     known = np.isfinite(reliability)[..., None]
-    return np.where(known, np.stack(colors, axis=-1), _rgb(UNKNOWN))
+    return np.where(known, np.stack(colors, axis=-1), unknown)

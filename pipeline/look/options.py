@@ -10,8 +10,6 @@ from tyro.conf import arg
 
 from kinefilter.characters import InputError
 
-_SIDES = (16, 8192)  # pixels: the least that codecs take, the most that OpenGL does
-_RATES = (0.1, 240.0)  # frames a second that a video can have
 _SAMPLES = (0, 1, 2, 4, 8, 16)
 
 
@@ -48,16 +46,13 @@ class Look:
     0."""
 
     def __post_init__(self) -> None:
-        low, high = _RATES
-        if self.fps is not None and not low <= self.fps <= high:
-            raise InputError(f"--fps {self.fps:g}: expected {low:g} to {high:g}")
+        if self.fps is not None and not 0.1 <= self.fps <= 240.0:
+            raise InputError(f"--fps {self.fps:g}: expected 0.1 to 240")
         if self.every < 1:
             raise InputError(f"--every {self.every}: expected 1 or more")
         if self.samples is not None and self.samples not in _SAMPLES:
-            raise InputError(
-                f"--samples {self.samples}: expected one of "
-                + ", ".join(map(str, _SAMPLES))
-            )
+            known = ", ".join(map(str, _SAMPLES))
+            raise InputError(f"--samples {self.samples}: expected one of {known}")
         if not self.start >= 0.0 or (self.to is not None and not self.to >= self.start):
             raise InputError(
                 f"--from {self.start:g} --to {self.to}: expected 0 <= from <= to"
@@ -70,9 +65,9 @@ class Look:
         width, _, height = self.size.lower().partition("x")
         if width.isdecimal() and height.isdecimal():
             pixels = int(width), int(height)
-            if _SIDES[0] <= min(pixels) and max(pixels) <= _SIDES[1]:
+            if min(pixels) >= 16 and max(pixels) <= 8192:  # as codecs and OpenGL take
                 return pixels
         raise InputError(
-            f"--size {self.size}: expected a width and a height of {_SIDES[0]} to "
-            f"{_SIDES[1]} pixels, such as 1280x720"
+            f"--size {self.size}: expected a width and a height of 16 to 8192 pixels, "
+            "such as 1280x720"
         )

@@ -1,40 +1,93 @@
-"""The page of a report: one HTML file that needs no network."""
+"""The page of a report, and the limits, such as ``skate>0.003``, that it is judged by.
+
+One HTML file that needs no network. A clip whose metrics are beyond a limit fails.
+"""
 
 from __future__ import annotations
 
 import base64
 import html
 import json
+import math
 import os
-from collections.abc import Sequence
-from importlib import resources
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, InputError, Origin, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.formats.files import atomic_path, check_folder
-from kinefilter.pipeline.metrics import even_differences
+from kinefilter.pipeline.formats.files import atomic_path, check_folder, read_toml
+from kinefilter.pipeline.metrics import METRICS, even_differences
 
-from .comparison import METRICS, Comparison
+from .comparison import Comparison
 from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
-from .metric_limits import Limit
 
+_FORM = re.compile(r"\s*(\w+)\s*([<>])\s*(\S+)\s*")
+_EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
 _SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
 _MISSING = -(2**15)  # of the int16 that a position is written as
 _FARTHEST = 2**15 - 1  # mm from the origin
 _NO_RATE = 255  # of the uint8 that reliability is written as, where it is unknown
 
 
-def check_report(path: Path) -> None:
-    """Raise, before any work is done, what write_report would raise after it.
+@dataclass(frozen=True)
+class Limit:
+    """A metric (``METRICS``) on this side of a number, in its own unit, fails."""
 
-    Raises:
-        InputError: It is not named as a web page, or nothing can be written there.
+    metric: str
+    side: Literal["<", ">"]
+    number: float
+
+    def __str__(self) -> str:
+        return f"{self.metric}{self.side}{self.number:g}"
+
+    def fails(self, figures: Mapping[str, float]) -> bool:
+        """Return whether a metric is beyond the limit; NaN (not measured) is not."""
+        value = figures[self.metric]
+        return value > self.number if self.side == ">" else value < self.number
+
+
+def parse_limit(text: str) -> Limit:
+    """Return the limit that a text such as ``skate>0.003`` describes, or InputError."""
+    form = _FORM.fullmatch(text)
+    if form is None or form[1] not in METRICS:
+        raise InputError(
+            f"{text!r}: expected a metric, < or >, and a number, as skate>0.003; "
+            f"metrics: {', '.join(METRICS)}"
+        )
+    try:
+        number = float(form[3])
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{text!r}: {form[3]!r} is no number; write it as 0.003")
+    return Limit(form[1], ">" if form[2] == ">" else "<", number)
+
+
+def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]:
+    """Read the limits of a TOML file, by default those that ship with kinefilter.
+
+    Raises an InputError unless it is a list ``fail_on`` of texts (``parse_limit``).
     """
+    name = os.fspath(path or Path(__file__).with_name("thresholds.toml"))
+    table = read_toml(name, _EXPECTED)
+    texts = table.get("fail_on")
+    listed = isinstance(texts, list) and all(isinstance(t, str) for t in texts)
+    if not listed or len(table) > 1:
+        raise InputError(f"{name}: {_EXPECTED} and nothing else")
+    try:
+        return tuple(parse_limit(limit) for limit in table["fail_on"])
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+def check_report(path: Path) -> None:
+    """Raise an InputError, before any work, if a report cannot be written there."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report is a web page; name it .html")
     check_folder(path)
@@ -45,13 +98,8 @@ def write_report(
 ) -> None:
     """Write a page with everything in it, which appears whole or not at all.
 
-    Args:
-        comparison: A clip and its take.
-        path: The HTML file.
-        limits: What fails in the table of metrics.
-
-    Raises:
-        InputError: The file cannot be written.
+    ``limits`` say what fails in the table of metrics. Raises an InputError if the file
+    cannot be written.
     """
     contents = contents_of(comparison, limits)
     page = _template("page.html").replace("@STYLE@", _template("page.css"))
@@ -76,6 +124,20 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
     """
     clip = comparison.clip
     rates = np.where(np.isnan(clip.reliability), _NO_RATE, clip.reliability * 100.0)
+    metrics = [
+        {
+            "name": name,
+            "meaning": meaning,
+            "raw": _finite(comparison.before[name]),
+            "clean": _finite(comparison.after[name]),
+            "limits": [
+                {"text": f"{k.side} {k.number:g}", "fails": k.fails(comparison.after)}
+                for k in limits
+                if k.metric == name
+            ],
+        }
+        for name, meaning in METRICS.items()
+    ]
     return {
         "source": clip.source,
         "skeleton": clip.skeleton.name,
@@ -109,13 +171,12 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             }
             for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
         ],
-        "metrics": _metrics(comparison, limits),
+        "metrics": metrics,
     }
 
 
 def _template(name: str) -> str:
-    folder = resources.files(__package__).joinpath("template")
-    return folder.joinpath(name).read_text(encoding="utf-8")
+    return (Path(__file__).parent / "template" / name).read_text(encoding="utf-8")
 
 
 def _packed(values: NDArray[Any], kind: str) -> str:
@@ -130,10 +191,9 @@ def _millimeters(meters: Array) -> Array:
 
 
 def _derivative(time: Array, positions: Array, order: int) -> Array:
-    """Return the mean over joints of the magnitude of a difference over dt^order, (T,).
+    """Return the mean magnitude of a difference over dt^order, shape (T,).
 
-    As in ``metrics.jitter``, only frames at the nominal rate (within half a step)
-    count, and joints that are there in all of them; elsewhere NaN.
+    As in ``metrics.jitter``; NaN where frames are uneven or no joint is there.
     """
     values = np.full(len(time), np.nan)
     size, nominal = even_differences(time, positions, order)
@@ -143,21 +203,5 @@ def _derivative(time: Array, positions: Array, order: int) -> Array:
     return values
 
 
-def _metrics(comparison: Comparison, limits: Sequence[Limit]) -> list[dict[str, Any]]:
-    def finite(value: float) -> float | None:
-        return value if np.isfinite(value) else None
-
-    return [
-        {
-            "name": name,
-            "meaning": meaning,
-            "raw": finite(comparison.before[name]),
-            "clean": finite(comparison.after[name]),
-            "limits": [
-                {"text": f"{k.side} {k.number:g}", "fails": k.fails(comparison.after)}
-                for k in limits
-                if k.metric == name
-            ],
-        }
-        for name, meaning in METRICS.items()
-    ]
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

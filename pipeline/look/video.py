@@ -25,28 +25,23 @@ _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"
 _NUMBERED = re.compile(r"[^%]*%0?\d*d[^%]*")  # such as %05d.png
 _PART = 60  # frames: each part of a video begins with a keyframe, to which players jump
+# Stretches that each process draws, about. With fewer, one process is left with the
+# last; with more, each of them has to read every clip.
 _STRETCHES = 4
-"""Stretches that each process draws, about. With fewer, one process is left with the
-last; with more, each of them has to read every clip."""
 _LONGEST = 600  # frames: some seconds, after which a progress bar should move
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """What became of clips that were to be drawn."""
+    """What drew clips, the files or patterns of files, and messages of failures."""
 
     backend: Backend
-    """What drew."""
     written: tuple[Path, ...]
-    """The files, or patterns of files, that are there now."""
     failures: tuple[str, ...]
-    """A message for each clip that could not be drawn."""
 
 
 @dataclass
 class _Job:
-    """A task, and its frames as they are drawn."""
-
     task: RenderTask
     frames: int
     rate: float
@@ -61,30 +56,18 @@ def render_clips(
     jobs: int | None = None,
     progress: Progress = silent,
 ) -> Rendering:
-    """Draw clips, each into a file or into numbered pictures.
+    """Draw clips, each into a file or into numbered pictures (``output_paths``).
 
-    The same clip and look give the same pixels, however many processes draw. Numbered
-    pictures of an earlier run are kept if they are of the same clip and look.
-
-    Args:
-        clips: Files of clips, in any format that ``write_clip`` writes.
-        out: ``.mp4``, ``.gif`` or ``.png`` with a place for the number; see
-            ``output_paths`` for several clips.
-        look: How they are drawn.
-        jobs: Processes that draw; by default one per core.
-        progress: Wraps the loop over all frames, for a progress bar.
-
-    Raises:
-        InputError: Nothing can be drawn: the look, the name of the output, OpenGL or
-            the only clip is wrong. Of several clips, those that are wrong are left out.
+    The same clip and look give the same pixels, however many processes (``jobs``, by
+    default one per core) draw. Numbered pictures of an earlier run are kept if they are
+    of the same clip and look. Of several clips, those that are wrong are left out.
+    Raises an InputError if the look, the output, OpenGL or the only clip is wrong.
     """
     look = look or Look()
     if look.compare is not None and len(clips) > 1:
         raise InputError("--compare is the take of one clip; draw them one at a time")
     if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
-        raise InputError(
-            f"--size {look.size}: a video's width and height are even; add a pixel"
-        )
+        raise InputError(f"--size {look.size}: videos have even sides; add a pixel")
     check_camera(look.camera)
     paths = output_paths(clips, out)
     with ThreadPoolExecutor(1) as beside:  # drivers are slow to start
@@ -92,7 +75,13 @@ def render_clips(
         planned, failures, written = [], [], []
         for clip, path in zip(clips, paths, strict=True):
             try:
-                planned.append(_planned(RenderTask(clip, path, look)))
+                made = Composition(task := RenderTask(clip, path, look))
+                if path.suffix.lower() == ".gif" and made.rate > FASTEST_GIF:
+                    raise InputError(
+                        f"{clip}: a GIF has at most {FASTEST_GIF:g} frames a second, "
+                        f"not {made.rate:g}; lower --fps or raise --every"
+                    )
+                planned.append(_Job(task, len(made.drawing.clip), made.rate))
             except InputError as error:
                 failures.append(str(error))
         backend = asked.result()
@@ -110,14 +99,11 @@ def render_clips(
 
 
 def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
-    """Return the file, or pattern of files, of each clip.
+    """Return the file, or pattern of files, of each clip, or raise an InputError.
 
     ``{clip}`` in a name stands for the clip's name. If there are several clips and it
     is missing, the clip's name is added before the extension, or as a folder of
     numbered pictures. Folders of numbered pictures are created.
-
-    Raises:
-        InputError: No such file can be written, or two clips have the same.
     """
     if out.suffix.lower() not in _EXTENSIONS:
         raise InputError(
@@ -144,13 +130,13 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
             "of the same name one at a time"
         )
     for path in paths:
-        try:
-            if numbered:
+        if numbered:
+            try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
-            ) from error
+            except OSError as error:
+                raise InputError(
+                    f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
+                ) from error
         check_folder(path)
     return paths
 
@@ -158,23 +144,12 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
 def stretches(count: int, share: int) -> list[Parts]:
     """Return the parts of a clip in groups that one process draws in one go.
 
-    The parts are the same whatever the groups, and so are the videos made of them.
-
-    ``share`` is how many frames of all clips each process draws.
+    ``share`` is how many frames of all clips each process draws. The parts are the same
+    whatever the groups, and so are the videos made of them.
     """
     parts = [range(k, min(k + _PART, count)) for k in range(0, count, _PART)]
     size = max(1, min(share // _STRETCHES, _LONGEST) // _PART)
     return [tuple(parts[k : k + size]) for k in range(0, len(parts), size)]
-
-
-def _planned(task: RenderTask) -> _Job:
-    made = Composition(task)
-    if task.out.suffix.lower() == ".gif" and made.rate > FASTEST_GIF:
-        raise InputError(
-            f"{task.clip}: a GIF has at most {FASTEST_GIF:g} frames a second, not "
-            f"{made.rate:g}; lower --fps or raise --every"
-        )
-    return _Job(task, len(made.drawing.clip), made.rate)
 
 
 def _drawn(
@@ -183,14 +158,12 @@ def _drawn(
     """Yield each job when it is done, with what went wrong."""
     done = 0
     share = sum(job.frames for job in planned) // count
-    tasks = sum(len(stretches(job.frames, share)) for job in planned)
-    with workers(min(count, max(tasks, 1)), environment=backend.environment) as pool:
+    groups = [stretches(job.frames, share) for job in planned]
+    processes = min(count, max(sum(map(len, groups)), 1))
+    with workers(processes, environment=backend.environment) as pool:
         try:
-            for job in planned:
-                job.futures = {
-                    pool.submit(draw_parts, job.task, parts): parts
-                    for parts in stretches(job.frames, share)
-                }
+            for job, parts in zip(planned, groups, strict=True):
+                job.futures = {pool.submit(draw_parts, job.task, p): p for p in parts}
             for job in planned:
                 yield job, _finished(job, steps)
                 done += 1
@@ -208,7 +181,8 @@ def _drawn(
 
 def _finished(job: _Job, steps: Iterator[int]) -> str | None:
     """Write a job's file from its parts; return what went wrong."""
-    out, pixels = job.task.out, job.task.look.pixels
+    out, size = job.task.out, job.task.look.pixels
+    write = {".mp4": write_mp4, ".gif": write_gif}.get(out.suffix.lower())
 
     def drawn() -> Iterator[list[Coded]]:
         for future, parts in job.futures.items():
@@ -217,10 +191,8 @@ def _finished(job: _Job, steps: Iterator[int]) -> str | None:
                 next(steps, None)
 
     try:
-        if out.suffix.lower() == ".mp4":
-            write_mp4(drawn(), out, pixels, job.rate)
-        elif out.suffix.lower() == ".gif":
-            write_gif(drawn(), out, pixels, job.rate)
+        if write is not None:
+            write(drawn(), out, size, job.rate)
         else:
             deque(drawn(), maxlen=0)
     except BrokenProcessPool:

@@ -23,6 +23,8 @@ from kinefilter.pipeline.formats import atomic_path
 
 Pixels = NDArray[np.uint8]
 """A picture, shape (height, width, 3)."""
+Size = tuple[int, int]
+"""Width and height in pixels."""
 Coded = tuple[bytes, bool]
 """An encoded picture, and whether it is a keyframe."""
 
@@ -38,9 +40,7 @@ _HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
 _KEY = b"kinefilter\0"
 
 
-def encode_video(
-    pictures: Iterable[Pixels], size: tuple[int, int], rate: float
-) -> list[Coded]:
+def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Coded]:
     """Return the pictures of one part, encoded."""
     import av
 
@@ -53,13 +53,9 @@ def encode_video(
 
 
 def write_mp4(
-    parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
+    parts: Iterable[list[Coded]], path: Path, size: Size, rate: float
 ) -> None:
-    """Write the parts of a video (``encode_video``) one after another.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write the parts of a video (``encode_video``), or raise InputError."""
     import av
 
     with _media_file(path, {"movflags": "+faststart"}) as file:
@@ -74,13 +70,9 @@ def write_mp4(
 
 
 def write_gif(
-    parts: Iterable[list[Coded]], path: Path, size: tuple[int, int], rate: float
+    parts: Iterable[list[Coded]], path: Path, size: Size, rate: float
 ) -> None:
-    """Write an endless animation of PNG pictures, all with one palette.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write an endless animation of PNG pictures, all with one palette."""
     pictures = [data for part in parts for data, _ in part]
     # One palette for all keeps a floor that does not change from flickering, and so
     # does ordered dither: diffusing errors would change the whole floor in every frame.
@@ -112,22 +104,14 @@ def encode_png(picture: Pixels) -> bytes:
 
 
 def write_frame(picture: Pixels, path: Path, fingerprint: str) -> None:
-    """Write a picture, whole or not at all, with the fingerprint of what it shows.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Write a picture, whole or not at all, with the fingerprint of what it shows."""
     data = encode_png(picture)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data[:_HEADER] + _chunk(fingerprint) + data[_HEADER:])
 
 
 def is_drawn(path: Path, fingerprint: str) -> bool:
-    """Tell whether a file is there and has a fingerprint.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """Tell whether a file is there and has a fingerprint, or raise InputError."""
     chunk = _chunk(fingerprint)
     try:
         with path.open("rb") as file:
@@ -148,8 +132,7 @@ def _fraction(rate: float) -> Fraction:
     return Fraction(rate).limit_denominator(_LARGEST_RATE)
 
 
-def _x264(codec: Any, size: tuple[int, int], rate: float) -> Any:
-    """Return a codec with the settings that are the same for every part and file."""
+def _x264(codec: Any, size: Size, rate: float) -> Any:
     from av.codec.context import Flags
 
     codec.width, codec.height = size
@@ -187,11 +170,7 @@ def _media_file(path: Path, options: dict[str, str]) -> Iterator[Any]:
 
 
 def _filtered(
-    pictures: Sequence[bytes],
-    size: tuple[int, int],
-    name: str,
-    options: str,
-    palette: Any = None,
+    pictures: Sequence[bytes], size: Size, name: str, options: str, palette: Any = None
 ) -> Iterator[Any]:
     """Yield what a filter makes of PNG pictures and, if it takes one, of a palette."""
     import av

@@ -16,9 +16,10 @@ from kinefilter.characters import Body, Prop, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import matrix_from_wxyz
+from kinefilter.characters.skin import skin_of
 
 from .cameras import CameraPath
-from .drawing import Drawing, segment_starts, skin_triangles
+from .drawing import Drawing, segment_starts
 from .video_files import Pixels
 
 _FLOOR_GROUP = 1  # of the geoms (stage.xml) that stay the same while the camera does
@@ -29,7 +30,6 @@ _BONE_COLOR = (0.25, 0.25, 0.28)
 _LIGHT_AWAY = 4.0  # m, above everything
 _LEAST_REACH = 1.5  # m from the middle of the clip that is lit
 _MORE_GEOMS = 100  # room for those that MuJoCo itself adds to the model's
-_STAGE = Path(__file__).with_name("stage.xml")  # sky, floor and fog
 
 
 class ClipModel:
@@ -48,14 +48,26 @@ class ClipModel:
         toward: Array,
         translucent: bool = False,
     ) -> None:
-        clip, spec = drawing.clip, mujoco.MjSpec.from_file(str(_STAGE))
+        stage = Path(__file__).with_name("stage.xml")  # sky, floor and fog
+        clip, spec = drawing.clip, mujoco.MjSpec.from_file(str(stage))
         spec.visual.global_.offwidth, spec.visual.global_.offheight = size
         spec.visual.quality.offsamples = samples
         spread = clip.positions - clip.root.mean(axis=0)
         spec.stat.extent = max(_LEAST_REACH, np.linalg.norm(spread, axis=-1).max())
         spec.stat.center = middle = to_mujoco(clip.root).mean(axis=0)
         level = toward * [1.0, 0.0, 1.0]
-        _add_light(spec, to_mujoco(level / np.linalg.norm(level)), middle)
+        front = to_mujoco(level / np.linalg.norm(level))
+        left = np.array([-front[1], front[0], 0.0])
+        away = -0.5 * front - 0.45 * left - [0.0, 0.0, 1.0]
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it points to
+            dir=away,
+            diffuse=[0.45] * 3,
+            ambient=[0.0] * 3,
+            specular=[0.12] * 3,
+            castshadow=True,
+        )
         _add_character(spec, clip.body, _TRANSLUCENT if translucent else 1.0)
         for prop in clip.props:
             _add_prop(spec, prop)
@@ -185,36 +197,19 @@ def figure_names(skeleton: Skeleton) -> list[str]:
     return joints + [f"bone:{skeleton.joints[j]}" for j in skeleton.segments]
 
 
-def _add_light(spec: mujoco.MjSpec, front: Array, middle: Array) -> None:
-    """Add light from the front, the left and above."""
-    left = np.array([-front[1], front[0], 0.0])
-    away = -0.5 * front - 0.45 * left - [0.0, 0.0, 1.0]
-    spec.worldbody.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it points to
-        dir=away,
-        diffuse=[0.45] * 3,
-        ambient=[0.0] * 3,
-        specular=[0.12] * 3,
-        castshadow=True,
-    )
-
-
 def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:
     """Add the skin and a body for each segment, where the T-pose has them."""
     skeleton = body.skeleton
     starts = to_mujoco(body.rest_positions)[segment_starts(skeleton)]
     for joint, start in zip(skeleton.joints, starts, strict=True):
         spec.worldbody.add_body(name=f"segment:{joint}", mocap=True, pos=start)
-    skin, triangles = skin_triangles(body)
-    moved = [
-        np.nonzero((skin.segments == j) & (skin.weights > 0.0))
-        for j in range(len(skeleton))
-    ]
+    skin = skin_of(body)
+    with_weight = np.where(skin.weights > 0.0, skin.segments, -1)
+    moved = [np.nonzero(with_weight == j) for j in range(len(skeleton))]
     bones = [j for j, (points, _) in enumerate(moved) if len(points)]
     mesh = spec.add_skin(name="skin")
     mesh.vert = to_mujoco(skin.points).ravel()
-    mesh.face = triangles.ravel()
+    mesh.face = skin.triangles.ravel()
     mesh.bodyname = [f"segment:{skeleton.joints[j]}" for j in bones]
     mesh.bindpos = starts[bones].ravel()
     mesh.bindquat = np.tile([1.0, 0.0, 0.0, 0.0], len(bones))

@@ -31,12 +31,10 @@ os._exit(0)  # some drivers fail when they are closed
 
 @dataclass(frozen=True)
 class Backend:
-    """An OpenGL that works here."""
+    """An OpenGL that works here: MUJOCO_GL's value, and the driver's own words."""
 
     name: str
-    """Value of MUJOCO_GL: ``egl`` or ``osmesa``."""
     renderer: str
-    """What draws, in the driver's own words."""
 
     @property
     def software(self) -> bool:
@@ -58,8 +56,7 @@ class Backend:
 def find_backend() -> Backend:
     """Return the first OpenGL that draws: MUJOCO_GL's if it is set, else EGL or OSMesa.
 
-    Raises:
-        InputError: None draws; the message names what to install.
+    If none does, an InputError names what to install.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     reasons = []
@@ -76,7 +73,6 @@ def find_backend() -> Backend:
 
 
 def _try(name: str) -> Backend | str:
-    """Return the backend if it works, else why it does not."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", _PROBE],

@@ -45,16 +45,15 @@ _SKEW = 1e-6  # s by which a frame may lie outside of --from and --to
 
 @dataclass(frozen=True)
 class RenderTask:
-    """A clip, how it is drawn, and into what."""
+    """A clip's file, how it is drawn, and into what: ``%05d.png`` for many pictures.
+
+    The fingerprint of all that decides the pictures is known once the backend is.
+    """
 
     clip: Path
-    """The clip's file."""
     out: Path
-    """A video, a GIF, or pictures with their number in the name (``%05d.png``)."""
     look: Look
-    """How it is drawn."""
     fingerprint: str = ""
-    """Hash of all that decides the pictures, once the backend is known."""
 
     def drawn_by(self, backend: Backend) -> RenderTask:
         """Return the task with its fingerprint and the options left to the backend.
@@ -62,13 +61,10 @@ class RenderTask:
         Without a GPU, shadows and samples multiply the time. In the fingerprint, files
         count by their content; those that a scene includes do not count.
         """
-        soft, look = backend.software, self.look
-        samples = 0 if soft else _GPU_SAMPLES
-        look = replace(
-            look,
-            shadows=look.shadows or not soft,
-            samples=samples if look.samples is None else look.samples,
-        )
+        soft, look, samples = backend.software, self.look, self.look.samples
+        if samples is None:
+            samples = 0 if soft else _GPU_SAMPLES
+        look = replace(look, shadows=look.shadows or not soft, samples=samples)
         named = (look.compare or "", look.camera, look.scene or "")
         files = (self.clip, *map(Path, named))
         known = {
@@ -85,8 +81,7 @@ class RenderTask:
 class Composition:
     """What is in each picture of a task; read once, without OpenGL.
 
-    Raises:
-        InputError: The clip, the take, the scene or the camera cannot be used.
+    An InputError if the clip, the take, the scene or the camera cannot be used.
     """
 
     def __init__(self, task: RenderTask) -> None:
@@ -96,9 +91,8 @@ class Composition:
         if look.scene is not None:
             clip = replace(clip, props=props_around(whole, clip.props, look.scene))
         width, height = look.pixels
-        seen_by = partial(
-            camera_path, look.camera, clip, aspect=width / height, rate=self.rate
-        )
+        aspect, rate = width / height, self.rate
+        seen_by = partial(camera_path, look.camera, clip, aspect=aspect, rate=rate)
         joints, raw = clip.positions, None
         cubes = joints[:, :, None] + _SKIN * CORNERS
         points = [cubes.reshape(len(clip), -1, 3)]
@@ -119,12 +113,9 @@ class Composition:
 
 
 def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
-    """Return the frames that are drawn and how many of them a second has.
+    """Return the frames that are drawn, evenly spaced in time, and their rate [1/s].
 
-    Frames are evenly spaced in time, however irregular the sensor was.
-
-    Raises:
-        InputError: The clip has none between --from and --to.
+    Raises an InputError if the clip has none between --from and --to.
     """
     rate = look.fps or clip.fps
     even = resampled(clip, rate)
@@ -132,22 +123,18 @@ def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
     end = np.inf if look.to is None else look.to
     chosen = np.flatnonzero((since >= look.start - _SKEW) & (since <= end + _SKEW))
     if not len(chosen):
+        to = "" if look.to is None else f" to {look.to:g} s"
         raise InputError(
-            f"{clip.source}: has no frame from {look.start:g} s"
-            + (f" to {look.to:g} s" if look.to is not None else "")
-            + f"; it lasts {since[-1]:.2f} s"
+            f"{clip.source}: has no frame from {look.start:g} s{to}; it lasts "
+            f"{since[-1]:.2f} s"
         )
     return even.at(chosen[:: look.every]), rate / look.every
 
 
 def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop, ...]:
-    """Return props and what else a scene has, at rest.
+    """Return props and what else a scene has, at rest, as ``clean --scene`` places it.
 
-    The scene lies where ``clean --scene`` puts it: the person, in the whole clip,
-    begins at its origin.
-
-    Raises:
-        InputError: As ``load_scene``.
+    The person, in the whole clip, begins at its origin. Raises as ``load_scene``.
     """
     import mujoco  # by now its OpenGL is chosen
 
@@ -165,12 +152,9 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
 
 
 def draw_parts(task: RenderTask, parts: Parts) -> list[list[Coded]]:
-    """Draw some frames of a task.
+    """Draw frames of a task: pictures of a video or a GIF are returned, others written.
 
-    Numbered pictures are written; pictures of a video or a GIF are returned.
-
-    Raises:
-        InputError: The task cannot be drawn, or a picture cannot be written.
+    Raises an InputError if something cannot be drawn or written.
     """
     out, suffix = task.out, task.out.suffix.lower()
     if suffix == ".png":

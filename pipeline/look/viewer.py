@@ -16,6 +16,7 @@ import viser
 
 from kinefilter.characters import Clip, InputError, Term
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.formats import write_contacts
 from kinefilter.pipeline.progress import Progress
 
@@ -41,10 +42,9 @@ class Playback:
     """A place in a motion, at rest or ``playing`` with a clock; the end leads back."""
 
     def __init__(self, time: Array) -> None:
-        steps = np.diff(time)
-        step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        last = np.nan_to_num(nominal_step(time), nan=1.0)
         self._starts = time - time[0]
-        self._ends = np.append(self._starts[1:], self._starts[-1] + step)
+        self._ends = np.append(self._starts[1:], self._starts[-1] + last)
         self._frame, self._speed, self.playing = 0, 1.0, False
         self._began = 0.0  # clock at which frame 0 was or would be, while it plays
 
@@ -141,9 +141,8 @@ class Viewer:
         self._asked.put(None)
 
     def _add_panel(self, gui: viser.GuiApi, drawing: Drawing) -> None:
-        gui.configure_theme(
-            control_width="large", show_logo=False, show_share_button=False
-        )
+        plain: Any = {"show_logo": False, "show_share_button": False}
+        gui.configure_theme(control_width="large", **plain)
         gui.set_panel_label("kinefilter")
         gui.main_panel.dock_right()
         last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
@@ -155,12 +154,13 @@ class Viewer:
         steps = gui.add_button_group("step", tuple(_STEPS), hint="keys J and L")
         self._on(steps.on_click, self._step)
         # As in video editors; the space bar would press the last button as well.
-        key = gui.add_command("Play or pause", hotkey="K")
-        self._on(key.on_trigger, self._play_or_pause)
-        key = gui.add_command("A frame back", hotkey="J")
-        self._on(key.on_trigger, lambda _: self._step("-1"))
-        key = gui.add_command("A frame on", hotkey="L")
-        self._on(key.on_trigger, lambda _: self._step("+1"))
+        keys: dict[Any, tuple[str, Action]] = {
+            "K": ("Play or pause", self._play_or_pause),
+            "J": ("A frame back", lambda _: self._step("-1")),
+            "L": ("A frame on", lambda _: self._step("+1")),
+        }
+        for key, (label, action) in keys.items():
+            self._on(gui.add_command(label, hotkey=key).on_trigger, action)
         speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
         self._on(
             speed.on_update,
@@ -176,19 +176,17 @@ class Viewer:
             edit = gui.add_button_group("edit", ("stands", "lifts", "undo"))
             self._on(edit.on_click, self._edit)
             self._on(gui.add_button("Save contacts").on_click, self._save_contacts)
-            again = gui.add_button(
-                "Save and clean again", visible=self._again is not None
-            )
+            possible = self._again is not None
+            again = gui.add_button("Save and clean again", visible=possible)
             self._on(again.on_click, self._clean_again)
             self._said = gui.add_html("")
             self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
+        shown = dict(drawing.layers)
+        if "raw" in shown:
+            shown[_BESIDE] = True
+        shown[_SHADOWS] = True
         with gui.add_folder("Show"):
-            layers = drawing.layers
-            beside = {_BESIDE: True} if "raw" in layers else {}
-            self._boxes = {
-                name: gui.add_checkbox(name, shown)
-                for name, shown in {**layers, **beside, _SHADOWS: True}.items()
-            }
+            self._boxes = {n: gui.add_checkbox(n, on) for n, on in shown.items()}
         for box in self._boxes.values():
             self._on(box.on_update, self._choose)
 
@@ -213,9 +211,8 @@ class Viewer:
             if self._asked.empty():  # or a slider that is being pulled would jump back
                 self._frame.value = frame + 1
             self._status.content = status_html(self._clip, frame)
-            self._picture.content = timeline_html(
-                self._edits.contacts, frame, self._first_and_last
-            )
+            chosen = self._first_and_last
+            self._picture.content = timeline_html(self._edits.contacts, frame, chosen)
             self._play.label = "Pause" if playing else "Play"
             icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
             if self._play.icon != icon:
@@ -240,15 +237,13 @@ class Viewer:
 
     def _set_end(self, which: str) -> None:
         """Let the frames to edit begin or end at the present one."""
-        first, last = self._first_and_last
-        here = self._playback.frame(perf_counter())
-        if which == "from here":
-            first, last = here, max(here, last)
-        elif which == "to here":
-            first, last = min(first, here), here
-        else:
-            first, last = 0, len(self._clip) - 1
-        self._span.value = (first + 1, last + 1)
+        first, last = self._span.value
+        here = self._playback.frame(perf_counter()) + 1
+        self._span.value = {
+            "from here": (here, max(here, last)),
+            "to here": (min(first, here), here),
+            "all": (1, len(self._clip)),
+        }[which]
 
     def _edit(self, button: str) -> None:
         """Change the contacts, or take the last change back."""
@@ -342,15 +337,9 @@ def opened_viewer(
 ) -> Iterator[Viewer]:
     """Yield a page that waits for browsers, and works while its ``run`` does.
 
-    Args:
-        drawing: What is shown.
-        save: File that contacts are saved in, the only one that is written.
-        again: How the take is cleaned once more; None: it cannot be.
-        bind: Address to listen at; 127.0.0.1 is reached from this machine alone.
-        port: Port, 0: any that is free.
-
-    Raises:
-        InputError: Nothing can listen there.
+    Contacts are saved in the file ``save``, the only one that is written; ``again``
+    cleans the take once more, if it can be. Port 0 is any that is free. Raises an
+    InputError if nothing can listen there.
     """
     with opened_server(bind, port) as server:
         yield Viewer(server, drawing, save, again)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import trimesh
@@ -13,21 +13,16 @@ from numpy.typing import NDArray
 from kinefilter.characters import Clip, Shape
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY
+from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_path
 from .contact_editing import ContactEdits
-from .drawing import (
-    Color,
-    Drawing,
-    StickFigure,
-    left_of,
-    segment_starts,
-    skin_triangles,
-)
+from .drawing import Color, Drawing, StickFigure, left_of, segment_starts
 
 Update = Callable[[int], None]
 """Puts something where it is in a frame."""
+Layer = tuple[Any, Update]
 
 _JOINT, _BONE = 0.026, 0.011  # m, radii of stick figures
 _BONE_COLOR = (82, 84, 94)
@@ -59,7 +54,7 @@ class ViewerScene:
         self._offset = drawing.raw_offset
         self._sun = _set_stage(server, drawing.clip, self._offset)
         self._skin, update = _add_skin(scene, drawing.clip)
-        self._layers: dict[str, tuple[Any, Update]] = {"skin": (self._skin, update)}
+        self._layers: dict[str, Layer] = {"skin": (self._skin, update)}
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
         self._layers["contacts"] = _add_contacts(scene, drawing.clip, edits)
@@ -87,12 +82,9 @@ class ViewerScene:
             self._layers[name][1](frame)
 
 
-def _add_contacts(
-    scene: viser.SceneApi, clip: Clip, edits: ContactEdits
-) -> tuple[Any, Update]:
+def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: ContactEdits) -> Layer:
     """Add a disk on the floor under every heel and toe that stands."""
-    feet = ankles_and_toes(clip.skeleton)
-    parts = [j for pair in zip(*feet, strict=True) for j in pair]
+    parts = np.transpose(ankles_and_toes(clip.skeleton)).ravel()
     places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
     disk = _cylinder(_DISK, _THICK, sections=32)
     disks = _add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
@@ -104,24 +96,21 @@ def _add_contacts(
     return disks, update
 
 
-def _add_sticks(
-    scene: viser.SceneApi, name: str, figure: StickFigure
-) -> tuple[Any, Update]:
+def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
     """Add spheres and cylinders for joints and bones, which can be moved together."""
     group = scene.add_frame(f"/{name}", show_axes=False)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=_JOINT)
-    color, skeleton = figure.color or _BONE_COLOR, figure.skeleton
-    joints = _add_batch(scene, f"/{name}/joints", ball, len(skeleton), color)
     stick = _cylinder(_BONE, 1.0, sections=12)
-    count = len(skeleton.segments)
-    bones = _add_batch(scene, f"/{name}/bones", stick, count, color)
+    color, count = figure.color or _BONE_COLOR, len(figure.skeleton)
+    joints = _add_batch(scene, f"/{name}/joints", ball, count, color)
+    bones = _add_batch(scene, f"/{name}/bones", stick, count - 1, color)
 
     def update(frame: int) -> None:
         now = figure.at(frame)
+        there = now.bone_there
         joints.batched_positions = now.joints
         joints.batched_scales = now.joint_there[:, None].repeat(3, axis=1)
         bones.batched_positions, bones.batched_wxyzs = now.centers, now.rotations
-        there = now.bone_there
         bones.batched_scales = np.stack([there, there * now.lengths, there], axis=1)
         if now.joint_colors is not None:
             joints.batched_colors = _bytes(now.joint_colors)
@@ -129,16 +118,16 @@ def _add_sticks(
     return group, update
 
 
-def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+def _add_skin(scene: viser.SceneApi, clip: Clip) -> Layer:
     body, joints = clip.body, len(clip.skeleton)
     starts = segment_starts(clip.skeleton)
-    skin, triangles = skin_triangles(body)
+    skin = skin_of(body)
     weights = np.zeros((len(skin.points), joints))
     np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
     mesh = scene.add_mesh_skinned(
         "/mesh",
         skin.points,
-        triangles,
+        skin.triangles,
         bone_wxyzs=np.tile(IDENTITY, (joints, 1)),
         bone_positions=body.rest_positions[starts],
         skin_weights=weights,
@@ -154,7 +143,7 @@ def _add_skin(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     return mesh, update
 
 
-def _add_props(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+def _add_props(scene: viser.SceneApi, clip: Clip) -> Layer:
     group = scene.add_frame("/things", show_axes=False)
     frames = []
     for n, prop in enumerate(clip.props):
@@ -179,7 +168,7 @@ def _add_props(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
     return group, update
 
 
-def _add_force(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
+def _add_force(scene: viser.SceneApi, clip: Clip) -> Layer:
     """Add a bar beside the character, as high as the external force is large."""
     mesh = _cylinder(_BAR, 1.0, sections=24)
     mesh.apply_translation([0.0, 0.5, 0.0])
@@ -202,7 +191,6 @@ def _add_force(scene: viser.SceneApi, clip: Clip) -> tuple[Any, Update]:
 def _set_stage(
     server: viser.ViserServer, clip: Clip, offset: Array
 ) -> viser.DirectionalLightHandle:
-    """Set sky, floor, lights and the first view; return the light with shadows."""
     scene = server.scene
     scene.set_up_direction("+y")
     top, bottom = (np.array(color) for color in _SKY)
@@ -269,25 +257,22 @@ def _add_batch(
 
 
 def _surface(shape: Shape) -> trimesh.Trimesh:
-    """Return the surface of a shape in its own frame [m]."""
     radius, half = float(shape.size[0]), float(shape.size[1])
-    mesh: trimesh.Trimesh
     if shape.kind == "mesh":
-        mesh = trimesh.Trimesh(shape.points, shape.triangles, process=False)
-    elif shape.kind == "box":
+        return trimesh.Trimesh(shape.points, shape.triangles, process=False)
+    if shape.kind == "cylinder":
+        return _cylinder(radius, 2.0 * half, sections=32)
+    if shape.kind == "box":
         mesh = trimesh.creation.box(extents=2.0 * shape.size)
     elif shape.kind == "ellipsoid":
         mesh = trimesh.creation.icosphere(subdivisions=3)
         mesh.vertices = mesh.vertices * shape.size
-    elif shape.kind == "capsule":
-        mesh = trimesh.creation.capsule(2.0 * half, radius, transform=_UPRIGHT)
     else:
-        mesh = _cylinder(radius, 2.0 * half, sections=32)
-    return mesh
+        mesh = trimesh.creation.capsule(2.0 * half, radius, transform=_UPRIGHT)
+    return cast(trimesh.Trimesh, mesh)
 
 
 def _cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
-    """Return a cylinder about the y axis [m], centered."""
     make: Callable[..., trimesh.Trimesh] = trimesh.creation.cylinder
     return make(radius, height, sections, transform=_UPRIGHT)
 

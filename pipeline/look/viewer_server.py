@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 from urllib.parse import urlsplit
 
 from kinefilter.characters import InputError
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 def check_address(bind: str, port: int) -> None:
     """Raise an InputError if nothing can listen at an address.
 
-    viser would silently try the next ports, and wait forever for an address that is
-    not of this machine.
+    viser would try the next ports, or wait forever for another machine's address.
     """
     if not 0 <= port < 2**16:
         raise InputError(f"--port {port}: expected 0 (any free one) to {2**16 - 1}")
@@ -37,7 +36,7 @@ def check_address(bind: str, port: int) -> None:
                 f"--bind {bind}: no address of this machine ({error.strerror}); "
                 "127.0.0.1 is for this machine alone, 0.0.0.0 for the whole network"
             ) from None
-        raise _taken(bind, port, error.strerror) from None
+        _refuse(bind, port, error.strerror)
 
 
 @contextmanager
@@ -47,10 +46,7 @@ def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
     Only pages that it served itself may connect to it: with every WebSocket a browser
     says which page opened it (Origin, RFC 6455, section 10.2), which viser does not
     check. On loopback the page's own address must be on loopback too, so that no
-    foreign name that points there passes for it.
-
-    Raises:
-        InputError: Nothing can listen there.
+    foreign name that points there passes for it. Raises as ``check_address``.
     """
     import rich
     import viser
@@ -69,7 +65,7 @@ def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
             server = Server(host=bind, port=port, verbose=False)
         try:
             if port not in (0, server.get_port()):
-                raise _taken(bind, port)
+                _refuse(bind, port, "in use")
             yield server
         finally:
             server.stop()
@@ -86,11 +82,11 @@ def may_connect(origin: str | None, host: str | None, *, loopback: bool) -> bool
     return origin == f"http://{host}"
 
 
-def _taken(bind: str, port: int, reason: str | None = "in use") -> InputError:
-    return InputError(
+def _refuse(bind: str, port: int, reason: str | None) -> NoReturn:
+    raise InputError(
         f"cannot listen at {bind}, port {port} ({reason}); give another --port, "
         "0 for any that is free"
-    )
+    ) from None
 
 
 @contextmanager
@@ -98,10 +94,8 @@ def _own_pages_only(*, loopback: bool) -> Iterator[None]:
     """Let servers that start inside refuse WebSockets of foreign pages.
 
     viser starts its websockets server itself and sets no origins, so the function that
-    it calls is replaced meanwhile.
-
-    Raises:
-        InputError: viser did not call it: nobody would check who connects.
+    it calls is replaced meanwhile. If viser did not call it, nobody would check who
+    connects: an InputError.
     """
     import viser
     import websockets.asyncio.server as library

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError, Tracking
+from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import (
-    GRAVITY,
     PULLS,
     build_humanoid,
     from_mujoco,
-    joint_masses,
     to_mujoco,
 )
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.retarget.runs import runs
-from kinefilter.retarget.smooth_step import smooth_step
+from kinefilter.retarget.stance import smooth_step
 
 from .smooth import smooth
 

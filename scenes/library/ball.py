@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
+from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.humanoid import GRAVITY
 from kinefilter.retarget.runs import runs
 
 from .hands import Hands, fading

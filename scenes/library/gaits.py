@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.humanoid import GRAVITY
 from kinefilter.characters.rotations import about_y, rotate
 
 from .poses import LEFT, RIGHT, Pose, Rng, Score

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from kinefilter.characters import Motion
+from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.humanoid import GRAVITY
 from kinefilter.characters.rotations import matrix_from_wxyz, normalize
 from kinefilter.retarget.runs import runs
 from kinefilter.scenes.rooms import movable_props

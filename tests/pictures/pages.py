@@ -23,13 +23,10 @@ from browser import Browser
 from kinefilter import CleanConfig, read_take
 from kinefilter.characters import Clip, Take
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look import (
-    cleaned,
-    compare,
-    opened_viewer,
-    read_limits,
-    write_report,
-)
+from kinefilter.pipeline.look.comparison import compare
+from kinefilter.pipeline.look.drawing import cleaned
+from kinefilter.pipeline.look.page import read_limits, write_report
+from kinefilter.pipeline.look.viewer import opened_viewer
 from kinefilter.pipeline.workers import one_thread
 
 VIEW, REPORT = (1040, 730), (1060, 1040)  # pixels of the windows, their bars included

@@ -168,7 +168,8 @@ def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]
 
 def _animate(path: Path, progress: Progress) -> None:
     """Write an animation of the sample take, raw beside cleaned."""
-    from kinefilter.pipeline.look import Look, render_clips
+    from kinefilter.pipeline.look.options import Look
+    from kinefilter.pipeline.look.video import render_clips
 
     sample = sample_path()
     with tempfile.TemporaryDirectory() as folder:

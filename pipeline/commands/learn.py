@@ -1,4 +1,4 @@
-"""``kinefilter database``."""
+"""The commands that learn from mocap: ``train`` and ``database``."""
 
 from __future__ import annotations
 
@@ -10,18 +10,57 @@ from typing import Annotated
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from kinefilter.characters import SKELETONS, InputError
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.methods import LEARNED, LearnedName
 
-from .terminal import (
-    Skeletons,
-    check_output,
-    clips_of,
-    in_folders,
-    keep,
-    out,
-    progress_bars,
-)
+from .terminal import Skeletons, check_output, clips_of, in_folders, out, progress_bars
 
 _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".npz")
+
+
+@dataclass(frozen=True)
+class Train:
+    """Teach a correction method from pairs of Kinect and mocap.
+
+    The offsets that clean takes off by default are what --simulated kinect_v1 --method
+    joint-offsets makes, in a minute or two.
+    """
+
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Model to write (.npz)."""
+    pairs: Positional[tuple[Path, ...]] = ()
+    """Pairs files (.npz), or folders of them; they may be larger than memory."""
+    simulated: Skeletons | None = None
+    """Learn from simulated pairs of this skeleton, in place of files."""
+    furnished: bool = False
+    """Simulate people with things before them and in their hands, not alone."""
+    method: LearnedName = "best"
+    """What to teach."""
+
+    def run(self) -> int:
+        """Learn and write."""
+        from kinefilter.pipeline.lab.simulate import furnished_pairs, simulated_pairs
+        from kinefilter.pipeline.models import Model, save_model
+        from kinefilter.pipeline.training import training_set
+
+        if bool(self.pairs) == (self.simulated is not None):
+            raise InputError("give pairs files or --simulated SKELETON, not both")
+        if self.furnished and self.simulated is None:
+            raise InputError("--furnished needs --simulated SKELETON")
+        files = in_folders(self.pairs, (".npz",))
+        check_output(self.out, *files, suffix=".npz")
+        with progress_bars() as progress:
+            if self.simulated is None:
+                lessons = training_set(clips_of(files, progress))
+            else:
+                simulated = furnished_pairs if self.furnished else simulated_pairs
+                lessons = training_set(simulated(self.simulated, progress=progress))
+            learner = LEARNED[self.method].load()(lessons.skeleton)
+            learner.fit(lessons, progress=progress)
+        model = Model(learner, self.method, lessons.skeleton, lessons.source)
+        save_model(model, self.out)
+        out.print(f"wrote {self.out}: {self.method}, learned from {lessons.source}")
+        return 0
 
 
 @dataclass(frozen=True)
@@ -43,18 +82,14 @@ class DatabaseBuild:
 
     def run(self) -> int:
         """Build the database and write it."""
-        from kinefilter.pipeline.database.build import (
-            database_from_mocap,
-            database_from_pairs,
-        )
+        from kinefilter.pipeline.database import build
 
-        check_output(self.out, ".npz")
         if self.count < 2:
             raise InputError(f"--count {self.count}: expected 2 postures or more")
         if bool(self.files) == self.scripted:
             raise InputError("give either mocap files or --scripted")
         files = in_folders(self.files, _MOCAP)
-        keep(self.out, *files)
+        check_output(self.out, *files, suffix=".npz")
         skeleton = SKELETONS[self.skeleton]
         paired = [file for file in files if file.suffix == ".npz"]
         if paired and len(paired) < len(files):
@@ -66,9 +101,9 @@ class DatabaseBuild:
                 database = scripted_database(skeleton, progress)
             elif paired:
                 pairs = clips_of(paired, progress)
-                database = database_from_pairs(pairs, skeleton, count=self.count)
+                database = build.database_from_pairs(pairs, skeleton, count=self.count)
             else:
-                database = database_from_mocap(
+                database = build.database_from_mocap(
                     files, skeleton, count=self.count, progress=progress
                 )
         database.save(self.out)
@@ -85,8 +120,6 @@ class DatabaseInfo:
 
     def run(self) -> int:
         """Read the database and print its content."""
-        from kinefilter.pipeline.database import PostureDatabase
-
         database = PostureDatabase.load(self.file)
         out.print(f"{self.file}: {database.summary}")
         for label, count in sorted(Counter(database.labels.tolist()).items()):

@@ -1,0 +1,228 @@
+"""The commands of the lab: ``evaluate``, ``reproduce``, ``simulate`` and ``bench``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from kinefilter.characters import InputError, State
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.formats import write_take_csv
+
+from .terminal import Skeletons, check_output, clips_of, out, progress_bars, write_json
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure correction methods against marker mocap.
+
+    Each method corrects in the place of clean's own, and the clip that comes out is
+    compared with the mocap: E, the distance of limb joints relative to the middle of
+    the hips; E_std, the same with both sides at standard bone lengths; E_var, the same
+    without each joint's constant offset over a clip, which is what one sees as wrong
+    motion. Means over frames and joints, then over people, in cm, and against raw.
+
+    default is exactly what clean does, none is clean without any correction. best is a
+    Gaussian process over posture, movement and segment lengths, with a part shared by
+    all people and a part for people of like proportions.
+    """
+
+    train: tuple[Path, ...] = ()
+    """Pairs files (.npz) to learn from; none for methods that do not learn."""
+    test: tuple[Path, ...] = ()
+    """Pairs files to test on; default: one person of --train after the other."""
+    methods: str = (
+        "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,"
+        "exemplar,full-gp,local-gp,clustered-gp,best"
+    )
+    """Methods, comma-separated."""
+    protocol: Literal["people", "repetitions"] = "people"
+    """Test on people, or on repetitions of known people, that were not learned from."""
+    physics: bool = True
+    """Pull the simulated character through what the methods give, as clean does."""
+    ablation: bool = False
+    """Also measure methods without a part of them: local-gp without terms of its
+    energy (Liu 2016, Table 5), Shum's methods A and B beside local-pca."""
+    database: Path | None = None
+    """Motion database (.npz) for methods that need one; default: the built-in one,
+    which the method default always has."""
+    mocap_database: bool = False
+    """Take the mocap of the clips that are learned from for the motion database."""
+    json: Path | None = None
+    """Write the figures to this file too."""
+
+    def run(self) -> int:
+        """Evaluate and print."""
+        from kinefilter.pipeline.lab.evaluate import as_table, evaluate
+
+        check_output(self.json, *self.train, *self.test, self.database)
+        if self.mocap_database and self.database is not None:
+            raise InputError("give --database or --mocap-database, not both")
+        database: PostureDatabase | Literal["mocap"] | None = None
+        if self.mocap_database:
+            database = "mocap"
+        elif self.database is not None:
+            database = PostureDatabase.load(self.database)
+        with progress_bars() as progress:
+            train = list(clips_of(self.train, progress))
+            test = list(clips_of(self.test, progress))
+            figures = evaluate(
+                train,
+                test,
+                self.methods.split(","),
+                protocol=self.protocol,
+                physics=self.physics,
+                ablation=self.ablation,
+                database=database,
+                progress=progress,
+            )
+        write_json(figures, self.json)
+        out.print(as_table(figures))
+        return 0
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Measure again what README and the papers say: a table and a plot for each study.
+
+    Studies of takes and of marker mocap: cleaned-takes, marker-mocap, untrained,
+    methods-new-people, methods-known-people, failures, reliability; of speed: speed,
+    million-postures; of the papers, on simulated takes: shum-table-3, shum-table-4,
+    shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5, chiang-figure-5.
+
+    With --all, every study and picture is made and every figure of README compared with
+    what was measured, in about forty minutes on two cores; the exit code is 1 if one
+    does not hold. The same command again makes only what is missing or was made with
+    other code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
+    needs OpenGL, pictures of pages need viser, Chromium and a checkout.
+    """
+
+    studies: Positional[tuple[str, ...]] = ()
+    """Names of studies."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Folder to write STUDY.csv and STUDY.png into; created if it is missing."""
+    all: Path | None = None
+    """Make everything in this folder, and claims.csv: figures of README beside those
+    measured."""
+    data: Path | None = None
+    """Folder of recordings, by default ../shared/data if it exists. It holds takes in
+    takes/*/*.csv or .csv.gz, where *_failure have gross failures and those in precog16
+    are punches and kicks, and pairs (as 'simulate --pairs' writes), one person each,
+    in ui-prmd/s*.npz, their clips named m01_... by the movement. Without recordings,
+    people are simulated, and what needs recordings is not measured."""
+    seed: int = 0
+    """Seed of simulated people, performances and the sensor's errors."""
+    quick: bool = False
+    """Use a small part of everything, as a trial; the figures mean little."""
+
+    def run(self) -> int:
+        """Study, write, print."""
+        from kinefilter.pipeline.lab import studies
+
+        if self.all is not None and (self.studies or self.out is not None):
+            raise InputError("give --all FOLDER alone, or studies and -o FOLDER")
+        folder = self.out if self.all is None else self.all
+        if folder is None or (self.all is None and not self.studies):
+            raise InputError("give studies and -o FOLDER, or --all FOLDER")
+        names = self.studies if self.all is None else tuple(studies.STUDIES)
+        studies.check_names(names)
+        studies.check_drawing()
+        studies.check_studies_folder(folder)
+        data = studies.recordings_folder(self.data)
+        stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
+        for name in names:
+            if self.all is not None and studies.is_made(name, folder, stamp):
+                out.print(f"{folder / name}.csv is up to date\n")
+                continue
+            with progress_bars() as progress:
+                options = studies.Options(self.seed, data, progress)
+                study = studies.reproduce(name, options, quick=self.quick)
+            written = studies.write_study(name, study, folder)
+            out.print(studies.as_table(study))
+            out.print(f"wrote {' and '.join(map(str, written))}\n")
+            studies.note_made(name, folder, stamp)
+        if self.all is None:
+            return 0
+        with progress_bars() as progress:
+            for line in studies.make_pictures(folder, progress=progress):
+                out.print(line)
+        claims, real = studies.claims, data is not None
+        found = claims.judge(folder, recordings=real, quick=self.quick)
+        verdicts = claims.write_verdicts(found, folder)
+        out.print(claims.verdicts_table(found))
+        out.print(f"wrote {verdicts}")
+        return int(any(verdict.held is False for verdict in found))
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Let a virtual Kinect record a scripted motion, so that the truth is known."""
+
+    scene: Positional[str]
+    """Surroundings of the person: a scene (an unknown name lists the scenes), or an
+    MJCF file (.xml)."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Take to write (.csv)."""
+    motion: str | None = None
+    """What the person does, such as walk, tai_chi or lift_box; default: what fits the
+    scene. People squat, lunge, step_over, sit and raise_leg in everyday life;
+    deep_squat, inline_lunge, hurdle_step, sit_to_stand and leg_raise are exercises,
+    often done wrong. Who walks, runs, marches or carries stays in the sensor's view."""
+    sensor: Literal["v1", "v2", "azure"] = "v2"
+    """Which Kinect records."""
+    skeleton: Skeletons | None = None
+    """Skeleton of the take; default: the sensor's."""
+    seed: int = 0
+    """Seed of person, performance and errors: same seed, same bytes."""
+    truth: Path | None = None
+    """Also write the true motion to this file (.csv)."""
+    pairs: Path | None = None
+    """Also write take and truth as a pairs file (.npz), to train and evaluate with."""
+
+    def run(self) -> int:
+        """Simulate the take and write it."""
+        from kinefilter.pipeline.lab import simulate as lab
+
+        check_output(self.out, self.truth, self.pairs, suffix=".csv")
+        check_output(self.truth, suffix=".csv")
+        check_output(self.pairs, suffix=".npz")
+        pair = lab.simulate(
+            self.scene,
+            self.motion or lab.motion_for(self.scene),
+            sensor=self.sensor,
+            skeleton=self.skeleton,
+            seed=self.seed,
+            stay_in_view=True,
+        )
+        write_take_csv(pair.take, self.out)
+        if self.truth is not None:
+            write_take_csv(lab.truth_of(pair), self.truth)
+        if self.pairs is not None:
+            lab.write_pairs([pair], self.pairs)
+        tracked = (pair.take.state == State.TRACKED).mean()
+        frames = f"{len(pair.take)} frame{'s' * (len(pair.take) != 1)}"
+        out.print(f"wrote {self.out}: {frames}, {tracked:.0%} tracked")
+        return 0
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Time every stage frame by frame, a live frame in all, and whole takes."""
+
+    take: Path | None = None
+    """Take to time on; default: the sample that comes with kinefilter."""
+    json: Path | None = None
+    """Write the figures to this file too."""
+
+    def run(self) -> int:
+        """Time and print."""
+        from kinefilter.pipeline.lab.bench import as_table, bench
+
+        check_output(self.json, self.take)
+        figures = bench(self.take)
+        write_json(figures, self.json)
+        out.print(as_table(figures))
+        return 0
