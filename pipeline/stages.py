@@ -262,7 +262,7 @@ class Correct(Stage):
             for k in chunks(len(draft.time)):
                 heading = draft.heading.at(k)
                 draft.twist[k] = heading.restore_rotations(found.rotations[k])
-        origin = np.where(found.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
+        origin = np.where(draft.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
         origin[draft.missing] = Origin.FILLED
         draft.origin = origin.astype(np.uint8)
 

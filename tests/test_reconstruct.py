@@ -23,6 +23,7 @@ from kinefilter.pipeline.reconstruct.recall import Process
 
 Array = NDArray[np.float64]
 RATE = 30.0
+PLACE = np.array([0.0, 1.0, 2.5])
 BODY = standard_body(KINECT_V1)
 ARM = [KINECT_V1.index(f"{part}Right") for part in ("Elbow", "Wrist", "Hand")]
 LEG = [KINECT_V1.index(f"{part}Left") for part in ("Knee", "Ankle", "Foot")]
@@ -32,7 +33,7 @@ def waving(count: int, *, period: float = 2.0, together: bool = True) -> Array:
     """Return somebody who lifts both arms at once and lowers them, (T, J, 3)."""
     time = np.arange(count) / RATE
     swing = 0.7 - 0.7 * np.cos(2.0 * np.pi * time / period)
-    frames = np.repeat(BODY.rest_positions[None], count, axis=0) + [0.0, 1.0, 2.5]
+    frames = np.repeat(BODY.rest_positions[None], count, axis=0) + PLACE
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
         angle = swing if together or side == "Right" else np.zeros(count)
         bone = np.stack([sign * np.sin(angle), -np.cos(angle), 0.2 + 0.0 * angle], 1)
@@ -93,7 +94,7 @@ def test_what_coasts_starts_with_its_speed_and_comes_to_rest() -> None:
 @given(st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3))
 def test_a_leg_reaches_its_goal_with_its_own_lengths(shift: list[float]) -> None:
     hip = np.array([0.1, 0.9, 0.0])
-    knee, ankle = hip + [0.0, -0.4, 0.05], hip + [0.0, -0.75, 0.0]
+    knee, ankle = hip - np.array([[0.0, 0.4, -0.05], [0.0, 0.75, 0.0]])
     thigh, shin = (float(np.linalg.norm(v)) for v in (knee - hip, ankle - knee))
     goal = hip + np.array([0.0, -0.6, 0.0]) + 0.4 * np.array(shift)
     new_knee, new_ankle = bent(hip, knee, ankle, goal, thigh, shin)
@@ -155,7 +156,7 @@ def test_an_arm_that_was_seen_before_moves_as_it_did_then() -> None:
 
 
 def test_a_foot_that_stood_stays_while_the_body_sinks() -> None:
-    truth = np.repeat(BODY.rest_positions[None], 90, axis=0) + [0.0, 1.0, 2.5]
+    truth = np.repeat(BODY.rest_positions[None], 90, axis=0) + PLACE
     sinks = 0.25 * (1.0 - np.cos(2.0 * np.pi * np.arange(90) / 90))
     truth[..., 1] -= sinks[:, None]
     for side in ("Left", "Right"):

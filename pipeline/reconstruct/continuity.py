@@ -9,10 +9,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 
 REFERENCE_RATE = 30.0
 """Frame rate [Hz] that the smoothness is given for."""
@@ -25,7 +24,7 @@ _FORGET = 1.0  # s after which the speed at the ends no longer matters in a long
 _COAST = 0.2  # s in which a segment that nobody sees comes to rest
 
 
-def bridge(values: Array, known: NDArray[np.bool_], rate: float) -> Array:
+def bridge(values: Array, known: Flags, rate: float) -> Array:
     """Return values with their gaps bridged smoothly from both ends, shape (T, C).
 
     Whittaker's smoother with second differences (Eilers 2003): it minimizes the sum of
@@ -58,7 +57,7 @@ def coasted(values: Array, count: int, rate: float) -> Array:
     return coast(values[-1], velocity, elapsed)
 
 
-def _between(values: Array, known: NDArray[np.bool_], rate: float) -> Array:
+def _between(values: Array, known: Flags, rate: float) -> Array:
     """Return values whose first and last are known, bridged, shape (T, C)."""
     count, frames = len(values), np.arange(len(values))
     if known.all():

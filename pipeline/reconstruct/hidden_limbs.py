@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.runs import runs
-from kinefilter.retarget.smooth_step import smooth_step
+from kinefilter.retarget.stance import smooth_step
 
 from .continuity import bridge, unit
 from .foothold import on_both_ends
@@ -35,8 +35,8 @@ _STANDING = 10.0  # percentile of the ankles' heights that is taken for standing
 
 
 def fill_hidden(
-    time: Array, positions: Array, hidden: NDArray[np.bool_], skeleton: Skeleton
-) -> tuple[Array, NDArray[np.bool_]]:
+    time: Array, positions: Array, hidden: Flags, skeleton: Skeleton
+) -> tuple[Array, Flags]:
     """Return joint positions [m] with the hidden ones filled, and which those are.
 
     Joints that were never seen stay as they are. So does what the sensor guessed long
@@ -69,7 +69,7 @@ def fill_hidden(
     return np.where(hidden[..., None], mixed, positions), hidden
 
 
-def _trust(time: Array, hidden: NDArray[np.bool_]) -> Array:
+def _trust(time: Array, hidden: Flags) -> Array:
     """Return how far a filled joint is believed against the sensor's guess, (T, J)."""
     far = np.zeros(hidden.shape)
     for j in np.flatnonzero(hidden.any(axis=0)):
@@ -83,7 +83,7 @@ def _trust(time: Array, hidden: NDArray[np.bool_]) -> Array:
 
 def _seen(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
     """Return a motion whose gaps, NaN, are bridged segment by segment."""
-    rate = 1.0 / float(np.median(np.diff(time)))
+    rate = 1.0 / nominal_step(time)
     there = ~np.isnan(positions[..., 0])
     root = positions[:, skeleton.root]
     if there[:, skeleton.root].any():
@@ -120,7 +120,7 @@ def _seen(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
     )
 
 
-def _gaps(seen: Seen, hidden: NDArray[np.bool_]) -> Iterator[tuple[slice, Limb]]:
+def _gaps(seen: Seen, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
     """Yield the gaps of each limb, and what of it is hidden."""
     for joints in limbs(seen.skeleton):
         for gap in runs(np.any(hidden[:, joints[1:]], axis=1)):
@@ -205,9 +205,7 @@ def _place(seen: Seen, gap: slice, limb: Limb, before: Array) -> None:
         placed[gap, j][gone] = there[gone]
 
 
-def _between_ends(
-    seen: Seen, hidden: NDArray[np.bool_], limb: tuple[int, int, int]
-) -> None:
+def _between_ends(seen: Seen, hidden: Flags, limb: tuple[int, int, int]) -> None:
     """Put hidden elbows and knees between the ends of their limb that were seen."""
     _, middle, end = limb
     frames = hidden[:, middle] & ~hidden[:, end]

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.retarget.runs import runs
 
 from .continuity import CONTEXT, unit
@@ -143,9 +142,7 @@ def learn(
     return Recall(process, worth, momentum)
 
 
-def _worth(
-    features: Array, targets: Array, begins: NDArray[np.intp], ends: NDArray[np.intp]
-) -> float:
+def _worth(features: Array, targets: Array, begins: Indices, ends: Indices) -> float:
     """Return how much of each part of the take the rest of it predicts, in [0, 1]."""
     parts = np.quantile(begins, np.linspace(0.0, 1.0, _FOLDS + 1))
     gains, squares = [], []

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import between, rotate
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.heading_frame import find_yaw
-from kinefilter.retarget.smooth_step import smooth_step
+from kinefilter.retarget.stance import smooth_step
 
 from .continuity import unit
 from .hidden_limbs import PAUSE, limb_of, limbs
@@ -69,7 +68,7 @@ class HiddenLimbTracker:
         self._offset, self._since = np.zeros((n, 3)), np.full(n, np.inf)
         self._filled, self._ever = np.zeros((2, n), dtype=np.bool_)
 
-    def step(self, positions: Array, hidden: NDArray[np.bool_], time: float) -> Array:
+    def step(self, positions: Array, hidden: Flags, time: float) -> Array:
         """Return the next frame's joint positions [m] with the hidden ones filled.
 
         Args:
@@ -131,9 +130,7 @@ class HiddenLimbTracker:
         self._joined[k] = k == 0 or time - self._times[k - 1] < PAUSE
         return k
 
-    def _placed(
-        self, placed: Array, there: NDArray[np.bool_], directions: Array
-    ) -> Array:
+    def _placed(self, placed: Array, there: Flags, directions: Array) -> Array:
         """Return a frame with its hidden joints on their segments, (J, 3)."""
         found = placed.copy()
         found[self._body.skeleton.root] = 0.0
@@ -196,9 +193,7 @@ class HiddenLimbTracker:
             floor,
         )
 
-    def _joining(
-        self, filled: Array, hidden: NDArray[np.bool_], elapsed: float
-    ) -> Array:
+    def _joining(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
         """Return a frame in which limbs that are seen again are joined smoothly."""
         k = self._count
         back = self._filled & ~hidden

@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.retarget import HeadingFrame
 
 from .continuity import CONTEXT, SPEED_FRAMES, bridge_matrix, coast, unit
@@ -57,16 +56,16 @@ class Seen:
     """Joint positions [m] in the heading frame, shape (T, J, 3)."""
     directions: Array
     """Directions of the segments in the heading frame, shape (T, J, 3)."""
-    known: NDArray[np.bool_]
+    known: Flags
     """Whether both ends of each segment were seen, shape (T, J)."""
-    joined: NDArray[np.bool_]
+    joined: Flags
     """Whether each frame follows the one before without a pause, shape (T,)."""
     lengths: Array
     """Segment lengths [m], shape (J,)."""
     floor: float
     """Height of a standing ankle [m]."""
 
-    def bones(self, segments: tuple[int, ...], frames: NDArray[np.intp]) -> Array:
+    def bones(self, segments: tuple[int, ...], frames: Indices) -> Array:
         """Return segments as vectors [m], shape (..., S, 3) for frames (...)."""
         ends = self.positions[frames][..., list(segments), :]
         parents = [self.skeleton.parents[j] for j in segments]
@@ -90,9 +89,9 @@ class Windows:
 def describe(
     seen: Seen,
     limb: Limb,
-    starts: NDArray[np.intp],
+    starts: Indices,
     length: int,
-    at: NDArray[np.intp],
+    at: Indices,
     *,
     ahead: bool,
 ) -> Windows:
@@ -120,10 +119,10 @@ def describe(
         """Return how values (W, M, C) differ from those at the ends, (W, 1, C)."""
         return values - before - (share * (later - before) if ahead else 0.0)
 
-    def bones(which: NDArray[np.intp]) -> Array:
+    def bones(which: Indices) -> Array:
         return flat(seen.bones(limb.visible, which))
 
-    def pointing(which: NDArray[np.intp]) -> Array:
+    def pointing(which: Indices) -> Array:
         return flat(seen.directions[which][..., hidden, :])
 
     visible = bones(frames)
@@ -222,8 +221,8 @@ def _momentum(
 def _on_foot(
     seen: Seen,
     limb: Limb,
-    frames: NDArray[np.intp],
-    ends: tuple[NDArray[np.intp], NDArray[np.intp]],
+    frames: Indices,
+    ends: tuple[Indices, Indices],
     time: Array,
     base: Array,
     *,
@@ -235,7 +234,7 @@ def _on_foot(
     count, (last, after) = len(seen.positions), ends
     far = max(round(_STANDING_TIME * seen.rate), 2)
 
-    def world(which: NDArray[np.intp]) -> Array:
+    def world(which: Indices) -> Array:
         """Return the ankle's place [m] in frames, clipped to the motion."""
         which = np.clip(which, 0, count - 1)
         place = seen.positions[which, ankle][..., None, :]
