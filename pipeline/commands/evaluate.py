@@ -37,6 +37,9 @@ class Evaluate:
     Beside the methods stand the clip with nothing hidden (seen), and the limb held
     still in the heading frame (hold), turned evenly from where it was last seen to
     where it is seen next (slerp), or smoothed through both (spline).
+
+    With --views, the limbs of a sensor beside a person are compared with those that a
+    sensor in front of the person saw at the same time.
     """
 
     pairs: Positional[tuple[Path, ...]] = ()
@@ -48,7 +51,7 @@ class Evaluate:
     methods: str = ""
     """Methods, comma-separated; default: none,butterworth,savgol,one-euro,kalman,
     low-rank,local-pca,default,exemplar,full-gp,local-gp,clustered-gp,best, and with
-    --hide none,default."""
+    --hide and --views none,default."""
     protocol: Literal["people", "repetitions"] = "people"
     """Test on people, or on repetitions of known people, that were not learned from."""
     physics: bool = True
@@ -78,7 +81,12 @@ class Evaluate:
     by: Literal["movement", "gap", "person"] | None = None
     """With --hide: a row for each movement, gap or person."""
     every: int = 1
-    """With --hide: only every Nth take, to see something soon."""
+    """With --hide: only every Nth take, to see something sooner."""
+    views: tuple[Path, ...] = ()
+    """Two takes of the same person, with --sync, or folders and patterns of sessions:
+    NAME.sync.csv beside NAME_A.csv.gz and NAME_B.csv.gz."""
+    sync: Path | None = None
+    """CSV file milliseconds,A,B: the stamp of either sensor's latest frame."""
     json: Path | None = None
     """Write the figures to this file too."""
 
@@ -90,7 +98,10 @@ class Evaluate:
 
         if self.json is not None:
             check_folder(self.json)
-            keep(self.json, *self.pairs, *self.train, *self.test, self.database)
+            files = (*self.pairs, *self.views, *self.train, *self.test)
+            keep(self.json, *files, self.sync, self.database)
+        if self.views:
+            return self._views()
         if self.hide:
             return self._hide()
         if self.pairs:
@@ -153,4 +164,23 @@ class Evaluate:
         )
         table = hidden_limbs.summarize(records, self.by)
         out.print(hidden_limbs.as_table(table, title, self.by))
+        return 0
+
+    def _views(self) -> int:
+        """Print how near the limbs of two sensors are to each other."""
+        from kinefilter.pipeline.lab.two_views import (
+            as_table,
+            compare_views,
+            find_sessions,
+        )
+
+        sessions = find_sessions(self.views, self.sync)
+        methods = (self.methods or "none,default").split(",")
+        with progress_bars() as progress:
+            figures = compare_views(
+                sessions, methods, physics=self.physics, progress=progress
+            )
+        if self.json is not None:
+            write_json(figures, self.json)
+        out.print(as_table(figures))
         return 0

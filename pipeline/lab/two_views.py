@@ -1,0 +1,325 @@
+"""How near a side sensor's limbs are to where the sensor in front sees them.
+
+Two sensors recorded the same person. What the one beside the person guesses, the one
+that the person faces sees. Both are read at the same tick of the recording computer.
+One rigid transform over the joints of the trunk places a session of the side sensor in
+the frame of the front one, and each joint's constant offset in the heading frame is
+taken off: it is a matter of where a sensor sees that joint from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from kinefilter.characters import InputError, Skeleton, Take
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.formats.takes import read_take
+from kinefilter.pipeline.methods import LEARNED, METHODS
+from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability import segment_lengths
+from kinefilter.pipeline.target.smooth import smooth
+from kinefilter.pipeline.workers import workers
+from kinefilter.retarget import HeadingFrame, find_yaw
+
+LIMBS = {
+    f"{limb} {side.lower()}": tuple(joint + side for joint in joints)
+    for limb, joints in (("arm", ("Elbow", "Wrist")), ("leg", ("Knee", "Ankle")))
+    for side in ("Left", "Right")
+}
+"""Limbs that are compared, and their joints."""
+FAR = 0.12
+"""Joints farther than this [m] from where the front sensor sees them are wrong."""
+
+_CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
+_SIGMA, _ROUNDS = 0.05, 20  # m; of the robust placement, whose outliers count little
+_LENGTH, _SPEED = 0.25, 6.0  # share of the median, m/s: beyond, the front is in doubt
+_BESIDE = 10.0  # degrees by which people turn away more from B, where B is beside them
+_LEAST = 30  # ticks in which both sensors saw somebody
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Session:
+    """Files of two takes of the same person at the same time."""
+
+    name: str
+    first: Path
+    second: Path
+    sync: Path
+    """CSV ``milliseconds,A,B``: what stamp [s] each sensor's latest frame had."""
+
+    @property
+    def angle(self) -> str:
+        """What the name says of the angle between the sensors, as p00_90deg_walk."""
+        return self.name.split("_")[1] if self.name.count("_") > 1 else ""
+
+
+def find_sessions(paths: Sequence[Path], sync: Path | None) -> list[Session]:
+    """Return the sessions that paths name.
+
+    Args:
+        paths: Two takes with their ``sync``; or folders and patterns of sessions, which
+            are ``NAME.sync.csv`` beside ``NAME_A.csv.gz`` and ``NAME_B.csv.gz``.
+        sync: The stamps of two takes.
+
+    Raises:
+        InputError: There is no such session.
+    """
+    if sync is not None:
+        if len(paths) != 2:
+            raise InputError(f"--sync is for two takes, --views names {len(paths)}")
+        name = sync.name.removesuffix(".sync.csv")
+        return [Session(name, paths[0], paths[1], sync)]
+    found = []
+    for path in paths:
+        end = ".sync.csv"
+        pattern = f"*{end}" if path.is_dir() else path.name.removesuffix(end) + end
+        files = sorted((path if path.is_dir() else path.parent).glob(pattern))
+        if not files:
+            raise InputError(f"{path}: no session, NAME{end}; two takes need --sync")
+        for file in files:
+            name = str(file).removesuffix(end)
+            first, second = (Path(f"{name}_{sensor}.csv.gz") for sensor in "AB")
+            found.append(Session(first.name[:-9], first, second, file))
+    return found
+
+
+def compare_views(
+    sessions: Sequence[Session],
+    methods: Sequence[str],
+    *,
+    physics: bool = True,
+    progress: Progress = silent,
+) -> Figures:
+    """Return the distances [cm] between two sensors' limbs, by session and by angle.
+
+    Args:
+        sessions: What was recorded.
+        methods: Names out of ``METHODS`` that clean the side sensor's take, beside raw.
+        physics: Pull the simulated character through the motion.
+        progress: Wraps the loop over sessions, for a progress bar.
+
+    Raises:
+        InputError: Unknown methods, or takes that do not belong together.
+    """
+    for name in methods:
+        if name not in METHODS or name in LEARNED:
+            known = ", ".join(m for m in METHODS if m not in LEARNED)
+            raise InputError(f"--views cannot measure {name!r}; it can measure {known}")
+    if len(sessions) == 1:
+        found = [_compare(sessions[0], methods, physics)]
+    else:
+        with workers() as pool:
+            jobs = [pool.submit(_compare, s, methods, physics) for s in sessions]
+            found = [job.result() for job in over(jobs, "compare", progress)]
+    angles = {}
+    for angle in dict.fromkeys(figures["angle"] for figures in found):
+        some = [figures for figures in found if figures["angle"] == angle]
+        angles[angle] = {
+            "sessions": len(some),
+            "rows": {
+                row: {
+                    limb: {
+                        key: _mean([f["rows"][row][limb][key] for f in some])
+                        for key in ("all", "sure")
+                    }
+                    for limb in LIMBS
+                }
+                for row in some[0]["rows"]
+            },
+            "auc": _areas([f["found"] for f in some]),
+        }
+    for figures in found:
+        figures["auc"] = _areas([figures.pop("found")])
+    return {"sessions": found, "angles": angles}
+
+
+def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures:
+    first, second = read_take(session.first), read_take(session.second)
+    if first.skeleton != second.skeleton:
+        raise InputError(
+            f"{second.source}: {second.skeleton.name}, but {first.source} is "
+            f"{first.skeleton.name}; two views need the same skeleton"
+        )
+    rows = _matched(session, first, second)
+    takes = {"A": (first, rows[0]), "B": (second, rows[1])}
+    facing = {sensor: _facing(take, rows) for sensor, (take, rows) in takes.items()}
+    sides = "BA" if facing["B"] > facing["A"] + _BESIDE else "AB"
+    (side, at), (front, front_at) = (takes[sensor] for sensor in sides)
+    sure = _sure(front)[front_at]
+    truth = _smoothed(front)[front_at]
+    skeleton = side.skeleton
+    joints = [skeleton.index(joint) for limb in LIMBS.values() for joint in limb]
+    away = {"raw": _away(side.positions[at], truth, skeleton)[:, joints]}
+    for method in methods:
+        config = CleanConfig(method=method, physics=physics)
+        clip = Cleaner(config).clean(side).clip
+        away[method] = _away(clip.positions[at], truth, skeleton)[:, joints]
+    known = ~np.isnan(away["raw"])
+    doubt = 1.0 - clip.reliability[at][:, joints]
+    return {
+        "session": session.name,
+        "angle": session.angle,
+        "side": sides[0],
+        "facing_degrees": facing,
+        "frames": len(at),
+        "sure_share": float(sure.mean()),
+        "rows": {
+            row: {
+                limb: {
+                    "all": _mean(distances[:, 2 * k : 2 * k + 2]),
+                    "sure": _mean(distances[sure[:, k], 2 * k : 2 * k + 2]),
+                }
+                for k, limb in enumerate(LIMBS)
+            }
+            for row, distances in ((row, d * 100) for row, d in away.items())
+        },
+        "found": (
+            away["raw"][known] > FAR,
+            doubt[known],
+            np.repeat(sure, 2, axis=1)[known],
+        ),
+    }
+
+
+def _matched(
+    session: Session, first: Take, second: Take
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the frames of both takes that were the latest at the same tick."""
+    try:
+        lines = session.sync.read_text("utf-8").splitlines()[1:]
+        cells = [line.split(",")[1:3] for line in lines]
+        stamps = np.unique(np.array(cells, dtype=float), axis=0)
+        _, _ = stamps.T
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{session.sync}: not stamps of two sensors ({error}); expected a header "
+            "and rows milliseconds,A,B"
+        ) from None
+    found = []
+    for take, stamp in zip((first, second), stamps.T, strict=True):
+        rows = np.searchsorted(take.time, stamp - 1e-6).clip(max=len(take) - 1)
+        found.append((rows, np.abs(take.time[rows] - stamp) < 1e-5))
+    both = found[0][1] & found[1][1]
+    if both.sum() < _LEAST:
+        raise InputError(
+            f"{session.sync}: {both.sum()} ticks are of frames in both takes, expected "
+            f"{_LEAST} or more; do the takes belong together?"
+        )
+    return found[0][0][both], found[1][0][both]
+
+
+def _yaw(positions: Array, skeleton: Skeleton) -> Array:
+    return find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
+
+
+def _facing(take: Take, rows: NDArray[np.intp]) -> float:
+    """Return how far people mostly turn away from the sensor [degrees]."""
+    positions = take.positions[rows]
+    there = -positions[:, take.skeleton.root]
+    turn = _yaw(positions, take.skeleton) - np.arctan2(there[:, 0], there[:, 2])
+    return float(np.degrees(np.nanmedian(np.abs(np.angle(np.exp(1j * turn))))))
+
+
+def _smoothed(take: Take) -> Array:
+    """Return positions [m] lightly smoothed, NaN where nothing was measured."""
+    time, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
+    positions = take.positions[first]
+    missing = np.isnan(positions[..., 0])
+    values = np.where(missing[..., None], 0.0, positions)
+    found = smooth(time, values, np.where(missing, 1e-6, 1.0), cutoff=_CUTOFF)
+    return np.where(missing[..., None], np.nan, found)[frames]
+
+
+def _sure(take: Take) -> NDArray[np.bool_]:
+    """Tell of each limb whether its bones and speeds are a person's, shape (T, 4)."""
+    time, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
+    positions, skeleton = take.positions[first], take.skeleton
+    lengths = segment_lengths(positions, skeleton)
+    lengths[:, skeleton.root] = 1.0  # has no bone
+    strange = np.abs(lengths / np.nanmedian(lengths, axis=0) - 1.0) > _LENGTH
+    moved = np.linalg.norm(np.diff(positions, axis=0), axis=2)
+    fast = moved / np.diff(time)[:, None] > _SPEED
+    strange[1:] |= fast
+    strange[:-1] |= fast
+    joints = [[skeleton.index(joint) for joint in limb] for limb in LIMBS.values()]
+    return ~np.asarray(strange[:, joints].any(axis=2))[frames]
+
+
+def _away(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
+    """Return each joint's distance [m] from the truth, offsets taken off, (T, J)."""
+    ends = [skeleton.index(f"Shoulder{side}") for side in ("Left", "Right")]
+    trunk = [skeleton.girdle, *ends, *skeleton.hips]
+    while (joint := skeleton.parents[trunk[0]]) != -1:
+        trunk.insert(0, joint)
+    seen, there = (points[:, trunk].reshape(-1, 3) for points in (positions, truth))
+    known = ~np.isnan(seen + there).any(axis=1)
+    seen, there = seen[known], there[known]
+    weights = np.ones(len(seen))
+    for _ in range(_ROUNDS):
+        middles = [np.average(p, axis=0, weights=weights) for p in (seen, there)]
+        turn, _ = Rotation.align_vectors(there - middles[1], seen - middles[0], weights)
+        placed = turn.apply(seen - middles[0]) + middles[1]
+        squares = np.sum((placed - there) ** 2, axis=1)
+        weights = 1.0 / (1.0 + squares / _SIGMA**2)  # as Cauchy's distribution has it
+    flat = turn.apply((positions - middles[0]).reshape(-1, 3)) + middles[1]
+    away = flat.reshape(positions.shape) - truth
+    heading = HeadingFrame(np.zeros_like(truth[:, 0]), _yaw(truth, skeleton))
+    facing = heading.remove(away)
+    return np.asarray(np.linalg.norm(facing - np.nanmedian(facing, axis=0), axis=2))
+
+
+def _mean(values: Any) -> float | None:
+    known = np.array([v for v in np.ravel(values) if v is not None and not np.isnan(v)])
+    return float(known.mean()) if len(known) else None
+
+
+def _areas(found: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
+    """Return the area under ROC of wrong joints, and where the front is sure."""
+    from sklearn.metrics import roc_auc_score
+
+    wrong, doubt, sure = (np.concatenate(one) for one in zip(*found, strict=True))
+    areas: dict[str, float | None] = {}
+    for name, some in (("all", np.ones_like(sure)), ("sure", sure)):
+        mixed = 0 < wrong[some].mean() < 1
+        area = roc_auc_score(wrong[some], doubt[some]) if mixed else None
+        areas[name] = area if area is None else float(area)
+    return areas
+
+
+def as_table(figures: Figures) -> Table:
+    """Return the figures for a terminal."""
+    table = Table("session, side sensor", title="cm between the two sensors' limbs")
+    for heading in LIMBS:
+        table.add_column(heading, justify="right", no_wrap=True)
+    means = [
+        {**mean, "session": f"mean of {mean['sessions']} {angle}", "side": ""}
+        for angle, mean in figures["angles"].items()
+    ]
+    for session in (*figures["sessions"], *(means if figures["sessions"][1:] else ())):
+        table.add_section()
+        table.add_row(f"{session['session']} {session['side']}")
+        for row, limbs in session["rows"].items():
+            table.add_row(f"  {row}", *(_pair(limb, 1) for limb in limbs.values()))
+        table.add_row("  area under ROC", _pair(session["auc"], 2))
+    table.caption = (
+        "second figure: without frames in which the front sensor is in doubt; area "
+        f"under ROC of 1 - reliability for joints over {FAR * 100:.0f} cm away"
+    )
+    return table
+
+
+def _pair(values: dict[str, float | None], digits: int) -> str:
+    figures = (values["all"], values["sure"])
+    return " / ".join("-" if v is None else f"{v:.{digits}f}" for v in figures)
