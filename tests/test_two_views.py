@@ -85,6 +85,7 @@ def test_sessions_that_are_none_are_refused(
     text.write_text("hello")
     for arguments, message in (
         ([str(tmp_path / "nothing")], "no session"),
+        ([str(other)], "no takes other_A"),
         ([session[0], "--sync", session[3]], "--sync is for two takes"),
         ([*session[:2], "--sync", str(other)], "do the takes belong together?"),
         ([*session[:2], "--sync", str(text)], "not stamps of two sensors"),

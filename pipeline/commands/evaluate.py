@@ -84,7 +84,7 @@ class Evaluate:
     """With --hide: only every Nth take, to see something sooner."""
     views: tuple[Path, ...] = ()
     """Two takes of the same person, with --sync, or folders and patterns of sessions:
-    NAME.sync.csv beside NAME_A.csv.gz and NAME_B.csv.gz."""
+    NAME.sync.csv beside NAME_A*.csv* and NAME_B*.csv*."""
     sync: Path | None = None
     """CSV file milliseconds,A,B: the stamp of either sensor's latest frame."""
     json: Path | None = None

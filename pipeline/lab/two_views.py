@@ -70,7 +70,7 @@ def find_sessions(paths: Sequence[Path], sync: Path | None) -> list[Session]:
 
     Args:
         paths: Two takes with their ``sync``; or folders and patterns of sessions, which
-            are ``NAME.sync.csv`` beside ``NAME_A.csv.gz`` and ``NAME_B.csv.gz``.
+            are ``NAME.sync.csv`` beside ``NAME_A*.csv*`` and ``NAME_B*.csv*``.
         sync: The stamps of two takes.
 
     Raises:
@@ -89,9 +89,11 @@ def find_sessions(paths: Sequence[Path], sync: Path | None) -> list[Session]:
         if not files:
             raise InputError(f"{path}: no session, NAME{end}; two takes need --sync")
         for file in files:
-            name = str(file).removesuffix(end)
-            first, second = (Path(f"{name}_{sensor}.csv.gz") for sensor in "AB")
-            found.append(Session(first.name[:-9], first, second, file))
+            name = file.name.removesuffix(end)
+            takes = [sorted(file.parent.glob(f"{name}_{s}*.csv*")) for s in "AB"]
+            if not all(takes):
+                raise InputError(f"{file}: no takes {name}_A*.csv* and {name}_B*.csv*")
+            found.append(Session(name, takes[0][0], takes[1][0], file))
     return found
 
 
