@@ -140,7 +140,7 @@ def test_every_third_repetition_is_hidden_and_the_others_are_seen(
         (["--hide", "arms", "--gap", "soon"], "gap 'soon'"),
         (["--hide", "arms", "--gap", "120%"], "gap '120%'"),
         (["--hide", "arms", "--gap", "99"], "fits into no clip"),
-        (["--hide", "arms", "--methods", "best"], "cannot measure method 'best'"),
+        (["--hide", "arms", "--methods", "best"], "method 'best' cannot"),
         (["--hide", "arms", "--every", "0"], "--every 0"),
         (["--hide", "arms", "--context", "repetitions"], "tells no repetition"),
         ([], "PAIRS are for --hide"),

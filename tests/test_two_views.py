@@ -89,7 +89,7 @@ def test_sessions_that_are_none_are_refused(
         ([session[0], "--sync", session[3]], "--sync is for two takes"),
         ([*session[:2], "--sync", str(other)], "do the takes belong together?"),
         ([*session[:2], "--sync", str(text)], "not stamps of two sensors"),
-        ([*session, "--methods", "best"], "cannot measure 'best'"),
+        ([*session, "--methods", "best"], "method 'best' cannot"),
     ):
         assert main(["evaluate", "--views", *arguments]) == 2
         assert message in capsys.readouterr().err

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from rich.table import Table
@@ -61,9 +61,8 @@ class HiddenLimbs:
             _frames(gap, 100, 30.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Case:
-    """A take to clean: clips, each from its start on, some to have a limb hidden."""
+class _Case(NamedTuple):
+    """A take, and its clips in which a limb is hidden, with their first rows."""
 
     take: Take
     hidden: list[tuple[PairedTake, int]]
@@ -94,21 +93,12 @@ def measure_hidden(
     Raises:
         InputError: Unknown methods, or no clip in which the gaps fit.
     """
-    for name in methods:
-        if name not in METHODS or name in LEARNED:
-            known = ", ".join(m for m in METHODS if m not in LEARNED)
-            raise InputError(
-                f"--hide cannot measure method {name!r}; it can measure {known}"
-            )
+    check_methods(methods)
     if every < 1:
         raise InputError(f"--every {every}: expected 1 or more")
     cases = list(_cases(pairs, options.context))[::every]
-    spans = [
-        _span(pair.take, gap)
-        for case in cases
-        for gap in options.gaps
-        for pair, _ in case.hidden
-    ]
+    takes = [pair.take for case in cases for pair, _ in case.hidden]
+    spans = [_span(take, gap) for take in takes for gap in options.gaps]
     skipped = spans.count(None)
     if skipped == len(spans):
         raise InputError(
@@ -123,6 +113,17 @@ def measure_hidden(
         waiting = [pool.submit(_measure, *job) for job in jobs]
         done = [job.result() for job in over(waiting, "hide and clean", progress)]
     return [record for records in done for record in records], skipped
+
+
+def check_methods(methods: Sequence[str]) -> None:
+    """Raise an InputError for a method that is not known, or learns from pairs."""
+    for name in methods:
+        if name not in METHODS or name in LEARNED:
+            known = ", ".join(m for m in METHODS if m not in LEARNED)
+            raise InputError(
+                f"method {name!r} cannot be measured so, only those that do not learn "
+                f"from pairs: {known}"
+            )
 
 
 def _frames(gap: str, count: int, fps: float) -> int:
@@ -155,12 +156,10 @@ def _cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[_Case]:
             )
         groups.setdefault((pair.subject, name), []).append(pair)
     for group in groups.values():
-        takes = [pair.take for pair in group]
-        time = [-_PAUSE]
-        starts = []
+        takes, time = [pair.take for pair in group], [-_PAUSE]
         for take in takes:
-            starts.append(len(time) - 1)
             time.extend(take.time - take.time[0] + time[-1] + _PAUSE)
+        starts = np.cumsum([0, *map(len, takes)]).tolist()
         joined = Take(
             np.array(time[1:]),
             np.concatenate([take.positions for take in takes]),
@@ -168,7 +167,7 @@ def _cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[_Case]:
             takes[0].skeleton,
             takes[0].source,
         )
-        yield _Case(joined, list(zip(group, starts, strict=True))[1::3])
+        yield _Case(joined, list(zip(group, starts, strict=False))[1::3])
 
 
 @cache
@@ -260,20 +259,13 @@ def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
             ]
             errors = [r["unhidden"] for r in some]
             worse = [e[name] > min(e["hold"], e["slerp"]) + _WORSE for e in errors]
-            hold = _mean(some, "unhidden", "hold") or float("nan")
-            away = _mean(some, "unhidden", name)
-            rows.append(
-                {
-                    "limb": limb,
-                    "part": part,
-                    "row": name,
-                    "clips": len(some),
-                    "unhidden_cm": away,
-                    "percent_of_hold": None if away is None else away / hold * 100,
-                    "mocap_cm": _mean(some, "mocap", name),
-                    "worse_percent": float(np.mean(worse) * 100),
-                }
-            )
+            away, hold = (_mean(some, "unhidden", row) for row in (name, "hold"))
+            row = {"limb": limb, "part": part, "row": name, "clips": len(some)}
+            row["unhidden_cm"] = away
+            row["percent_of_hold"] = (away or 0.0) / hold * 100 if hold else None
+            row["mocap_cm"] = _mean(some, "mocap", name)
+            row["worse_percent"] = float(np.mean(worse) * 100)
+            rows.append(row)
     return rows
 
 

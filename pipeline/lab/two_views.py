@@ -10,9 +10,8 @@ taken off: it is a matter of where a sensor sees that joint from there.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +23,13 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.takes import read_take
-from kinefilter.pipeline.methods import LEARNED, METHODS
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.smooth import smooth
 from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame, find_yaw
+
+from .hidden_limbs import check_methods
 
 LIMBS = {
     f"{limb} {side.lower()}": tuple(joint + side for joint in joints)
@@ -47,34 +47,25 @@ _BESIDE = 10.0  # degrees by which people turn away more from B, where B is besi
 _LEAST = 30  # ticks in which both sensors saw somebody
 
 Figures = dict[str, Any]
+_FRAMES = ("all", "sure")  # without those in which the front sensor is in doubt
 
 
-@dataclass(frozen=True)
-class Session:
-    """Files of two takes of the same person at the same time."""
+class Session(NamedTuple):
+    """Two takes of a person at the same time, and the CSV ``milliseconds,A,B``."""
 
     name: str
     first: Path
     second: Path
     sync: Path
-    """CSV ``milliseconds,A,B``: what stamp [s] each sensor's latest frame had."""
-
-    @property
-    def angle(self) -> str:
-        """What the name says of the angle between the sensors, as p00_90deg_walk."""
-        return self.name.split("_")[1] if self.name.count("_") > 1 else ""
 
 
 def find_sessions(paths: Sequence[Path], sync: Path | None) -> list[Session]:
-    """Return the sessions that paths name.
+    """Return the sessions that paths name; raises InputError where there is none.
 
     Args:
         paths: Two takes with their ``sync``; or folders and patterns of sessions, which
             are ``NAME.sync.csv`` beside ``NAME_A*.csv*`` and ``NAME_B*.csv*``.
-        sync: The stamps of two takes.
-
-    Raises:
-        InputError: There is no such session.
+        sync: CSV ``milliseconds,A,B``: the stamp [s] of either sensor's latest frame.
     """
     if sync is not None:
         if len(paths) != 2:
@@ -108,40 +99,31 @@ def compare_views(
 
     Args:
         sessions: What was recorded.
-        methods: Names out of ``METHODS`` that clean the side sensor's take, beside raw.
+        methods: As of ``measure_hidden``, to clean the side sensor's take by.
         physics: Pull the simulated character through the motion.
         progress: Wraps the loop over sessions, for a progress bar.
 
     Raises:
         InputError: Unknown methods, or takes that do not belong together.
     """
-    for name in methods:
-        if name not in METHODS or name in LEARNED:
-            known = ", ".join(m for m in METHODS if m not in LEARNED)
-            raise InputError(f"--views cannot measure {name!r}; it can measure {known}")
+    check_methods(methods)
     if len(sessions) == 1:
         found = [_compare(sessions[0], methods, physics)]
     else:
         with workers() as pool:
             jobs = [pool.submit(_compare, s, methods, physics) for s in sessions]
             found = [job.result() for job in over(jobs, "compare", progress)]
-    angles = {}
+    angles: Figures = {}
     for angle in dict.fromkeys(figures["angle"] for figures in found):
         some = [figures for figures in found if figures["angle"] == angle]
-        angles[angle] = {
-            "sessions": len(some),
-            "rows": {
-                row: {
-                    limb: {
-                        key: _mean([f["rows"][row][limb][key] for f in some])
-                        for key in ("all", "sure")
-                    }
-                    for limb in LIMBS
-                }
-                for row in some[0]["rows"]
-            },
-            "auc": _areas([f["found"] for f in some]),
-        }
+        angles[angle] = {"sessions": len(some), "rows": {}}
+        for row in some[0]["rows"]:
+            limbs = [figures["rows"][row] for figures in some]
+            angles[angle]["rows"][row] = {
+                limb: {key: _mean([of[limb][key] for of in limbs]) for key in _FRAMES}
+                for limb in LIMBS
+            }
+        angles[angle]["auc"] = _areas([figures["found"] for figures in some])
     for figures in found:
         figures["auc"] = _areas([figures.pop("found")])
     return {"sessions": found, "angles": angles}
@@ -159,8 +141,8 @@ def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures
     facing = {sensor: _facing(take, rows) for sensor, (take, rows) in takes.items()}
     sides = "BA" if facing["B"] > facing["A"] + _BESIDE else "AB"
     (side, at), (front, front_at) = (takes[sensor] for sensor in sides)
-    sure = _sure(front)[front_at]
-    truth = _smoothed(front)[front_at]
+    truth, sure = _seen_in_front(front)
+    truth, sure = truth[front_at], sure[front_at]
     skeleton = side.skeleton
     joints = [skeleton.index(joint) for limb in LIMBS.values() for joint in limb]
     away = {"raw": _away(side.positions[at], truth, skeleton)[:, joints]}
@@ -168,30 +150,24 @@ def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures
         config = CleanConfig(method=method, physics=physics)
         clip = Cleaner(config).clean(side).clip
         away[method] = _away(clip.positions[at], truth, skeleton)[:, joints]
-    known = ~np.isnan(away["raw"])
+    wrong, known = away["raw"] > FAR, ~np.isnan(away["raw"])
     doubt = 1.0 - clip.reliability[at][:, joints]
+    rows_cm: Figures = {}
+    for row, distances in away.items():
+        by_limb = distances.reshape(-1, len(LIMBS), 2) * 100.0
+        rows_cm[row] = {
+            limb: {"all": _mean(by_limb[:, k]), "sure": _mean(by_limb[sure[:, k], k])}
+            for k, limb in enumerate(LIMBS)
+        }
     return {
         "session": session.name,
-        "angle": session.angle,
+        "angle": session.name.split("_")[1] if session.name.count("_") > 1 else "",
         "side": sides[0],
         "facing_degrees": facing,
         "frames": len(at),
         "sure_share": float(sure.mean()),
-        "rows": {
-            row: {
-                limb: {
-                    "all": _mean(distances[:, 2 * k : 2 * k + 2]),
-                    "sure": _mean(distances[sure[:, k], 2 * k : 2 * k + 2]),
-                }
-                for k, limb in enumerate(LIMBS)
-            }
-            for row, distances in ((row, d * 100) for row, d in away.items())
-        },
-        "found": (
-            away["raw"][known] > FAR,
-            doubt[known],
-            np.repeat(sure, 2, axis=1)[known],
-        ),
+        "rows": rows_cm,
+        "found": [a[known] for a in (wrong, doubt, np.repeat(sure, 2, axis=1))],
     }
 
 
@@ -234,20 +210,16 @@ def _facing(take: Take, rows: NDArray[np.intp]) -> float:
     return float(np.degrees(np.nanmedian(np.abs(np.angle(np.exp(1j * turn))))))
 
 
-def _smoothed(take: Take) -> Array:
-    """Return positions [m] lightly smoothed, NaN where nothing was measured."""
-    time, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
-    positions = take.positions[first]
-    missing = np.isnan(positions[..., 0])
-    values = np.where(missing[..., None], 0.0, positions)
-    found = smooth(time, values, np.where(missing, 1e-6, 1.0), cutoff=_CUTOFF)
-    return np.where(missing[..., None], np.nan, found)[frames]
+def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
+    """Return positions [m] lightly smoothed, and which limbs are surely there, (T, 4).
 
-
-def _sure(take: Take) -> NDArray[np.bool_]:
-    """Tell of each limb whether its bones and speeds are a person's, shape (T, 4)."""
+    They are not where the length of a bone or the speed of a joint is not a person's.
+    """
     time, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
     positions, skeleton = take.positions[first], take.skeleton
+    missing = np.isnan(positions)
+    weights = np.where(missing[..., 0], 1e-6, 1.0)
+    path = smooth(time, np.nan_to_num(positions), weights, cutoff=_CUTOFF)
     lengths = segment_lengths(positions, skeleton)
     lengths[:, skeleton.root] = 1.0  # has no bone
     strange = np.abs(lengths / np.nanmedian(lengths, axis=0) - 1.0) > _LENGTH
@@ -256,7 +228,8 @@ def _sure(take: Take) -> NDArray[np.bool_]:
     strange[1:] |= fast
     strange[:-1] |= fast
     joints = [[skeleton.index(joint) for joint in limb] for limb in LIMBS.values()]
-    return ~np.asarray(strange[:, joints].any(axis=2))[frames]
+    sure = ~np.asarray(strange[:, joints].any(axis=2))
+    return np.where(missing, np.nan, path)[frames], sure[frames]
 
 
 def _away(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
@@ -323,5 +296,5 @@ def as_table(figures: Figures) -> Table:
 
 
 def _pair(values: dict[str, float | None], digits: int) -> str:
-    figures = (values["all"], values["sure"])
+    figures = [values[key] for key in _FRAMES]
     return " / ".join("-" if v is None else f"{v:.{digits}f}" for v in figures)
