@@ -82,7 +82,9 @@ def simple_guesses(
 
     Directions of the hidden bones in the heading frame are held; are turned evenly from
     the last seen to the next (slerp); or are smoothed by second differences through the
-    frames around the gap (Whittaker's spline). All else is as it is.
+    frames around the gap (Whittaker's spline). All else is as it is. On a smoothed
+    motion, whose frames beside the gap have looked into it, the spline is flattered: on
+    recorded people by some 13 per cent of hold, slerp by some 5.
 
     Args:
         positions: The motion with nothing hidden, shape (T, J, 3).
