@@ -1,0 +1,299 @@
+"""How near a limb that was hidden comes to where it was seen, on recorded people.
+
+A limb that the sensor saw is hidden in the middle of a clip, the take is cleaned, and
+the hidden joints are compared with those of the take cleaned with nothing hidden, and
+with marker mocap, beside the simplest guesses.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from rich.table import Table
+
+from kinefilter.characters import InputError, Take
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.methods import LEARNED, METHODS
+from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability import measure_body
+from kinefilter.pipeline.target.floor import leveled
+from kinefilter.pipeline.workers import workers
+
+from .accuracy import LIMBS
+from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
+
+Context = Literal["alone", "repetitions"]
+By = Literal["movement", "gap", "person"]
+Record = dict[str, Any]
+
+_SEEN = 5  # frames that a limb must be seen for before and after a gap
+_PAUSE = 2.0  # s between the repetitions in a take
+_WORSE = 1.0  # cm by which a clip is worse than the better of hold and slerp
+_CASES_A_JOB = 8  # takes that a process cleans before it reports
+
+
+@dataclass(frozen=True)
+class HiddenLimbs:
+    """What is hidden, and how takes are cleaned; see ``evaluate --help``."""
+
+    limbs: tuple[str, ...]
+    gaps: tuple[str, ...] = ("55%",)
+    guess: Guess = "none"
+    context: Context = "alone"
+    live: bool = False
+    physics: bool = True
+
+    def __post_init__(self) -> None:
+        for limb in self.limbs:
+            if limb not in HIDDEN:
+                raise InputError(f"unknown limb {limb!r}; known: {', '.join(HIDDEN)}")
+        for gap in self.gaps:
+            _frames(gap, 100, 30.0)
+
+
+class _Case(NamedTuple):
+    """A take, and its clips in which a limb is hidden, with their first rows."""
+
+    take: Take
+    hidden: list[tuple[PairedTake, int]]
+
+
+def measure_hidden(
+    pairs: Sequence[PairedTake],
+    methods: Sequence[str],
+    options: HiddenLimbs,
+    *,
+    every: int = 1,
+    progress: Progress = silent,
+) -> tuple[list[Record], int]:
+    """Hide limbs in clips and measure what cleaning makes of them.
+
+    Args:
+        pairs: Clips; people are told apart by ``subject``.
+        methods: Names out of ``METHODS`` that do not learn from pairs.
+        options: What is hidden.
+        every: Clean only every Nth take.
+        progress: Wraps the loop over takes, for a progress bar.
+
+    Returns:
+        A record of each gap, and how many gaps were too long for their clip. Its errors
+        [cm] are means over frames and joints: of the method, of the ``seen`` clip and
+        of ``SIMPLE``, against the seen clip (``unhidden``) and against ``mocap``.
+
+    Raises:
+        InputError: Unknown methods, or no clip in which the gaps fit.
+    """
+    check_methods(methods)
+    if every < 1:
+        raise InputError(f"--every {every}: expected 1 or more")
+    cases = list(_cases(pairs, options.context))[::every]
+    takes = [pair.take for case in cases for pair, _ in case.hidden]
+    spans = [_span(take, gap) for take in takes for gap in options.gaps]
+    skipped = spans.count(None)
+    if skipped == len(spans):
+        raise InputError(
+            f"a gap of {', '.join(options.gaps)} fits into no clip with {_SEEN} frames "
+            f"before and after it ({skipped} tried); give a shorter one"
+        )
+    batches = [cases[k : k + _CASES_A_JOB] for k in range(0, len(cases), _CASES_A_JOB)]
+    jobs = [(batch, method, options) for batch in batches for method in methods]
+    if len(batches) == 1:
+        return [record for job in jobs for record in _measure(*job)], skipped
+    with workers() as pool:
+        waiting = [pool.submit(_measure, *job) for job in jobs]
+        done = [job.result() for job in over(waiting, "hide and clean", progress)]
+    return [record for records in done for record in records], skipped
+
+
+def check_methods(methods: Sequence[str]) -> None:
+    """Raise an InputError for a method that is not known, or learns from pairs."""
+    for name in methods:
+        if name not in METHODS or name in LEARNED:
+            known = ", ".join(m for m in METHODS if m not in LEARNED)
+            raise InputError(
+                f"method {name!r} cannot be measured so, only those that do not learn "
+                f"from pairs: {known}"
+            )
+
+
+def _frames(gap: str, count: int, fps: float) -> int:
+    """Return how many frames of a clip of ``count`` a gap takes."""
+    share, number = gap.endswith("%"), gap.removesuffix("%")
+    if not re.fullmatch(r"\d*\.?\d+", number) or (share and float(number) >= 100):
+        raise InputError(f"gap {gap!r}: expected seconds, such as 0.3, or 55%")
+    return round(count * float(number) / 100 if share else float(number) * fps)
+
+
+def _span(take: Take, gap: str) -> slice | None:
+    """Return the frames in the middle of a clip that a gap takes, if they fit."""
+    count = _frames(gap, len(take), take.fps)
+    start = (len(take) - count) // 2
+    return slice(start, start + count) if count > 0 and start >= _SEEN else None
+
+
+def _cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[_Case]:
+    """Yield takes: each clip, or all repetitions, of which every third is hidden."""
+    if context == "alone":
+        yield from (_Case(pair.take, [(pair, 0)]) for pair in pairs)
+        return
+    groups: dict[tuple[str, str], list[PairedTake]] = {}
+    for pair in sorted(pairs, key=lambda pair: pair.clip):
+        name = re.sub(r"_e\d+", "", pair.clip)
+        if name == pair.clip:
+            raise InputError(
+                f"{pair.take.source}: the clip's name tells no repetition; expected "
+                "one such as m01_s02_e05, or use --context alone"
+            )
+        groups.setdefault((pair.subject, name), []).append(pair)
+    for group in groups.values():
+        takes, time = [pair.take for pair in group], [-_PAUSE]
+        for take in takes:
+            time.extend(take.time - take.time[0] + time[-1] + _PAUSE)
+        starts = np.cumsum([0, *map(len, takes)]).tolist()
+        joined = Take(
+            np.array(time[1:]),
+            np.concatenate([take.positions for take in takes]),
+            np.concatenate([take.state for take in takes]),
+            takes[0].skeleton,
+            takes[0].source,
+        )
+        yield _Case(joined, list(zip(group, starts, strict=False))[1::3])
+
+
+@cache
+def _cleaner(method: str, physics: bool) -> Cleaner:
+    return Cleaner(CleanConfig(method=method, physics=physics))
+
+
+def _cleaned(
+    take: Take, unhidden: Take, method: str, options: HiddenLimbs
+) -> tuple[Array, float]:
+    """Return joint positions of the clean clip [m], and the tilt taken out [rad]."""
+    cleaner = _cleaner(method, options.physics)
+    if not options.live:
+        clip = cleaner.clean(take).clip
+        return clip.positions, clip.tilt
+    cleaner.start(measure_body(unhidden))
+    frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
+    return np.array([cleaner.step(*frame).positions for frame in frames]), 0.0
+
+
+def _measure(cases: list[_Case], method: str, options: HiddenLimbs) -> list[Record]:
+    """Clean takes by a method, once with nothing hidden and once for each limb."""
+    found = []
+    for case in cases:
+        take, skeleton = case.take, case.take.skeleton
+        seen, tilt = _cleaned(take, take, method, options)
+        for gap, limb in product(options.gaps, options.limbs):
+            joints = [skeleton.index(j) for j in HIDDEN[limb] if j in skeleton.joints]
+            scored = [j for j in joints if skeleton.joints[j] in LIMBS]
+            spans = [(*h, s) for h in case.hidden if (s := _span(h[0].take, gap))]
+            blind = take
+            for pair, start, span in spans:
+                rows = slice(start + span.start, start + span.stop)
+                seed = zlib.crc32(pair.clip.encode())
+                blind = hide(blind, joints, rows, options.guess, seed)
+            hidden = _cleaned(blind, take, method, options)[0] if spans else seen
+            for pair, start, span in spans:
+                rows = slice(start, start + len(pair.take))
+                motions = simple_guesses(seen[rows], skeleton, joints, span)
+                motions |= {method: hidden[rows], "seen": seen[rows]}
+                motions["mocap"] = leveled(pair.truth, tilt)
+                middles = {k: m[span][:, skeleton.hips] for k, m in motions.items()}
+                limbs = {
+                    name: motion[span][:, scored] - middles[name].mean(1, keepdims=True)
+                    for name, motion in motions.items()
+                }
+                mocap = limbs.pop("mocap")
+                found.append(
+                    {
+                        "person": pair.subject,
+                        "movement": pair.clip.split("_")[0],
+                        "clip": pair.clip,
+                        "limb": limb,
+                        "gap": gap,
+                        "method": method,
+                        "unhidden": _errors(limbs, limbs["seen"]),
+                        "mocap": _errors(limbs, mocap),
+                    }
+                )
+    return found
+
+
+def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
+    """Return mean distances [cm], None where there is no truth."""
+    away = {k: np.linalg.norm(limb - truth, axis=2) * 100 for k, limb in limbs.items()}
+    known = ~np.isnan(next(iter(away.values())))
+    return {k: float(a[known].mean()) if known.any() else None for k, a in away.items()}
+
+
+def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
+    """Return a row for each limb, part of the records and method or simple guess.
+
+    Means are over clips, then over people. The simple guesses are those made on the
+    clips of the last method, but each method's per cent are of hold on its own clips.
+
+    Args:
+        records: From ``measure_hidden``.
+        by: What the records are split by.
+    """
+    rows = []
+    methods = list(dict.fromkeys(r["method"] for r in records))
+    for limb, part in dict.fromkeys((r["limb"], r[by] if by else "") for r in records):
+        for name in ("seen", *SIMPLE, *methods):
+            some = [
+                r
+                for r in records
+                if (r["limb"], r[by] if by else "") == (limb, part)
+                and r["method"] == (name if name in methods else methods[-1])
+            ]
+            errors = [r["unhidden"] for r in some]
+            worse = [e[name] > min(e["hold"], e["slerp"]) + _WORSE for e in errors]
+            away, hold = (_mean(some, "unhidden", row) for row in (name, "hold"))
+            row = {"limb": limb, "part": part, "row": name, "clips": len(some)}
+            row["unhidden_cm"] = away
+            row["percent_of_hold"] = (away or 0.0) / hold * 100 if hold else None
+            row["mocap_cm"] = _mean(some, "mocap", name)
+            row["worse_percent"] = float(np.mean(worse) * 100)
+            rows.append(row)
+    return rows
+
+
+def _mean(records: Sequence[Record], key: str, row: str) -> float | None:
+    people: dict[str, list[float]] = {}
+    for record in records:
+        if record[key][row] is not None:
+            people.setdefault(record["person"], []).append(record[key][row])
+    return float(np.mean([np.mean(p) for p in people.values()])) if people else None
+
+
+def as_table(rows: Sequence[Record], title: str, by: By | None = None) -> Table:
+    """Return what ``summarize`` found, for a terminal."""
+    table = Table("limb", *([by] if by else []), "", title=title)
+    for heading in ("clips", "cm", "% of hold", "cm to mocap", "worse %"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        figures = [row["unhidden_cm"], row["percent_of_hold"], row["mocap_cm"]]
+        digits = zip([*figures, row["worse_percent"]], (1, 0, 1, 0), strict=True)
+        table.add_row(
+            row["limb"],
+            *([row["part"]] if by else []),
+            row["row"],
+            str(row["clips"]),
+            *("" if value is None else f"{value:.{n}f}" for value, n in digits),
+        )
+    table.caption = (
+        "cm: hidden joints relative to the hips, against the clip with nothing hidden; "
+        "worse: clips over 1 cm worse than the better of hold and slerp"
+    )
+    return table

@@ -1,0 +1,300 @@
+"""How near a side sensor's limbs are to where the sensor in front sees them.
+
+Two sensors recorded the same person. What the one beside the person guesses, the one
+that the person faces sees. Both are read at the same tick of the recording computer.
+One rigid transform over the joints of the trunk places a session of the side sensor in
+the frame of the front one, and each joint's constant offset in the heading frame is
+taken off: it is a matter of where a sensor sees that joint from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from kinefilter.characters import InputError, Skeleton, Take
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.formats.takes import read_take
+from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability import segment_lengths
+from kinefilter.pipeline.target.smooth import smooth
+from kinefilter.pipeline.workers import workers
+from kinefilter.retarget import HeadingFrame, find_yaw
+
+from .hidden_limbs import check_methods
+
+LIMBS = {
+    f"{limb} {side.lower()}": tuple(joint + side for joint in joints)
+    for limb, joints in (("arm", ("Elbow", "Wrist")), ("leg", ("Knee", "Ankle")))
+    for side in ("Left", "Right")
+}
+"""Limbs that are compared, and their joints."""
+FAR = 0.12
+"""Joints farther than this [m] from where the front sensor sees them are wrong."""
+
+_CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
+_SIGMA, _ROUNDS = 0.05, 20  # m; of the robust placement, whose outliers count little
+_LENGTH, _SPEED = 0.25, 6.0  # share of the median, m/s: beyond, the front is in doubt
+_BESIDE = 10.0  # degrees by which people turn away more from B, where B is beside them
+_LEAST = 30  # ticks in which both sensors saw somebody
+
+Figures = dict[str, Any]
+_FRAMES = ("all", "sure")  # without those in which the front sensor is in doubt
+
+
+class Session(NamedTuple):
+    """Two takes of a person at the same time, and the CSV ``milliseconds,A,B``."""
+
+    name: str
+    first: Path
+    second: Path
+    sync: Path
+
+
+def find_sessions(paths: Sequence[Path], sync: Path | None) -> list[Session]:
+    """Return the sessions that paths name; raises InputError where there is none.
+
+    Args:
+        paths: Two takes with their ``sync``; or folders and patterns of sessions, which
+            are ``NAME.sync.csv`` beside ``NAME_A*.csv*`` and ``NAME_B*.csv*``.
+        sync: CSV ``milliseconds,A,B``: the stamp [s] of either sensor's latest frame.
+    """
+    if sync is not None:
+        if len(paths) != 2:
+            raise InputError(f"--sync is for two takes, --views names {len(paths)}")
+        name = sync.name.removesuffix(".sync.csv")
+        return [Session(name, paths[0], paths[1], sync)]
+    found = []
+    for path in paths:
+        end = ".sync.csv"
+        pattern = f"*{end}" if path.is_dir() else path.name.removesuffix(end) + end
+        files = sorted((path if path.is_dir() else path.parent).glob(pattern))
+        if not files:
+            raise InputError(f"{path}: no session, NAME{end}; two takes need --sync")
+        for file in files:
+            name = file.name.removesuffix(end)
+            takes = [sorted(file.parent.glob(f"{name}_{s}*.csv*")) for s in "AB"]
+            if not all(takes):
+                raise InputError(f"{file}: no takes {name}_A*.csv* and {name}_B*.csv*")
+            found.append(Session(name, takes[0][0], takes[1][0], file))
+    return found
+
+
+def compare_views(
+    sessions: Sequence[Session],
+    methods: Sequence[str],
+    *,
+    physics: bool = True,
+    progress: Progress = silent,
+) -> Figures:
+    """Return the distances [cm] between two sensors' limbs, by session and by angle.
+
+    Args:
+        sessions: What was recorded.
+        methods: As of ``measure_hidden``, to clean the side sensor's take by.
+        physics: Pull the simulated character through the motion.
+        progress: Wraps the loop over sessions, for a progress bar.
+
+    Raises:
+        InputError: Unknown methods, or takes that do not belong together.
+    """
+    check_methods(methods)
+    if len(sessions) == 1:
+        found = [_compare(sessions[0], methods, physics)]
+    else:
+        with workers() as pool:
+            jobs = [pool.submit(_compare, s, methods, physics) for s in sessions]
+            found = [job.result() for job in over(jobs, "compare", progress)]
+    angles: Figures = {}
+    for angle in dict.fromkeys(figures["angle"] for figures in found):
+        some = [figures for figures in found if figures["angle"] == angle]
+        angles[angle] = {"sessions": len(some), "rows": {}}
+        for row in some[0]["rows"]:
+            limbs = [figures["rows"][row] for figures in some]
+            angles[angle]["rows"][row] = {
+                limb: {key: _mean([of[limb][key] for of in limbs]) for key in _FRAMES}
+                for limb in LIMBS
+            }
+        angles[angle]["auc"] = _areas([figures["found"] for figures in some])
+    for figures in found:
+        figures["auc"] = _areas([figures.pop("found")])
+    return {"sessions": found, "angles": angles}
+
+
+def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures:
+    first, second = read_take(session.first), read_take(session.second)
+    if first.skeleton != second.skeleton:
+        raise InputError(
+            f"{second.source}: {second.skeleton.name}, but {first.source} is "
+            f"{first.skeleton.name}; two views need the same skeleton"
+        )
+    rows = _matched(session, first, second)
+    takes = {"A": (first, rows[0]), "B": (second, rows[1])}
+    facing = {sensor: _facing(take, rows) for sensor, (take, rows) in takes.items()}
+    sides = "BA" if facing["B"] > facing["A"] + _BESIDE else "AB"
+    (side, at), (front, front_at) = (takes[sensor] for sensor in sides)
+    truth, sure = _seen_in_front(front)
+    truth, sure = truth[front_at], sure[front_at]
+    skeleton = side.skeleton
+    joints = [skeleton.index(joint) for limb in LIMBS.values() for joint in limb]
+    away = {"raw": _away(side.positions[at], truth, skeleton)[:, joints]}
+    for method in methods:
+        config = CleanConfig(method=method, physics=physics)
+        clip = Cleaner(config).clean(side).clip
+        away[method] = _away(clip.positions[at], truth, skeleton)[:, joints]
+    wrong, known = away["raw"] > FAR, ~np.isnan(away["raw"])
+    doubt = 1.0 - clip.reliability[at][:, joints]
+    rows_cm: Figures = {}
+    for row, distances in away.items():
+        by_limb = distances.reshape(-1, len(LIMBS), 2) * 100.0
+        rows_cm[row] = {
+            limb: {"all": _mean(by_limb[:, k]), "sure": _mean(by_limb[sure[:, k], k])}
+            for k, limb in enumerate(LIMBS)
+        }
+    return {
+        "session": session.name,
+        "angle": session.name.split("_")[1] if session.name.count("_") > 1 else "",
+        "side": sides[0],
+        "facing_degrees": facing,
+        "frames": len(at),
+        "sure_share": float(sure.mean()),
+        "rows": rows_cm,
+        "found": [a[known] for a in (wrong, doubt, np.repeat(sure, 2, axis=1))],
+    }
+
+
+def _matched(
+    session: Session, first: Take, second: Take
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the frames of both takes that were the latest at the same tick."""
+    try:
+        lines = session.sync.read_text("utf-8").splitlines()[1:]
+        cells = [line.split(",")[1:3] for line in lines]
+        stamps = np.unique(np.array(cells, dtype=float), axis=0)
+        _, _ = stamps.T
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{session.sync}: not stamps of two sensors ({error}); expected a header "
+            "and rows milliseconds,A,B"
+        ) from None
+    found = []
+    for take, stamp in zip((first, second), stamps.T, strict=True):
+        rows = np.searchsorted(take.time, stamp - 1e-6).clip(max=len(take) - 1)
+        found.append((rows, np.abs(take.time[rows] - stamp) < 1e-5))
+    both = found[0][1] & found[1][1]
+    if both.sum() < _LEAST:
+        raise InputError(
+            f"{session.sync}: {both.sum()} ticks are of frames in both takes, expected "
+            f"{_LEAST} or more; do the takes belong together?"
+        )
+    return found[0][0][both], found[1][0][both]
+
+
+def _yaw(positions: Array, skeleton: Skeleton) -> Array:
+    return find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
+
+
+def _facing(take: Take, rows: NDArray[np.intp]) -> float:
+    """Return how far people mostly turn away from the sensor [degrees]."""
+    positions = take.positions[rows]
+    there = -positions[:, take.skeleton.root]
+    turn = _yaw(positions, take.skeleton) - np.arctan2(there[:, 0], there[:, 2])
+    return float(np.degrees(np.nanmedian(np.abs(np.angle(np.exp(1j * turn))))))
+
+
+def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
+    """Return positions [m] lightly smoothed, and which limbs are surely there, (T, 4).
+
+    They are not where the length of a bone or the speed of a joint is not a person's.
+    """
+    time, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
+    positions, skeleton = take.positions[first], take.skeleton
+    missing = np.isnan(positions)
+    weights = np.where(missing[..., 0], 1e-6, 1.0)
+    path = smooth(time, np.nan_to_num(positions), weights, cutoff=_CUTOFF)
+    lengths = segment_lengths(positions, skeleton)
+    lengths[:, skeleton.root] = 1.0  # has no bone
+    strange = np.abs(lengths / np.nanmedian(lengths, axis=0) - 1.0) > _LENGTH
+    moved = np.linalg.norm(np.diff(positions, axis=0), axis=2)
+    fast = moved / np.diff(time)[:, None] > _SPEED
+    strange[1:] |= fast
+    strange[:-1] |= fast
+    joints = [[skeleton.index(joint) for joint in limb] for limb in LIMBS.values()]
+    sure = ~np.asarray(strange[:, joints].any(axis=2))
+    return np.where(missing, np.nan, path)[frames], sure[frames]
+
+
+def _away(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
+    """Return each joint's distance [m] from the truth, offsets taken off, (T, J)."""
+    ends = [skeleton.index(f"Shoulder{side}") for side in ("Left", "Right")]
+    trunk = [skeleton.girdle, *ends, *skeleton.hips]
+    while (joint := skeleton.parents[trunk[0]]) != -1:
+        trunk.insert(0, joint)
+    seen, there = (points[:, trunk].reshape(-1, 3) for points in (positions, truth))
+    known = ~np.isnan(seen + there).any(axis=1)
+    seen, there = seen[known], there[known]
+    weights = np.ones(len(seen))
+    for _ in range(_ROUNDS):
+        middles = [np.average(p, axis=0, weights=weights) for p in (seen, there)]
+        turn, _ = Rotation.align_vectors(there - middles[1], seen - middles[0], weights)
+        placed = turn.apply(seen - middles[0]) + middles[1]
+        squares = np.sum((placed - there) ** 2, axis=1)
+        weights = 1.0 / (1.0 + squares / _SIGMA**2)  # as Cauchy's distribution has it
+    flat = turn.apply((positions - middles[0]).reshape(-1, 3)) + middles[1]
+    away = flat.reshape(positions.shape) - truth
+    heading = HeadingFrame(np.zeros_like(truth[:, 0]), _yaw(truth, skeleton))
+    facing = heading.remove(away)
+    return np.asarray(np.linalg.norm(facing - np.nanmedian(facing, axis=0), axis=2))
+
+
+def _mean(values: Any) -> float | None:
+    known = np.array([v for v in np.ravel(values) if v is not None and not np.isnan(v)])
+    return float(known.mean()) if len(known) else None
+
+
+def _areas(found: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
+    """Return the area under ROC of wrong joints, and where the front is sure."""
+    from sklearn.metrics import roc_auc_score
+
+    wrong, doubt, sure = (np.concatenate(one) for one in zip(*found, strict=True))
+    areas: dict[str, float | None] = {}
+    for name, some in (("all", np.ones_like(sure)), ("sure", sure)):
+        mixed = 0 < wrong[some].mean() < 1
+        area = roc_auc_score(wrong[some], doubt[some]) if mixed else None
+        areas[name] = area if area is None else float(area)
+    return areas
+
+
+def as_table(figures: Figures) -> Table:
+    """Return the figures for a terminal."""
+    table = Table("session, side sensor", title="cm between the two sensors' limbs")
+    for heading in LIMBS:
+        table.add_column(heading, justify="right", no_wrap=True)
+    means = [
+        {**mean, "session": f"mean of {mean['sessions']} {angle}", "side": ""}
+        for angle, mean in figures["angles"].items()
+    ]
+    for session in (*figures["sessions"], *(means if figures["sessions"][1:] else ())):
+        table.add_section()
+        table.add_row(f"{session['session']} {session['side']}")
+        for row, limbs in session["rows"].items():
+            table.add_row(f"  {row}", *(_pair(limb, 1) for limb in limbs.values()))
+        table.add_row("  area under ROC", _pair(session["auc"], 2))
+    table.caption = (
+        "second figure: without frames in which the front sensor is in doubt; area "
+        f"under ROC of 1 - reliability for joints over {FAR * 100:.0f} cm away"
+    )
+    return table
+
+
+def _pair(values: dict[str, float | None], digits: int) -> str:
+    figures = [values[key] for key in _FRAMES]
+    return " / ".join("-" if v is None else f"{v:.{digits}f}" for v in figures)

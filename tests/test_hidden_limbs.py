@@ -1,0 +1,174 @@
+"""Limbs hidden in takes, and what is told about them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinefilter.characters import KINECT_V1, State, Take
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.lab import hidden_limbs
+from kinefilter.pipeline.lab.hidden_limbs import HiddenLimbs, measure_hidden, summarize
+from kinefilter.pipeline.lab.limb_guesses import hide, simple_guesses
+from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.retarget import HeadingFrame
+
+ARM = [KINECT_V1.index(joint) for joint in ("ElbowLeft", "WristLeft", "HandLeft")]
+ELBOW, WRIST, _ = ARM
+SPAN = slice(20, 60)
+
+
+@pytest.fixture(scope="module")
+def pair() -> PairedTake:
+    """Return a simulated gesture whose name tells movement and repetition."""
+    made = simulate("basic", "wave", sensor="v1", seed=2)
+    few = slice(0, 80)
+    take = made.take
+    take = Take(take.time[few], take.positions[few], take.state[few], take.skeleton)
+    return PairedTake(take, made.truth[few], "s01", "m01_s01_e01")
+
+
+def _turning(pair: PairedTake) -> tuple[np.ndarray, HeadingFrame]:
+    """Return a person whose limbs stay, walking in a curve, and where they are."""
+    still = pair.truth[0] - pair.truth[0, KINECT_V1.root]
+    time = np.arange(80) / 30.0
+    path = np.stack([np.sin(time), 0.9 + 0.0 * time, time], axis=1)
+    frame = HeadingFrame(path, 0.5 * time)
+    return frame.restore(np.tile(still, (80, 1, 1))), frame
+
+
+@pytest.mark.parametrize("guess", ["none", "drift", "hang", "jitter"])
+def test_exactly_the_limb_in_the_gap_is_hidden(pair: PairedTake, guess: str) -> None:
+    hidden = hide(pair.take, ARM, SPAN, guess, seed=1)  # type: ignore[arg-type]
+    changed = np.zeros(pair.take.state.shape, dtype=bool)
+    changed[SPAN, ARM] = True
+    same = (hidden.positions == pair.take.positions).all(axis=2)
+    np.testing.assert_array_equal(
+        ~same & ~np.isnan(pair.take.positions[..., 0]), changed
+    )
+    expected = State.NOT_TRACKED if guess == "none" else State.INFERRED
+    assert (hidden.state[changed] == expected).all()
+    np.testing.assert_array_equal(hidden.state[~changed], pair.take.state[~changed])
+    assert np.isnan(hidden.positions[changed]).all() == (guess == "none")
+    if guess == "hang":
+        below = hidden.positions[SPAN, WRIST] - hidden.positions[SPAN, ELBOW]
+        np.testing.assert_allclose(below[:, [0, 2]], 0.0, atol=1e-12)
+    if guess == "drift":  # 20 cm/s from where it was, the hand as far as the elbow
+        parent = KINECT_V1.parents[ELBOW]
+        away = hidden.positions[SPAN, ARM[:2]] - hidden.positions[SPAN, parent, None]
+        first = pair.take.positions[19, ARM[:2]] - pair.take.positions[19, parent]
+        far = np.linalg.norm(away - first, axis=2)
+        np.testing.assert_allclose(far[0], 0.2 / 30.0, rtol=0.1)
+        assert (far <= 0.21 * (np.arange(40)[:, None] + 1.0) / 30.0).all()
+
+
+def test_holding_a_limb_that_does_not_move_is_right(pair: PairedTake) -> None:
+    motion, _ = _turning(pair)
+    for guessed in simple_guesses(motion, KINECT_V1, ARM, SPAN).values():
+        np.testing.assert_allclose(guessed, motion, atol=1e-9)
+
+
+def test_an_arm_that_swings_evenly_is_found_by_both_ends(pair: PairedTake) -> None:
+    motion, frame = _turning(pair)
+    facing = frame.remove(motion)
+    angle = 2.0 * np.arange(80) / 80
+    forearm = np.stack([0.0 * angle, np.cos(angle), np.sin(angle)], axis=1) * 0.25
+    facing[:, WRIST] = facing[:, ELBOW] + forearm
+    motion = frame.restore(facing)
+    guessed = simple_guesses(motion, KINECT_V1, [WRIST], SPAN)
+    far = {
+        name: np.linalg.norm((limb - motion)[:, WRIST], axis=1).max()
+        for name, limb in guessed.items()
+    }
+    assert far["slerp"] < 1e-9
+    assert far["spline"] < 0.02
+    assert 0.2 < far["hold"] < 0.25
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_where_nothing_is_hidden_nothing_is_wrong(
+    pair: PairedTake, live: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = HiddenLimbs(("arms",), live=live)
+    (wrong,), skipped = measure_hidden([pair], ["none"], options)
+    assert skipped == 0
+    assert wrong["unhidden"]["none"] > 0.5
+    assert wrong["unhidden"]["seen"] == 0.0 < wrong["mocap"]["seen"]
+    monkeypatch.setattr(hidden_limbs, "hide", lambda take, *_: take)
+    (right,), _ = measure_hidden([pair], ["none"], options)
+    assert right["unhidden"]["none"] == 0.0
+    assert right["mocap"]["none"] == right["mocap"]["seen"]
+    assert right["unhidden"]["hold"] == wrong["unhidden"]["hold"]
+
+
+def test_every_third_repetition_is_hidden_and_the_others_are_seen(
+    pair: PairedTake, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cleaned: list[Take] = []
+
+    def raw(take: Take, *_: object) -> tuple[np.ndarray, float]:
+        cleaned.append(take)
+        return take.positions, 0.0
+
+    monkeypatch.setattr(hidden_limbs, "_cleaned", raw)
+    pairs = [replace(pair, clip=f"m01_s01_e{k:02}") for k in (2, 1, 3, 4, 5)]
+    options = HiddenLimbs(("left-arm",), ("0.3", "1", "5"), context="repetitions")
+    records, skipped = measure_hidden(pairs, ["none"], options)
+    assert [(r["clip"], r["gap"]) for r in records] == [
+        (f"m01_s01_e{k:02}", gap) for gap in ("0.3", "1") for k in (2, 5)
+    ]
+    assert skipped == 2
+    _, short, _ = cleaned
+    assert len(short) == 400
+    hidden = short.state[:, ELBOW] != np.tile(pair.take.state[:, ELBOW], 5)
+    middles = {80 * clip + k for clip in (1, 4) for k in range(35, 44)}
+    assert {*np.flatnonzero(hidden).tolist()} == middles
+    np.testing.assert_allclose(np.diff(short.time)[79::80], 2.0)
+    rows = {(r["part"], r["row"]): r for r in summarize(records, "gap")}
+    assert rows["0.3", "hold"]["clips"] == 2
+    assert rows["0.3", "hold"]["percent_of_hold"] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--hide", "tail"], "unknown limb 'tail'"),
+        (["--hide", "arms", "--gap", "soon"], "gap 'soon'"),
+        (["--hide", "arms", "--gap", "120%"], "gap '120%'"),
+        (["--hide", "arms", "--gap", "99"], "fits into no clip"),
+        (["--hide", "arms", "--methods", "best"], "method 'best' cannot"),
+        (["--hide", "arms", "--every", "0"], "--every 0"),
+        (["--hide", "arms", "--context", "repetitions"], "tells no repetition"),
+        ([], "PAIRS are for --hide"),
+    ],
+)
+def test_what_cannot_be_hidden_is_refused(
+    pair: PairedTake,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    file = tmp_path / "pairs.npz"
+    np.savez(
+        file,
+        joints=np.array(KINECT_V1.joints),
+        fps=30.0,
+        subject="s01",
+        kinect=pair.take.positions,
+        mocap=pair.truth,
+        clip=np.array(["a clip"]),
+        start=[0],
+        stop=[80],
+    )
+    assert main(["evaluate", str(file), *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_hiding_needs_pairs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "--hide", "arms"]) == 2
+    assert "--hide needs pairs files" in capsys.readouterr().err

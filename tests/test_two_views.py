@@ -1,0 +1,95 @@
+"""One motion seen by two sensors, and how near they are to each other."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V2, Take, standard_body
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.lab.two_views import LIMBS
+from kinefilter.retarget import HeadingFrame
+from kinefilter.scenes.library import perform
+
+DELAY = 33_000.25  # s between the sensors' clocks
+
+
+def _write(
+    folder: Path,
+    name: str,
+    positions: NDArray[np.float64],
+    time: NDArray[np.float64],
+) -> str:
+    state = np.full(positions.shape[:2], 2, dtype=np.uint8)
+    write_take_csv(Take(time, positions, state, KINECT_V2), folder / f"{name}.csv")
+    return str(folder / f"{name}.csv")
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Return the arguments for a gesture before one sensor and beside another."""
+    folder = tmp_path_factory.mktemp("views")
+    act = perform("wave", standard_body(KINECT_V2), seed=1)
+    time, count = act.time, len(act.time)
+    toward = HeadingFrame(np.tile([0.0, -1.0, 2.4], (count, 1)), np.full(count, np.pi))
+    beside = HeadingFrame(np.tile([0.3, -0.8, 2.0], (count, 1)), toward.yaw / 2)
+    front, side = (frame.restore(act.positions) for frame in (toward, beside))
+    files = [
+        _write(folder, "a", side, time + DELAY),
+        _write(folder, "b", front, time),
+    ]
+    ticks = np.stack([time * 1000, time + DELAY, time], axis=1)
+    rows = "\n".join(",".join(f"{v:.6f}" for v in row) for row in ticks)
+    (folder / "x_90deg_wave.sync.csv").write_text(f"milliseconds,A,B\n{rows}\n")
+    return [*files, "--sync", str(folder / "x_90deg_wave.sync.csv")]
+
+
+def test_two_views_of_one_motion_agree(session: list[str], tmp_path: Path) -> None:
+    out = tmp_path / "views.json"
+    arguments = ["--methods", "none", "--no-physics", "--json", str(out)]
+    assert main(["evaluate", "--views", *session, *arguments]) == 0
+    (found,) = json.loads(out.read_text("utf-8"))["sessions"]
+    assert found["side"] == "A"
+    assert found["angle"] == "90deg"
+    for limb in LIMBS:
+        assert found["rows"]["raw"][limb]["all"] < 0.5
+        assert found["rows"]["none"][limb]["all"] < 2.0
+
+
+def test_views_that_are_read_at_different_times_do_not_agree(
+    session: list[str], tmp_path: Path
+) -> None:
+    lines = Path(session[3]).read_text("utf-8").splitlines()
+    cells = [line.split(",") for line in lines[1:]]
+    late = zip(cells[15:], cells[:-15], strict=True)
+    wrong = [f"{b[0]},{a[1]},{b[2]}" for a, b in late]
+    sync, out = tmp_path / "late_90deg_wave.sync.csv", tmp_path / "views.json"
+    sync.write_text("\n".join([lines[0], *wrong]))
+    arguments = ["--sync", str(sync), "--methods", "none", "--json", str(out)]
+    assert main(["evaluate", "--views", *session[:2], *arguments]) == 0
+    (found,) = json.loads(out.read_text("utf-8"))["sessions"]
+    assert max(found["rows"]["raw"][limb]["all"] for limb in LIMBS) > 3.0
+
+
+def test_sessions_that_are_none_are_refused(
+    session: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.sync.csv"
+    other.write_text("milliseconds,A,B\n0,1,2\n30,1,2\n")
+    text = tmp_path / "text.sync.csv"
+    text.write_text("hello")
+    for arguments, message in (
+        ([str(tmp_path / "nothing")], "no session"),
+        ([str(other)], "no takes other_A"),
+        ([session[0], "--sync", session[3]], "--sync is for two takes"),
+        ([*session[:2], "--sync", str(other)], "do the takes belong together?"),
+        ([*session[:2], "--sync", str(text)], "not stamps of two sensors"),
+        ([*session, "--methods", "best"], "method 'best' cannot"),
+    ):
+        assert main(["evaluate", "--views", *arguments]) == 2
+        assert message in capsys.readouterr().err
