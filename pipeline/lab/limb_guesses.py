@@ -70,7 +70,11 @@ def hide(
             positions[span, j] += rng.normal(scale=_JITTER, size=(len(steps), 3))
         else:
             positions[span, j] += drift[int(skeleton.joints[j].endswith("Left"))]
-    missing = np.isnan(positions[span][:, joints, 0])
+    # Where the sensor had no such joint before, it guesses none.
+    missing = np.any(np.isnan(positions[span][:, joints]), axis=2)
+    positions[span, joints] = np.where(
+        missing[..., None], np.nan, positions[span][:, joints]
+    )
     state[span, joints] = np.where(missing, State.NOT_TRACKED, State.INFERRED)
     return replace(take, positions=positions, state=state)
 

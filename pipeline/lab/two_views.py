@@ -30,6 +30,7 @@ from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .hidden_limbs import check_methods
+from .misplaced import misplaced
 
 LIMBS = {
     f"{limb} {side.lower()}": tuple(joint + side for joint in joints)
@@ -129,7 +130,29 @@ def compare_views(
     return {"sessions": found, "angles": angles}
 
 
-def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures:
+class Views(NamedTuple):
+    """The take of a sensor beside a person, and what one in front saw meanwhile."""
+
+    side: Take
+    """The sensor beside."""
+    frames: NDArray[np.intp]
+    """Its frames that the one in front has too, shape (T,)."""
+    truth: Array
+    """Joint positions of the sensor in front [m], shape (T, J, 3)."""
+    sure: NDArray[np.bool_]
+    """Where that sensor is not in doubt itself, limb by limb, shape (T, 4)."""
+    sensor: str
+    """Which one is beside: A or B."""
+    facing: dict[str, float]
+    """How far people mostly turn away from each sensor [degrees]."""
+
+
+def read_views(session: Session) -> Views:
+    """Read a session's takes and bring them together.
+
+    Raises:
+        InputError: They do not belong together.
+    """
     first, second = read_take(session.first), read_take(session.second)
     if first.skeleton != second.skeleton:
         raise InputError(
@@ -142,16 +165,22 @@ def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures
     sides = "BA" if facing["B"] > facing["A"] + _BESIDE else "AB"
     (side, at), (front, front_at) = (takes[sensor] for sensor in sides)
     truth, sure = _seen_in_front(front)
-    truth, sure = truth[front_at], sure[front_at]
+    return Views(side, at, truth[front_at], sure[front_at], sides[0], facing)
+
+
+def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures:
+    pair = read_views(session)
+    side, at, truth, sure = pair.side, pair.frames, pair.truth, pair.sure
     skeleton = side.skeleton
     joints = [skeleton.index(joint) for limb in LIMBS.values() for joint in limb]
-    away = {"raw": _away(side.positions[at], truth, skeleton)[:, joints]}
+    away = {"raw": away_from(side.positions[at], truth, skeleton)[:, joints]}
     for method in methods:
         config = CleanConfig(method=method, physics=physics)
         clip = Cleaner(config).clean(side).clip
-        away[method] = _away(clip.positions[at], truth, skeleton)[:, joints]
+        away[method] = away_from(clip.positions[at], truth, skeleton)[:, joints]
     wrong, known = away["raw"] > FAR, ~np.isnan(away["raw"])
-    doubt = 1.0 - clip.reliability[at][:, joints]
+    doubts = (1.0 - clip.reliability[at], misplaced(side)[at])
+    doubt = np.stack([share[:, joints] for share in doubts], axis=2)
     rows_cm: Figures = {}
     for row, distances in away.items():
         by_limb = distances.reshape(-1, len(LIMBS), 2) * 100.0
@@ -162,8 +191,8 @@ def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures
     return {
         "session": session.name,
         "angle": session.name.split("_")[1] if session.name.count("_") > 1 else "",
-        "side": sides[0],
-        "facing_degrees": facing,
+        "side": pair.sensor,
+        "facing_degrees": pair.facing,
         "frames": len(at),
         "sure_share": float(sure.mean()),
         "rows": rows_cm,
@@ -232,7 +261,7 @@ def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
     return np.where(missing, np.nan, path)[frames], sure[frames]
 
 
-def _away(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
+def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
     """Return each joint's distance [m] from the truth, offsets taken off, (T, J)."""
     ends = [skeleton.index(f"Shoulder{side}") for side in ("Left", "Right")]
     trunk = [skeleton.girdle, *ends, *skeleton.hips]
@@ -268,8 +297,9 @@ def _areas(found: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
     areas: dict[str, float | None] = {}
     for name, some in (("all", np.ones_like(sure)), ("sure", sure)):
         mixed = 0 < wrong[some].mean() < 1
-        area = roc_auc_score(wrong[some], doubt[some]) if mixed else None
-        areas[name] = area if area is None else float(area)
+        for k, measure in enumerate(("", "misplaced_")):
+            area = roc_auc_score(wrong[some], doubt[some, k]) if mixed else None
+            areas[measure + name] = area if area is None else float(area)
     return areas
 
 
@@ -287,10 +317,12 @@ def as_table(figures: Figures) -> Table:
         table.add_row(f"{session['session']} {session['side']}")
         for row, limbs in session["rows"].items():
             table.add_row(f"  {row}", *(_pair(limb, 1) for limb in limbs.values()))
-        table.add_row("  area under ROC", _pair(session["auc"], 2))
+        for measure, label in (("", "1 - reliability"), ("misplaced_", "misplaced")):
+            areas = {name: session["auc"][measure + name] for name in ("all", "sure")}
+            table.add_row(f"  ROC, {label}", _pair(areas, 2))
     table.caption = (
         "second figure: without frames in which the front sensor is in doubt; area "
-        f"under ROC of 1 - reliability for joints over {FAR * 100:.0f} cm away"
+        f"under ROC for joints over {FAR * 100:.0f} cm away"
     )
     return table
 

@@ -1,0 +1,79 @@
+"""Learns to tell misplaced limbs, from people whom two sensors saw at the same time.
+
+``python -m kinefilter.pipeline.lab.misplaced_lessons FOLDER OUT.toml`` writes the
+weights of ``misplaced`` again; FOLDER holds sessions as ``evaluate --views`` reads.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from sklearn.linear_model import LogisticRegression
+
+from kinefilter.characters import Take
+from kinefilter.characters.arrays import Array, Flags
+
+from .misplaced import FEATURES, PARTS, describe_limbs
+from .two_views import FAR, LIMBS, Session, away_from, find_sessions, read_views
+
+_SHRINKAGE = 0.1  # C of the regression
+
+
+def lessons(
+    sessions: Sequence[Session],
+) -> dict[str, tuple[Array, Flags, Array]]:
+    """Return features, whether the joint was wrong, and the session, by kind of joint.
+
+    Only frames in which the sensor in front is not in doubt itself.
+    """
+    rows: dict[str, list[tuple[Array, Array, str]]] = {part: [] for part in PARTS}
+    for session in sessions:
+        side, frames, truth, sure, _, _ = read_views(session)
+        away = away_from(side.positions[frames], truth, side.skeleton)
+        _, first, rows_of = np.unique(side.time, return_index=True, return_inverse=True)
+        distinct = Take(
+            side.time[first], side.positions[first], side.state[first], side.skeleton
+        )
+        features = describe_limbs(distinct)[rows_of][frames]
+        for k, joints in enumerate(LIMBS.values()):
+            for joint in joints:
+                j = side.skeleton.index(joint)
+                part = joint.removesuffix("Left").removesuffix("Right")
+                kept = sure[:, k] & ~np.isnan(away[:, j])
+                wrong = away[kept, j] > FAR
+                rows[part].append((features[kept, j], wrong, session.name))
+    return {
+        part: (
+            np.concatenate([f for f, _, _ in found]),
+            np.concatenate([w for _, w, _ in found]),
+            np.concatenate([np.repeat(name, len(w)) for _, w, name in found]),
+        )
+        for part, found in rows.items()
+    }
+
+
+def fit(features: Array, wrong: Flags) -> list[float]:
+    """Return a bias and a weight for each feature, to four digits."""
+    mean, spread = features.mean(axis=0), features.std(axis=0) + 1e-3
+    model = LogisticRegression(C=_SHRINKAGE, max_iter=500)
+    model.fit((features - mean) / spread, wrong)
+    weights = model.coef_[0] / spread
+    bias = float(model.intercept_[0] - weights @ mean)
+    return [float(f"{value:.4g}") for value in (bias, *weights)]
+
+
+def learn_misplaced(sessions: Sequence[Session], path: Path) -> None:
+    """Write the weights that ``failures.misplaced`` reads (TOML)."""
+    lines = [f"# bias, then: {', '.join(FEATURES)}"]
+    for part, (features, wrong, _) in lessons(sessions).items():
+        lines.append(f"{part} = {fit(features, wrong)}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    learn_misplaced(
+        find_sessions([Path(sys.argv[1]) / "*_90deg_*"], None), Path(sys.argv[2])
+    )
