@@ -167,11 +167,10 @@ class Reconstruct(Stage):
 
     def step(self, draft: Draft) -> None:
         """Fill the hidden joints of the next frame."""
-        draft.hidden = draft.missing | (draft.state != State.TRACKED)
-        draft.filled = self._tracker.step(
-            draft.measured, draft.hidden, float(draft.time)
+        hidden = draft.missing | (draft.state != State.TRACKED)
+        draft.filled, draft.hidden = self._tracker.step(
+            draft.measured, hidden, float(draft.time)
         )
-        draft.hidden &= ~np.isnan(draft.filled[:, 0])
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Fill the hidden joints of a take."""

@@ -212,7 +212,9 @@ def tracked(positions: Array, hidden: NDArray[np.bool_]) -> Array:
     tracker = HiddenLimbTracker(BODY)
     empty = np.where(hidden[..., None], np.nan, positions)
     frames = zip(empty, hidden, strict=True)
-    return np.array([tracker.step(f, h, k / RATE) for k, (f, h) in enumerate(frames)])
+    return np.array(
+        [tracker.step(f, h, k / RATE)[0] for k, (f, h) in enumerate(frames)]
+    )
 
 
 def test_frame_by_frame_seen_joints_stay_and_limbs_are_joined_soon() -> None:

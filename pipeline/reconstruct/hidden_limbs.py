@@ -51,7 +51,7 @@ def fill_hidden(
     Returns:
         Positions, shape (T, J, 3), and which of them were filled, shape (T, J).
     """
-    hidden = hidden & ~hidden.all(axis=0)
+    hidden = with_tips(hidden, skeleton) & ~hidden.all(axis=0)
     if not hidden.any() or len(time) < 2:
         return positions, hidden
     seen = _seen(time, np.where(hidden[..., None], np.nan, positions), skeleton)
@@ -108,7 +108,14 @@ def _seen(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
             directions[:, j], lengths[j] = np.nan, np.nan
             continue
         lengths[j] = np.median(np.linalg.norm(bones[known[:, j], j], axis=1))
-        directions[:, j] = unit(bridge(directions[:, j], known[:, j], rate))
+        if is_hand(skeleton, j):
+            # Too short for what it did to show through the noise: it turns with the
+            # forearm, bent as it is on average.
+            along, seen = directions[:, parents[j]], known[:, j]
+            bent = np.mean(directions[seen, j] - along[seen], axis=0)
+            directions[~seen, j] = unit(along[~seen] + bent)
+        else:
+            directions[:, j] = unit(bridge(directions[:, j], known[:, j], rate))
         follows = placed[:, parents[j]] + lengths[j] * directions[:, j]
         placed[:, j] = np.where(there[:, j, None], placed[:, j], follows)
     ankles = [skeleton.index(f"Ankle{side}") for side in ("Left", "Right")]
@@ -142,6 +149,23 @@ def limbs(skeleton: Skeleton) -> list[tuple[int, int, int]]:
         for side in ("Left", "Right")
         for top, middle, end in _LIMBS
     ]
+
+
+def with_tips(hidden: Flags, skeleton: Skeleton) -> Flags:
+    """Return flags (..., J) that hold for hands and feet of hidden wrists and ankles.
+
+    What is seen of a hand whose wrist is not is no more than its place.
+    """
+    hidden = hidden.copy()
+    for _, _, end in limbs(skeleton):
+        for tip in skeleton.beyond(end):
+            hidden[..., tip] |= hidden[..., end]
+    return hidden
+
+
+def is_hand(skeleton: Skeleton, joint: int) -> bool:
+    """Tell whether a joint is beyond the wrist."""
+    return skeleton.joints[joint].startswith(("Hand", "Thumb"))
 
 
 def limb_of(

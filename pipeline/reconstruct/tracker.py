@@ -14,7 +14,7 @@ from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.stance import smooth_step
 
 from .continuity import unit
-from .hidden_limbs import PAUSE, limb_of, limbs
+from .hidden_limbs import PAUSE, is_hand, limb_of, limbs, with_tips
 from .recall import Recall, learn
 from .windows import Limb, Seen, describe
 
@@ -23,6 +23,7 @@ _LEARNS = 0.1  # s that a limb is hidden before it is worth learning about
 _JOINS = 0.2  # s in which a limb that is seen again is joined
 _FADES = 0.1  # s in which what was learned comes in
 _STRETCH = 1.5  # s hidden, in what is learned from
+_NEW = 0.03  # share of a frame in how a hand is bent on average: about a second
 _RATE = 30.0  # Hz, until the stream shows its own
 _STANDING = 10.0  # percentile of the ankles' heights that is taken for standing
 
@@ -53,6 +54,8 @@ class HiddenLimbTracker:
     def __init__(self, body: Body) -> None:
         self._body, self._limbs = body, limbs(body.skeleton)
         self._parents = np.array(body.skeleton.parents)
+        joints = body.skeleton.order
+        self._hands = [j for j in joints if is_hand(body.skeleton, j)]
         self.start()
 
     def start(self) -> None:
@@ -65,11 +68,14 @@ class HiddenLimbTracker:
         self._directions = np.zeros((2 * _MEMORY, n, 3))
         self._known = np.zeros((2 * _MEMORY, n), dtype=np.bool_)
         self._joined = np.zeros(2 * _MEMORY, dtype=np.bool_)
+        self._bent = np.zeros((n, 3))
         self._offset, self._since = np.zeros((n, 3)), np.full(n, np.inf)
         self._filled, self._ever = np.zeros((2, n), dtype=np.bool_)
 
-    def step(self, positions: Array, hidden: Flags, time: float) -> Array:
-        """Return the next frame's joint positions [m] with the hidden ones filled.
+    def step(self, positions: Array, hidden: Flags, time: float) -> tuple[Array, Flags]:
+        """Return the next frame's joint positions [m], and which of them were filled.
+
+        Joints that were never seen stay as they are.
 
         Args:
             positions: Joint positions [m], sensor frame with y up, shape (J, 3).
@@ -77,6 +83,7 @@ class HiddenLimbTracker:
             time: Time stamp [s], later than the last.
         """
         skeleton, k = self._body.skeleton, self._remember(time)
+        hidden = with_tips(hidden, skeleton)
         there = ~hidden
         root, yaw = (
             positions[skeleton.root],
@@ -94,6 +101,12 @@ class HiddenLimbTracker:
         directions = unit(placed - placed[self._parents])
         last = self._directions[k - 1] if k else self._body.directions
         directions[~known] = last[~known]
+        for j in self._hands:
+            along = directions[self._parents[j]]
+            if known[j]:
+                self._bent[j] += _NEW * (directions[j] - along - self._bent[j])
+            else:
+                directions[j] = unit(along + self._bent[j])
         self._known[k], self._directions[k] = known, directions
         self._positions[k] = self._placed(placed, there, directions)
         for limb, joints in enumerate(self._limbs):
@@ -105,9 +118,9 @@ class HiddenLimbTracker:
         self._positions[k] = self._joining(filled, hidden, time - self._times[k - 1])
         self._count += 1
         self._ever |= there
+        hidden &= self._ever
         found = heading.restore(self._positions[k])
-        found[~self._ever] = np.nan
-        return found
+        return np.where(self._ever[:, None], found, positions), hidden
 
     def _remember(self, time: float) -> int:
         """Make room for the next frame and return its row."""
