@@ -241,7 +241,12 @@ class Correct(Stage):
     @staticmethod
     def _seen(draft: Draft, body: Body) -> Observation:
         return Observation(
-            draft.standard, draft.reliability, draft.geometry, draft.time, body.lengths
+            draft.standard,
+            draft.reliability,
+            draft.geometry,
+            draft.time,
+            body.lengths,
+            draft.heading.origin,
         )
 
 

@@ -104,7 +104,7 @@ class Standardizer:
         scale = (standard.lengths[ends] / body.lengths[ends])[:, None, None]
         self._to_standard[ends] = scale * turns[ends]
         self._to_person[ends] = turns[ends].transpose(0, 2, 1) / scale
-        self._chain = _chain_matrix(skeleton)
+        self._chain = chain_matrix(skeleton)
         self.start()
 
     def start(self) -> None:
@@ -183,7 +183,7 @@ def _held(values: Array, before: Array) -> Array:
     return np.concatenate([before[None], values])[last]
 
 
-def _chain_matrix(skeleton: Skeleton) -> Array:
+def chain_matrix(skeleton: Skeleton) -> Array:
     """Return the matrix that sums bones from the root to every joint, (J, J)."""
     chain = np.zeros((len(skeleton), len(skeleton)))
     chain[skeleton.root, skeleton.root] = 1.0

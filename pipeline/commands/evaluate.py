@@ -21,9 +21,9 @@ class Evaluate:
     without each joint's constant offset over a clip, which is what one sees as wrong
     motion. Means over frames and joints, then over people, in cm, and against raw.
 
-    default is exactly what clean does, none is clean without any correction. best is a
-    Gaussian process over posture, movement and segment lengths, with a part shared by
-    all people and a part for people of like proportions.
+    default is exactly what clean does, with the weights that ship: they were learned on
+    the six people of UI-PRMD, so learned tells what it is worth to others. none is
+    clean without any correction.
     """
 
     train: tuple[Path, ...] = ()
@@ -32,7 +32,7 @@ class Evaluate:
     """Pairs files to test on; default: one person of --train after the other."""
     methods: str = (
         "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,"
-        "exemplar,full-gp,local-gp,clustered-gp,best"
+        "exemplar,full-gp,local-gp,clustered-gp,learned"
     )
     """Methods, comma-separated."""
     protocol: Literal["people", "repetitions"] = "people"

@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.methods import LEARNED, LearnedName
+from kinefilter.pipeline.methods import LearnedName
 
 from .terminal import Skeletons, clips_of, in_folders, keep, out, progress_bars
 
@@ -30,13 +30,14 @@ class Train:
     """Learn from simulated pairs of this skeleton, in place of files."""
     furnished: bool = False
     """Simulate people with things before them and in their hands, not alone."""
-    method: LearnedName = "best"
+    method: LearnedName = "learned"
     """What to teach."""
 
     def run(self) -> int:
         """Learn and write."""
         from kinefilter.pipeline.formats import check_folder
         from kinefilter.pipeline.lab.simulate import furnished_pairs, simulated_pairs
+        from kinefilter.pipeline.lab.teach import teach
         from kinefilter.pipeline.models import Model, save_model
         from kinefilter.pipeline.training import training_set
 
@@ -55,8 +56,7 @@ class Train:
             else:
                 simulated = furnished_pairs if self.furnished else simulated_pairs
                 lessons = training_set(simulated(self.simulated, progress=progress))
-            learner = LEARNED[self.method].load()(lessons.skeleton)
-            learner.fit(lessons, progress=progress)
+            learner = teach(self.method, lessons, progress=progress)
         model = Model(learner, self.method, lessons.skeleton, lessons.source)
         save_model(model, self.out)
         out.print(f"wrote {self.out}: {self.method}, learned from {lessons.source}")

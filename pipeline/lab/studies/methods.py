@@ -18,7 +18,7 @@ from .takes import clips_of, recorded_people
 
 _METHODS = (
     *("none", "butterworth", "savgol", "one-euro", "kalman", "low-rank", "local-pca"),
-    *("default", "exemplar", "full-gp", "local-gp", "clustered-gp", "best"),
+    *("default", "exemplar", "full-gp", "local-gp", "clustered-gp", "learned"),
 )
 _ERRORS = ("E", "E_std", "E_var")
 _EVERY = 5  # one in this many of the clips to test on is cleaned, by every method
