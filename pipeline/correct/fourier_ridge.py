@@ -47,9 +47,12 @@ _MOST, _SIMULATED_MOST = 2500, 50  # frames of a person that are learned from
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
 _CENTERS = 1000  # of the postures that were learned from
 _ALONE = 3  # so few frames' center would be nearly a recorded posture
-_KNOWN, _STRANGE = 0.9, 0.6  # likeness from which all, and nothing, that moves is taken
+_KNOWN, _STRANGE = 0.9, 0.6  # likeness at which most, and nothing, that moves is taken
+_MOST_TAKEN = (
+    0.8  # of what moves: a tenth of the gain is left for other movements' sake
+)
 _UNKNOWN = 0.3  # likeness from which less of what is constant is taken, too
-_CALM = 1.0  # s over which likeness is averaged
+_CALM = 3.0  # s over which likeness is averaged
 _CONSTANT = 10.0  # s over which live motion's constant correction is averaged
 
 _LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle", "Foot")
@@ -369,7 +372,7 @@ class FourierRidge(LearnedCorrector):
         """Return the postures, moved as far as their like was learned from."""
         alike = np.clip(likeness / _UNKNOWN, 0.0, 1.0)[..., None]
         share = np.clip((likeness - _STRANGE) / (_KNOWN - _STRANGE), 0.0, 1.0)
-        offsets = alike * (constant + share[..., None] * moving)
+        offsets = alike * (constant + _MOST_TAKEN * share[..., None] * moving)
         offsets = offsets.reshape(*offsets.shape[:-1], -1, 3)
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets[..., self._follows, :]
