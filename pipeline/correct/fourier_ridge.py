@@ -48,10 +48,8 @@ _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
 _CENTERS = 1000  # of the postures that were learned from
 _ALONE = 3  # so few frames' center would be nearly a recorded posture
 _KNOWN, _STRANGE = 0.9, 0.6  # likeness at which most, and nothing, that moves is taken
-_MOST_TAKEN = (
-    0.8  # of what moves: a tenth of the gain is left for other movements' sake
-)
-_UNKNOWN = 0.3  # likeness from which less of what is constant is taken, too
+_MOST_TAKEN = 0.7  # of what moves, for the sake of movements not learned from
+_NEAR, _FAR = 0.8, 0.4  # likeness at which all, and nothing, of the constant is taken
 _CALM = 3.0  # s over which likeness is averaged
 _CONSTANT = 10.0  # s over which live motion's constant correction is averaged
 
@@ -370,7 +368,7 @@ class FourierRidge(LearnedCorrector):
         likeness: Array,
     ) -> Correction:
         """Return the postures, moved as far as their like was learned from."""
-        alike = np.clip(likeness / _UNKNOWN, 0.0, 1.0)[..., None]
+        alike = np.clip((likeness - _FAR) / (_NEAR - _FAR), 0.0, 1.0)[..., None]
         share = np.clip((likeness - _STRANGE) / (_KNOWN - _STRANGE), 0.0, 1.0)
         offsets = alike * (constant + _MOST_TAKEN * share[..., None] * moving)
         offsets = offsets.reshape(*offsets.shape[:-1], -1, 3)
