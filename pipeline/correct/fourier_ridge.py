@@ -189,12 +189,13 @@ class FourierRidge(LearnedCorrector):
             takes = [rows[a:b] for a, b in pairwise(bounds)]
             step = -(-len(rows) // most)
             for mirrored in (False, True):
-                parts = [self._lesson(training, take, mirrored) for take in takes]
-                # Where a clip begins to be counted varies.
-                some = [slice(k % step, None, step) for k in range(len(parts))]
-                features = [x[k] for (x, _), k in zip(parts, some, strict=True)]
-                offsets = [y[k] for (_, y), k in zip(parts, some, strict=True)]
-                sizes = [len(x) for x in features]
+                features, offsets = [], []
+                for k, take in enumerate(takes):
+                    seen, wanted = self._lesson(training, take, mirrored)
+                    # Where a clip begins to be counted varies; a copy frees the rest.
+                    features.append(seen[k % step :: step].copy())
+                    offsets.append(wanted[k % step :: step].copy())
+                sizes = [len(some) for some in features]
                 yield _Person(
                     np.concatenate(features),
                     np.concatenate(offsets),
