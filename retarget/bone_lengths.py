@@ -15,7 +15,7 @@ _FIRMNESS_OF_INVENTED = 0.02
 # Against a measured joint's 1, how easily all above the knees moves as one. Without it
 # legs that are too long or short push the hips out from under the trunk; from 1 to 10
 # does about as well on recorded people.
-_TOGETHER = 3.0
+_TOGETHER = 3
 
 
 class BoneLengths:

@@ -87,8 +87,9 @@ def test_scores_and_corrections_of_takes_are_those_of_their_frames(
     skeleton: Skeleton,
 ) -> None:
     """What does not look ahead is the same, frame by frame or at once."""
+    config = CleanConfig(method="local-pca")
     take = simulate("basic", "punch", skeleton=skeleton.name, seed=3).take
-    cleaner = Cleaner().without("failures").until("correct")
+    cleaner = Cleaner(config).without("failures").until("correct")
     whole = cleaner.whole(take)
     for stage in cleaner.stages:
         stage.start(whole.body)
@@ -99,7 +100,9 @@ def test_scores_and_corrections_of_takes_are_those_of_their_frames(
             for name in ("reliability", "geometry"):
                 setattr(frame, name, getattr(whole, name)[k])
             if stage.name == "correct":
-                before = Cleaner().without("failures").until("standardize").whole(take)
+                before = (
+                    Cleaner(config).without("failures").until("standardize").whole(take)
+                )
                 frame.standard, frame.heading = before.standard[k], before.heading.at(k)
             stage.step(frame)
             if stage.name == "correct":

@@ -11,7 +11,8 @@ from real_data import PAIRS, paired
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.pipeline.correct import Observation, TrainingSet, fourier_ridge
-from kinefilter.pipeline.correct.fourier_ridge import FourierRidge, _Features
+from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
+from kinefilter.pipeline.correct.random_features import RandomFeatures
 from kinefilter.pipeline.factory import shipped_model
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.pairs import read_pairs
@@ -65,7 +66,7 @@ def test_products_of_features_are_the_kernel() -> None:
     rng = np.random.default_rng(0)
     x = (0.3 * rng.standard_normal((20, 50))).astype(np.float32)
     mean = x.mean(axis=0)
-    made = _Features(mean, 20_000, 0)(x)
+    made = RandomFeatures(mean, 20_000, 0)(x)
     squares = np.sum((x[:, None] - x) ** 2, axis=2)
     kernel = np.exp(-0.5 * squares) + 0.4 * (x - mean) @ (x - mean).T
     np.testing.assert_allclose(made @ made.T, kernel, atol=0.02)
@@ -77,7 +78,7 @@ def test_weights_are_what_the_kernel_with_random_effects_says(
     """The dual: a Gaussian process on all frames, of all people and mirror images."""
     people = list(model._people(_lessons(), fourier_ridge._WEIGHT, fourier_ridge._MOST))
     assert len(people) == 6
-    random = _Features(model.mean_, len(model.weights_) - len(model.mean_), 0)
+    random = RandomFeatures(model.mean_, len(model.weights_) - len(model.mean_), 0)
     rows = random(np.concatenate([p.features for p in people])).astype(float)
     shared = rows @ rows.T
     covariance = shared.copy()

@@ -15,15 +15,12 @@ Where nothing like a posture was learned, correction fades to nothing.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.ndimage import gaussian_filter1d
-from scipy.special import ndtri
 
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
@@ -32,13 +29,18 @@ from kinefilter.retarget.body_size import chain_matrix
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Observation
 from .learned import LearnedCorrector, TrainingSet
-
-Floats = NDArray[np.float32]
+from .random_features import (
+    Floats,
+    RandomFeatures,
+    centers_of,
+    direction_to,
+    likeness_to,
+    rounded,
+    values_at,
+)
+from .ridge import Person, ridge_weights
 
 # Chosen by leaving one of six people out, and one of their movements.
-_LINEAR = 0.4  # variance of the linear part, against 1 of the Gaussian one
-_SHARE = 0.1  # a: variance of an effect, against 1 of what all people share
-_SIMULATED_SHARE = 0.05  # of the effect that simulated people have in common
 _WEIGHT, _SIMULATED_WEIGHT = 6900.0, 150.0  # frames without noise that a person is like
 _LEAST_NOISE = 0.1  # variance of the noise in a frame, against a signal of 1
 _APART = 8.0 / 30.0  # s between a frame and those that say how it moves
@@ -46,25 +48,14 @@ _MOVEMENT, _LENGTHS = 0.5, 2.0  # weights of movement and of segment lengths
 _MOST, _SIMULATED_MOST = 2500, 50  # frames of a person that are learned from
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
 _CENTERS = 1000  # of the postures that were learned from
-_ALONE = 3  # so few frames' center would be nearly a recorded posture
 _KNOWN, _STRANGE = 0.9, 0.6  # likeness at which most, and nothing, that moves is taken
-_MOST_TAKEN = 0.7  # of what moves, for the sake of movements not learned from
+_MOST_TAKEN = 0.8  # of what moves, for the sake of movements not learned from
 _NEAR, _FAR = 0.8, 0.4  # likeness at which all, and nothing, of the constant is taken
 _CALM = 3.0  # s over which likeness is averaged
 _CONSTANT = 10.0  # s over which live motion's constant correction is averaged
 
 _LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle", "Foot")
 _CHUNK = 2048  # frames at a time: features are many times the positions
-
-
-@dataclass(frozen=True, eq=False)
-class _Person:
-    """Frames of one person, or of their mirror image."""
-
-    features: Floats
-    offsets: Array
-    clips: NDArray[np.intp]
-    noise: float
 
 
 class FourierRidge(LearnedCorrector):
@@ -157,7 +148,7 @@ class FourierRidge(LearnedCorrector):
         self.bones_ = self._odd_bones(training).astype(np.float32)
         self.seed_ = np.array(self.seed)
         features = np.concatenate([p.features for p in (*recorded, *others)])
-        self.centers_ = _rounded(_centers(features, _CENTERS))
+        self.centers_ = rounded(centers_of(features, _CENTERS))
         parts: list[NDArray[np.intp]] = [np.arange(features.shape[1]), self._live]
         # Frames are alike: half as many features as frames are plenty.
         most = min(self.samples, len(features) // 4 * 2)
@@ -165,17 +156,19 @@ class FourierRidge(LearnedCorrector):
         found = []
         steps = iter(progress("learn", 2 * (len(recorded) + len(others))))
         for columns, count in zip(parts, counts, strict=True):
-            random = _Features(self.mean_[columns], count, self.seed)
-            found.append(self._weights(random, columns, recorded, others, steps))
+            random = RandomFeatures(self.mean_[columns], count, self.seed)
+            found.append(
+                ridge_weights(random, columns, recorded, others, self.offset_, steps)
+            )
         for _ in steps:
             pass
-        self.weights_, self.live_weights_ = (_rounded(weights) for weights in found)
+        self.weights_, self.live_weights_ = (rounded(weights) for weights in found)
         self._prepare()
         return self
 
     def _people(
         self, training: TrainingSet, weight: float, most: int
-    ) -> Iterator[_Person]:
+    ) -> Iterator[Person]:
         """Yield everybody who was recorded, and their mirror images."""
         if training.skeleton != self.skeleton or training.person is None:
             raise InputError(
@@ -196,7 +189,7 @@ class FourierRidge(LearnedCorrector):
                     features.append(seen[k % step :: step].copy())
                     offsets.append(wanted[k % step :: step].copy())
                 sizes = [len(some) for some in features]
-                yield _Person(
+                yield Person(
                     np.concatenate(features),
                     np.concatenate(offsets),
                     np.repeat(np.arange(len(sizes)), sizes),
@@ -215,7 +208,7 @@ class FourierRidge(LearnedCorrector):
         mean = np.where(known, wanted, 0.0).sum(axis=0) / np.maximum(known.sum(0), 1)
         wanted = np.where(known, wanted, mean)
         sensor = None if training.sensor is None else training.sensor[rows]
-        toward = _toward(sensor, len(rows))
+        toward = direction_to(sensor, len(rows))
         points = self._points(posture)
         if mirrored:
             flip = np.array([-1.0, 1.0, 1.0])
@@ -236,77 +229,14 @@ class FourierRidge(LearnedCorrector):
         each = [self._proportions(np.median(training.lengths[p], 0)) for p in people]
         return np.asarray(np.mean(each, axis=0))
 
-    def _weights(
-        self,
-        random: _Features,
-        columns: NDArray[np.intp],
-        recorded: list[_Person],
-        simulated: list[_Person],
-        steps: Iterator[int],
-    ) -> Array:
-        """Return the ridge's weights, all random effects marginalized."""
-        size = random.size + 1
-        information = np.zeros((size, size), dtype=np.float32, order="F")
-        wanted = np.zeros((size, len(self.offset_)))
-        self._add(information, wanted, random, columns, simulated, steps)
-        if simulated:
-            # The effect that all of them share: (I + aG)^-1 G = (I - (I + aG)^-1) / a.
-            total = _symmetric(information).astype(float) * _SIMULATED_SHARE
-            total[np.diag_indices(size)] += 1.0
-            factor = cho_factor(total, overwrite_a=True)
-            wanted = cho_solve(factor, wanted)
-            left = cho_solve(factor, np.eye(size), overwrite_b=True)
-            left[np.diag_indices(size)] -= 1.0
-            information = np.asfortranarray(left / -_SIMULATED_SHARE, dtype=np.float32)
-        self._add(information, wanted, random, columns, recorded, steps)
-        total = _symmetric(information).astype(float)[:-1, :-1]
-        total[np.diag_indices(size - 1)] += 1.0
-        return np.asarray(cho_solve(cho_factor(total, overwrite_a=True), wanted[:-1]))
-
-    def _add(
-        self,
-        information: Floats,
-        wanted: Array,
-        random: _Features,
-        columns: NDArray[np.intp],
-        people: list[_Person],
-        steps: Iterator[int],
-    ) -> None:
-        """Add what people tell about the weights, and about a constant, in place."""
-        waiting: list[Floats] = []
-        for person in people:
-            next(steps)
-            rows, offsets = self._independent(random, columns, person)
-            wanted += rows.T @ offsets
-            waiting.append(rows)
-            if person is people[-1] or sum(map(len, waiting)) > _CHUNK:
-                rows, waiting = np.concatenate(waiting), []
-                blas.ssyrk(1.0, rows.T, beta=1.0, c=information, overwrite_c=1)
-
-    def _independent(
-        self, random: _Features, columns: NDArray[np.intp], person: _Person
-    ) -> tuple[Floats, Floats]:
-        """Return a person's features and offsets, without what correlates frames."""
-        rows = np.ones((len(person.features), random.size + 1), dtype=np.float32)
-        rows[:, :-1] = random(person.features[:, columns])
-        same = (person.clips[:, None] == person.clips).astype(float)
-        covariance = _SHARE * ((rows @ rows.T).astype(float) + same)
-        covariance[np.diag_indices(len(rows))] += person.noise
-        factor = cholesky(covariance, lower=True, overwrite_a=True).astype(np.float32)
-        offsets = (person.offsets - self.offset_).astype(np.float32)
-        independent = solve_triangular(
-            factor, np.hstack([rows, offsets]), lower=True, overwrite_b=True
-        ).astype(np.float32, copy=False)
-        return independent[:, : random.size + 1], independent[:, random.size + 1 :]
-
     # Correcting
 
     def _prepare(self) -> None:
         seed, size = int(self.seed_), len(self.mean_)
-        self._whole = _Features(self.mean_, len(self.weights_) - size, seed)
+        self._whole = RandomFeatures(self.mean_, len(self.weights_) - size, seed)
         mean = self.mean_[self._live]
         self._live_centers = np.ascontiguousarray(self.centers_[:, self._live])
-        self._step = _Features(mean, len(self.live_weights_) - len(mean), seed)
+        self._step = RandomFeatures(mean, len(self.live_weights_) - len(mean), seed)
 
     def whole(
         self,
@@ -320,14 +250,14 @@ class FourierRidge(LearnedCorrector):
         count = len(points)
         found = np.empty((count, len(self.offset_)))
         likeness = np.empty(count)
-        toward = _toward(take.sensor, count)
+        toward = direction_to(take.sensor, count)
         for k in range(0, count, _CHUNK):
             some = slice(k, k + _CHUNK)
             features = self._features(
                 points[some], points, take.time[some], take.time, toward[some]
             )
             found[some] = self._whole(features) @ self.weights_ + self.offset_
-            likeness[some] = _likeness(features, self.centers_)
+            likeness[some] = likeness_to(features, self.centers_)
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         likeness = gaussian_filter1d(likeness, _CALM / step, mode="nearest")
         constant = found.mean(axis=0)
@@ -340,11 +270,11 @@ class FourierRidge(LearnedCorrector):
         past = [(time, x) for time, x in self._past if now - time < 2 * _APART]
         self._past = past = [*past, (now, points)]
         times, before = np.array([t for t, _ in past]), np.array([x for _, x in past])
-        toward = _toward(observation.sensor, 1)
+        toward = direction_to(observation.sensor, 1)
         time = np.array([now])
         features = self._features(points[None], before, time, times, toward, live=True)
         found = (self._step(features) @ self.live_weights_ + self.offset_)[0]
-        likeness = float(_likeness(features, self._live_centers)[0])
+        likeness = float(likeness_to(features, self._live_centers)[0])
         if self._constant is None:
             self._constant, self._likeness = found, likeness
         else:
@@ -418,96 +348,10 @@ class FourierRidge(LearnedCorrector):
             toward: Direction to the sensor, shape (T, 2).
             live: Leave out what comes after.
         """
-        parts = [points, _MOVEMENT * (points - _at(times, around, time - _APART))]
+        parts = [points, _MOVEMENT * (points - values_at(times, around, time - _APART))]
         if not live:
-            parts.append(_MOVEMENT * (_at(times, around, time + _APART) - points))
+            parts.append(_MOVEMENT * (values_at(times, around, time + _APART) - points))
         bones = points[:, self._ends] - points[:, self._starts]
         parts.append(_LENGTHS * (np.sqrt(np.vecdot(bones, bones)) - self._segments))
         rows = [part.reshape(len(points), -1) for part in (*parts, toward)]
         return np.concatenate(rows, axis=1, dtype=np.float32)
-
-
-class _Features:
-    """Random features whose products are the kernel of postures' features.
-
-    Args:
-        mean: Mean of what they are made of, shape (F,).
-        count: How many there are beside the linear ones, an even number.
-        seed: Draws their frequencies.
-    """
-
-    def __init__(self, mean: Floats, count: int, seed: int) -> None:
-        self._mean, size = mean, len(mean)
-        blocks = -(-count // (2 * size))
-        # Raw bits and the normal quantile: the same in every version of numpy.
-        bits = np.random.PCG64(seed).random_raw(blocks * size * size) >> np.uint64(11)
-        normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53)
-        square = normal.reshape(blocks, size, size)
-        turns = np.linalg.qr(square)[0]
-        lengths = np.linalg.norm(square, axis=2, keepdims=True)
-        rows = (turns * lengths).reshape(-1, size)[: count // 2]
-        self._frequencies = rows.T.astype(np.float32)
-        self.size = count + size
-
-    def __call__(self, features: Floats) -> Floats:
-        """Return the random and the linear features of frames, (T, size)."""
-        half = self._frequencies.shape[1]
-        made = np.empty((len(features), self.size), dtype=np.float32)
-        angles = features @ self._frequencies
-        np.cos(angles, out=made[:, :half])
-        np.sin(angles, out=made[:, half : 2 * half])
-        made[:, : 2 * half] *= np.float32(1.0 / np.sqrt(half))
-        made[:, 2 * half :] = (features - self._mean) * np.float32(np.sqrt(_LINEAR))
-        return made
-
-
-def _at(times: Array, values: Array, wanted: Array) -> Array:
-    """Return values (N, ...) at other times, between frames; the ends beyond them."""
-    if len(times) < 2:
-        return np.broadcast_to(values, (len(wanted), *values.shape[1:]))
-    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
-    apart = np.maximum(times[after] - times[after - 1], 1e-9)
-    share = np.clip((wanted - times[after - 1]) / apart, 0.0, 1.0)
-    share = share.reshape(-1, *(1,) * (values.ndim - 1))
-    return np.asarray(values[after - 1] * (1.0 - share) + values[after] * share)
-
-
-def _toward(sensor: Array | None, count: int) -> Array:
-    """Return unit vectors (T, 2), to the left and ahead, from people to the sensor.
-
-    A sensor whose place nobody knows, or that is said to be inside of the person, is
-    ahead.
-    """
-    if sensor is None:
-        return np.tile([0.0, 1.0], (count, 1))
-    flat = np.atleast_2d(sensor)[:, [0, 2]]
-    distance = np.hypot(flat[:, 0], flat[:, 1])[:, None]
-    return np.where(distance > 0.5, flat / np.maximum(distance, 0.5), [0.0, 1.0])
-
-
-def _likeness(features: Floats, centers: Floats) -> Array:
-    """Return how like the nearest center frames are, in [0, 1], shape (T,)."""
-    squares = np.sum(centers**2, axis=1) - 2.0 * features @ centers.T
-    nearest = squares.min(axis=1) + np.sum(features**2, axis=1)
-    return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))
-
-
-def _centers(features: Floats, count: int) -> Floats:
-    """Return centers of the frames; those of a few frames alone are left out."""
-    from sklearn.cluster import KMeans
-
-    some = features[np.random.default_rng(0).permutation(len(features))[: 20 * count]]
-    count = -(-len(some) // 20)
-    means = KMeans(count, init="random", max_iter=10, random_state=0)
-    nearest = means.fit_predict(some)
-    common = np.bincount(nearest, minlength=count) > _ALONE
-    return np.asarray(means.cluster_centers_[common])
-
-
-def _symmetric(upper: Floats) -> Floats:
-    return np.asarray(upper + np.triu(upper, 1).T)
-
-
-def _rounded(values: NDArray[Any]) -> Floats:
-    """Return values as a file of half precision has them."""
-    return values.astype(np.float16).astype(np.float32)
