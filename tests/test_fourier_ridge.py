@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -160,6 +161,16 @@ def test_movement_is_by_time_and_not_by_frames(model: FourierRidge) -> None:
     fast = model.whole(_observation(twice, 60.0)).positions
     np.testing.assert_allclose(fast[::2], slow, atol=2e-3)
     assert np.abs(slow - seen).max() > 0.02
+
+
+def test_live_motion_goes_on_after_a_pause(model: FourierRidge) -> None:
+    seen = _lessons().positions[:30]
+    take = _observation(seen)
+    late = replace(take, time=take.time + np.where(np.arange(30) < 15, 0.0, 5.0))
+    model.start()
+    made = np.array([model.step(late.frame(k)).positions for k in range(30)])
+    assert np.isfinite(made).all()
+    assert 0.01 < np.abs(made - seen).max() < 0.2
 
 
 def test_missing_joints_go_along_with_their_limb(model: FourierRidge) -> None:

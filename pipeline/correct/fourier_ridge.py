@@ -267,6 +267,7 @@ class FourierRidge(LearnedCorrector):
         """Correct the next frame."""
         posture = self._hold.step(observation).positions
         points, now = self._points(posture), float(observation.time)
+        elapsed = now - self._past[-1][0] if self._past else 0.0
         past = [(time, x) for time, x in self._past if now - time < 2 * _APART]
         self._past = past = [*past, (now, points)]
         times, before = np.array([t for t, _ in past]), np.array([x for _, x in past])
@@ -278,7 +279,6 @@ class FourierRidge(LearnedCorrector):
         if self._constant is None:
             self._constant, self._likeness = found, likeness
         else:
-            elapsed = now - past[-2][0]
             self._constant += min(1.0, elapsed / _CONSTANT) * (found - self._constant)
             change = min(1.0, elapsed / _CALM)
             self._likeness += change * (likeness - self._likeness)
