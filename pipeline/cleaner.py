@@ -72,7 +72,7 @@ class Cleaner:
     """Cleans takes whole, or a live stream frame by frame, by one list of stages.
 
     Args:
-        config: What to do; by default joint offsets, local PCA, then physics.
+        config: What to do; by default as learned, local PCA, then physics.
         tracking: How hard the simulated character is pulled.
         corrector: What corrects, in place of the config's method.
     """
@@ -91,7 +91,7 @@ class Cleaner:
             Score(config),  # reliability of every joint
             Reconstruct(),  # hidden limbs, from how they went and moved before
             Standardize(),  # to the standard body, root at the origin, facing +z
-            Correct(config, corrector),  # unreliable joints, by offsets and local PCA
+            Correct(config, corrector),  # what the sensor misplaces, as learned
             MeasureCorrectedBody(config),  # segments again, as corrected
             Level(config),  # standing feet, and from them the sensor's tilt
             Smooth(config),  # the slower a joint, the more
@@ -245,7 +245,7 @@ def clean(
 
     Args:
         take: The recording.
-        config: What to do; by default joint offsets, local PCA, then physics.
+        config: What to do; by default as learned, local PCA, then physics.
         progress: Wraps the frame loops, for a progress bar.
 
     Raises:

@@ -25,7 +25,7 @@ class CleanConfig:
 
     method: MethodName | None = None
     """How joints are corrected; default: by the model where one is given, otherwise
-    by the offsets of the sensor's joints, then local-pca. none fills gaps only."""
+    by the weights of learned that ship, then local-pca. none fills gaps only."""
     model: Path | None = None
     """Model (.npz) of 'kinefilter train'; with --method local-pca, that follows it."""
     adapt: bool = False

@@ -50,22 +50,21 @@ def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
 
 
 def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
-    """Return the shipped joint offsets, then local PCA.
-
-    The shipped model knows constant offsets alone. Whole postures can be learned from
-    simulated people too (``kinefilter train --simulated``); no study shows that
-    recorded people gain from it, so it is not the default.
+    """Return the shipped learned corrector, then local PCA for unreliable joints.
 
     Args:
         database: Natural postures.
         options: Of local PCA.
     """
-    from .correct import InTurn
+    return InTurn(shipped_model(database.skeleton), LocalPCA(database, **options))
 
+
+def shipped_model(skeleton: Skeleton) -> Corrector:
+    """Return the corrector that ships, as ``lab.teach`` makes it, for a skeleton."""
     folder = resources.files("kinefilter.pipeline").joinpath("embedded")
-    with resources.as_file(folder / f"{database.skeleton.name}.npz") as path:
-        offsets = load_model(path).corrector
-    return InTurn(offsets, LocalPCA(database, **options))
+    with resources.as_file(folder / "learned.npz") as path:
+        learned = load_model(path).corrector
+    return learned.from_arrays(skeleton, learned.arrays())
 
 
 def _database(skeleton: Skeleton, config: CleanConfig) -> PostureDatabase:

@@ -39,7 +39,7 @@ def load(where: str) -> Any:
 METHODS = {
     "default": Method("factory:default_corrector", "database", ("search", "seed")),
     "local-pca": Method("correct.local_pca:LocalPCA", "database", ("search", "seed")),
-    "best": Method("correct.personal_gp:PersonalGP", "pairs"),
+    "learned": Method("correct.fourier_ridge:FourierRidge", "pairs"),
     "local-gp": Method("correct.local_gp:LocalGP", "pairs", ("adapt",)),
     "joint-offsets": Method("correct.joint_offsets:JointOffsets", "pairs"),
     "clustered-gp": Method("lab.methods.clustered_gp:ClusteredGP", "pairs"),

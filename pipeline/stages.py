@@ -273,7 +273,12 @@ class Correct(Stage):
             reliability = np.where(draft.hidden, 1.0, reliability)
             geometry = np.where(draft.hidden, 1.0, geometry)
         return Observation(
-            draft.standard, reliability, geometry, draft.time, body.lengths
+            draft.standard,
+            reliability,
+            geometry,
+            draft.time,
+            body.lengths,
+            draft.heading.origin,
         )
 
 

@@ -26,8 +26,10 @@ def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
         InputError: No pairs, or pairs of different skeletons.
     """
     skeleton: Skeleton | None = None
-    parts = [Spool(np.float64) for _ in range(4)]
-    counts, subjects = [], set()
+    parts = [Spool(np.float64) for _ in range(6)]
+    counts: list[int] = []
+    subjects: dict[str, int] = {}
+    people: list[int] = []
     for pair in pairs:
         skeleton = skeleton or pair.take.skeleton
         if pair.take.skeleton != skeleton:
@@ -38,15 +40,25 @@ def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
         for part, rows in zip(parts, _standardized(pair), strict=True):
             part.add(rows)
         counts.append(len(pair.take))
-        subjects.add(pair.subject)
+        people.append(subjects.setdefault(pair.subject, len(subjects)))
     if skeleton is None:
         raise InputError("no clips to learn from; give pairs files with clips in them")
     first = np.zeros(sum(counts), dtype=bool)
     first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
-    people = sorted(subjects) if len(subjects) <= 20 else [f"{len(subjects)} people"]
-    source = f"{len(counts)} clips of {', '.join(people)}"
-    positions, reliability, truth, lengths = (part.array() for part in parts)
-    return TrainingSet(positions, reliability, truth, first, skeleton, source, lengths)
+    names = sorted(subjects) if len(subjects) <= 20 else [f"{len(subjects)} people"]
+    positions, reliability, truth, lengths, time, sensor = (p.array() for p in parts)
+    return TrainingSet(
+        positions,
+        reliability,
+        truth,
+        first,
+        skeleton,
+        f"{len(counts)} clips of {', '.join(names)}",
+        lengths,
+        np.repeat(people, counts),
+        time,
+        sensor,
+    )
 
 
 def observed(pair: PairedTake) -> Draft:
@@ -71,9 +83,16 @@ def standard_truth(pair: PairedTake, draft: Draft) -> Array:
     return np.where(np.isnan(truth), np.nan, standard)
 
 
-def _standardized(pair: PairedTake) -> tuple[Array, Array, Array, Array]:
-    """Return postures, reliabilities, truths and the person's lengths of each frame."""
+def _standardized(pair: PairedTake) -> tuple[Array, ...]:
+    """Return the arrays of a training set for a take, in their order."""
     draft = observed(pair)
     lengths = np.tile(draft.body.lengths, (len(pair.take), 1))
     truth = standard_truth(pair, draft)
-    return draft.standard, draft.reliability, truth, lengths
+    return (
+        draft.standard,
+        draft.reliability,
+        truth,
+        lengths,
+        draft.time,
+        draft.heading.origin,
+    )

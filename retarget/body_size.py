@@ -97,9 +97,7 @@ class Standardizer:
         scale = (standard.lengths[ends] / body.lengths[ends])[:, None, None]
         self._to_standard[ends] = scale * turns[ends]
         self._to_person[ends] = turns[ends].transpose(0, 2, 1) / scale
-        self._chain = np.eye(len(skeleton))  # sums bones from the root to every joint
-        for j, p in zip(ends, skeleton.segment_parents, strict=True):
-            self._chain[j] += self._chain[p]
+        self._chain = chain_matrix(skeleton)
         self.start()
 
     def start(self) -> None:
@@ -174,3 +172,13 @@ def _held(values: Array, before: Array) -> Array:
         return values
     last = np.maximum.accumulate(np.where(there, np.arange(1, len(values) + 1), 0))
     return np.concatenate([before[None], values])[last]
+
+
+def chain_matrix(skeleton: Skeleton) -> Array:
+    """Return the matrix that sums bones from the root to every joint, (J, J)."""
+    chain = np.zeros((len(skeleton), len(skeleton)))
+    chain[skeleton.root, skeleton.root] = 1.0
+    for j in skeleton.order[1:]:
+        chain[j] = chain[skeleton.parents[j]]
+        chain[j, j] = 1.0
+    return chain

@@ -35,6 +35,11 @@ class HeadingFrame:
         """Undo ``remove``."""
         return _turned(positions, self.yaw) + self.root[..., None, :]
 
+    @property
+    def origin(self) -> Array:
+        """Where the origin [m], the sensor's place, is seen from the root, (..., 3)."""
+        return self.remove(np.zeros((*self.yaw.shape, 1, 3)))[..., 0, :]
+
     def remove_rotations(self, rotations: Array) -> Array:
         """Return normalized rotations of world ones, wxyz, shape (..., J, 4)."""
         return multiply(inverse(about_y(self.yaw))[..., None, :], rotations)

@@ -87,8 +87,9 @@ def test_scores_and_corrections_of_takes_are_those_of_their_frames(
     skeleton: Skeleton,
 ) -> None:
     """What does not look ahead is the same, frame by frame or at once."""
+    config = CleanConfig(method="local-pca")
     take = simulate("basic", "punch", skeleton=skeleton.name, seed=3).take
-    cleaner = Cleaner().without("failures", "reconstruct").until("correct")
+    cleaner = Cleaner(config).without("failures", "reconstruct").until("correct")
     whole = cleaner.whole(take)
     for stage in cleaner.stages:
         stage.start(whole.body)

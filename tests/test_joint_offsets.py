@@ -1,4 +1,4 @@
-"""Offsets that turn with the body; the embedded model; methods in turn."""
+"""Offsets that turn with the body; the default; methods in turn."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ from kinefilter.pipeline.factory import default_corrector
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.lab.simulate import simulate, simulated_pairs
-from kinefilter.pipeline.models import load_model
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import MeasureCorrectedBody
 from kinefilter.pipeline.training import observed, training_set
@@ -47,12 +46,11 @@ from kinefilter.scenes.library import perform
 Array = NDArray[np.float64]
 
 
-def _shipped(skeleton: Skeleton) -> JointOffsets:
-    folder = resources.files("kinefilter.pipeline") / "embedded"
-    with resources.as_file(folder / f"{skeleton.name}.npz") as path:
-        corrector = load_model(path).corrector
-    assert isinstance(corrector, JointOffsets)
-    return corrector
+def _made_up(skeleton: Skeleton) -> JointOffsets:
+    """Return offsets of some centimeters, drawn at random."""
+    shares = 0.02 * np.random.default_rng(0).standard_normal((len(skeleton), 6))
+    arrays = {"joints": np.arange(len(skeleton)), "shares": shares}
+    return JointOffsets.from_arrays(skeleton, arrays)
 
 
 def _seen(posture: Array) -> Observation:
@@ -98,29 +96,20 @@ def test_an_offset_along_a_segment_is_learned() -> None:
 @settings(max_examples=20, deadline=None)
 @given(st.floats(-np.pi, np.pi))
 def test_offsets_turn_with_the_body(skeleton: Skeleton, angle: float) -> None:
-    method, turn = _shipped(skeleton), about_y(np.array(angle))
+    method, turn = _made_up(skeleton), about_y(np.array(angle))
     posture = _postures(skeleton)[40]
     there = rotate(turn, method.offsets(posture))
     np.testing.assert_allclose(method.offsets(rotate(turn, posture)), there, atol=1e-9)
 
 
-@pytest.mark.parametrize("skeleton", SKELETONS.values(), ids=SKELETONS)
-def test_the_embedded_offsets_are_the_same_on_both_sides(skeleton: Skeleton) -> None:
-    method, rest = _shipped(skeleton), standard_body(skeleton).rest_positions
-    made = method.step(_seen(rest)).positions
-    mirrored = made[skeleton.mirror] * [-1.0, 1.0, 1.0]
-    np.testing.assert_allclose(made, mirrored, atol=0.01)
-
-
-def test_the_embedded_offsets_are_what_simulated_pairs_teach() -> None:
-    """Of fewer people, so that they differ by what people differ."""
+def test_simulated_pairs_teach_the_same_offsets_on_both_sides() -> None:
     lessons = training_set(simulated_pairs("kinect_v1", people=51))
-    again, shipped = JointOffsets(KINECT_V1).fit(lessons), _shipped(KINECT_V1)
-    differ = [
-        np.linalg.norm(again.offsets(posture) - shipped.offsets(posture), axis=1)
-        for posture in _postures(KINECT_V1)[::10]
-    ]
-    assert np.mean(differ) < 0.005
+    method = JointOffsets(KINECT_V1).fit(lessons)
+    rest = standard_body(KINECT_V1).rest_positions
+    made = method.step(_seen(rest)).positions
+    mirrored = made[KINECT_V1.mirror] * [-1.0, 1.0, 1.0]
+    np.testing.assert_allclose(made, mirrored, atol=0.015)
+    assert np.linalg.norm(made - rest, axis=1).mean() > 0.01
 
 
 @every_skeleton
@@ -144,7 +133,7 @@ def test_what_was_not_measured_stays_open_to_the_next_method() -> None:
     posture = _postures(KINECT_V1)[0].copy()
     posture[KINECT_V1.index("HandLeft")] = np.nan
     watch = Watch(KINECT_V1)
-    InTurn(_shipped(KINECT_V1), watch).step(_seen(posture))
+    InTurn(_made_up(KINECT_V1), watch).step(_seen(posture))
     np.testing.assert_array_equal(np.isnan(watch.saw), np.isnan(posture))
     assert np.nanmax(np.abs(watch.saw - posture)) > 0.01
 
@@ -157,7 +146,7 @@ def test_a_whole_take_is_moved_as_its_frames_are(
     postures = _postures(KINECT_V2)[:40].copy()
     postures[5:20, KINECT_V2.index("ElbowLeft")] = np.nan
     postures[13:15] = np.nan
-    corrector = _shipped(KINECT_V2)
+    corrector = _made_up(KINECT_V2)
     ones = np.ones(postures.shape[:2])
     whole = corrector.whole(Observation(postures, ones, ones, np.arange(40) / 30.0))
     corrector.start()
@@ -235,7 +224,7 @@ def test_what_a_model_made_of_a_guess_counts_for_something() -> None:
     reliability = np.ones(len(posture))
     reliability[[hand, wrist]] = 0.0
     watch = Watch(KINECT_V1)
-    methods = InTurn(_shipped(KINECT_V1), watch, least_reliability=0.65)
+    methods = InTurn(_made_up(KINECT_V1), watch, least_reliability=0.65)
     methods.step(Observation(posture, reliability, reliability))
     expected = np.where(np.arange(len(reliability)) == wrist, 0.65, reliability)
     np.testing.assert_array_equal(watch.saw.reliability, expected)
@@ -248,7 +237,7 @@ def test_local_pca_follows_a_model_where_it_is_asked_to() -> None:
     pair = simulate("office", "office", sensor="v1", seed=1301)
     accuracy, error = Accuracy(KINECT_V1), {}
     methods: tuple[str | None, ...] = (None, "local-pca")
-    with resources.as_file(folder / "kinect_v1.npz") as path:
+    with resources.as_file(folder / "learned.npz") as path:
         for method in methods:
             config = CleanConfig(model=path, method=method, physics=False)
             positions = clean(pair.take, config).clip.positions

@@ -16,7 +16,7 @@ from .terminal import Skeletons, check_output, clips_of, out, progress_bars, wri
 
 _METHODS = (
     "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,exemplar,"
-    "full-gp,local-gp,clustered-gp,best"
+    "full-gp,local-gp,clustered-gp,learned"
 )
 
 
@@ -30,9 +30,9 @@ class Evaluate:
     without each joint's constant offset over a clip, which is what one sees as wrong
     motion. Means over frames and joints, then over people, in cm, and against raw.
 
-    default is exactly what clean does, none is clean without any correction. best is a
-    Gaussian process over posture, movement and segment lengths, with a part shared by
-    all people and a part for people of like proportions.
+    default is exactly what clean does, with the weights that ship: they were learned on
+    the six people of UI-PRMD, so learned tells what it is worth to others. none is
+    clean without any correction.
 
     With --hide, a limb is hidden in the middle of each clip of PAIRS, and its joints
     are compared with those of the clip cleaned with nothing hidden, and with mocap.
@@ -52,7 +52,7 @@ class Evaluate:
     """Pairs files to test on; default: one person of --train after the other."""
     methods: str = ""
     """Methods, comma-separated; default: none,butterworth,savgol,one-euro,kalman,
-    low-rank,local-pca,default,exemplar,full-gp,local-gp,clustered-gp,best, and with
+    low-rank,local-pca,default,exemplar,full-gp,local-gp,clustered-gp,learned, and with
     --hide and --views none,default."""
     protocol: Literal["people", "repetitions"] = "people"
     """Test on people, or on repetitions of known people, that were not learned from."""

@@ -11,7 +11,7 @@ from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from kinefilter.characters import SKELETONS, InputError
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.methods import LEARNED, LearnedName
+from kinefilter.pipeline.methods import LearnedName
 
 from .terminal import Skeletons, check_output, clips_of, in_folders, out, progress_bars
 
@@ -22,8 +22,9 @@ _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".npz")
 class Train:
     """Teach a correction method from pairs of Kinect and mocap.
 
-    The offsets that clean takes off by default are what --simulated kinect_v1 --method
-    joint-offsets makes, in a minute or two.
+    The weights that clean has by default (pipeline/embedded/learned.npz) are what the
+    six files of UI-PRMD teach, in some minutes. learned learns from simulated people
+    as well, beside the recorded ones.
     """
 
     out: Annotated[Path, arg(aliases=["-o"])]
@@ -34,12 +35,13 @@ class Train:
     """Learn from simulated pairs of this skeleton, in place of files."""
     furnished: bool = False
     """Simulate people with things before them and in their hands, not alone."""
-    method: LearnedName = "best"
+    method: LearnedName = "learned"
     """What to teach."""
 
     def run(self) -> int:
         """Learn and write."""
         from kinefilter.pipeline.lab.simulate import furnished_pairs, simulated_pairs
+        from kinefilter.pipeline.lab.teach import teach
         from kinefilter.pipeline.models import Model, save_model
         from kinefilter.pipeline.training import training_set
 
@@ -55,8 +57,7 @@ class Train:
             else:
                 simulated = furnished_pairs if self.furnished else simulated_pairs
                 lessons = training_set(simulated(self.simulated, progress=progress))
-            learner = LEARNED[self.method].load()(lessons.skeleton)
-            learner.fit(lessons, progress=progress)
+            learner = teach(self.method, lessons, progress=progress)
         model = Model(learner, self.method, lessons.skeleton, lessons.source)
         save_model(model, self.out)
         out.print(f"wrote {self.out}: {self.method}, learned from {lessons.source}")

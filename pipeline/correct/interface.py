@@ -33,6 +33,8 @@ class Observation:
     """Time stamp [s]: a number, or of a take strictly increasing ones, shape (T,)."""
     lengths: Array | None = None
     """The person's own segment lengths [m], shape (J,)."""
+    sensor: Array | None = None
+    """Where the sensor is [m], seen from the root, the person facing +z, shape (3,)."""
 
     def frame(self, k: int) -> Observation:
         """Return a frame of a take."""
@@ -42,6 +44,7 @@ class Observation:
             self.geometry[k],
             float(self.time[k]),
             self.lengths,
+            None if self.sensor is None else self.sensor[k],
         )
 
 

@@ -40,6 +40,12 @@ class TrainingSet:
     """What the pairs are, for the model file."""
     lengths: Array | None = None
     """The person's own segment lengths in each frame [m], shape (N, J)."""
+    person: NDArray[np.intp] | None = None
+    """Whose frame it is, by number, shape (N,)."""
+    time: Array | None = None
+    """Time stamps [s] within each take, shape (N,); None: 30 frames a second."""
+    sensor: Array | None = None
+    """Where the sensor is, as in ``Observation``, shape (N, 3)."""
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -32,6 +32,7 @@ from kinefilter.pipeline.workers import workers
 
 from .accuracy import Accuracy, Tally
 from .bench import Timed
+from .teach import teach
 
 _LIU_TERMS = {
     "local-gp S": {"temporal": 0.0, "reliability": 0.0},
@@ -172,7 +173,7 @@ def _correctors(
             correctors[name] = method.load()(database)
         else:
             lessons = lessons or training_set(over(fold.train, "standardize", progress))
-            correctors[name] = method.load()(skeleton).fit(lessons, progress=progress)
+            correctors[name] = teach(name, lessons, progress=progress)
     return correctors
 
 

@@ -118,13 +118,13 @@ def _sorted_takes(name: str, found: dict[str, list[float]]) -> Panel:
 def marker_mocap(options: Options, *, movements: int = 10) -> Study:
     """Clean every fifth clip of four people and compare it with their marker mocap.
 
-    No model was trained on recordings; but the virtual Kinect that the embedded offsets
-    were learned from was fitted to some of these people, and tuned by hand on others
-    (``tests/calibrate_kinect.py``). E is the distance of limb joints, relative to the
-    middle of the hips; E_var the same without each joint's constant offset over a clip;
-    both are means over frames and joints, then over people. Jitter is the mean over
-    clips, of limb joints. Without recordings, simulated people and their truth stand
-    in. Clips are those of the first ``movements``.
+    The weights of the default were learned on UI-PRMD's six people: for these four it
+    tells how well they are remembered, for strangers see ``methods_new_people``. E is
+    the distance of limb joints, relative to the middle of the hips; E_var the same
+    without each joint's constant offset over a clip; both are means over frames and
+    joints, then over people. Jitter is the mean over clips, of limb joints. Without
+    recordings, simulated people and their truth stand in. Clips are those of the first
+    ``movements``.
     """
     people = _MOCAP_PEOPLE if options.data else recorded_people(None)
     pairs = [

@@ -1,0 +1,98 @@
+"""Random features of a kernel, and how like postures are to those of before."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from kinefilter.characters.arrays import Array
+
+Floats = NDArray[np.float32]
+
+_LINEAR = 0.4  # variance of the linear part, against 1 of the Gaussian one
+_ALONE = 3  # so few frames' center would be nearly a recorded posture
+
+
+class RandomFeatures:
+    """Random features whose products are the kernel of postures' features.
+
+    Args:
+        mean: Mean of what they are made of, shape (F,).
+        count: How many there are beside the linear ones, an even number.
+        seed: Draws their frequencies.
+    """
+
+    def __init__(self, mean: Floats, count: int, seed: int) -> None:
+        self._mean, size = mean, len(mean)
+        blocks = -(-count // (2 * size))
+        # Raw bits and the normal quantile: the same in every version of numpy.
+        bits = np.random.PCG64(seed).random_raw(blocks * size * size) >> np.uint64(11)
+        normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53)
+        square = normal.reshape(blocks, size, size)
+        turns = np.linalg.qr(square)[0]
+        lengths = np.linalg.norm(square, axis=2, keepdims=True)
+        rows = (turns * lengths).reshape(-1, size)[: count // 2]
+        self._frequencies = rows.T.astype(np.float32)
+        self.size = count + size
+
+    def __call__(self, features: Floats) -> Floats:
+        """Return the random and the linear features of frames, (T, size)."""
+        half = self._frequencies.shape[1]
+        made = np.empty((len(features), self.size), dtype=np.float32)
+        angles = features @ self._frequencies
+        np.cos(angles, out=made[:, :half])
+        np.sin(angles, out=made[:, half : 2 * half])
+        made[:, : 2 * half] *= np.float32(1.0 / np.sqrt(half))
+        made[:, 2 * half :] = (features - self._mean) * np.float32(np.sqrt(_LINEAR))
+        return made
+
+
+def values_at(times: Array, values: Array, wanted: Array) -> Array:
+    """Return values (N, ...) at other times, between frames; the ends beyond them."""
+    if len(times) < 2:
+        return np.broadcast_to(values, (len(wanted), *values.shape[1:]))
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    apart = np.maximum(times[after] - times[after - 1], 1e-9)
+    share = np.clip((wanted - times[after - 1]) / apart, 0.0, 1.0)
+    share = share.reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(values[after - 1] * (1.0 - share) + values[after] * share)
+
+
+def direction_to(sensor: Array | None, count: int) -> Array:
+    """Return unit vectors (T, 2), to the left and ahead, from people to the sensor.
+
+    A sensor whose place nobody knows, or that is said to be inside of the person, is
+    ahead.
+    """
+    if sensor is None:
+        return np.tile([0.0, 1.0], (count, 1))
+    flat = np.atleast_2d(sensor)[:, [0, 2]]
+    distance = np.hypot(flat[:, 0], flat[:, 1])[:, None]
+    return np.where(distance > 0.5, flat / np.maximum(distance, 0.5), [0.0, 1.0])
+
+
+def likeness_to(features: Floats, centers: Floats) -> Array:
+    """Return how like the nearest center frames are, in [0, 1], shape (T,)."""
+    squares = np.sum(centers**2, axis=1) - 2.0 * features @ centers.T
+    nearest = squares.min(axis=1) + np.sum(features**2, axis=1)
+    return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))
+
+
+def centers_of(features: Floats, count: int) -> Floats:
+    """Return centers of the frames; those of a few frames alone are left out."""
+    from sklearn.cluster import KMeans
+
+    some = features[np.random.default_rng(0).permutation(len(features))[: 20 * count]]
+    count = -(-len(some) // 20)
+    means = KMeans(count, init="random", max_iter=10, random_state=0)
+    nearest = means.fit_predict(some)
+    common = np.bincount(nearest, minlength=count) > _ALONE
+    return np.asarray(means.cluster_centers_[common])
+
+
+def rounded(values: NDArray[Any]) -> Floats:
+    """Return values as a file of half precision has them."""
+    return values.astype(np.float16).astype(np.float32)

@@ -1,0 +1,243 @@
+"""The learned corrector: random features, random effects, and what it leaves alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from real_data import PAIRS, paired
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.pipeline.correct import Observation, TrainingSet, fourier_ridge
+from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
+from kinefilter.pipeline.correct.random_features import RandomFeatures
+from kinefilter.pipeline.factory import shipped_model
+from kinefilter.pipeline.lab.accuracy import Accuracy
+from kinefilter.pipeline.pairs import read_pairs
+from kinefilter.pipeline.training import observed, standard_truth, training_set
+from kinefilter.scenes.library import perform
+
+Array = NDArray[np.float64]
+MIRROR = np.array([-1.0, 1.0, 1.0])
+PEOPLE = ("squat", "raise_arms", "squat")
+
+
+def _act(motion: str, skeleton: Skeleton = KINECT_V1, seed: int = 1) -> Array:
+    positions = perform(motion, standard_body(skeleton), seed=seed).positions[:120]
+    return np.asarray(positions - positions[:, [skeleton.root]])
+
+
+def _lessons() -> TrainingSet:
+    """Return three people whose wrists are off, the higher the more."""
+    truth = [_act(motion, seed=k) for k, motion in enumerate(PEOPLE)]
+    counts = [len(positions) for positions in truth]
+    together = np.concatenate(truth)
+    seen = together.copy()
+    for side in ("Left", "Right"):
+        wrist = KINECT_V1.index("Wrist" + side)
+        seen[:, wrist, 1] += 0.03 + 0.05 * seen[:, wrist, 1]
+    first = np.zeros(len(seen), dtype=bool)
+    first[np.cumsum([0, *counts[:-1]])] = True
+    return TrainingSet(
+        positions=seen,
+        reliability=np.ones(seen.shape[:2]),
+        truth=together,
+        first=first,
+        skeleton=KINECT_V1,
+        source="imagined",
+        person=np.repeat(np.arange(3), counts),
+        time=np.concatenate([np.arange(count) / 30.0 for count in counts]),
+    )
+
+
+@pytest.fixture(scope="module")
+def model() -> FourierRidge:
+    return FourierRidge(KINECT_V1, samples=256).fit(_lessons())
+
+
+def _observation(positions: Array, rate: float = 30.0) -> Observation:
+    ones = np.ones(positions.shape[:-1])
+    return Observation(positions, ones, ones, np.arange(len(positions)) / rate)
+
+
+def test_products_of_features_are_the_kernel() -> None:
+    rng = np.random.default_rng(0)
+    x = (0.3 * rng.standard_normal((20, 50))).astype(np.float32)
+    mean = x.mean(axis=0)
+    made = RandomFeatures(mean, 20_000, 0)(x)
+    squares = np.sum((x[:, None] - x) ** 2, axis=2)
+    kernel = np.exp(-0.5 * squares) + 0.4 * (x - mean) @ (x - mean).T
+    np.testing.assert_allclose(made @ made.T, kernel, atol=0.02)
+
+
+def test_weights_are_what_the_kernel_with_random_effects_says(
+    model: FourierRidge,
+) -> None:
+    """The dual: a Gaussian process on all frames, of all people and mirror images."""
+    people = list(model._people(_lessons(), fourier_ridge._WEIGHT, fourier_ridge._MOST))
+    assert len(people) == 6
+    random = RandomFeatures(model.mean_, len(model.weights_) - len(model.mean_), 0)
+    rows = random(np.concatenate([p.features for p in people])).astype(float)
+    shared = rows @ rows.T
+    covariance = shared.copy()
+    ends = np.cumsum([0, *(len(p.features) for p in people)])
+    for person, (a, b) in zip(people, pairwise(ends), strict=True):
+        own = (slice(a, b), slice(a, b))
+        same_clip = person.clips[:, None] == person.clips
+        covariance[own] += 0.1 * (shared[own] + 1.0 + same_clip)
+        covariance[own] += person.noise * np.eye(b - a)
+    offsets = np.concatenate([p.offsets for p in people]) - model.offset_
+    dual = rows.T @ np.linalg.solve(covariance, offsets)
+    # Half precision, as in the file.
+    np.testing.assert_allclose(rows @ model.weights_, rows @ dual, atol=2e-4)
+    assert np.abs(rows @ dual).max() > 0.005
+
+
+def test_what_was_learned_is_taken_off(model: FourierRidge) -> None:
+    lessons = _lessons()
+    wrist = KINECT_V1.index("WristLeft")
+    made = model.whole(_observation(lessons.positions[:120]))
+    away = np.linalg.norm(made.positions - lessons.truth[:120], axis=2)[:, wrist]
+    before = np.linalg.norm(lessons.positions - lessons.truth, axis=2)[:120, wrist]
+    assert away.mean() < 0.5 * before.mean()
+
+
+def test_mirror_images_are_corrected_to_mirror_images(model: FourierRidge) -> None:
+    seen = _lessons().positions[120:240]
+    mirrored = seen[:, KINECT_V1.mirror] * MIRROR
+    one, other = (
+        model.whole(_observation(positions)).positions for positions in (seen, mirrored)
+    )
+    # Random features and centers are not symmetric themselves.
+    moved = np.abs(one - seen).max()
+    np.testing.assert_allclose(other[:, KINECT_V1.mirror] * MIRROR, one, atol=moved / 5)
+
+
+def test_far_from_what_was_learned_nothing_is_moved(model: FourierRidge) -> None:
+    """Neither in a file nor live, though the linear part would grow and grow."""
+    far = 4.0 * _lessons().positions[:60]
+    take = _observation(far)
+    found = model.whole(take)
+    np.testing.assert_allclose(found.positions, far, atol=1e-9)
+    assert found.coverage.max() < 1e-6
+    model.start()
+    for k in range(len(far)):
+        stepped = model.step(take.frame(k)).positions
+        np.testing.assert_allclose(stepped, far[k], atol=1e-9)
+
+
+def test_a_take_is_the_same_in_chunks(
+    model: FourierRidge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take = _observation(_lessons().positions[:100])
+    at_once = model.whole(take).positions
+    monkeypatch.setattr(fourier_ridge, "_CHUNK", 17)
+    np.testing.assert_allclose(model.whole(take).positions, at_once, atol=1e-6)
+
+
+def test_live_features_are_those_of_takes_without_what_comes_after(
+    model: FourierRidge,
+) -> None:
+    points = model._points(_lessons().positions[:40])
+    time, toward = np.arange(40) / 30.0, np.tile([0.0, 1.0], (40, 1))
+    whole = model._features(points, points, time, time, toward)
+    for k in (0, 1, 9, 39):
+        past = slice(0, k + 1)
+        live = model._features(
+            points[[k]], points[past], time[[k]], time[past], toward[[k]], live=True
+        )
+        np.testing.assert_allclose(live[0], whole[k, model._live], atol=1e-6)
+
+
+def test_movement_is_by_time_and_not_by_frames(model: FourierRidge) -> None:
+    seen = _lessons().positions[:90]
+    between = 0.5 * (seen[:-1] + seen[1:])
+    twice = np.empty((2 * len(seen) - 1, *seen.shape[1:]))
+    twice[::2], twice[1::2] = seen, between
+    slow = model.whole(_observation(seen)).positions
+    fast = model.whole(_observation(twice, 60.0)).positions
+    np.testing.assert_allclose(fast[::2], slow, atol=2e-3)
+    assert np.abs(slow - seen).max() > 0.02
+
+
+def test_live_motion_goes_on_after_a_pause(model: FourierRidge) -> None:
+    seen = _lessons().positions[:30]
+    take = _observation(seen)
+    late = replace(take, time=take.time + np.where(np.arange(30) < 15, 0.0, 5.0))
+    model.start()
+    made = np.array([model.step(late.frame(k)).positions for k in range(30)])
+    assert np.isfinite(made).all()
+    assert 0.01 < np.abs(made - seen).max() < 0.2
+
+
+def test_missing_joints_go_along_with_their_limb(model: FourierRidge) -> None:
+    hand, wrist = (KINECT_V1.index(part + "Left") for part in ("Hand", "Wrist"))
+    seen = _lessons().positions[:60].copy()
+    there = model.whole(_observation(seen)).positions
+    np.testing.assert_allclose(
+        there[:, hand] - there[:, wrist], seen[:, hand] - seen[:, wrist], atol=1e-12
+    )
+    seen[20:40, wrist] = np.nan
+    found = model.whole(_observation(seen))
+    assert np.isfinite(found.positions).all()
+    assert (found.confidence[20:40, wrist] == 0.0).all()
+
+
+def test_all_skeletons_are_corrected_alike(model: FourierRidge) -> None:
+    """Joints that Kinect v1 lacks do not change what the others get."""
+    other = FourierRidge.from_arrays(KINECT_V2, model.arrays())
+    v1, v2 = _act("squat"), _act("squat", KINECT_V2)
+    shifts = [
+        found.whole(_observation(seen)).positions - seen
+        for found, seen in ((model, v1), (other, v2))
+    ]
+    for joint in ("WristLeft", "KneeRight", "Head"):
+        one = shifts[0][:, KINECT_V1.index(joint)]
+        two = shifts[1][:, KINECT_V2.index(joint)]
+        np.testing.assert_allclose(one, two, atol=1e-4)
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+def test_what_ships_keeps_calm_joints_calm(skeleton: Skeleton) -> None:
+    """Somebody who stands still is moved by a constant, about the same on both sides.
+
+    Random features are as symmetric as they are many.
+    """
+    model = shipped_model(skeleton)
+    rest = standard_body(skeleton).rest_positions
+    still = np.tile(rest - rest[skeleton.root], (60, 1, 1))
+    made = model.whole(_observation(still)).positions
+    np.testing.assert_allclose(made, made[:1].repeat(60, axis=0), atol=1e-6)
+    np.testing.assert_allclose(made[0][skeleton.mirror] * MIRROR, made[0], atol=0.03)
+
+
+@paired
+def test_what_ships_is_what_the_recordings_teach() -> None:
+    """Of fewer clips and features, and nobody simulated: nearly the same offsets."""
+    files = sorted(PAIRS.glob("s*.npz"))
+    lessons = training_set(p for file in files for p in read_pairs(file)[::18])
+    again = FourierRidge(KINECT_V1, samples=512).fit(lessons)
+    shipped = shipped_model(KINECT_V1)
+    differ, moved, raw, left = [], [], [], []
+    accuracy = Accuracy(KINECT_V1)
+    for file in files:
+        pair = read_pairs(file)[4]
+        draft = observed(pair)
+        seen = Observation(
+            draft.standard,
+            draft.reliability,
+            draft.geometry,
+            draft.time,
+            sensor=draft.heading.origin,
+        )
+        made = [method.whole(seen).positions for method in (again, shipped)]
+        truth = standard_truth(pair, draft)
+        differ.append(np.nanmean(accuracy.distances(made[0], made[1])))
+        moved.append(np.nanmean(accuracy.distances(draft.standard, made[1])))
+        raw.append(np.nanmean(accuracy.distances(draft.standard, truth)))
+        left.append(np.nanmean(accuracy.distances(made[1], truth)))
+    assert np.mean(differ) < 0.4 * np.mean(moved)
+    assert np.mean(left) < 0.6 * np.mean(raw)
