@@ -243,7 +243,7 @@ class Reproduce:
         if self.all is None:
             return 0
         with progress_bars() as progress:
-            for line in studies.make_pictures(folder, progress=progress):
+            for line in studies.make_pictures(folder, data=data, progress=progress):
                 out.print(line)
         claims, real = studies.claims, data is not None
         found = claims.judge(folder, recordings=real, quick=self.quick)

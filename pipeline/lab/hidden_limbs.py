@@ -61,7 +61,7 @@ class HiddenLimbs:
             _frames(gap, 100, 30.0)
 
 
-class _Case(NamedTuple):
+class Case(NamedTuple):
     """A take, and its clips in which a limb is hidden, with their first rows."""
 
     take: Take
@@ -96,9 +96,9 @@ def measure_hidden(
     check_methods(methods)
     if every < 1:
         raise InputError(f"--every {every}: expected 1 or more")
-    cases = list(_cases(pairs, options.context))[::every]
+    cases = list(join_cases(pairs, options.context))[::every]
     takes = [pair.take for case in cases for pair, _ in case.hidden]
-    spans = [_span(take, gap) for take in takes for gap in options.gaps]
+    spans = [middle(take, gap) for take in takes for gap in options.gaps]
     skipped = spans.count(None)
     if skipped == len(spans):
         raise InputError(
@@ -134,17 +134,17 @@ def _frames(gap: str, count: int, fps: float) -> int:
     return round(count * float(number) / 100 if share else float(number) * fps)
 
 
-def _span(take: Take, gap: str) -> slice | None:
+def middle(take: Take, gap: str) -> slice | None:
     """Return the frames in the middle of a clip that a gap takes, if they fit."""
     count = _frames(gap, len(take), take.fps)
     start = (len(take) - count) // 2
     return slice(start, start + count) if count > 0 and start >= _SEEN else None
 
 
-def _cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[_Case]:
+def join_cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[Case]:
     """Yield takes: each clip, or all repetitions, of which every third is hidden."""
     if context == "alone":
-        yield from (_Case(pair.take, [(pair, 0)]) for pair in pairs)
+        yield from (Case(pair.take, [(pair, 0)]) for pair in pairs)
         return
     groups: dict[tuple[str, str], list[PairedTake]] = {}
     for pair in sorted(pairs, key=lambda pair: pair.clip):
@@ -167,7 +167,7 @@ def _cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[_Case]:
             takes[0].skeleton,
             takes[0].source,
         )
-        yield _Case(joined, list(zip(group, starts, strict=False))[1::3])
+        yield Case(joined, list(zip(group, starts, strict=False))[1::3])
 
 
 @cache
@@ -188,7 +188,7 @@ def _cleaned(
     return np.array([cleaner.step(*frame).positions for frame in frames]), 0.0
 
 
-def _measure(cases: list[_Case], method: str, options: HiddenLimbs) -> list[Record]:
+def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Record]:
     """Clean takes by a method, once with nothing hidden and once for each limb."""
     found = []
     for case in cases:
@@ -197,7 +197,7 @@ def _measure(cases: list[_Case], method: str, options: HiddenLimbs) -> list[Reco
         for gap, limb in product(options.gaps, options.limbs):
             joints = [skeleton.index(j) for j in HIDDEN[limb] if j in skeleton.joints]
             scored = [j for j in joints if skeleton.joints[j] in LIMBS]
-            spans = [(*h, s) for h in case.hidden if (s := _span(h[0].take, gap))]
+            spans = [(*h, s) for h in case.hidden if (s := middle(h[0].take, gap))]
             blind = take
             for pair, start, span in spans:
                 rows = slice(start + span.start, start + span.stop)

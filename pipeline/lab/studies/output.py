@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,9 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.pipeline.lab.hidden_limbs import join_cases, middle
+from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
+from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.progress import Progress, silent
 
 from .study import Cell, Panel, Series, Study
@@ -36,6 +40,7 @@ _BARS = 0.8  # width of a group of bars, as a share of the distance between grou
 _LEGEND = 5  # entries side by side
 _LEVEL_NAMES = 6  # names of groups that fit side by side
 
+_SHOWN = 2.6  # s of a hidden arm
 _SIZE, _RATE = "480x270", 10.0  # of the animation: small enough to load quickly
 _TIMEOUT = 600.0  # s for a script, ten times what it needs. A guess.
 _PAGES = Path(__file__).parents[3] / "tests" / "pictures" / "pages.py"
@@ -151,16 +156,22 @@ def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> No
             label.set_horizontalalignment("right")
 
 
-def make_pictures(folder: Path, *, progress: Progress = silent) -> Iterator[str]:
+def make_pictures(
+    folder: Path, *, data: Path | None = None, progress: Progress = silent
+) -> Iterator[str]:
     """Make README's pictures in an existing folder, and yield what became of each.
 
-    The animation needs OpenGL; pictures of pages need viser, Chromium and a script
-    that only a checkout has.
+    Animations need OpenGL, that of a hidden arm recordings too; pictures of pages need
+    viser, Chromium and a script that only a checkout has.
     """
     path = folder / "raw_beside_cleaned.gif"
     try:
         _animate(path, progress)
         yield f"wrote {path}"
+        if data is not None:
+            path = folder / "hidden_arm.gif"
+            _hide_an_arm(path, data, progress)
+            yield f"wrote {path}"
     except InputError as error:
         yield f"not made: {path.name} ({error})"
     yield _take_pictures_of_pages(folder)
@@ -177,6 +188,62 @@ def _animate(path: Path, progress: Progress) -> None:
         write_clip(clean(read_take(sample)).clip, clip)
         look = Look(size=_SIZE, fps=_RATE, compare=sample)
         render_clips([clip], path, look, progress=progress)
+
+
+def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
+    """Write an animation of a recorded arm: seen, hidden and held, and hidden."""
+    from matplotlib.image import imread
+
+    from kinefilter.pipeline.look.options import Look
+    from kinefilter.pipeline.look.video import render_clips
+    from kinefilter.pipeline.look.video_files import encode_png, write_gif
+
+    pairs = [
+        pair
+        for pair in read_pairs(data / "ui-prmd" / "s04.npz")
+        if pair.clip.startswith("m07") and not pair.clip.endswith("_inc")
+    ]
+    take, hidden = next(iter(join_cases(pairs, "repetitions")))
+    arm, blind = [j for j in HIDDEN["right-arm"] if j in take.skeleton.joints], take
+    joints = [take.skeleton.index(joint) for joint in arm]
+    held = take.positions.copy()
+    for pair, start in hidden:
+        span = middle(pair.take, "55%")
+        assert span is not None
+        rows, clip = slice(start, start + len(pair.take)), pair.take.positions
+        held[rows] = simple_guesses(clip, take.skeleton, joints, span)["hold"]
+        blind = hide(
+            blind, joints, slice(start + span.start, start + span.stop), "none"
+        )
+    begin = take.time[hidden[1][1]]
+    columns = []
+    with tempfile.TemporaryDirectory() as folder:
+        camera, root = (
+            Path(folder) / "camera.toml",
+            take.positions[0, take.skeleton.root],
+        )
+        there = np.array([root[0], 1.0, root[2]])  # where the sensor looks from
+        place = there * (1.0 - 4.2 / np.hypot(root[0], root[2]))
+        place[1] = 1.1
+        camera.write_text(
+            f"position = {place.tolist()}\ntarget = {there.tolist()}\nfov = 36.0\n"
+        )
+        look = Look(
+            size="200x240",
+            camera=str(camera),
+            start=begin,
+            to=begin + _SHOWN,
+            fps=_RATE,
+        )
+        for k, shown in enumerate((take, replace(take, positions=held), blind)):
+            file, pictures = Path(folder) / f"{k}.npz", Path(folder) / str(k)
+            write_clip(clean(shown).clip, file)
+            render_clips([file], pictures / "%05d.png", look, progress=progress)
+            columns.append([imread(f) for f in sorted(pictures.glob("*.png"))])
+    frames = [np.concatenate(row, axis=1) for row in zip(*columns, strict=True)]
+    coded = [(encode_png((255 * f[..., :3]).astype(np.uint8)), True) for f in frames]
+    height, width = frames[0].shape[:2]
+    write_gif([coded], path, (width, height), _RATE)
 
 
 def _take_pictures_of_pages(folder: Path) -> str:
