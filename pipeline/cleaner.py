@@ -89,7 +89,7 @@ class Cleaner:
             Failures(),  # gross failures: sides put back, impossible limbs distrusted
             MeasureBody(config),  # how long the person's segments are
             Score(config),  # reliability of every joint
-            Reconstruct(),  # hidden limbs, from how they went and moved before
+            Reconstruct(config),  # hidden limbs, from how they went and moved before
             Standardize(),  # to the standard body, root at the origin, facing +z
             Correct(config, corrector),  # what the sensor misplaces, as learned
             MeasureCorrectedBody(config),  # segments again, as corrected

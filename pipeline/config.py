@@ -46,6 +46,9 @@ class CleanConfig:
     reconstruct: bool = True
     """Let hidden limbs go on as they went before joints are corrected; without it,
     the method fills them."""
+    same_person: tuple[Path, ...] = ()
+    """Other takes of the person by the same sensor: hidden limbs move as they do there,
+    too, as far as that would have helped where they were seen."""
     physics: bool = True
     """Pull a simulated character through the motion, so that dynamics hold."""
     feet: Literal["auto", "always", "never"] = "auto"

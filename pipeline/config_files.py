@@ -100,6 +100,9 @@ def _converted(value: object, field: str, where: str, folder: Path | None) -> An
             return float(value)  # type: ignore[arg-type]  # checked in this line
         elif kind is Path and isinstance(value, str):
             return _placed(value, where, folder)
+        elif get_origin(kind) is tuple and isinstance(value, list):
+            if all(isinstance(name, str) for name in value):
+                return tuple(_placed(name, where, folder) for name in value)
         elif type(value) is kind:
             if isinstance(value, str) and names_file(value):
                 return str(_placed(value, where, folder))

@@ -33,6 +33,7 @@ class Settings:
         """The files that the settings name, whether they exist or not."""
         parts = (self.config, self.export)
         values = [getattr(part, f.name) for part in parts for f in fields(part)]
+        values += self.config.same_person
         return tuple(
             Path(value)
             for value in values

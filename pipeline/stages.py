@@ -13,7 +13,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from kinefilter.characters import Body, Origin, State, Term, Tracking
+from kinefilter.characters import (
+    Body,
+    InputError,
+    Origin,
+    State,
+    Take,
+    Term,
+    Tracking,
+)
 from kinefilter.characters.arrays import Array
 from kinefilter.retarget import HeadingFrame, Standardizer
 
@@ -22,6 +30,7 @@ from .correct import Corrector, Hold, Observation
 from .draft import Draft
 from .factory import make_corrector, make_scorer
 from .failures import distrust, find_failures, unmirrored
+from .formats.takes import read_take
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
@@ -30,6 +39,7 @@ from .reliability import Reference, measure_body, measure_reference, rest_refere
 from .target.floor import place_of
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take is to fit a gigabyte
+_BETWEEN = 2.0  # s between takes: nobody moves from one to the next
 _CHUNK = 4096  # frames at a time: an hour's take is to fit a gigabyte
 
 
@@ -161,6 +171,10 @@ class Reconstruct(Stage):
 
     name = "reconstruct"
 
+    def __init__(self, config: CleanConfig) -> None:
+        self._files = config.same_person
+        self._others: list[Take] | None = None
+
     def start(self, body: Body) -> None:
         """Forget all frames."""
         self._tracker = HiddenLimbTracker(body)
@@ -176,9 +190,27 @@ class Reconstruct(Stage):
         """Fill the hidden joints of a take."""
         hidden = draft.missing | (draft.state != State.TRACKED)
         hidden |= (draft.deciding_term == Term.FAILURE) & (draft.reliability <= 0.0)
-        draft.filled, draft.hidden = fill_hidden(
-            draft.time, draft.measured, hidden, draft.skeleton
-        )
+        if hidden.any() and self._others is None:
+            self._others = [read_take(file) for file in self._files]
+        time, positions, first = draft.time, draft.measured, 0
+        seen = hidden
+        for other in self._others or ():
+            if other.skeleton != draft.skeleton:
+                raise InputError(
+                    f"{other.source}: {other.skeleton.name}, but the take is "
+                    f"{draft.skeleton.name}; --same-person needs the same sensor"
+                )
+            if np.array_equal(other.time, draft.time):
+                continue  # this take itself
+            new = np.concatenate([[True], np.diff(other.time) > 0])
+            shift = time[0] - _BETWEEN - other.time[-1]
+            time = np.concatenate([other.time[new] + shift, time])
+            positions = np.concatenate([other.positions[new], positions])
+            unseen = np.isnan(other.positions[new, :, 0])
+            unseen |= other.state[new] != State.TRACKED
+            seen, first = np.concatenate([unseen, seen]), first + int(new.sum())
+        filled, which = fill_hidden(time, positions, seen, draft.skeleton)
+        draft.filled, draft.hidden = filled[first:], which[first:]
 
 
 class Standardize(Stage):

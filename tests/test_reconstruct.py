@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from real_data import PAIRS, paired
 
 from kinefilter import CleanConfig, Cleaner
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
+from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.reconstruct import HiddenLimbTracker, fill_hidden
 from kinefilter.pipeline.reconstruct.continuity import (
@@ -266,3 +269,37 @@ def test_hidden_limbs_of_recorded_people_are_nearer_than_held_ones() -> None:
             holding[name] += error(held, truth, gap, limb[:2])
     assert ours["arm"] < 0.75 * holding["arm"]
     assert ours["leg"] < 0.6 * holding["leg"]
+
+
+def test_another_take_of_the_person_teaches(tmp_path: Path) -> None:
+    """What the take itself does not show, another one does."""
+    truth, gap = waving(100)[10:], slice(30, 70)
+    hidden = hidden_in(90, ARM, gap)
+    state = np.where(hidden, State.NOT_TRACKED, State.TRACKED).astype(np.uint8)
+    empty = np.where(hidden[..., None], np.nan, truth)
+    take = Take(np.arange(90) / RATE, empty, state, KINECT_V1, "take")
+    other = waving(400)
+    every = np.full(other.shape[:2], State.TRACKED, dtype=np.uint8)
+    file = tmp_path / "other.csv"
+    write_take_csv(Take(np.arange(400) / RATE, other, every, KINECT_V1, "other"), file)
+    found = {}
+    for files in ((), (file,)):
+        config = CleanConfig(physics=False, same_person=files)
+        draft = Cleaner(config).until("reconstruct").whole(take)
+        assert draft.filled.shape == truth.shape
+        np.testing.assert_allclose(draft.filled[~hidden], truth[~hidden], atol=1e-5)
+        found[files] = error(draft.filled, truth, gap, ARM)
+    assert found[(file,)] < 0.4 * found[()]
+
+
+def test_a_limb_that_is_hidden_from_the_start_does_not_go_on_from_another_take() -> (
+    None
+):
+    before, after = waving(90), waving(90, together=False)
+    positions = np.concatenate([before, after])
+    time = np.concatenate([np.arange(90), np.arange(90) + 150]) / RATE
+    hidden = hidden_in(180, ARM, slice(90, 120))
+    empty = np.where(hidden[..., None], np.nan, positions)
+    joined = fill_hidden(time, empty, hidden, KINECT_V1)[0][90:]
+    alone = fill_hidden(time[90:], empty[90:], hidden[90:], KINECT_V1)[0]
+    np.testing.assert_allclose(joined[:, ARM[:2]], alone[:, ARM[:2]], atol=1e-2)

@@ -6,7 +6,8 @@ stood, and what the take itself shows of the limb's movement is added.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from .foothold import on_both_ends
 from .recall import SHORTEST, learn
 from .windows import Limb, Seen, describe
 
+_BREAK = 1.0  # s without a frame: what comes after does not go on from before
 PAUSE = 0.2
 """Time without a frame [s] that ends a movement."""
 _BELIEVED = 2.0  # s from a gap's nearer end: beyond, the sensor's guess counts more
@@ -84,10 +86,13 @@ def _trust(time: Array, hidden: Flags) -> Array:
 def _seen(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
     """Return a motion whose gaps, NaN, are bridged segment by segment."""
     rate = 1.0 / nominal_step(time)
+    steps = np.concatenate([[0.0], np.diff(time)])
+    edges = [0, *np.flatnonzero(steps >= _BREAK).tolist(), len(time)]
+    stretches = [slice(a, b) for a, b in pairwise(edges)]
     there = ~np.isnan(positions[..., 0])
     root = positions[:, skeleton.root]
     if there[:, skeleton.root].any():
-        root = bridge(root, there[:, skeleton.root], rate)
+        root = _bridged(root, there[:, skeleton.root], rate, stretches)
     yaw = find_yaw(positions, there.astype(float), skeleton)
     faced = ~np.isnan(yaw)
     frames = np.arange(len(yaw))
@@ -115,16 +120,42 @@ def _seen(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
             bent = np.mean(directions[seen, j] - along[seen], axis=0)
             directions[~seen, j] = unit(along[~seen] + bent)
         else:
-            directions[:, j] = unit(bridge(directions[:, j], known[:, j], rate))
+            directions[:, j] = unit(
+                _bridged(directions[:, j], known[:, j], rate, stretches)
+            )
         follows = placed[:, parents[j]] + lengths[j] * directions[:, j]
         placed[:, j] = np.where(there[:, j, None], placed[:, j], follows)
     ankles = [skeleton.index(f"Ankle{side}") for side in ("Left", "Right")]
     heights = heading.restore(placed)[:, ankles, 1][there[:, ankles]]
     floor = float(np.percentile(heights, _STANDING)) if len(heights) else 0.0
-    joined = np.concatenate([[True], np.diff(time) < max(PAUSE, 1.5 / rate)])
+    joined = steps < max(PAUSE, 1.5 / rate)
+    joined[0] = False
     return Seen(
-        skeleton, rate, heading, placed, directions, known, joined, lengths, floor
+        skeleton,
+        rate,
+        heading,
+        placed,
+        directions,
+        known,
+        joined,
+        steps >= _BREAK,
+        lengths,
+        floor,
     )
+
+
+def _bridged(
+    values: Array, known: Flags, rate: float, stretches: Sequence[slice]
+) -> Array:
+    """Return values (T, C) bridged within stretches; elsewhere the nearest one."""
+    bridged, seen = np.empty_like(values), np.flatnonzero(known)
+    for part in stretches:
+        if known[part].any():
+            bridged[part] = bridge(values[part], known[part], rate)
+        else:
+            nearest = seen[np.argmin(np.abs(seen - part.start))]
+            bridged[part] = values[nearest]
+    return bridged
 
 
 def _gaps(seen: Seen, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
@@ -134,7 +165,9 @@ def _gaps(seen: Seen, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
             known = seen.known[gap].mean(axis=0)
             known[np.isnan(seen.lengths)] = np.nan
             limb = limb_of(seen.skeleton, joints, known)
-            if limb is not None and gap.start > 0:
+            # At the start of a stretch nothing was seen before, and at its end nothing
+            # comes after.
+            if limb is not None and gap.start > 0 and not seen.breaks[gap].any():
                 yield gap, limb
 
 
@@ -195,7 +228,8 @@ def limb_of(
 
 def _fill_limb(seen: Seen, gap: slice, limb: Limb) -> None:
     """Fill a gap of a limb in ``seen``."""
-    length, ahead = gap.stop - gap.start, gap.stop < len(seen.positions)
+    length = gap.stop - gap.start
+    ahead = gap.stop < len(seen.positions) and not seen.breaks[gap.stop]
     if length > _LONGEST * seen.rate:
         return
     start, at = np.array([gap.start]), np.arange(length)[None]

@@ -202,6 +202,7 @@ class HiddenLimbTracker:
             self._directions[:count],
             self._known[:count],
             self._joined[:count],
+            np.zeros(count, dtype=np.bool_),
             self._body.lengths,
             floor,
         )

@@ -60,6 +60,8 @@ class Seen:
     """Whether both ends of each segment were seen, shape (T, J)."""
     joined: Flags
     """Whether each frame follows the one before without a pause, shape (T,)."""
+    breaks: Flags
+    """Whether another take, or the same after a break, begins with a frame, (T,)."""
     lengths: Array
     """Segment lengths [m], shape (J,)."""
     floor: float
