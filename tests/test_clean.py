@@ -106,7 +106,13 @@ def test_the_sampling_is_not_the_solver_and_depends_on_its_seed() -> None:
     )
 
     def cleaned(search: Literal["solver", "stochastic"], seed: int) -> Array:
-        config = CleanConfig(search=search, seed=seed, physics=False)
+        config = CleanConfig(
+            method="local-pca",
+            search=search,
+            seed=seed,
+            physics=False,
+            reconstruct=False,
+        )
         return clean(take, config).clip.positions
 
     solved, sampled = cleaned("solver", 0), cleaned("stochastic", 0)

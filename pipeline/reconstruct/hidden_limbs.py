@@ -53,7 +53,8 @@ def fill_hidden(
     Returns:
         Positions, shape (T, J, 3), and which of them were filled, shape (T, J).
     """
-    hidden = with_tips(hidden, skeleton) & ~hidden.all(axis=0)
+    hidden = with_tips(hidden & ~hidden.all(axis=0), skeleton)
+    hidden &= ~hidden.all(axis=0)
     if not hidden.any() or len(time) < 2:
         return positions, hidden
     seen = _seen(time, np.where(hidden[..., None], np.nan, positions), skeleton)
