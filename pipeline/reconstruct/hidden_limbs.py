@@ -202,6 +202,14 @@ def is_hand(skeleton: Skeleton, joint: int) -> bool:
     return skeleton.joints[joint].startswith(("Hand", "Thumb"))
 
 
+def in_limbs(skeleton: Skeleton) -> Flags:
+    """Return which joints are beyond a shoulder or a hip, shape (J,)."""
+    inside = np.zeros(len(skeleton), dtype=np.bool_)
+    for top, _, _ in limbs(skeleton):
+        inside[skeleton.beyond(top)] = True
+    return inside
+
+
 def limb_of(
     skeleton: Skeleton, joints: tuple[int, int, int], known: Array
 ) -> Limb | None:
