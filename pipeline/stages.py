@@ -19,7 +19,6 @@ from kinefilter.characters import (
     Origin,
     State,
     Take,
-    Term,
     Tracking,
 )
 from kinefilter.characters.arrays import Array, Flags
@@ -195,7 +194,6 @@ class Reconstruct(Stage):
         """Fill the hidden joints of a take."""
         tracked = np.mean(draft.state == State.TRACKED, axis=0)
         hidden = _hidden(draft, tracked)
-        hidden |= (draft.deciding_term == Term.FAILURE) & (draft.reliability <= 0.0)
         if hidden.any() and self._others is None:
             self._others = [read_take(file) for file in self._files]
         time, positions, first = draft.time, draft.measured, 0
