@@ -58,6 +58,12 @@ def rotate(q: ArrayLike, v: ArrayLike) -> Array:
     return np.asarray((v + q[..., :1, None] * t + across @ t)[..., 0])
 
 
+def unit(v: Array) -> Array:
+    """Return vectors (..., 3) at unit length; null vectors stay."""
+    lengths = np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.asarray(v / np.maximum(lengths, 1e-9))
+
+
 def cross(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the cross product of vectors (..., 3).
 

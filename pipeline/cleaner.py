@@ -23,13 +23,13 @@ from .failures import Failure
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .progress import Progress, silent
+from .reconstruct import Reconstruct
 from .stages import (
     Correct,
     Failures,
     MeasureBody,
     MeasureCorrectedBody,
     Physics,
-    Reconstruct,
     Score,
     Stage,
     Standardize,

@@ -15,13 +15,10 @@ import numpy as np
 
 from kinefilter.characters import (
     Body,
-    InputError,
     Origin,
-    State,
-    Take,
     Tracking,
 )
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array
 from kinefilter.retarget import HeadingFrame, Standardizer
 
 from .config import CleanConfig
@@ -29,18 +26,13 @@ from .correct import Corrector, Hold, Observation
 from .draft import Draft
 from .factory import make_corrector, make_scorer
 from .failures import distrust, find_failures, unmirrored
-from .formats.takes import read_take
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
-from .reconstruct import HiddenLimbTracker, fill_hidden, in_limbs
 from .reliability import Reference, measure_body, measure_reference, rest_reference
 from .target.floor import place_of
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take is to fit a gigabyte
-_MOSTLY_INFERRED = 0.3  # share of tracked frames under which a guess is all there is
-_LATELY = 300  # frames that the share is a mean over, live
-_BETWEEN = 2.0  # s between takes: nobody moves from one to the next
 _CHUNK = 4096  # frames at a time: an hour's take is to fit a gigabyte
 
 
@@ -165,56 +157,6 @@ class Score(Stage):
         found = distrust(found, draft.failures, draft.skeleton)
         draft.reliability, draft.geometry = found.reliability, found.geometry
         draft.deciding_term = found.term
-
-
-class Reconstruct(Stage):
-    """Lets limbs that the sensor did not see, or only guessed, go on as they went."""
-
-    name = "reconstruct"
-
-    def __init__(self, config: CleanConfig) -> None:
-        self._files = config.same_person
-        self._others: list[Take] | None = None
-
-    def start(self, body: Body) -> None:
-        """Forget all frames."""
-        self._tracker = HiddenLimbTracker(body)
-        self._tracked, self._frames = np.zeros(len(body.skeleton)), 0
-
-    def step(self, draft: Draft) -> None:
-        """Fill the hidden joints of the next frame."""
-        now = draft.state == State.TRACKED
-        self._frames = min(self._frames + 1, _LATELY)
-        self._tracked = self._tracked + (now - self._tracked) / self._frames
-        draft.filled, draft.hidden = self._tracker.step(
-            draft.measured, _hidden(draft, self._tracked), float(draft.time)
-        )
-
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
-        """Fill the hidden joints of a take."""
-        tracked = np.mean(draft.state == State.TRACKED, axis=0)
-        hidden = _hidden(draft, tracked)
-        if hidden.any() and self._others is None:
-            self._others = [read_take(file) for file in self._files]
-        time, positions, first = draft.time, draft.measured, 0
-        seen = hidden
-        for other in self._others or ():
-            if other.skeleton != draft.skeleton:
-                raise InputError(
-                    f"{other.source}: {other.skeleton.name}, but the take is "
-                    f"{draft.skeleton.name}; --same-person needs the same sensor"
-                )
-            if np.array_equal(other.time, draft.time):
-                continue  # this take itself
-            new = np.concatenate([[True], np.diff(other.time) > 0])
-            shift = time[0] - _BETWEEN - other.time[-1]
-            time = np.concatenate([other.time[new] + shift, time])
-            positions = np.concatenate([other.positions[new], positions])
-            unseen = np.isnan(other.positions[new, :, 0])
-            unseen |= (other.state[new] != State.TRACKED) & in_limbs(draft.skeleton)
-            seen, first = np.concatenate([unseen, seen]), first + int(new.sum())
-        filled, which = fill_hidden(time, positions, seen, draft.skeleton)
-        draft.filled, draft.hidden = filled[first:], which[first:]
 
 
 class Standardize(Stage):
@@ -382,16 +324,6 @@ class Physics(Stage):
             draft.props = result.things.props(place)
         draft.trace = result.trace
         draft.external_force = result.trace.external_force
-
-
-def _hidden(draft: Draft, tracked: Array) -> Flags:
-    """Return which joints are missing, or only inferred beyond shoulder and hip, (J,).
-
-    Of the trunk, what the sensor infers is better than what went before; so it is of
-    a joint that it hardly ever tracks, by the share of frames ``tracked``, (J,).
-    """
-    inferred = (draft.state != State.TRACKED) & (tracked > _MOSTLY_INFERRED)
-    return np.asarray(draft.missing | (inferred & in_limbs(draft.skeleton)))
 
 
 def _known(draft: Draft) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import between, rotate
+from kinefilter.characters.rotations import between, rotate, unit
 
 
 class Hands:
@@ -38,13 +38,8 @@ class Hands:
             turn = between(was, now)
             for j in hand:
                 p, share = self._parents[j], confidence[..., j, None]
-                follows = rotate(turn, _unit(before[..., j, :] - before[..., p, :]))
-                stays = _unit(after[..., j, :] - after[..., p, :])
-                bone = _unit(share * stays + (1.0 - share) * follows)
+                follows = rotate(turn, unit(before[..., j, :] - before[..., p, :]))
+                stays = unit(after[..., j, :] - after[..., p, :])
+                bone = unit(share * stays + (1.0 - share) * follows)
                 carried[..., j, :] = carried[..., p, :] + body.lengths[j] * bone
         return carried
-
-
-def _unit(vectors: Array) -> Array:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(lengths, 1e-9))

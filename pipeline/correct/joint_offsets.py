@@ -17,7 +17,7 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import cross
+from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.progress import Progress, silent
 
 from .interface import Correction, Observation
@@ -90,7 +90,7 @@ class JointOffsets(OffsetCorrector):
             positions[some], confidence[some] = found.positions, found.confidence
         return Correction(positions, None, confidence, np.full(len(positions), nothing))
 
-    def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002
+    def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002 - of the posture alone
         return self.offsets(posture), float("nan")
 
     def offsets(self, postures: Array) -> Array:
@@ -100,12 +100,12 @@ class JointOffsets(OffsetCorrector):
 
     def _vectors(self, postures: Array) -> Array:
         """Return six vectors a joint that turn with the body, shape (..., J, 3, 6)."""
-        along = _unit(postures[..., self._ends, :] - postures[..., self._starts, :])
+        along = unit(postures[..., self._ends, :] - postures[..., self._starts, :])
         ending, across = along[..., :-1, :], along[..., -1:, :]
         starting = ending[..., self._starting, :]
         girdle = postures[..., self.skeleton.girdle, :]
         spine = girdle - postures[..., self.skeleton.root, :]
-        ahead = _unit(cross(across, spine[..., None, :]))
+        ahead = unit(cross(across, spine[..., None, :]))
         vectors = np.empty((*postures.shape, 6))
         vectors[..., 0] = ending
         vectors[..., 1] = starting
@@ -114,8 +114,3 @@ class JointOffsets(OffsetCorrector):
         vectors[..., 4] = cross(ahead, across)
         vectors[..., 5] = ahead
         return vectors
-
-
-def _unit(vectors: Array) -> Array:
-    norms = np.sqrt(np.vecdot(vectors, vectors))
-    return np.asarray(vectors / np.maximum(norms, 1e-6)[..., None])

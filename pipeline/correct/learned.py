@@ -102,7 +102,7 @@ class LearnedCorrector(Corrector, ABC):
         return model
 
     @classmethod
-    def _settings(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:  # noqa: ARG003
+    def _settings(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:  # noqa: ARG003 - none
         """Return the constructor's arguments that a model file holds."""
         return {}
 

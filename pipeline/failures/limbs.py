@@ -8,6 +8,7 @@ from scipy.ndimage import median_filter
 
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.reliability import column_medians
 
 _BACKWARDS = 0.06
@@ -50,7 +51,7 @@ def bent_backwards(take: Take, side: str) -> NDArray[np.bool_]:
     """Return the frames in which a knee is far behind its leg, shape (T,)."""
     hip, knee, ankle = (_joint(take, part, side) for part in ("Hip", "Knee", "Ankle"))
     hips = _joint(take, "Hip", "Left") - _joint(take, "Hip", "Right")
-    front = _unit(np.cross(hips, _upward(take)))
+    front = unit(np.cross(hips, _upward(take)))
     leg, thigh = ankle - hip, knee - hip
     squares = np.maximum(np.sum(leg * leg, axis=1), 1e-9)
     along = np.sum(thigh * leg, axis=1) / squares
@@ -81,7 +82,7 @@ def out_of_range(take: Take, side: str) -> NDArray[np.bool_]:
     in the trunk's axis; counted is the angle to the nearer one.
     """
     left, _, front = trunk_axes(take)
-    arm = _unit(_joint(take, "Elbow", side) - _joint(take, "Shoulder", side))
+    arm = unit(_joint(take, "Elbow", side) - _joint(take, "Shoulder", side))
     inward = np.sum(arm * left, axis=1) * (-1.0 if side == "Left" else 1.0)
     ahead = np.sum(arm * front, axis=1)
     across = -np.cos(_ADDUCTION) * ahead - np.sin(_ADDUCTION) * inward
@@ -141,8 +142,8 @@ def leftward(take: Take) -> Array:
 
 def trunk_axes(take: Take) -> tuple[Array, Array, Array]:
     """Return unit vectors to the left, up along the spine and to the front, (T, 3)."""
-    up = _unit(_upward(take))
-    front = _unit(np.cross(leftward(take), up))
+    up = unit(_upward(take))
+    front = unit(np.cross(leftward(take), up))
     return np.cross(up, front), up, front
 
 
@@ -150,11 +151,6 @@ def _upward(take: Take) -> Array:
     """Return the vector from the root to the middle of the shoulders [m], (T, 3)."""
     girdle = take.positions[:, take.skeleton.girdle]
     return np.asarray(girdle - take.positions[:, take.skeleton.root])
-
-
-def _unit(vectors: Array) -> Array:
-    norms = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(norms, 1e-9))
 
 
 def _joint(take: Take, part: str, side: str = "") -> Array:

@@ -10,6 +10,8 @@ import numpy as np
 
 from kinefilter.characters import Skeleton, State, Take
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import unit
+from kinefilter.pipeline.reconstruct.continuity import REFERENCE_RATE, bridge
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 _PARTS = {
@@ -33,7 +35,6 @@ SIMPLE = ("hold", "slerp", "spline")
 _DRIFT = 0.2  # m/s
 _DRIFT_TURNS = 2.0  # by which the direction of the drift wanders in a second: a guess
 _JITTER = 0.05  # m, standard deviation along each axis
-_SPLINE_ENDS, _SPLINE_STIFFNESS = 10, 3.0  # frames; weight of second differences
 
 
 def hide(
@@ -104,10 +105,9 @@ def simple_guesses(
         parent = skeleton.parents[j]
         bones = facing[:, j] - facing[:, parent]
         lengths = np.linalg.norm(bones, axis=1, keepdims=True)
-        found = _directions(bones / np.maximum(lengths, 1e-9), span)
+        found = _directions(unit(bones), span)
         for limb, ways in zip(guessed.values(), found, strict=True):
-            unit = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
-            limb[span, j] = limb[span, parent] + unit * lengths[span]
+            limb[span, j] = limb[span, parent] + unit(ways) * lengths[span]
     return {name: frame.restore(limb) for name, limb in guessed.items()}
 
 
@@ -117,14 +117,7 @@ def _directions(seen: Array, span: slice) -> tuple[Array, Array, Array]:
     angle = max(float(np.arccos(np.clip(first @ last, -1.0, 1.0))), 1e-6)
     part = np.arange(1, count + 1)[:, None] / (count + 1)
     slerp = np.sin((1 - part) * angle) * first + np.sin(part * angle) * last
-    begin = max(span.start - _SPLINE_ENDS, 0)
-    around, gap = (
-        seen[begin : span.stop + _SPLINE_ENDS],
-        slice(span.start - begin, None),
-    )
-    weights = np.ones(len(around))
-    weights[gap][:count] = 0.0
-    bends = np.diff(np.eye(len(around)), n=2, axis=0)
-    matrix = np.diag(weights) + _SPLINE_STIFFNESS * bends.T @ bends
-    spline = np.linalg.solve(matrix, weights[:, None] * around)[gap][:count]
-    return np.tile(first, (count, 1)), np.asarray(slerp), np.asarray(spline)
+    known = np.ones(len(seen), dtype=np.bool_)
+    known[span] = False
+    spline = bridge(seen, known, REFERENCE_RATE)[span]
+    return np.tile(first, (count, 1)), np.asarray(slerp), spline

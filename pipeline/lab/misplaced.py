@@ -20,6 +20,7 @@ from scipy.special import expit
 from kinefilter.characters import Skeleton, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import nominal_step
+from kinefilter.characters.rotations import unit
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 PARTS = {"Elbow": "Shoulder", "Wrist": "Shoulder", "Knee": "Hip", "Ankle": "Hip"}
@@ -118,7 +119,7 @@ def describe_limbs(take: Take) -> Array:
             far = outwards[0] * np.sin(turned)
             reach = (placed[:, j] - placed[:, begin]) * outwards
             mirrored = (placed[:, other] - placed[:, opposite]) * [-1.0, 1.0, 1.0]
-            along = _unit(positions[:, middle] - positions[:, begin])
+            along = unit(positions[:, middle] - positions[:, begin])
             features[:, j] = np.stack(
                 [
                     np.abs(ratio[:, j]),
@@ -131,8 +132,8 @@ def describe_limbs(take: Take) -> Array:
                     np.maximum(far, 0.0),
                     np.maximum(-far, 0.0),
                     np.cos(turned),
-                    -_unit(bones[:, j])[:, 1],
-                    np.vecdot(_unit(bones[:, j]), along),
+                    -unit(bones[:, j])[:, 1],
+                    np.vecdot(unit(bones[:, j]), along),
                     cover[:, j],
                     _behind_limb(positions, rays, away, j, _SIDES[1 - k], skeleton),
                     np.maximum(-reach[:, 0], 0.0),
@@ -173,8 +174,3 @@ def _filled(positions: Array) -> Array:
     known = ~np.isnan(positions[..., 0])
     last = np.maximum.accumulate(np.where(known, rows, 0), axis=0)
     return np.nan_to_num(np.take_along_axis(positions, last[..., None], axis=0))
-
-
-def _unit(vectors: Array) -> Array:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(lengths, 1e-6))

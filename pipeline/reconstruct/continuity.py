@@ -100,9 +100,3 @@ def coast(last: Array, velocity: Array, elapsed: Array) -> Array:
         elapsed: Time since then [s], broadcastable to the others.
     """
     return np.asarray(last + velocity * (_COAST * (1.0 - np.exp(-elapsed / _COAST))))
-
-
-def unit(vectors: Array) -> Array:
-    """Return vectors (..., 3) at unit length; null vectors stay."""
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(lengths, 1e-9))

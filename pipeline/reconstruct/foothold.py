@@ -5,14 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters.arrays import Array
-
-from .continuity import unit
+from kinefilter.characters.rotations import unit
 
 _RESTS = 1.0  # m/s: an ankle that is much slower than that stands
 _LOW = 0.3  # m over the floor: an ankle much lower than that stands
 _NEAR = 0.3  # m between both ends: a foot that ends much nearer has not stepped
 _LEAVES = 1.0 / 3.0  # s that a foot that steps meanwhile still counts as standing
+_STANDING = 10.0  # percentile of the ankles' heights that is taken for standing
 _STRAIGHT = 0.999  # of a leg's length, the farthest that its ankle goes
+
+
+def standing_height(heights: Array) -> float:
+    """Return the height of a standing ankle from those of both [m]; 0 if unseen."""
+    return float(np.percentile(heights, _STANDING)) if heights.size else 0.0
 
 
 def standing(ankle: Array, rate: float, floor: float) -> Array:

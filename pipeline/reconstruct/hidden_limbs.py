@@ -14,14 +14,15 @@ import numpy as np
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import nominal_step
-from kinefilter.characters.rotations import between, rotate
+from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.runs import runs
 from kinefilter.retarget.stance import smooth_step
 
-from .continuity import bridge, unit
-from .foothold import on_both_ends
+from .continuity import bridge
+from .foothold import on_both_ends, standing_height
+from .limbs import is_hand, limb_of, limbs, with_tips
 from .recall import SHORTEST, learn
 from .windows import Limb, Seen, describe
 
@@ -30,10 +31,6 @@ PAUSE = 0.2
 """Time without a frame [s] that ends a movement."""
 _BELIEVED = 2.0  # s from a gap's nearer end: beyond, the sensor's guess counts more
 _LONGEST = 10.0  # s: what is hidden for longer is bridged and nothing else
-_MOSTLY_SEEN = 0.9  # share of a gap's frames in which a segment has to be seen
-_TIPS = ("Hand", "Foot", "Thumb")
-_LIMBS = (("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle"))
-_STANDING = 10.0  # percentile of the ankles' heights that is taken for standing
 
 
 def fill_hidden(
@@ -126,9 +123,8 @@ def _seen(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
             )
         follows = placed[:, parents[j]] + lengths[j] * directions[:, j]
         placed[:, j] = np.where(there[:, j, None], placed[:, j], follows)
-    ankles = [skeleton.index(f"Ankle{side}") for side in ("Left", "Right")]
-    heights = heading.restore(placed)[:, ankles, 1][there[:, ankles]]
-    floor = float(np.percentile(heights, _STANDING)) if len(heights) else 0.0
+    ankles = [limb[2] for limb in limbs(skeleton)[1::2]]
+    floor = standing_height(heading.restore(placed)[:, ankles, 1][there[:, ankles]])
     joined = steps < max(PAUSE, 1.5 / rate)
     joined[0] = False
     return Seen(
@@ -170,69 +166,6 @@ def _gaps(seen: Seen, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
             # comes after.
             if limb is not None and gap.start > 0 and not seen.breaks[gap].any():
                 yield gap, limb
-
-
-def limbs(skeleton: Skeleton) -> list[tuple[int, int, int]]:
-    """Return shoulder, elbow and wrist, or hip, knee and ankle, of each limb."""
-    return [
-        (
-            skeleton.index(top + side),
-            skeleton.index(middle + side),
-            skeleton.index(end + side),
-        )
-        for side in ("Left", "Right")
-        for top, middle, end in _LIMBS
-    ]
-
-
-def with_tips(hidden: Flags, skeleton: Skeleton) -> Flags:
-    """Return flags (..., J) that hold for hands and feet of hidden wrists and ankles.
-
-    What is seen of a hand whose wrist is not is no more than its place.
-    """
-    hidden = hidden.copy()
-    for _, _, end in limbs(skeleton):
-        for tip in skeleton.beyond(end):
-            hidden[..., tip] |= hidden[..., end]
-    return hidden
-
-
-def is_hand(skeleton: Skeleton, joint: int) -> bool:
-    """Tell whether a joint is beyond the wrist."""
-    return skeleton.joints[joint].startswith(("Hand", "Thumb"))
-
-
-def in_limbs(skeleton: Skeleton) -> Flags:
-    """Return which joints are beyond a shoulder or a hip, shape (J,)."""
-    inside = np.zeros(len(skeleton), dtype=np.bool_)
-    for top, _, _ in limbs(skeleton):
-        inside[skeleton.beyond(top)] = True
-    return inside
-
-
-def limb_of(
-    skeleton: Skeleton, joints: tuple[int, int, int], known: Array
-) -> Limb | None:
-    """Return what of a limb is hidden; None where it is seen.
-
-    Args:
-        skeleton: The joints.
-        joints: The limb, from the trunk outwards.
-        known: Share of a gap's frames in which each segment is seen, NaN for one that
-            never is, shape (J,).
-    """
-    gone = tuple(j for j in joints[1:] if known[j] < 0.5)
-    if not gone:
-        return None
-    visible = tuple(
-        j
-        for j in skeleton.segments.tolist()
-        if j not in joints[1:]
-        and known[j] >= _MOSTLY_SEEN
-        and not skeleton.joints[j].startswith(_TIPS)
-    )
-    is_leg = skeleton.joints[joints[0]].startswith("Hip") and joints[2] in gone
-    return Limb(gone, visible, joints if is_leg else None)
 
 
 def _fill_limb(seen: Seen, gap: slice, limb: Limb) -> None:

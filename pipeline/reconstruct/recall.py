@@ -15,9 +15,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.rotations import unit
 from kinefilter.retarget.runs import runs
 
-from .continuity import CONTEXT, unit
+from .continuity import CONTEXT
 from .windows import Limb, Seen, Windows, describe
 
 SHORTEST = 0.4

@@ -8,13 +8,14 @@ import numpy as np
 
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.characters.rotations import between, rotate
+from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.stance import smooth_step
 
-from .continuity import unit
-from .hidden_limbs import PAUSE, is_hand, limb_of, limbs, with_tips
+from .foothold import standing_height
+from .hidden_limbs import PAUSE
+from .limbs import is_hand, limb_of, limbs, with_tips
 from .recall import Recall, learn
 from .windows import Limb, Seen, describe
 
@@ -25,7 +26,6 @@ _FADES = 0.1  # s in which what was learned comes in
 _STRETCH = 1.5  # s hidden, in what is learned from
 _NEW = 0.03  # share of a frame in how a hand is bent on average: about a second
 _RATE = 30.0  # Hz, until the stream shows its own
-_STANDING = 10.0  # percentile of the ankles' heights that is taken for standing
 
 
 @dataclass(eq=False)
@@ -188,7 +188,7 @@ class HiddenLimbTracker:
         """Return the height of a standing ankle [m]."""
         ankles = [joints[2] for joints in self._limbs[1::2]]
         heights = self._positions[:count, ankles, 1] + self._root[:count, 1, None]
-        return float(np.percentile(heights, _STANDING))
+        return standing_height(heights)
 
     def _seen(self, count: int, floor: float) -> Seen:
         """Return what was seen so far."""

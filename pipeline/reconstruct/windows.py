@@ -12,9 +12,10 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.rotations import unit
 from kinefilter.retarget import HeadingFrame
 
-from .continuity import CONTEXT, SPEED_FRAMES, bridge_matrix, coast, unit
+from .continuity import CONTEXT, SPEED_FRAMES, bridge_matrix, coast
 from .foothold import bent, hold_place, standing
 
 # Length scale of each feature: how much of it makes postures unlike. From experiments

@@ -163,7 +163,7 @@ class Exemplar(OffsetCorrector):
         """Return what is compared: every joint that the sensor measures, (N, F)."""
         return postures[:, self.seen_].reshape(len(postures), -1)
 
-    def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002
+    def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002 - of the posture alone
         features = self._features(posture[None])[0]
         squares = self._squares - 2.0 * (self._rows @ features) + features @ features
         count = min(self.neighbors, len(squares))

@@ -21,6 +21,7 @@ from scipy.special import expit
 
 from kinefilter.characters import STANDARD_HEIGHT, InputError, Skeleton, State, Term
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.formats.npz import read_arrays
 from kinefilter.pipeline.pairs import PairedTake
@@ -200,8 +201,8 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         across = posture[left] - posture[right]
         spine = posture[self.skeleton.girdle] - posture[self.skeleton.root]
         ahead = _cross(across, spine)
-        frame = _unit(np.array([across, _cross(ahead, across), ahead]))
-        directions = _unit(posture[self._ends] - posture[self._starts])
+        frame = unit(np.array([across, _cross(ahead, across), ahead]))
+        directions = unit(posture[self._ends] - posture[self._starts])
         parts = np.concatenate([self._scale * posture[None], directions])
         turned = (parts @ frame.T) * self._mirrored
         return turned.transpose(1, 0, 2).reshape(len(posture), _DIRECTIONS)
@@ -265,8 +266,3 @@ def _cross(a: Array, b: Array) -> Array:
     """Return the cross product of two vectors; numpy's takes as long as all else."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-
-
-def _unit(vectors: Array) -> Array:
-    norms = np.sqrt(np.einsum("...c,...c->...", vectors, vectors))
-    return np.asarray(vectors / np.maximum(norms, 1e-6)[..., None])

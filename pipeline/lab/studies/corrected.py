@@ -44,7 +44,7 @@ class StandardizedTake:
         """
         positions = self.pair.take.positions
         if method is not None:
-            cleaner = Cleaner().without("failures").until("correct")
+            cleaner = Cleaner().without("failures", "reconstruct").until("correct")
             correct = Correct(CleanConfig(), method)
             positions = cleaner.replaced(correct).whole(self.pair.take).positions
         accuracy = Accuracy(self.pair.take.skeleton)

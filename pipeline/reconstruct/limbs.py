@@ -1,0 +1,87 @@
+"""Which joints are a limb, and what of a limb is hidden."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from kinefilter.characters import Skeleton
+from kinefilter.characters.arrays import Array, Flags
+
+from .windows import Limb
+
+_MOSTLY_SEEN = 0.9  # share of a gap's frames in which a segment has to be seen
+_TIPS = ("Hand", "Foot", "Thumb")
+_LIMBS = (("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle"))
+
+
+@cache
+def limbs(skeleton: Skeleton) -> tuple[tuple[int, int, int], ...]:
+    """Return shoulder, elbow and wrist, or hip, knee and ankle, of each limb."""
+    return tuple(
+        (
+            skeleton.index(top + side),
+            skeleton.index(middle + side),
+            skeleton.index(end + side),
+        )
+        for side in ("Left", "Right")
+        for top, middle, end in _LIMBS
+    )
+
+
+@cache
+def in_limbs(skeleton: Skeleton) -> Flags:
+    """Return which joints are beyond a shoulder or a hip, shape (J,)."""
+    inside = np.zeros(len(skeleton), dtype=np.bool_)
+    for top, _, _ in limbs(skeleton):
+        inside[skeleton.beyond(top)] = True
+    return inside
+
+
+def with_tips(hidden: Flags, skeleton: Skeleton) -> Flags:
+    """Return flags (..., J) that hold for hands and feet of hidden wrists and ankles.
+
+    What is seen of a hand whose wrist is not is no more than its place.
+    """
+    tips, ends = _tips(skeleton)
+    hidden = hidden.copy()
+    hidden[..., tips] |= hidden[..., ends]
+    return hidden
+
+
+@cache
+def _tips(skeleton: Skeleton) -> tuple[list[int], list[int]]:
+    """Return the joints beyond wrists and ankles, and the wrist or ankle of each."""
+    pairs = [(t, end) for _, _, end in limbs(skeleton) for t in skeleton.beyond(end)]
+    return [tip for tip, _ in pairs], [end for _, end in pairs]
+
+
+def is_hand(skeleton: Skeleton, joint: int) -> bool:
+    """Tell whether a joint is beyond the wrist."""
+    return skeleton.joints[joint].startswith(("Hand", "Thumb"))
+
+
+def limb_of(
+    skeleton: Skeleton, joints: tuple[int, int, int], known: Array
+) -> Limb | None:
+    """Return what of a limb is hidden; None where it is seen.
+
+    Args:
+        skeleton: The joints.
+        joints: The limb, from the trunk outwards.
+        known: Share of a gap's frames in which each segment is seen, NaN for one that
+            never is, shape (J,).
+    """
+    gone = tuple(j for j in joints[1:] if known[j] < 0.5)
+    if not gone:
+        return None
+    visible = tuple(
+        j
+        for j in skeleton.segments.tolist()
+        if j not in joints[1:]
+        and known[j] >= _MOSTLY_SEEN
+        and not skeleton.joints[j].startswith(_TIPS)
+    )
+    is_leg = skeleton.joints[joints[0]].startswith("Hip") and joints[2] in gone
+    return Limb(gone, visible, joints if is_leg else None)
