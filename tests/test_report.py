@@ -181,15 +181,12 @@ def test_clips_of_other_kinds_have_nearly_the_metrics_of_the_whole_clip(
     suffix: str, tmp_path: Path
 ) -> None:
     take = read_take(sample_path())
-    clip = clean(take, CleanConfig(method="none", physics=False)).clip
+    clip = clean(take, CleanConfig(physics=False)).clip
     write_clip(clip, tmp_path / f"clip{suffix}")
     found = read_comparison(tmp_path / f"clip{suffix}", sample_path())
     expected = compare(clip, take)
-    for name in ("jitter", "peak_hand_speed"):
+    for name in ("jitter", "peak_hand_speed", "moved_cm"):
         assert found.after[name] == pytest.approx(expected.after[name], rel=0.1)
-    # Where BVH and CSV are in the take's frame is what moves the joints least.
-    moved = expected.after["moved_cm"]
-    assert 0.8 * moved < found.after["moved_cm"] < 1.1 * moved
     write_report(found, tmp_path / "report.html")
     rates = _numbers(_contents(tmp_path / "report.html")["reliability"], "u1")
     assert rates.max() <= 100

@@ -187,7 +187,7 @@ def test_bones_keep_their_length_and_nothing_is_under_the_floor(
     posed = target_of(walk, feet=feet).posed
     assert bone_length_cv(posed, BODY) < 1e-9
     # Feet that are kept where the body is not can pull the toes down.
-    least = -0.05 if feet == "always" else -0.005
+    least = -0.03 if feet == "always" else -0.005
     assert lowest_point(posed, BODY).min() > least
 
 
@@ -253,7 +253,7 @@ def test_a_few_frames_have_contacts_too(frames: int) -> None:
 def test_a_second_without_the_person_is_bridged(walk: Motion) -> None:
     path = walk.positions.copy()
     path[60:90] = np.nan
-    assert _standing_toes_move(_cleaned(walk.time, path)) < 5e-3
+    assert _standing_toes_move(_cleaned(walk.time, path)) < 4e-3
 
 
 @pytest.mark.parametrize("part", ["Ankle", "Foot", "Ankle Foot", "Knee Ankle Foot"])

@@ -224,7 +224,9 @@ class Bones(Stage):
         )
         moved -= positions
         moved = smooth(draft.time, moved, np.ones(weights.shape), cutoff=_BONES_CUTOFF)
-        draft.positions = put_on_floor(bones.project(positions + moved, weights), body)
+        there = put_on_floor(bones.project(positions + moved, weights), body)
+        # Lifted toes are on longer legs: once more, as the body has to follow them.
+        draft.positions = put_on_floor(bones.project(there, weights), body)
 
 
 class Orient(Stage):
