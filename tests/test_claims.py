@@ -195,7 +195,7 @@ def test_recordings_are_looked_for_where_they_are_kept(
     assert recordings_folder(None) is not None
     assert recordings_folder(tmp_path) == tmp_path
     with pytest.raises(InputError, match="recordings"):
-        reproduce("untrained", Options(data=tmp_path), quick=True)
+        reproduce("methods-new-people", Options(data=tmp_path), quick=True)
 
 
 def test_a_picture_that_cannot_be_made_is_told(

@@ -184,9 +184,9 @@ class Evaluate:
 class Reproduce:
     """Measure again what README and the papers say: a table and a plot for each study.
 
-    Studies of takes and of marker mocap: cleaned-takes, marker-mocap, untrained,
-    methods-new-people, methods-known-people, failures, reliability; of speed: speed,
-    million-postures; of the papers, on simulated takes: shum-table-3, shum-table-4,
+    Studies of takes and of marker mocap: cleaned-takes, methods-new-people,
+    methods-known-people, failures, reliability; of speed: speed, million-postures; of
+    the papers, on simulated takes: shum-table-3, shum-table-4,
     shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5, chiang-figure-5.
 
     With --all, every study and picture is made and every figure of README compared with

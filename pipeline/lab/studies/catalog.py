@@ -11,10 +11,10 @@ from typing import NamedTuple
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path
 
-from .cleaned_takes import cleaned_takes, marker_mocap
+from .cleaned_takes import cleaned_takes
 from .detection import failures, reliability
 from .learned_methods import chiang_figure_5, liu_figure_3, liu_figure_7, liu_table_5
-from .methods import methods_known_people, methods_new_people, untrained
+from .methods import methods_known_people, methods_new_people
 from .shum import shum_figure_8, shum_table_3, shum_table_4
 from .speed import million_postures, speed
 from .study import Options, Study
@@ -33,8 +33,6 @@ class _Entry(NamedTuple):
 
 STUDIES: dict[str, _Entry] = {
     "cleaned-takes": _Entry(cleaned_takes, {"count": 2}),
-    "marker-mocap": _Entry(marker_mocap, {"movements": 1}),
-    "untrained": _Entry(untrained, {"count": 2, "movements": 1}),
     "methods-new-people": _Entry(methods_new_people, {"count": 2, "movements": 1}),
     "methods-known-people": _Entry(methods_known_people, {"count": 1, "movements": 1}),
     "failures": _Entry(failures, {"count": 2, "movements": 1}),

@@ -1,4 +1,4 @@
-"""What ``clean`` makes of takes with default settings, and how near mocap it comes."""
+"""What ``clean`` makes of takes with default settings."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinefilter import CleanConfig, CleanResult, clean, read_take
-from kinefilter.pipeline.lab.accuracy import Accuracy, Tally
+from kinefilter import CleanResult, clean, read_take
 from kinefilter.pipeline.lab.simulate import simulate
-from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.progress import over
 from kinefilter.scenes.library import MOTIONS
 
-from .study import Cell, Options, Panel, Series, Study, series_of
-from .takes import clips_of, recorded_people, recorded_takes
+from .study import Cell, Options, Panel, Series, Study
+from .takes import recorded_takes
 
 _SEED = 4000  # of the first simulated take, above all people of the database
 _DRAWN = ("feet slide, mm a frame", "jitter, share of raw")
@@ -23,15 +21,6 @@ _LOW_IS_WORSE = (
     "peak hand speed, after over before physics",
     "amplitude, share of raw",
 )
-
-_MOCAP_PEOPLE = ("s03", "s06", "s07", "s08")  # those on whom little was chosen
-_EVERY = 5  # one in this many of a person's clips is cleaned
-_CONFIGS = {
-    "smoothed": CleanConfig(method="none", physics=False),
-    "smoothed, physics": CleanConfig(method="none"),
-    "default, no physics": CleanConfig(physics=False),
-    "default": CleanConfig(),
-}
 
 
 def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
@@ -113,47 +102,3 @@ def _sorted_takes(name: str, found: dict[str, list[float]]) -> Panel:
         if values
     ]
     return Panel("share of the takes, %", name, lines)
-
-
-def marker_mocap(options: Options, *, movements: int = 10) -> Study:
-    """Clean every fifth clip of four people and compare it with their marker mocap.
-
-    The weights of the default were learned on UI-PRMD's six people: for these four it
-    tells how well they are remembered, for strangers see ``methods_new_people``. E is
-    the distance of limb joints, relative to the middle of the hips; E_var the same
-    without each joint's constant offset over a clip; both are means over frames and
-    joints, then over people. Jitter is the mean over clips, of limb joints. Without
-    recordings, simulated people and their truth stand in. Clips are those of the first
-    ``movements``.
-    """
-    people = _MOCAP_PEOPLE if options.data else recorded_people(None)
-    pairs = [
-        pair
-        for name in over(people, "people", options.progress)
-        for pair in clips_of([name], movements, options)[::_EVERY]
-    ]
-    accuracy = Accuracy(pairs[0].take.skeleton)
-    names = ("raw", *_CONFIGS, "mocap")
-    tallies = {name: Tally(accuracy) for name in names}
-    jitters: dict[str, list[float]] = {name: [] for name in names}
-    for pair in over(pairs, "clean", options.progress):
-        take, motions = pair.take, {"raw": pair.take.positions, "mocap": pair.truth}
-        for name, config in _CONFIGS.items():
-            motions[name] = clean(take, config).clip.positions
-        for name, positions in motions.items():
-            tallies[name].add(pair, positions, 0.0)
-            jitters[name].append(jitter(take.time, positions[:, accuracy.limbs]))
-    mean_jitter = {name: float(np.mean(values)) for name, values in jitters.items()}
-    rows: list[tuple[Cell, ...]] = []
-    for name, tally in tallies.items():
-        found = tally.summary()
-        errors = (found["E"], found["E_std"], found["E_var"])
-        rows.append((name, *errors, mean_jitter[name]))
-    bars = series_of(rows[:-1], {"E": 1, "E_var": 3}, kind="bars")
-    ratio = mean_jitter["default"] / mean_jitter["mocap"]
-    return Study(
-        title=f"{len(pairs)} clips of four people, against their marker mocap",
-        columns=("motion", "E_cm", "E_std_cm", "E_var_cm", "jitter_m_per_s3"),
-        rows=[*rows, ("default over mocap", None, None, None, ratio)],
-        panels=[Panel("motion", "error, cm", bars)],
-    )

@@ -18,7 +18,7 @@ from .takes import clips_of, recorded_people
 
 _METHODS = (
     *("none", "butterworth", "savgol", "one-euro", "kalman", "low-rank", "local-pca"),
-    *("default", "exemplar", "full-gp", "local-gp", "clustered-gp", "learned"),
+    *("exemplar", "full-gp", "local-gp", "clustered-gp", "learned"),
 )
 _ERRORS = ("E", "E_std", "E_var")
 _EVERY = 5  # one in this many of the clips to test on is cleaned, by every method
@@ -37,7 +37,7 @@ def methods_new_people(
     Without recordings, simulated people stand in. At most ``count`` people take part,
     with the first ``movements``.
     """
-    found = _person_by_person(options, count, movements, trained=True)
+    found = _person_by_person(options, count, movements)
     return _study("Methods on people whom they did not learn from", found)
 
 
@@ -61,26 +61,13 @@ def methods_known_people(
     return _study(title, _errors(figures))
 
 
-def untrained(options: Options, *, count: int = 1000, movements: int = 10) -> Study:
-    """Test what ``clean`` does by default, physics included, on everybody.
-
-    As ``kinefilter evaluate --test PEOPLE --methods none,default --physics``. The worst
-    person is the one whose error rises most or falls least. The weights that ship were
-    learned on UI-PRMD's six people: on them this tells how well they are remembered,
-    and ``methods_new_people`` what strangers get. Otherwise like the latter.
-    """
-    found = _person_by_person(options, count, movements, trained=False)
-    title = "The default, physics included"
-    return _study(title, found)
-
-
 def _person_by_person(
-    options: Options, count: int, movements: int, *, trained: bool
+    options: Options, count: int, movements: int
 ) -> dict[str, _People]:
     """Return the errors of methods, tested on one person after the other."""
     people = recorded_people(options.data)[:count]
     quiet = replace(options, progress=silent)  # other processes show none
-    run = partial(_on_person, people, movements, quiet, trained)
+    run = partial(_on_person, people, movements, quiet)
     merged: dict[str, _People] = {}
     with workers() as pool:
         parts = pool.map(run, people)
@@ -91,12 +78,10 @@ def _person_by_person(
 
 
 def _on_person(
-    people: Sequence[str], movements: int, options: Options, trained: bool, name: str
+    people: Sequence[str], movements: int, options: Options, name: str
 ) -> dict[str, _People]:
     """Return the errors of methods on somebody; trained ones learn from the others."""
     test = clips_of([name], movements, options)[::_EVERY]
-    if not trained:
-        return _errors(evaluate([], test, ("none", "default"), physics=True))
     others = [other for other in people if other != name]
     train = clips_of(others, movements, options)
     return _errors(evaluate(train, test, _METHODS, ablation=True, database="mocap"))
