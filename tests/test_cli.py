@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 import signal
-import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
-from viewing import ended, viewing
 
 from kinefilter import Cleaner
 from kinefilter.characters import KINECT_V1, KINECT_V2
@@ -299,91 +296,6 @@ def test_bench_measures_every_stage(tmp_path: Path) -> None:
     assert all(value > 0 for value in stages.values())
     assert found["mj_step_ms_per_frame"] > 0
     assert found["search"]["share_of_frames_lower_energy"] >= 0.95
-
-
-def test_every_command_is_in_the_readme() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for command in (
-        *("clean", "info", "database build", "train", "evaluate"),
-        *("simulate", "reproduce", "bench", "character", "render"),
-        *("report", "view", "live", "replay", "batch"),
-    ):
-        assert f"kinefilter {command}" in readme
-
-
-def _readme_commands() -> list[str]:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```sh\n(.*?)```", readme, re.DOTALL)
-    lines = [line.strip() for block in blocks for line in block.splitlines()]
-    commands = [part.strip() for line in lines for part in line.split("&&")]
-    return [c for c in commands if c.startswith("kinefilter ")]
-
-
-def test_every_readme_command_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    commands = _readme_commands()
-    assert len(commands) >= 5
-    for command in commands:
-        if "cmu.npz" in command and not (tmp_path / "cmu.npz").exists():
-            builtin_database(KINECT_V1).save(tmp_path / "cmu.npz")
-        recorded = "shared" in command or "model" in command
-        if recorded and not (ROOT.parent / "shared").is_dir():
-            continue
-        if command.startswith("kinefilter view "):  # which serves until it is ended
-            _serves_until_ended(_arguments(command)[1:])
-        else:
-            assert main(_arguments(command)) == 0, command
-
-
-def _serves_until_ended(arguments: list[str]) -> None:
-    with viewing(arguments) as (process, address):
-        with urllib.request.urlopen(address, timeout=20) as page:
-            assert page.status == 200
-        assert ended(process) == (0, "")
-
-
-def _arguments(command: str) -> list[str]:
-    """Return a README command's words, its paths resolved as if in the checkout."""
-    words = shlex.split(command)[1:]
-    paths = {"scenes/": ROOT / "scenes", "../shared/": ROOT.parent / "shared"}
-    resolved: list[str] = []
-    for word in words:
-        for prefix, folder in paths.items():
-            if word.startswith(prefix):
-                word = str(folder / word.removeprefix(prefix))
-        if "*" in word:
-            matches = sorted(Path(word).parent.glob(Path(word).name))
-            resolved += [str(_few_clips(p)) for p in matches[:2]]
-        else:
-            resolved.append(word)
-    return resolved
-
-
-def _few_clips(path: Path) -> Path:
-    """Return a file as it is, of pairs one with a few of their clips in this folder."""
-    if path.suffix != ".npz":
-        return path
-    with np.load(path) as file:
-        arrays = dict(file)
-    for name in ("clip", "start", "stop"):
-        arrays[name] = arrays[name][::25]
-    np.savez_compressed(path.name, **arrays)
-    return Path(path.name)
-
-
-def test_the_readmes_python_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert blocks
-    monkeypatch.chdir(tmp_path)
-    for block in blocks:
-        code = block.replace("scenes/", f"{ROOT.as_posix()}/scenes/")
-        exec(compile(code, "README.md", "exec"), {})
-    assert any(tmp_path.iterdir())
 
 
 def test_help_has_every_command_in_a_group_with_one_sentence(

@@ -14,7 +14,6 @@ from kinefilter import CleanConfig, PostureDatabase, clean
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
-    Body,
     InputError,
     State,
     Take,
@@ -389,36 +388,6 @@ def test_only_local_gp_learns_on(
         clean(take, CleanConfig(model=tmp_path / "learned.npz", adapt=True))
     with pytest.raises(InputError, match="--adapt needs --model"):
         clean(take, CleanConfig(adapt=True))
-
-
-@pytest.mark.parametrize("measure", ["distances", "standardized", "varying"])
-def test_the_truth_is_no_error_away_from_itself(measure: str) -> None:
-    act = perform("bend", standard_body(KINECT_V1), seed=0)
-    error = getattr(Accuracy(KINECT_V1), measure)(act.positions, act.positions)
-    np.testing.assert_allclose(error, 0.0, atol=1e-12)
-
-
-def test_a_constant_offset_is_an_error_but_no_varying_one() -> None:
-    act = perform("bend", standard_body(KINECT_V1), seed=0)
-    moved = act.positions.copy()
-    wrist = KINECT_V1.index("WristLeft")
-    moved[:, wrist] += [0.0, 0.12, 0.0]
-    accuracy = Accuracy(KINECT_V1)
-    column = accuracy.limbs.index(wrist)
-    assert accuracy.distances(moved, act.positions)[:, column] == pytest.approx(0.12)
-    assert accuracy.varying(moved, act.positions)[:, column] == pytest.approx(0.0)
-
-
-def test_size_is_an_error_but_no_standardized_one() -> None:
-    small, tall = (_standing(h) for h in (1.5, 1.9))
-    accuracy = Accuracy(KINECT_V1)
-    assert accuracy.distances(small, tall).max() > 0.1
-    np.testing.assert_allclose(accuracy.standardized(small, tall), 0.0, atol=1e-12)
-
-
-def _standing(height: float) -> Array:
-    body: Body = standard_body(KINECT_V1, height=height)
-    return body.rest_positions[None]
 
 
 @paired
