@@ -110,7 +110,7 @@ def _changed(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
 def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
     page: Browser, viewer: Viewer
 ) -> None:
-    start = _seen(page, lambda pixels: _blues(pixels) > 100)
+    start = _seen(page, lambda pixels: _blues(pixels) > 50)
     shown = start
     for name in ("skin", "raw", "cleaned", "physics", "contacts", "forces"):
         page.run(_CHECK, name)
