@@ -28,6 +28,9 @@ class CleanConfig:
     by the weights of learned that ship, then local-pca. none fills gaps only."""
     model: Path | None = None
     """Model (.npz) of 'kinefilter train'; with --method local-pca, that follows it."""
+    person: str | None = None
+    """Who is in the take: one of the people that --model knows by name, after
+    'kinefilter train --people'."""
     adapt: bool = False
     """Let a model of local-gp learn on from the take, where it is sure."""
     scoring: ScorerName = "shum"

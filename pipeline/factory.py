@@ -37,6 +37,8 @@ def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
         return _from_model(skeleton, config, load_model(config.model))
     if config.adapt:
         raise InputError("--adapt needs --model with a model of method local-gp")
+    if config.person is not None:
+        raise InputError("--person needs --model, of 'kinefilter train --people'")
     name = config.method or "default"
     method = METHODS[name]
     if method.made_of == "pairs":
@@ -93,6 +95,14 @@ def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Correc
             "follow the model"
         )
     corrector: Any = model.corrector
+    if config.person is not None:
+        people = corrector.people_.tolist() if model.method == "learned" else []
+        if config.person not in people:
+            raise InputError(
+                f"{config.model}: knows nobody called {config.person!r}, but "
+                f"{', '.join(people) or 'nobody'}; train it with --people"
+            )
+        corrector.know(config.person)
     if config.adapt:
         if "adapt" not in METHODS[model.method].options:
             raise InputError(

@@ -257,6 +257,7 @@ class Correct(Stage):
             draft.time,
             body.lengths,
             draft.heading.origin,
+            draft.hidden,
         )
 
 

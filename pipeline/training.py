@@ -56,6 +56,7 @@ def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
         f"{len(counts)} clips of {', '.join(names)}",
         lengths,
         np.repeat(people, counts),
+        tuple(subjects),
         time,
         sensor,
     )

@@ -41,7 +41,8 @@ class Evaluate:
     where it is seen next (slerp), or smoothed through both (spline).
 
     With --views, the limbs of a sensor beside a person are compared with those that a
-    sensor in front of the person saw at the same time.
+    sensor in front of the person saw at the same time; the method learned then learns
+    from --train and from the sessions of other people.
     """
 
     pairs: Positional[tuple[Path, ...]] = ()
@@ -173,7 +174,11 @@ class Evaluate:
         methods = (self.methods or "none,default").split(",")
         with progress_bars() as progress:
             figures = compare_views(
-                sessions, methods, physics=self.physics, progress=progress
+                sessions,
+                methods,
+                train=list(clips_of(self.train, progress)),
+                physics=self.physics,
+                progress=progress,
             )
         write_json(figures, self.json)
         out.print(as_table(figures))

@@ -23,8 +23,8 @@ class Train:
     """Teach a correction method from pairs of Kinect and mocap.
 
     The weights that clean has by default (pipeline/embedded/learned.npz) are what the
-    six files of UI-PRMD teach, in some minutes. learned learns from simulated people
-    as well, beside the recorded ones.
+    six files of UI-PRMD and the sessions of two Kinects teach, in some minutes. learned
+    learns from simulated people as well, beside the recorded ones.
     """
 
     out: Annotated[Path, arg(aliases=["-o"])]
@@ -37,11 +37,17 @@ class Train:
     """Simulate people with things before them and in their hands, not alone."""
     method: LearnedName = "learned"
     """What to teach."""
+    views: tuple[Path, ...] = ()
+    """Sessions of two sensors, NAME.sync.csv beside NAME_A and NAME_B, or folders of
+    them: they teach learned how limbs on the far side of the body move."""
+    people: bool = False
+    """Let learned know the people in the pairs by name, for clean --person."""
 
     def run(self) -> int:
         """Learn and write."""
         from kinefilter.pipeline.lab.simulate import furnished_pairs, simulated_pairs
         from kinefilter.pipeline.lab.teach import teach
+        from kinefilter.pipeline.lab.two_views import find_sessions, view_pairs
         from kinefilter.pipeline.models import Model, save_model
         from kinefilter.pipeline.training import training_set
 
@@ -49,15 +55,27 @@ class Train:
             raise InputError("give pairs files or --simulated SKELETON, not both")
         if self.furnished and self.simulated is None:
             raise InputError("--furnished needs --simulated SKELETON")
+        if self.method != "learned" and (self.views or self.people):
+            raise InputError(f"--views and --people are for learned, not {self.method}")
         files = in_folders(self.pairs, (".npz",))
         check_output(self.out, *files, suffix=".npz")
+        sessions = find_sessions(self.views, None)
         with progress_bars() as progress:
             if self.simulated is None:
                 lessons = training_set(clips_of(files, progress))
             else:
                 simulated = furnished_pairs if self.furnished else simulated_pairs
                 lessons = training_set(simulated(self.simulated, progress=progress))
-            learner = teach(self.method, lessons, progress=progress)
+            views = None
+            if sessions:
+                views = training_set(view_pairs(sessions, progress))
+            learner = teach(
+                self.method,
+                lessons,
+                views=views,
+                people=self.people,
+                progress=progress,
+            )
         model = Model(learner, self.method, lessons.skeleton, lessons.source)
         save_model(model, self.out)
         out.print(f"wrote {self.out}: {self.method}, learned from {lessons.source}")

@@ -1,6 +1,6 @@
 """The learned corrector: a Gaussian process over posture and movement, as weights.
 
-The kernel k(x, x') = exp(-|x - x'|^2 / 2) + 0.4 x.x' is a product of features:
+The kernel k(x, x') = exp(-|x - x'|^2 / 2) + 0.8 x.x' is a product of features:
 Fourier's at random, orthogonal frequencies (Yu et al. 2016, Orthogonal random features,
 NeurIPS) and the linear ones. So a model is a matrix of weights, and nobody's recording.
 What is constant in a person or a clip, and what one person alone has with a posture,
@@ -9,26 +9,31 @@ for the same person and clip: strangers get what all people share. Mirrored peop
 as other people. Simulated people teach as well and share an effect of their own, since
 their sensor is not quite a Kinect.
 
+Limbs on the far side of the body are corrected to what a second sensor, in front, saw
+of people whom the first one saw from aside. A person whom the model learned from gets
+what that person alone has as well, if it is said who it is.
+
 Where nothing like a posture was learned, correction fades to nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from itertools import pairwise
-from typing import Self
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from kinefilter.characters import InputError, Skeleton, standard_body
+from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.retarget.body_size import chain_matrix
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Observation
 from .learned import LearnedCorrector, TrainingSet
+from .posture_features import REACH, PostureFeatures
 from .random_features import (
     Floats,
     RandomFeatures,
@@ -36,25 +41,31 @@ from .random_features import (
     direction_to,
     likeness_to,
     rounded,
-    values_at,
 )
-from .ridge import Person, ridge_weights
+from .ridge import own_weights, people_of, ridge_weights
 
 # Chosen by leaving one of six people out, and one of their movements.
-_WEIGHT, _SIMULATED_WEIGHT = 6900.0, 150.0  # frames without noise that a person is like
+_WEIGHT, _SIMULATED_WEIGHT = (
+    15000.0,
+    150.0,
+)  # frames without noise that a person is like
 _LEAST_NOISE = 0.1  # variance of the noise in a frame, against a signal of 1
-_APART = 8.0 / 30.0  # s between a frame and those that say how it moves
-_MOVEMENT, _LENGTHS = 0.5, 2.0  # weights of movement and of segment lengths
 _MOST, _SIMULATED_MOST = 2500, 50  # frames of a person that are learned from
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
 _CENTERS = 1000  # of the postures that were learned from
-_KNOWN, _STRANGE = 0.9, 0.6  # likeness at which most, and nothing, that moves is taken
-_MOST_TAKEN = 0.8  # of what moves, for the sake of movements not learned from
+_KNOWN, _STRANGE = 0.9, 0.65  # likeness at which most, and nothing, that moves is taken
+_MOST_TAKEN = 0.65  # of what moves, for the sake of movements not learned from
 _NEAR, _FAR = 0.8, 0.4  # likeness at which all, and nothing, of the constant is taken
-_CALM = 3.0  # s over which likeness is averaged
-_CONSTANT = 10.0  # s over which live motion's constant correction is averaged
+_CALM, _CONSTANT = 3.0, 10.0  # s over which likeness is averaged, for what moves or not
+# Of limbs on the far side; chosen by leaving one of fourteen people out.
+_VIEW_WEIGHT, _VIEW_MOST, _VIEW_CENTERS = 700.0, 1500, 300
+_FACING_WEIGHT, _FACING_MOST = 200.0, 800  # of people in front, whom it leaves alone
+_ASIDE, _BESIDE = (
+    0.2,
+    0.6,
+)  # sine of the view's angle at which nothing, and all, is taken
+_TURN = 1.0  # s over which the view's angle is averaged
 
-_LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle", "Foot")
 _CHUNK = 2048  # frames at a time: features are many times the positions
 
 
@@ -70,56 +81,41 @@ class FourierRidge(LearnedCorrector):
         seed: Draws their frequencies.
     """
 
-    fitted = ("weights", "live_weights", "mean", "offset", "bones", "centers", "seed")
+    fitted = (
+        *("weights", "live_weights", "mean", "offset", "bones", "centers", "seed"),
+        *("far_weights", "live_far_weights", "far_centers"),
+        *("people", "own_weights", "live_own_weights"),
+    )
     weights_: Floats
     live_weights_: Floats
     mean_: Floats
     offset_: Floats
     bones_: Floats
     centers_: Floats
+    far_weights_: Floats
+    live_far_weights_: Floats
+    far_centers_: Floats
+    people_: NDArray[np.str_]
+    own_weights_: Floats
+    live_own_weights_: Floats
 
     def __init__(
         self, skeleton: Skeleton, *, samples: int = 4096, seed: int = 0
     ) -> None:
         super().__init__(skeleton, samples=samples, seed=seed)
-        trunk = [skeleton.root, skeleton.parents[skeleton.girdle], skeleton.girdle]
-        sides = [part + side for part in _LIMBS for side in ("Left", "Right")]
-        known = [skeleton.index(joint) for joint in ("Head", *sides)]
-        self.joints_ = np.array([*trunk, *known])
-        rows = {int(j): k for k, j in enumerate(self.joints_)}
-        self._mirror = np.array([rows[int(skeleton.mirror[j])] for j in self.joints_])
-        self._limbs = self.joints_[len(trunk) + 1 :]
-        # The segments between the joints that are known, over those that are not.
-        above = [skeleton.parents[j] for j in self.joints_[1:]]
-        above = [j if j in rows else skeleton.parents[j] for j in above]
-        self._ends = np.arange(1, len(self.joints_))
-        self._starts = np.array([rows[j] for j in above])
-        body = standard_body(skeleton)
-        self._standard = body.lengths[self._limbs]
-        rest = body.rest_positions[self.joints_]
-        self._segments = np.linalg.norm(rest[self._ends] - rest[self._starts], axis=1)
-        # Whose offset each joint takes: its own, or that of the limb it hangs on.
-        follows = dict(rows)
-        for j in skeleton.order:
-            follows.setdefault(j, follows.get(skeleton.parents[j], 0))
-        self._follows = np.array([follows[j] for j in range(len(skeleton))])
+        self._described = PostureFeatures(skeleton)
+        self.joints_ = self._described.joints
         self._parents = np.array(skeleton.parents)
         self._hangs = (self._parents >= 0)[:, None]
         self._chain = chain_matrix(skeleton)
-        self._hips = [rows[int(j)] for j in skeleton.hips]
-        # What features of live motion lack: the difference to what comes after.
-        size, segments = 3 * len(self.joints_), len(self._ends)
-        kept = np.ones(3 * size + segments + 2, dtype=bool)
-        kept[2 * size : 3 * size] = False
-        self._live = np.flatnonzero(kept)
+        self._person: int | None = None
         self.start()
 
     def start(self) -> None:
         """Forget all frames."""
         super().start()
         self._past: list[tuple[float, Array]] = []
-        self._constant: Array | None = None
-        self._likeness = 0.0
+        self._means: tuple[Any, ...] = ()
 
     # Learning
 
@@ -128,10 +124,26 @@ class FourierRidge(LearnedCorrector):
         training: TrainingSet,
         *,
         simulated: TrainingSet | None = None,
+        views: TrainingSet | None = None,
+        people: bool = False,
         progress: Progress = silent,
     ) -> Self:
-        """Learn offsets from pairs, and from pairs of simulated people beside them."""
-        recorded = list(self._people(training, _WEIGHT, _MOST))
+        """Learn offsets from pairs.
+
+        Args:
+            training: People with markers.
+            simulated: Simulated people beside them.
+            views: People whom a second sensor saw as well, of any skeleton; that is the
+                truth of the limbs on the far side of their bodies.
+            people: Also learn what each person in ``training`` has alone.
+            progress: Wraps the steps, for a progress bar.
+        """
+        if training.skeleton != self.skeleton or training.person is None:
+            raise InputError(
+                f"{training.source}: pairs of {training.skeleton.name}, but the model "
+                f"is for {self.skeleton.name}"
+            )
+        recorded = list(people_of(training, _WEIGHT, _MOST))
         if sum(len(person.features) for person in recorded) < 200:
             raise InputError(
                 f"{training.source}: {len(training)} frames are too few to learn from; "
@@ -139,8 +151,12 @@ class FourierRidge(LearnedCorrector):
             )
         others = []
         if simulated is not None:
-            people = self._people(simulated, _SIMULATED_WEIGHT, _SIMULATED_MOST)
-            others = list(people)
+            others = list(people_of(simulated, _SIMULATED_WEIGHT, _SIMULATED_MOST))
+        beside, facing = [], []
+        if views is not None:
+            beside = list(people_of(views, _VIEW_WEIGHT, _VIEW_MOST))
+            for person in people_of(training, _FACING_WEIGHT, _FACING_MOST):
+                facing.append(replace(person, offsets=np.zeros_like(person.offsets)))
         means = [person.features.mean(axis=0) for person in recorded]
         self.mean_ = np.mean(means, axis=0).astype(np.float16).astype(np.float32)
         means = [person.offsets.mean(axis=0) for person in recorded]
@@ -149,94 +165,85 @@ class FourierRidge(LearnedCorrector):
         self.seed_ = np.array(self.seed)
         features = np.concatenate([p.features for p in (*recorded, *others)])
         self.centers_ = rounded(centers_of(features, _CENTERS))
-        parts: list[NDArray[np.intp]] = [np.arange(features.shape[1]), self._live]
+        self.far_centers_ = np.empty((0, features.shape[1]), dtype=np.float32)
+        if beside:
+            seen = np.concatenate([person.features for person in beside])
+            self.far_centers_ = rounded(centers_of(seen, _VIEW_CENTERS))
+        self.people_ = np.array(training.people if people else (), dtype=np.str_)
+        parts = [np.arange(features.shape[1]), self._described.live]
+        mirrors = [self._described.mirror, self._described.live_mirror]
         # Frames are alike: half as many features as frames are plenty.
-        most = min(self.samples, len(features) // 4 * 2)
-        counts = (most, most // 4 * 2)
+        most = min(self.samples, len(features) // 2) // 4 * 4
+        counts = (most, most // 8 * 4)
         found = []
-        steps = iter(progress("learn", 2 * (len(recorded) + len(others))))
-        for columns, count in zip(parts, counts, strict=True):
-            random = RandomFeatures(self.mean_[columns], count, self.seed)
-            found.append(
-                ridge_weights(random, columns, recorded, others, self.offset_, steps)
+        everybody = [*recorded, *others, *beside, *facing, *self.people_]
+        steps = iter(progress("learn", 2 * len(everybody)))
+        for columns, count, mirror in zip(parts, counts, mirrors, strict=True):
+            random = RandomFeatures(self.mean_[columns], count, self.seed, mirror)
+            shared, far = (
+                ridge_weights(random, columns, some, more, mean, steps)
+                for some, more, mean in (
+                    (recorded, others, self.offset_),
+                    (beside + facing, [], np.zeros_like(self.offset_)),
+                )
             )
+            # Recorded people come with their mirror images, which are others.
+            own = [
+                own_weights(random, columns, person, shared, self.offset_)
+                for person, _ in zip(recorded[::2], self.people_, strict=False)
+                if next(steps) >= 0
+            ]
+            empty = np.empty((0, random.size + 1, len(self.offset_)))
+            found.append((shared, far if beside else far[:0], [*empty, *own]))
         for _ in steps:
             pass
-        self.weights_, self.live_weights_ = (rounded(weights) for weights in found)
+        (self.weights_, self.far_weights_, self.own_weights_), live = (
+            tuple(rounded(np.array(part)) for part in some) for some in found
+        )
+        self.live_weights_, self.live_far_weights_, self.live_own_weights_ = live
         self._prepare()
         return self
 
-    def _people(
-        self, training: TrainingSet, weight: float, most: int
-    ) -> Iterator[Person]:
-        """Yield everybody who was recorded, and their mirror images."""
-        if training.skeleton != self.skeleton or training.person is None:
-            raise InputError(
-                f"{training.source}: pairs of {training.skeleton.name}, but the model "
-                f"is for {self.skeleton.name}"
-            )
-        clip = np.cumsum(training.first) - 1
-        for person in np.unique(training.person):
-            rows = np.flatnonzero(training.person == person)
-            bounds = np.flatnonzero(np.diff(clip[rows], prepend=-1, append=-1))
-            takes = [rows[a:b] for a, b in pairwise(bounds)]
-            step = -(-len(rows) // most)
-            for mirrored in (False, True):
-                features, offsets = [], []
-                for k, take in enumerate(takes):
-                    seen, wanted = self._lesson(training, take, mirrored)
-                    # Where a clip begins to be counted varies; a copy frees the rest.
-                    features.append(seen[k % step :: step].copy())
-                    offsets.append(wanted[k % step :: step].copy())
-                sizes = [len(some) for some in features]
-                yield Person(
-                    np.concatenate(features),
-                    np.concatenate(offsets),
-                    np.repeat(np.arange(len(sizes)), sizes),
-                    max(_LEAST_NOISE, sum(sizes) / weight),
-                )
-
-    def _lesson(
-        self, training: TrainingSet, rows: NDArray[np.intp], mirrored: bool
-    ) -> tuple[Floats, Array]:
-        """Return features and offsets of a take."""
-        self._hold.start()
-        posture = self._hold.fill(training.positions[rows])
-        wanted = (training.truth[rows] - posture)[:, self.joints_]
-        # The tracker's joints that mocap lost for a while: the clip's mean.
-        known = ~np.isnan(wanted)
-        mean = np.where(known, wanted, 0.0).sum(axis=0) / np.maximum(known.sum(0), 1)
-        wanted = np.where(known, wanted, mean)
-        sensor = None if training.sensor is None else training.sensor[rows]
-        toward = direction_to(sensor, len(rows))
-        points = self._points(posture)
-        if mirrored:
-            flip = np.array([-1.0, 1.0, 1.0])
-            points, wanted = (x[:, self._mirror] * flip for x in (points, wanted))
-            toward = toward * flip[:2]
-        time = np.arange(len(rows)) / 30.0
-        if training.time is not None:
-            time = training.time[rows]
-        return self._features(points, points, time, time, toward), wanted.reshape(
-            len(rows), -1
-        )
-
     def _odd_bones(self, training: TrainingSet) -> Array:
-        """Return the mean over people of what ``_proportions`` says."""
+        """Return the mean over people of what ``proportions`` says."""
         if training.lengths is None or training.person is None:
-            return np.zeros(len(self._limbs))
+            return np.zeros(len(self._described.limbs))
         people = [training.person == p for p in np.unique(training.person)]
-        each = [self._proportions(np.median(training.lengths[p], 0)) for p in people]
+        each = [
+            self._described.proportions(np.median(training.lengths[p], 0))
+            for p in people
+        ]
         return np.asarray(np.mean(each, axis=0))
 
     # Correcting
 
     def _prepare(self) -> None:
         seed, size = int(self.seed_), len(self.mean_)
-        self._whole = RandomFeatures(self.mean_, len(self.weights_) - size, seed)
-        mean = self.mean_[self._live]
-        self._live_centers = np.ascontiguousarray(self.centers_[:, self._live])
-        self._step = RandomFeatures(mean, len(self.live_weights_) - len(mean), seed)
+        count, mirror = len(self.weights_) - size, self._described.mirror
+        self._whole = RandomFeatures(self.mean_, count, seed, mirror)
+        live, mirror = self._described.live, self._described.live_mirror
+        self._live_centers = np.ascontiguousarray(self.centers_[:, live])
+        self._live_far_centers = np.ascontiguousarray(self.far_centers_[:, live])
+        count = len(self.live_weights_) - len(live)
+        self._step = RandomFeatures(self.mean_[live], count, seed, mirror)
+        self.know(None)
+
+    def know(self, person: str | None) -> None:
+        """Correct this person, if the model learned from them, or else a stranger."""
+        known = self.people_.tolist()
+        self._person = known.index(person) if person in known else None
+        self._offsets: list[tuple[Floats, Array]] = []
+        for shared, far, own in (
+            (self.weights_, self.far_weights_, self.own_weights_),
+            (self.live_weights_, self.live_far_weights_, self.live_own_weights_),
+        ):
+            here, constant = shared, self.offset_
+            if self._person is not None:
+                here = shared + own[self._person, :-1]
+                constant = constant + own[self._person, -1]
+            beside = far if len(far) else np.zeros_like(shared)
+            constants = np.concatenate([constant, np.zeros_like(constant)])
+            self._offsets.append((np.hstack([here, beside]), constants))
 
     def whole(
         self,
@@ -246,112 +253,109 @@ class FourierRidge(LearnedCorrector):
         """Correct a whole take."""
         self.start()
         posture = self._hold.fill(take.positions)
-        points = self._points(posture)
+        points = self._described.points(posture)
         count = len(points)
-        found = np.empty((count, len(self.offset_)))
-        likeness = np.empty(count)
+        found = np.empty((count, 2 * len(self.offset_)))
+        likeness = np.empty((count, 2))
         toward = direction_to(take.sensor, count)
+        weights, constant = self._offsets[0]
         for k in range(0, count, _CHUNK):
             some = slice(k, k + _CHUNK)
-            features = self._features(
+            features = self._described(
                 points[some], points, take.time[some], take.time, toward[some]
             )
-            found[some] = self._whole(features) @ self.weights_ + self.offset_
-            likeness[some] = likeness_to(features, self.centers_)
+            found[some] = self._whole(features) @ weights + constant
+            likeness[some, 0] = likeness_to(features, self.centers_)
+            likeness[some, 1] = likeness_to(features, self.far_centers_)
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
-        likeness = gaussian_filter1d(likeness, _CALM / step, mode="nearest")
-        constant = found.mean(axis=0)
-        return self._moved(take, posture, constant, found - constant, likeness)
+        window = int(max(_TURN / step, 1.0))
+        toward = uniform_filter1d(toward, window, axis=0, mode="nearest")
+        lately, lasting = (
+            gaussian_filter1d(likeness, over / step, axis=0, mode="nearest")
+            for over in (_CALM, _CONSTANT)
+        )
+        found, far = np.split(found, 2, axis=1)
+        constant = np.broadcast_to(found.mean(axis=0), found.shape)
+        offsets = _Offsets(constant, found - constant, far, lately, lasting, toward)
+        return self._moved(take, posture, offsets)
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
         posture = self._hold.step(observation).positions
-        points, now = self._points(posture), float(observation.time)
+        points, now = self._described.points(posture), float(observation.time)
         elapsed = now - self._past[-1][0] if self._past else 0.0
-        past = [(time, x) for time, x in self._past if now - time < 2 * _APART]
+        past = [(time, x) for time, x in self._past if now - time < REACH]
         self._past = past = [*past, (now, points)]
         times, before = np.array([t for t, _ in past]), np.array([x for _, x in past])
         toward = direction_to(observation.sensor, 1)
-        time = np.array([now])
-        features = self._features(points[None], before, time, times, toward, live=True)
-        found = (self._step(features) @ self.live_weights_ + self.offset_)[0]
-        likeness = float(likeness_to(features, self._live_centers)[0])
-        if self._constant is None:
-            self._constant, self._likeness = found, likeness
-        else:
-            self._constant += min(1.0, elapsed / _CONSTANT) * (found - self._constant)
-            change = min(1.0, elapsed / _CALM)
-            self._likeness += change * (likeness - self._likeness)
-        return self._moved(
-            observation,
-            posture,
-            self._constant,
-            found - self._constant,
-            np.array(self._likeness),
+        features = self._described(
+            points[None], before, np.array([now]), times, toward, live=True
         )
+        weights, constant = self._offsets[1]
+        found, far = np.split((self._step(features) @ weights + constant)[0], 2)
+        centers = (self._live_centers, self._live_far_centers)
+        likeness = np.array([likeness_to(features, some)[0] for some in centers])
+        means = self._means or (found, likeness, likeness, toward[0])
+        spans = (_CONSTANT, _CALM, _CONSTANT, _TURN / 2.0)
+        latest = (found, likeness, likeness, toward[0])
+        self._means = tuple(
+            mean + min(1.0, elapsed / span) * (value - mean)
+            for mean, value, span in zip(means, latest, spans, strict=True)
+        )
+        constant, lately, lasting, turned = self._means
+        offsets = _Offsets(constant, found - constant, far, lately, lasting, turned)
+        return self._moved(observation, posture, offsets)
 
-    def _moved(
-        self,
-        seen: Observation,
-        posture: Array,
-        constant: Array,
-        moving: Array,
-        likeness: Array,
-    ) -> Correction:
+    def _moved(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures, moved as far as their like was learned from."""
-        alike = np.clip((likeness - _FAR) / (_NEAR - _FAR), 0.0, 1.0)[..., None]
-        share = np.clip((likeness - _STRANGE) / (_KNOWN - _STRANGE), 0.0, 1.0)
-        offsets = alike * (constant + _MOST_TAKEN * share[..., None] * moving)
-        offsets = offsets.reshape(*offsets.shape[:-1], -1, 3)
+        constant, moving, far = (
+            part.reshape(*part.shape[:-1], -1, 3) for part in found[:3]
+        )
+        beside = -found.toward[..., :1] * self._described.sides
+        beside = _ramp(beside, _ASIDE, _BESIDE)
+        beside = beside * _ramp(found.lately[..., 1:], _FAR, _NEAR)
+        if seen.hidden is not None:
+            beside = np.where(seen.hidden[..., self.joints_], 0.0, beside)
+        share = _ramp(found.lately[..., :1], _STRANGE, _KNOWN)
+        if self._person is None:
+            share = _MOST_TAKEN * share
+        alike = _ramp(found.lasting[..., :1], _FAR, _NEAR)
+        offsets = alike[..., None] * constant
+        offsets = offsets + (share * (1.0 - beside))[..., None] * moving
+        offsets = offsets + beside[..., None] * far
         missing = np.isnan(seen.positions[..., 0])
-        shift = offsets[..., self._follows, :]
+        shift = offsets[..., self._described.follows, :]
         for j in self.skeleton.order[1:] if missing.any() else ():
             parent, lost = self.skeleton.parents[j], missing[..., j, None]
             hung = shift[..., parent, :]
             shift[..., j, :] = np.where(lost, hung, shift[..., j, :])
         moved = posture + shift
         if seen.lengths is not None:
-            odd = self._proportions(seen.lengths) - self.bones_
+            odd = self._described.proportions(seen.lengths) - self.bones_
+            scale = np.exp(-_BONE_SHARE * alike * odd)[..., None]
             bones = moved - moved[..., self._parents, :] * self._hangs
-            bones[..., self._limbs, :] *= np.exp(-_BONE_SHARE * alike * odd)[..., None]
+            bones[..., self._described.limbs, :] *= scale
             moved = self._chain @ bones
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
-        return Correction(moved, None, confidence, likeness)
+        return Correction(moved, None, confidence, found.lately[..., 0])
 
-    def _points(self, postures: Array) -> Array:
-        """Return the known joints relative to the hips' middle [m], (..., M, 3)."""
-        points = postures[..., self.joints_, :]
-        return np.asarray(points - points[..., self._hips, :].mean(-2, keepdims=True))
 
-    def _proportions(self, lengths: Array) -> Array:
-        """Return the logarithms of a person's limbs over standard, less their mean."""
-        odd = np.log(lengths[self._limbs] / self._standard)
-        return np.asarray(odd - odd.mean())
+class _Offsets(NamedTuple):
+    """What the model says of frames, and how much it knows about them."""
 
-    def _features(
-        self,
-        points: Array,
-        around: Array,
-        time: Array,
-        times: Array,
-        toward: Array,
-        *,
-        live: bool = False,
-    ) -> Floats:
-        """Return what the kernel sees of frames, shape (T, F).
+    constant: Array
+    """What stays, of all known joints [m], shape (..., 3 M)."""
+    moving: Array
+    """What moves, likewise."""
+    far: Array
+    """What limbs on the far side are off, likewise."""
+    lately: Array
+    """Likeness to people with markers, and to those beside a sensor, over seconds."""
+    lasting: Array
+    """The same over a longer time."""
+    toward: Array
+    """Direction to the sensor, shape (..., 2)."""
 
-        Args:
-            points: Known joints of the frames [m], shape (T, M, 3).
-            around: Those of all frames there are [m], shape (N, M, 3).
-            time: Time stamps of the frames [s], shape (T,).
-            times: Those of all frames [s], shape (N,).
-            toward: Direction to the sensor, shape (T, 2).
-            live: Leave out what comes after.
-        """
-        parts = [points, _MOVEMENT * (points - values_at(times, around, time - _APART))]
-        if not live:
-            parts.append(_MOVEMENT * (values_at(times, around, time + _APART) - points))
-        bones = points[:, self._ends] - points[:, self._starts]
-        parts.append(_LENGTHS * (np.sqrt(np.vecdot(bones, bones)) - self._segments))
-        rows = [part.reshape(len(points), -1) for part in (*parts, toward)]
-        return np.concatenate(rows, axis=1, dtype=np.float32)
+
+def _ramp(values: Array, none: float, whole: float) -> Array:
+    return np.asarray(np.clip((values - none) / (whole - none), 0.0, 1.0))

@@ -35,6 +35,8 @@ class Observation:
     """The person's own segment lengths [m], shape (J,)."""
     sensor: Array | None = None
     """Where the sensor is [m], seen from the root, the person facing +z, shape (3,)."""
+    hidden: Any = None
+    """Joints that were reconstructed, not seen, shape (J,)."""
 
     def frame(self, k: int) -> Observation:
         """Return a frame of a take."""
@@ -45,6 +47,7 @@ class Observation:
             float(self.time[k]),
             self.lengths,
             None if self.sensor is None else self.sensor[k],
+            None if self.hidden is None else self.hidden[k],
         )
 
 
@@ -72,6 +75,9 @@ class Corrector:
 
     def start(self) -> None:
         """Forget all frames."""
+
+    def know(self, person: str | None) -> None:
+        """Correct a person whom the method learned from, or else a stranger."""
 
     def step(self, observation: Observation) -> Correction:  # noqa: ARG002 - refused
         """Correct the next frame.
@@ -133,6 +139,11 @@ class InTurn(Corrector):
         """Forget all frames."""
         for method in self.methods:
             method.start()
+
+    def know(self, person: str | None) -> None:
+        """Correct a person whom the methods learned from, or else a stranger."""
+        for method in self.methods:
+            method.know(person)
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""

@@ -42,6 +42,8 @@ class TrainingSet:
     """The person's own segment lengths in each frame [m], shape (N, J)."""
     person: NDArray[np.intp] | None = None
     """Whose frame it is, by number, shape (N,)."""
+    people: tuple[str, ...] = ()
+    """Their names, by number."""
     time: Array | None = None
     """Time stamps [s] within each take, shape (N,); None: 30 frames a second."""
     sensor: Array | None = None

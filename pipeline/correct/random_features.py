@@ -12,29 +12,40 @@ from kinefilter.characters.arrays import Array
 
 Floats = NDArray[np.float32]
 
-_LINEAR = 0.4  # variance of the linear part, against 1 of the Gaussian one
+_LINEAR = 0.8  # variance of the linear part, against 1 of the Gaussian one
 _ALONE = 3  # so few frames' center would be nearly a recorded posture
 
 
 class RandomFeatures:
     """Random features whose products are the kernel of postures' features.
 
+    Each frequency has its mirror image beside it, so that mirror images are alike.
+
     Args:
         mean: Mean of what they are made of, shape (F,).
-        count: How many there are beside the linear ones, an even number.
+        count: How many there are beside the linear ones, a multiple of four.
         seed: Draws their frequencies.
+        mirror: Where a mirror puts what they are made of, and its signs.
     """
 
-    def __init__(self, mean: Floats, count: int, seed: int) -> None:
+    def __init__(
+        self,
+        mean: Floats,
+        count: int,
+        seed: int,
+        mirror: tuple[NDArray[np.intp], Array],
+    ) -> None:
         self._mean, size = mean, len(mean)
-        blocks = -(-count // (2 * size))
+        blocks = -(-count // (4 * size))
         # Raw bits and the normal quantile: the same in every version of numpy.
         bits = np.random.PCG64(seed).random_raw(blocks * size * size) >> np.uint64(11)
         normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53)
         square = normal.reshape(blocks, size, size)
         turns = np.linalg.qr(square)[0]
         lengths = np.linalg.norm(square, axis=2, keepdims=True)
-        rows = (turns * lengths).reshape(-1, size)[: count // 2]
+        rows = (turns * lengths).reshape(-1, size)[: count // 4]
+        order, signs = mirror
+        rows = np.concatenate([rows, rows[:, order] * signs])
         self._frequencies = rows.T.astype(np.float32)
         self.size = count + size
 
@@ -76,6 +87,8 @@ def direction_to(sensor: Array | None, count: int) -> Array:
 
 def likeness_to(features: Floats, centers: Floats) -> Array:
     """Return how like the nearest center frames are, in [0, 1], shape (T,)."""
+    if not len(centers):
+        return np.zeros(len(features))
     squares = np.sum(centers**2, axis=1) - 2.0 * features @ centers.T
     nearest = squares.min(axis=1) + np.sum(features**2, axis=1)
     return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))

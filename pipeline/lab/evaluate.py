@@ -145,6 +145,7 @@ def _test(
     correct = Timed(Correct(config, corrector))
     cleaner = Cleaner(config).replaced(correct)
     for pair in over(pairs, "test", progress):
+        corrector.know(pair.subject)
         clip = cleaner.clean(pair.take).clip
         # A clip is level; the truth is in the sensor's frame.
         truth = replace(pair, truth=leveled(pair.truth, clip.tilt))
@@ -173,7 +174,9 @@ def _correctors(
             correctors[name] = method.load()(database)
         else:
             lessons = lessons or training_set(over(fold.train, "standardize", progress))
-            correctors[name] = teach(name, lessons, progress=progress)
+            people = {pair.subject for pair in fold.train}
+            known = any(pair.subject in people for pair in fold.test)
+            correctors[name] = teach(name, lessons, people=known, progress=progress)
     return correctors
 
 

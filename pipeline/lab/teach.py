@@ -17,19 +17,35 @@ _SIMULATED = 102  # people beside the recorded ones: every motion twice
 
 
 def teach(
-    method: str, lessons: TrainingSet, *, progress: Progress = silent
+    method: str,
+    lessons: TrainingSet,
+    *,
+    views: TrainingSet | None = None,
+    people: bool = False,
+    progress: Progress = silent,
 ) -> LearnedCorrector:
     """Return a method that learned from pairs.
 
     ``learned`` learns from simulated people as well, the same ones every time.
 
+    Args:
+        method: Its name.
+        lessons: The pairs.
+        views: People whom two sensors saw, as ``view_pairs`` gives them.
+        people: Learn what each person has alone, too.
+        progress: Wraps its loops, for a progress bar.
+
     Raises:
         InputError: The pairs are too few.
     """
     if method == "learned":
-        simulated = _simulated(lessons.skeleton)
-        learned = FourierRidge(lessons.skeleton)
-        return learned.fit(lessons, simulated=simulated, progress=progress)
+        return FourierRidge(lessons.skeleton).fit(
+            lessons,
+            simulated=_simulated(lessons.skeleton),
+            views=views,
+            people=people,
+            progress=progress,
+        )
     learner: LearnedCorrector = LEARNED[method].load()(lessons.skeleton)
     return learner.fit(lessons, progress=progress)
 

@@ -9,7 +9,7 @@ taken off: it is a matter of where a sensor sees that joint from there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,15 +22,19 @@ from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.correct import LearnedCorrector, TrainingSet
 from kinefilter.pipeline.formats.takes import read_take
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.smooth import smooth
+from kinefilter.pipeline.training import training_set
 from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .hidden_limbs import check_methods
 from .misplaced import misplaced
+from .teach import teach
 
 LIMBS = {
     f"{limb} {side.lower()}": tuple(joint + side for joint in joints)
@@ -45,6 +49,7 @@ _CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
 _SIGMA, _ROUNDS = 0.05, 20  # m; of the robust placement, whose outliers count little
 _LENGTH, _SPEED = 0.25, 6.0  # share of the median, m/s: beyond, the front is in doubt
 _BESIDE = 10.0  # degrees by which people turn away more from B, where B is beside them
+_FOLDS = 4  # of people: each learns from all others
 _LEAST = 30  # ticks in which both sensors saw somebody
 
 Figures = dict[str, Any]
@@ -58,6 +63,11 @@ class Session(NamedTuple):
     first: Path
     second: Path
     sync: Path
+
+    @property
+    def person(self) -> str:
+        """Who is in it: what comes before the name's first underscore."""
+        return self.name.split("_")[0]
 
 
 def find_sessions(paths: Sequence[Path], sync: Path | None) -> list[Session]:
@@ -93,6 +103,7 @@ def compare_views(
     sessions: Sequence[Session],
     methods: Sequence[str],
     *,
+    train: Sequence[PairedTake] = (),
     physics: bool = True,
     progress: Progress = silent,
 ) -> Figures:
@@ -100,19 +111,27 @@ def compare_views(
 
     Args:
         sessions: What was recorded.
-        methods: As of ``measure_hidden``, to clean the side sensor's take by.
+        methods: As of ``measure_hidden``, to clean the side sensor's take by; and
+            ``learned``, from ``train`` and from the sessions of other people.
+        train: Pairs of Kinect and mocap.
         physics: Pull the simulated character through the motion.
         progress: Wraps the loop over sessions, for a progress bar.
 
     Raises:
         InputError: Unknown methods, or takes that do not belong together.
     """
-    check_methods(methods)
+    check_methods([m for m in methods if m != "learned" or not train])
+    taught: dict[str, LearnedCorrector] = {}
+    if "learned" in methods:
+        taught = _taught(sessions, training_set(train), progress)
+    rows = [
+        (session, methods, physics, taught.get(session.person)) for session in sessions
+    ]
     if len(sessions) == 1:
-        found = [_compare(sessions[0], methods, physics)]
+        found = [_compare(*rows[0])]
     else:
         with workers() as pool:
-            jobs = [pool.submit(_compare, s, methods, physics) for s in sessions]
+            jobs = [pool.submit(_compare, *row) for row in rows]
             found = [job.result() for job in over(jobs, "compare", progress)]
     angles: Figures = {}
     for angle in dict.fromkeys(figures["angle"] for figures in found):
@@ -168,15 +187,38 @@ def read_views(session: Session) -> Views:
     return Views(side, at, truth[front_at], sure[front_at], sides[0], facing)
 
 
-def _compare(session: Session, methods: Sequence[str], physics: bool) -> Figures:
+def _taught(
+    sessions: Sequence[Session], lessons: TrainingSet, progress: Progress
+) -> dict[str, LearnedCorrector]:
+    """Return a method for each person that has not learned from them."""
+    people = sorted({session.person for session in sessions})
+    made: dict[str, LearnedCorrector] = {}
+    for k in range(min(_FOLDS, len(people))):
+        out = people[k::_FOLDS]
+        others = [session for session in sessions if session.person not in out]
+        views = training_set(view_pairs(others, progress)) if others else None
+        taught = teach("learned", lessons, views=views, progress=progress)
+        made |= dict.fromkeys(out, taught)
+    return made
+
+
+def _compare(
+    session: Session,
+    methods: Sequence[str],
+    physics: bool,
+    learned: LearnedCorrector | None,
+) -> Figures:
     pair = read_views(session)
     side, at, truth, sure = pair.side, pair.frames, pair.truth, pair.sure
     skeleton = side.skeleton
     joints = [skeleton.index(joint) for limb in LIMBS.values() for joint in limb]
     away = {"raw": away_from(side.positions[at], truth, skeleton)[:, joints]}
     for method in methods:
-        config = CleanConfig(method=method, physics=physics)
-        clip = Cleaner(config).clean(side).clip
+        config, corrector = CleanConfig(method=method, physics=physics), None
+        if method == "learned" and learned is not None:
+            config = CleanConfig(physics=physics)
+            corrector = learned.from_arrays(skeleton, learned.arrays())
+        clip = Cleaner(config, corrector=corrector).clean(side).clip
         away[method] = away_from(clip.positions[at], truth, skeleton)[:, joints]
     wrong, known = away["raw"] > FAR, ~np.isnan(away["raw"])
     doubts = (1.0 - clip.reliability[at], misplaced(side)[at])
@@ -261,13 +303,27 @@ def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
     return np.where(missing, np.nan, path)[frames], sure[frames]
 
 
-def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
-    """Return each joint's distance [m] from the truth, offsets taken off, (T, J)."""
+def view_pairs(
+    sessions: Sequence[Session], progress: Progress = silent
+) -> Iterator[PairedTake]:
+    """Yield the takes of side sensors, with what the sensor in front saw as the truth.
+
+    Placed in the side sensor's frame; NaN in frames that the other does not have.
+    """
+    for session in over(sessions, "read views", progress):
+        side, frames, seen, *_ = read_views(session)
+        truth = np.full_like(side.positions, np.nan)
+        truth[frames] = _placed(seen, side.positions[frames], side.skeleton)
+        yield PairedTake(side, truth, session.person, session.name)
+
+
+def _placed(positions: Array, onto: Array, skeleton: Skeleton) -> Array:
+    """Return positions [m] moved and turned so that the trunk lies on another's."""
     ends = [skeleton.index(f"Shoulder{side}") for side in ("Left", "Right")]
     trunk = [skeleton.girdle, *ends, *skeleton.hips]
     while (joint := skeleton.parents[trunk[0]]) != -1:
         trunk.insert(0, joint)
-    seen, there = (points[:, trunk].reshape(-1, 3) for points in (positions, truth))
+    seen, there = (points[:, trunk].reshape(-1, 3) for points in (positions, onto))
     known = ~np.isnan(seen + there).any(axis=1)
     seen, there = seen[known], there[known]
     weights = np.ones(len(seen))
@@ -278,7 +334,12 @@ def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
         squares = np.sum((placed - there) ** 2, axis=1)
         weights = 1.0 / (1.0 + squares / _SIGMA**2)  # as Cauchy's distribution has it
     flat = turn.apply((positions - middles[0]).reshape(-1, 3)) + middles[1]
-    away = flat.reshape(positions.shape) - truth
+    return np.asarray(flat.reshape(positions.shape))
+
+
+def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
+    """Return each joint's distance [m] from the truth, offsets taken off, (T, J)."""
+    away = _placed(positions, truth, skeleton) - truth
     heading = HeadingFrame(np.zeros_like(truth[:, 0]), _yaw(truth, skeleton))
     facing = heading.remove(away)
     return np.asarray(np.linalg.norm(facing - np.nanmedian(facing, axis=0), axis=2))
