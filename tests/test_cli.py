@@ -246,6 +246,7 @@ def test_names_are_printed_as_they_are(
     assert "a[/c]:cat:" in _refused(["info", "a[/c]:cat:"], tmp_path, capsys)
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
 def test_a_request_to_end_is_answered_in_one_line(
     asked: signal.Signals,

@@ -36,6 +36,7 @@ def _readme_commands() -> list[str]:
     return [c for c in commands if c.startswith("kinefilter ")]
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_every_readme_command_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
