@@ -155,6 +155,14 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
         yield opened
 
 
+@pytest.fixture(scope="module")
+def few_for_kernels() -> Iterator[None]:
+    """Fit hyper-parameters to fewer samples: most of the time that fitting takes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("kinefilter.pipeline.correct.local_models._FOR_KERNEL", 120)
+        yield
+
+
 @pytest.fixture
 def interruptible() -> Iterator[None]:
     """Let SIGINT interrupt, as it does unless a script began pytest with `&`."""
