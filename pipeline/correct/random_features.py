@@ -54,7 +54,7 @@ def _frequencies(size: int, count: int, seed: int) -> Floats:
     turns = np.linalg.qr(square)[0]
     lengths = np.linalg.norm(square, axis=2, keepdims=True)
     rows = (turns * lengths).reshape(-1, size)[: count // 2]
-    frequencies = rows.T.astype(np.float32)
+    frequencies: Floats = rows.T.astype(np.float32)
     frequencies.flags.writeable = False
     return frequencies
 
