@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import signal
 
 # The suite runs on all cores; more threads of linear algebra would only fight.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -152,6 +153,22 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
         pytest.skip(reason)
     with Browser(**getattr(request.module, "WINDOW", {})) as opened:
         yield opened
+
+
+@pytest.fixture(scope="module")
+def few_for_kernels() -> Iterator[None]:
+    """Fit hyper-parameters to fewer samples: most of the time that fitting takes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("kinefilter.pipeline.correct.local_models._FOR_KERNEL", 120)
+        yield
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Let SIGINT interrupt, as it does unless a script began pytest with `&`."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

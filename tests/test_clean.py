@@ -281,6 +281,11 @@ def test_a_take_of_nothing_is_refused() -> None:
 @pytest.mark.parametrize("path", RECORDED, ids=lambda p: p.name.split(".")[0])
 def test_every_recorded_take_is_cleaned(path: Path, tmp_path: Path) -> None:
     take = read_take(path)
+    if path.parent.name == "precog16":  # many and long: where they punch and kick
+        middle = slice(len(take) // 2 - 60, len(take) // 2 + 60)
+        time, state = take.time[middle], take.state[middle]
+        positions = take.positions[middle]
+        take = replace(take, time=time, positions=positions, state=state)
     result = clean(take)
     _holds(result, result.stages["raw"].jitter)
     joints = list(take.skeleton.joints)

@@ -91,6 +91,7 @@ def test_scores_and_corrections_of_takes_are_those_of_their_frames(
     take = simulate("basic", "punch", skeleton=skeleton.name, seed=3).take
     cleaner = Cleaner(config).without("failures", "reconstruct").until("correct")
     whole = cleaner.whole(take)
+    before = cleaner.until("standardize").whole(take)
     for stage in cleaner.stages:
         stage.start(whole.body)
         for k in range(len(take) if stage.name != "measure" else 0):
@@ -100,7 +101,6 @@ def test_scores_and_corrections_of_takes_are_those_of_their_frames(
             for name in ("reliability", "geometry"):
                 setattr(frame, name, getattr(whole, name)[k])
             if stage.name == "correct":
-                before = cleaner.until("standardize").whole(take)
                 frame.standard, frame.heading = before.standard[k], before.heading.at(k)
             stage.step(frame)
             if stage.name == "correct":

@@ -15,6 +15,7 @@ from kinefilter.characters import KINECT_V1, KINECT_V2
 from kinefilter.pipeline.cli import COMMANDS, main
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.formats import read_clip, read_take
+from kinefilter.pipeline.lab import bench
 from kinefilter.pipeline.lab.bench import sample_path
 
 ROOT = Path(__file__).parents[1]
@@ -246,6 +247,7 @@ def test_names_are_printed_as_they_are(
     assert "a[/c]:cat:" in _refused(["info", "a[/c]:cat:"], tmp_path, capsys)
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
 def test_a_request_to_end_is_answered_in_one_line(
     asked: signal.Signals,
@@ -286,7 +288,10 @@ def test_a_database_given_by_name_is_used(tmp_path: Path) -> None:
     assert "physics" not in found
 
 
-def test_bench_measures_every_stage(tmp_path: Path) -> None:
+def test_bench_measures_every_stage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench, "_TAKES_PER_CORE", 1)
     figures = tmp_path / "bench.json"
     assert main(["bench", "--json", str(figures)]) == 0
     found = json.loads(figures.read_text(encoding="utf-8"))

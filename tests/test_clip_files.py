@@ -12,6 +12,7 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import (
     KINECT_V2,
+    Body,
     Clip,
     InputError,
     Skeleton,
@@ -62,18 +63,27 @@ def test_every_file_gives_the_motion_back(
         assert turned_by(found, clip) < 1e-4
 
 
-@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz", ".bvh"])
-@pytest.mark.parametrize("export", EXPORTS)
-def test_axes_and_unit_are_undone(
-    make_clip: MakeClip, tmp_path: Path, suffix: str, export: Export
-) -> None:
+@pytest.fixture(scope="module")
+def tilted_body() -> Body:
+    """Return a body at rest in no T-pose; one for all tests, which share its skin."""
     rng = np.random.default_rng(0)
     body = random_body(KINECT_V2, rng)
     tilted = body.directions + 0.2 * rng.normal(size=body.directions.shape)
     tilted[KINECT_V2.root] = 0.0
     tilted /= np.maximum(np.linalg.norm(tilted, axis=1, keepdims=True), 1e-9)
-    body = replace(body, directions=tilted)
-    clip = make_clip(12, KINECT_V2, body=body, wild=export.fps is None)
+    return replace(body, directions=tilted)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz", ".bvh"])
+@pytest.mark.parametrize("export", EXPORTS)
+def test_axes_and_unit_are_undone(
+    make_clip: MakeClip,
+    tilted_body: Body,
+    tmp_path: Path,
+    suffix: str,
+    export: Export,
+) -> None:
+    clip = make_clip(12, KINECT_V2, body=tilted_body, wild=export.fps is None)
     write_clip(clip, tmp_path / f"clip{suffix}", export)
     found, clip = read_clip(tmp_path / f"clip{suffix}"), as_written(clip, export)
     np.testing.assert_allclose(found.positions, clip.positions, rtol=0, atol=1e-4)

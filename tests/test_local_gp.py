@@ -25,6 +25,8 @@ from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.correct.local_gp import LocalGP, least_energy
 from kinefilter.pipeline.correct.local_models import JointFeatures, LinearTrend
 
+pytestmark = pytest.mark.usefixtures("few_for_kernels")
+
 
 @pytest.fixture(scope="module")
 def fitted() -> LocalGP:

@@ -21,6 +21,8 @@ from kinefilter.pipeline.correct import gaussian_process as shared
 from kinefilter.pipeline.correct import local_models as module
 from kinefilter.pipeline.correct.local_gp import LocalGP
 
+pytestmark = pytest.mark.usefixtures("few_for_kernels")
+
 
 @pytest.fixture(scope="module")
 def fitted() -> LocalGP:

@@ -14,9 +14,9 @@ from kinefilter import PostureDatabase
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.posture_space import NaturalSpaces
+from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.lab.evaluate import evaluate
-from kinefilter.pipeline.lab.scripted_database import scripted_database
 from kinefilter.pipeline.pairs import read_pairs
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ HIPS = [KINECT_V1.index("HipLeft"), KINECT_V1.index("HipRight")]
 
 @pytest.fixture(scope="module")
 def database() -> PostureDatabase:
-    return replace(scripted_database(KINECT_V1), recorded=True)
+    return replace(builtin_database(KINECT_V1), recorded=True)
 
 
 @pytest.fixture(scope="module")

@@ -31,6 +31,8 @@ from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods.baselines import Exemplar, FullGP
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
 
+pytestmark = pytest.mark.usefixtures("few_for_kernels")
+
 METHODS: dict[str, Callable[[], Method]] = {
     "local": local_gp,
     "full": lambda: FullGP(KINECT_V1, samples=300),

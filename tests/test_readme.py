@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from viewing import ended, viewing
 from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.database import builtin_database
+from kinefilter.pipeline.lab import bench, teach
 
 ROOT = Path(__file__).parents[1]
 
@@ -36,6 +38,17 @@ def _readme_commands() -> list[str]:
     return [c for c in commands if c.startswith("kinefilter ")]
 
 
+@pytest.fixture
+def little(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let commands of the lab measure and learn from less than they do for users."""
+    monkeypatch.setattr(teach, "_SIMULATED", 4)
+    monkeypatch.setattr(bench, "_TAKES_PER_CORE", 1)
+    teach._simulated.cache_clear()
+    yield
+    teach._simulated.cache_clear()
+
+
+@pytest.mark.usefixtures("interruptible", "little")
 def test_every_readme_command_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -165,6 +165,7 @@ def test_without_viser_the_extra_is_named(
     assert 'pip install "kinefilter[view]"' in _refused([str(sample_path())], capsys)
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_a_viewer_says_where_it_is_and_ends_in_peace(
     clip_path: Path, sent: signal.Signals

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -35,19 +36,10 @@ class RandomFeatures:
         seed: int,
         mirror: tuple[NDArray[np.intp], Array],
     ) -> None:
-        self._mean, size = mean, len(mean)
-        blocks = -(-count // (4 * size))
-        # Raw bits and the normal quantile: the same in every version of numpy.
-        bits = np.random.PCG64(seed).random_raw(blocks * size * size) >> np.uint64(11)
-        normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53)
-        square = normal.reshape(blocks, size, size)
-        turns = np.linalg.qr(square)[0]
-        lengths = np.linalg.norm(square, axis=2, keepdims=True)
-        rows = (turns * lengths).reshape(-1, size)[: count // 4]
-        order, signs = mirror
-        rows = np.concatenate([rows, rows[:, order] * signs])
-        self._frequencies = rows.T.astype(np.float32)
-        self.size = count + size
+        half, (order, signs) = _frequencies(len(mean), count // 4, seed), mirror
+        images = half[order] * signs[:, None].astype(np.float32)
+        self._frequencies = np.concatenate([half, images], axis=1)
+        self._mean, self.size = mean, count + len(mean)
 
     def __call__(self, features: Floats) -> Floats:
         """Return the random and the linear features of frames, (T, size)."""
@@ -59,6 +51,22 @@ class RandomFeatures:
         made[:, : 2 * half] *= np.float32(1.0 / np.sqrt(half))
         made[:, 2 * half :] = (features - self._mean) * np.float32(np.sqrt(_LINEAR))
         return made
+
+
+@lru_cache(maxsize=8)  # every clean begins with the same ones
+def _frequencies(size: int, count: int, seed: int) -> Floats:
+    """Return orthogonal random frequencies, shape (size, count), read-only."""
+    blocks = -(-count // size)
+    # Raw bits and the normal quantile: the same in every version of numpy.
+    bits = np.random.PCG64(seed).random_raw(blocks * size * size) >> np.uint64(11)
+    normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53)
+    square = normal.reshape(blocks, size, size)
+    turns = np.linalg.qr(square)[0]
+    lengths = np.linalg.norm(square, axis=2, keepdims=True)
+    rows = (turns * lengths).reshape(-1, size)[:count]
+    frequencies: Floats = rows.T.astype(np.float32)
+    frequencies.flags.writeable = False
+    return frequencies
 
 
 def values_at(times: Array, values: Array, wanted: Array) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import linregress
 
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array
@@ -72,6 +71,8 @@ def sensor_tilt(
     _, height, depth = np.transpose(places)
     if np.ptp(depth) < _WALKED:
         return 0.0
+    from scipy.stats import linregress  # takes long to load, and few takes need it
+
     line = linregress(depth, height)
     sure = abs(line.slope) > _TIMES_ITS_ERROR * line.stderr
     return float(np.arctan(line.slope)) if sure else 0.0
