@@ -12,10 +12,11 @@ _MOST_STEPS = 40
 _EXACT = 1e-7  # m
 # Against a measured joint's 1: it moves fifty times as far. A guess.
 _FIRMNESS_OF_INVENTED = 0.02
-# Against a measured joint's 1, how easily all above the knees moves as one. Without it
-# legs that are too long or short push the hips out from under the trunk; from 1 to 10
-# does about as well on recorded people.
-_TOGETHER = 3
+# Chosen on three of six recorded people, as is the next.
+_TRUNK = 10.0  # times as firm: hips, shoulders and their middles, which all hangs on
+# Against a measured limb joint's 1, how easily all above the knees moves as one.
+# Without it legs that are too long or short push the hips out from under the trunk.
+_TOGETHER = 0.5
 
 
 class BoneLengths:
@@ -37,10 +38,15 @@ class BoneLengths:
         rows = np.arange(len(self._ends))
         self._incidence[rows, self._ends] = 1.0
         self._incidence[rows, self._starts] = -1.0
-        trunk = np.ones(len(skeleton))
+        above = np.ones(len(skeleton))
         for hip in skeleton.hips:
-            trunk[skeleton.beyond(int(hip))] = 0.0
-        self._together = _TOGETHER * np.outer(self._incidence @ trunk, trunk)
+            above[skeleton.beyond(int(hip))] = 0.0
+        self._together = _TOGETHER * np.outer(self._incidence @ above, above)
+        shoulders = [skeleton.index(f"Shoulder{side}") for side in ("Left", "Right")]
+        self._firm = np.ones(len(skeleton))
+        self._firm[[skeleton.root, skeleton.girdle, *skeleton.hips, *shoulders]] = (
+            _TRUNK
+        )
 
     def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions [m] (T, J, 3) with the body's segment lengths.
@@ -54,8 +60,8 @@ class BoneLengths:
         projected = positions.copy()
         for first in range(0, len(positions), _CHUNK):
             chunk = slice(first, first + _CHUNK)
-            mobility = 1.0 / (firmness[chunk] + _FIRMNESS_OF_INVENTED)
-            projected[chunk] = self._project(positions[chunk], mobility)
+            firm = self._firm * firmness[chunk] + _FIRMNESS_OF_INVENTED
+            projected[chunk] = self._project(positions[chunk], 1.0 / firm)
         return projected
 
     def _project(self, points: Array, mobility: Array) -> Array:

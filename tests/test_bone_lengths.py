@@ -153,6 +153,30 @@ def test_an_invented_hand_gives_way_to_a_measured_arm_and_the_other_way_round(
     assert moved.sum() > 0.99
 
 
+def test_the_trunk_keeps_its_shape_better_than_the_limbs() -> None:
+    positions = noisy(KINECT_V1, 200, 0.01)
+    projector = BoneLengths(standard_body(KINECT_V1))
+    moves = projector.project(positions, np.ones((200, 20))) - positions
+    moves -= moves[:, [j[:3] in ("Hip", "Sho") for j in KINECT_V1.joints]].mean(
+        axis=1, keepdims=True
+    )
+    sizes = np.linalg.norm(moves, axis=2).mean(axis=0)
+    moved = dict(zip(KINECT_V1.joints, sizes, strict=True))
+    for side in ("Left", "Right"):
+        assert moved[f"Hip{side}"] < 0.8 * moved[f"Knee{side}"]
+        assert moved[f"Shoulder{side}"] < 0.8 * moved[f"Elbow{side}"]
+
+
+def test_a_noisy_skeleton_comes_nearer_to_the_truth() -> None:
+    right, positions = postures(KINECT_V1, 200), noisy(KINECT_V1, 200, 0.01)
+    projector = BoneLengths(standard_body(KINECT_V1))
+    projected = projector.project(positions, np.ones((200, 20)))
+    before, after = (
+        np.linalg.norm(x - right, axis=2).mean() for x in (positions, projected)
+    )
+    assert after < 0.9 * before
+
+
 def test_two_joints_share_an_error_as_their_mobilities() -> None:
     # One segment that is free at both ends: mobilities 1 / (confidence + 0.02).
     skeleton = KINECT_V1
@@ -175,13 +199,15 @@ def test_the_weighted_move_is_the_smallest_there_is(seed: int) -> None:
     skeleton, body = KINECT_V1, standard_body(KINECT_V1)
     positions = noisy(skeleton, 1, 0.01, seed)
     confidence = np.random.default_rng(seed).uniform(0.1, 1.0, (1, 20))
-    firmness = confidence[0] + 0.02
+    # Hips, shoulders and their middles are ten times as firm.
+    trunk = [j[:3] in ("Hip", "Sho") for j in KINECT_V1.joints]
+    firmness = confidence[0] * np.where(trunk, 10.0, 1.0) + 0.02
     projected = BoneLengths(body).project(positions, confidence)
-    # All above the knees moves three times as easily, but as one.
+    # All above the knees moves half as easily as a joint, and as one.
     together = np.array(
         [j[:4] not in ("Knee", "Ankl", "Foot") for j in skeleton.joints]
     )
-    mobility = np.diag(1.0 / firmness) + 3.0 * np.outer(together, together)
+    mobility = np.diag(1.0 / firmness) + 0.5 * np.outer(together, together)
     resistance = np.linalg.inv(mobility)
 
     def cost(flat: Array) -> float:
