@@ -34,7 +34,7 @@ from .smooth import smooth, smooth_by_speed
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother, against a measured one's 1
 _LEAST_BONE_WEIGHT = 0.3  # of an invented joint where bones ask for a move: the same
 _BONES_CUTOFF = 3.0  # Hz; lengths are wrong for longer than joints tremble
-_LANDINGS = 4  # times that joints are put over the floor and back on their segments
+_LANDINGS = 8  # times that joints are put over the floor and back on their segments
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _LET_GO = 0.05  # s in which a foot that steps joins its measured path
 _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share a frame: feet sink rarely, lift often
