@@ -66,19 +66,6 @@ def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
     return lengths
 
 
-def mean_lengths(positions: Array, skeleton: Skeleton) -> Array:
-    """Return mean segment lengths [m], shape (J,); 0 where nothing was measured.
-
-    A length counts as a quarter off the median at most: what is farther off is a
-    tracker's error. NaN where missing, positions [m] have shape (T, J, 3).
-    """
-    lengths = segment_lengths(positions, skeleton)
-    middle, known = column_medians(lengths), ~np.isnan(lengths)
-    near = np.clip(lengths, 0.75 * middle, 1.25 * middle)
-    sums = np.where(known, near, 0.0).sum(axis=0)
-    return np.asarray(sums / np.maximum(known.sum(axis=0), 1))
-
-
 def measure_reference(take: Take) -> Reference:
     """Measure the person's segments where the sensor sees them best.
 

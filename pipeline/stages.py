@@ -20,7 +20,7 @@ from kinefilter.characters import (
     Tracking,
 )
 from kinefilter.characters.arrays import Array
-from kinefilter.retarget import HeadingFrame, Standardizer
+from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
 
 from .config import CleanConfig
 from .correct import Corrector, Hold, Observation
@@ -32,7 +32,6 @@ from .physics.pulled_character import PulledCharacter
 from .progress import Progress
 from .reliability import (
     Reference,
-    mean_lengths,
     measure_body,
     measure_reference,
     rest_reference,
@@ -136,9 +135,13 @@ class MeasureCorrectedBody(MeasureBody):
         few = Draft(
             draft.skeleton, draft.time[some], positions, draft.state[some], draft.source
         )
-        lengths = mean_lengths(positions, draft.skeleton)
-        reference = replace(measure_reference(few.take()), lengths=lengths)
-        draft.body = self._measured(few, reference)
+        reference = measure_reference(few.take())
+        bones = BoneLengths(self._measured(few, reference))
+        lengths = bones.fitting(
+            draft.positions[some], np.where(missing[..., 0], 0.0, 1.0)
+        )
+        lengths = np.where(np.isnan(reference.lengths), np.nan, lengths)
+        draft.body = self._measured(few, replace(reference, lengths=lengths))
 
 
 class Score(Stage):

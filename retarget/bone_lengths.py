@@ -60,12 +60,33 @@ class BoneLengths:
         projected = positions.copy()
         for first in range(0, len(positions), _CHUNK):
             chunk = slice(first, first + _CHUNK)
-            firm = self._firm * firmness[chunk] + _FIRMNESS_OF_INVENTED
-            projected[chunk] = self._project(positions[chunk], 1.0 / firm)
+            projected[chunk] = self._project(positions[chunk], firmness[chunk])
         return projected
 
-    def _project(self, points: Array, mobility: Array) -> Array:
-        moves = self._incidence * mobility[:, None, :] + self._together
+    def fitting(self, positions: Array, firmness: Array) -> Array:
+        """Return segment lengths [m] (J,) for which joints move the least.
+
+        Least squares over all frames; arguments are as of ``project``. A length counts
+        as a quarter off the body's at most: what is farther off is a tracker's error.
+        """
+        directions, errors = self._bones(positions)
+        coupling = self._moves(firmness) @ self._incidence.T
+        coupling *= directions @ directions.transpose(0, 2, 1)
+        weights = np.linalg.inv(coupling + self._ridge)
+        near = np.clip(errors, -0.25 * self._lengths, 0.25 * self._lengths)
+        pull = (weights @ near[..., None]).sum(axis=0)
+        lengths = np.zeros(self._incidence.shape[1])
+        lengths[self._ends] = self._lengths
+        lengths[self._ends] += np.linalg.solve(weights.sum(axis=0), pull)[:, 0]
+        return lengths
+
+    def _moves(self, firmness: Array) -> Array:
+        """Return how each joint moves for each bone, shape (T, bones, J)."""
+        firm = self._firm * firmness + _FIRMNESS_OF_INVENTED
+        return np.asarray(self._incidence / firm[:, None, :] + self._together)
+
+    def _project(self, points: Array, firmness: Array) -> Array:
+        moves = self._moves(firmness)
         coupling = moves @ self._incidence.T
         moves = moves.transpose(0, 2, 1)
         share = np.ones((len(points), 1, 1))
