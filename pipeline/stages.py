@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,7 +20,7 @@ from kinefilter.characters import (
     Tracking,
 )
 from kinefilter.characters.arrays import Array
-from kinefilter.retarget import HeadingFrame, Standardizer
+from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
 
 from .config import CleanConfig
 from .correct import Corrector, Hold, Observation
@@ -29,7 +30,12 @@ from .failures import distrust, find_failures, unmirrored
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
-from .reliability import Reference, measure_body, measure_reference, rest_reference
+from .reliability import (
+    Reference,
+    measure_body,
+    measure_reference,
+    rest_reference,
+)
 from .target.floor import place_of
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take is to fit a gigabyte
@@ -115,7 +121,8 @@ class MeasureCorrectedBody(MeasureBody):
     """Measures the segments again on what correction made of the measured joints.
 
     A method that knows where the sensor misplaces joints knows the person's lengths
-    better than the sensor.
+    better than the sensor. Joints are to move little for the sake of these lengths, so
+    that all frames count, not only those in which the person stands.
     """
 
     name = "measure again"
@@ -128,7 +135,13 @@ class MeasureCorrectedBody(MeasureBody):
         few = Draft(
             draft.skeleton, draft.time[some], positions, draft.state[some], draft.source
         )
-        draft.body = self._measured(few)
+        reference = measure_reference(few.take())
+        bones = BoneLengths(self._measured(few, reference))
+        lengths = bones.fitting(
+            draft.positions[some], np.where(missing[..., 0], 0.0, 1.0)
+        )
+        lengths = np.where(np.isnan(reference.lengths), np.nan, lengths)
+        draft.body = self._measured(few, replace(reference, lengths=lengths))
 
 
 class Score(Stage):

@@ -25,8 +25,9 @@ from kinefilter.characters.rotations import between, matrix_from_wxyz
 from .heading_frame import HeadingFrame, find_yaw
 
 # A segment that many times off the average is a tracker's error. Along the trunk the
-# joints have no landmarks, and sensors differ by more. Both are guesses.
-_ODDEST_LIMB, _ODDEST_TRUNK = 1.6, 4.0
+# joints have no landmarks, and sensors differ by more. Shoulders and hips hang on it,
+# and shoulders come near to it where arms reach forward. All are guesses.
+_ODDEST_LIMB, _ODDEST_SHOULDER, _ODDEST_TRUNK = 1.6, 2.0, 4.0
 
 
 def measured_body(
@@ -41,10 +42,11 @@ def measured_body(
     """Return the body of a person whose segments were measured.
 
     Left and right share the mean of what was measured. What was not measured takes
-    average proportions, and so does what is off them by a factor of 1.6 or more, along
-    the trunk 4. Segment lengths [m] and unit rest directions are NaN where unknown,
-    shapes (J,) and (J, 3); stature [m] follows from the lengths and mass [kg] from the
-    stature unless given. Raises InputError if height or mass is not a human's.
+    average proportions, and so does what is off them by a factor of 1.6 or more,
+    shoulders and hips 2, along the trunk 4. Segment lengths [m] and unit rest
+    directions are NaN where unknown, shapes (J,) and (J, 3); stature [m] follows from
+    the lengths and mass [kg] from the stature unless given. Raises InputError if height
+    or mass is not a human's.
     """
     average = standard_body(skeleton).lengths
     known = np.where(lengths > 0, lengths, np.nan)
@@ -64,10 +66,13 @@ def measured_body(
                 f"{STATURES[0]:g} to {STATURES[1]:g} m; are the positions in meters?"
             )
     body = standard_body(skeleton, height=height, mass=mass)
-    limb = skeleton.mirror != np.arange(len(skeleton))
-    factor = np.where(limb, _ODDEST_LIMB, _ODDEST_TRUNK)
-    sane = (known < factor * body.lengths) & (known * factor > body.lengths)
-    lengths = np.where(sane, known, body.lengths)
+    trunk = skeleton.mirror == np.arange(len(skeleton))
+    beside = np.where(trunk[list(skeleton.parents)], _ODDEST_SHOULDER, _ODDEST_LIMB)
+    factor = np.where(trunk, _ODDEST_TRUNK, beside)
+    sane = (lengths < factor * body.lengths) & (lengths * factor > body.lengths)
+    known = np.where(sane, lengths, np.nan)
+    known = _mean_of_sides(known, known[skeleton.mirror])
+    lengths = np.where(np.isnan(known), body.lengths, known)
     if directions is None:
         return Body(skeleton, body.height, body.mass, lengths, body.directions)
     mirrored = directions[skeleton.mirror] * np.array([-1.0, 1.0, 1.0])

@@ -12,10 +12,11 @@ _MOST_STEPS = 40
 _EXACT = 1e-7  # m
 # Against a measured joint's 1: it moves fifty times as far. A guess.
 _FIRMNESS_OF_INVENTED = 0.02
-# Against a measured joint's 1, how easily all above the knees moves as one. Without it
-# legs that are too long or short push the hips out from under the trunk; from 1 to 10
-# does about as well on recorded people.
-_TOGETHER = 3
+# Chosen on three of six recorded people, as is the next.
+_TRUNK = 10.0  # times as firm: hips, shoulders and their middles, which all hangs on
+# Against a measured limb joint's 1, how easily all above the knees moves as one.
+# Without it legs that are too long or short push the hips out from under the trunk.
+_TOGETHER = 0.5
 
 
 class BoneLengths:
@@ -37,10 +38,15 @@ class BoneLengths:
         rows = np.arange(len(self._ends))
         self._incidence[rows, self._ends] = 1.0
         self._incidence[rows, self._starts] = -1.0
-        trunk = np.ones(len(skeleton))
+        above = np.ones(len(skeleton))
         for hip in skeleton.hips:
-            trunk[skeleton.beyond(int(hip))] = 0.0
-        self._together = _TOGETHER * np.outer(self._incidence @ trunk, trunk)
+            above[skeleton.beyond(int(hip))] = 0.0
+        self._together = _TOGETHER * np.outer(self._incidence @ above, above)
+        shoulders = [skeleton.index(f"Shoulder{side}") for side in ("Left", "Right")]
+        self._firm = np.ones(len(skeleton))
+        self._firm[[skeleton.root, skeleton.girdle, *skeleton.hips, *shoulders]] = (
+            _TRUNK
+        )
 
     def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions [m] (T, J, 3) with the body's segment lengths.
@@ -54,12 +60,33 @@ class BoneLengths:
         projected = positions.copy()
         for first in range(0, len(positions), _CHUNK):
             chunk = slice(first, first + _CHUNK)
-            mobility = 1.0 / (firmness[chunk] + _FIRMNESS_OF_INVENTED)
-            projected[chunk] = self._project(positions[chunk], mobility)
+            projected[chunk] = self._project(positions[chunk], firmness[chunk])
         return projected
 
-    def _project(self, points: Array, mobility: Array) -> Array:
-        moves = self._incidence * mobility[:, None, :] + self._together
+    def fitting(self, positions: Array, firmness: Array) -> Array:
+        """Return segment lengths [m] (J,) for which joints move the least.
+
+        Least squares over all frames; arguments are as of ``project``. A length counts
+        as a quarter off the body's at most: what is farther off is a tracker's error.
+        """
+        directions, errors = self._bones(positions)
+        coupling = self._moves(firmness) @ self._incidence.T
+        coupling *= directions @ directions.transpose(0, 2, 1)
+        weights = np.linalg.inv(coupling + self._ridge)
+        near = np.clip(errors, -0.25 * self._lengths, 0.25 * self._lengths)
+        pull = (weights @ near[..., None]).sum(axis=0)
+        lengths = np.zeros(self._incidence.shape[1])
+        lengths[self._ends] = self._lengths
+        lengths[self._ends] += np.linalg.solve(weights.sum(axis=0), pull)[:, 0]
+        return lengths
+
+    def _moves(self, firmness: Array) -> Array:
+        """Return how each joint moves for each bone, shape (T, bones, J)."""
+        firm = self._firm * firmness + _FIRMNESS_OF_INVENTED
+        return np.asarray(self._incidence / firm[:, None, :] + self._together)
+
+    def _project(self, points: Array, firmness: Array) -> Array:
+        moves = self._moves(firmness)
         coupling = moves @ self._incidence.T
         moves = moves.transpose(0, 2, 1)
         share = np.ones((len(points), 1, 1))

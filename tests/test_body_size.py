@@ -305,8 +305,17 @@ def test_an_odd_limb_takes_average_proportions(factor: float) -> None:
     np.testing.assert_allclose(body.lengths, average.lengths)
 
 
+def test_the_side_within_reason_serves_for_both() -> None:
+    left, right = (KINECT_V1.index(f"Shoulder{side}") for side in ("Left", "Right"))
+    lengths = standard_body(KINECT_V1).lengths.copy()
+    lengths[left], lengths[right] = 0.9 * lengths[left], 2.5 * lengths[right]
+    body = measured_body(KINECT_V1, lengths)
+    np.testing.assert_allclose(body.lengths[[left, right]], lengths[left])
+
+
 @pytest.mark.parametrize(
-    ("joint", "factor"), [("Elbow", 0.65), ("Elbow", 1.55), ("Spine", 0.3)]
+    ("joint", "factor"),
+    [("Elbow", 0.65), ("Elbow", 1.55), ("Shoulder", 0.55), ("Spine", 0.3)],
 )
 def test_a_limb_or_a_trunk_within_reason_is_kept(joint: str, factor: float) -> None:
     chosen = [j for j, n in enumerate(KINECT_V1.joints) if n.startswith(joint)]

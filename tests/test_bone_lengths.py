@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -43,6 +45,16 @@ def noisy(skeleton: Skeleton, count: int, size: float, seed: int = 0) -> Array:
 def lengths_of(positions: Array, skeleton: Skeleton) -> Array:
     bones = positions[:, skeleton.segments] - positions[:, skeleton.segment_parents]
     return np.asarray(np.linalg.norm(bones, axis=-1))
+
+
+def resistance(confidence: Array) -> Array:
+    """Return what moves of KINECT_V1's joints cost, shape (20, 20)."""
+    # Hips, shoulders and their middles are ten times as firm.
+    trunk = [j[:3] in ("Hip", "Sho") for j in KINECT_V1.joints]
+    firmness = confidence * np.where(trunk, 10.0, 1.0) + 0.02
+    # All above the knees moves half as easily as a joint, and as one.
+    above = [j[:4] not in ("Knee", "Ankl", "Foot") for j in KINECT_V1.joints]
+    return np.linalg.inv(np.diag(1.0 / firmness) + 0.5 * np.outer(above, above))
 
 
 @settings(max_examples=30, deadline=None)
@@ -153,6 +165,57 @@ def test_an_invented_hand_gives_way_to_a_measured_arm_and_the_other_way_round(
     assert moved.sum() > 0.99
 
 
+def test_the_trunk_keeps_its_shape_better_than_the_limbs() -> None:
+    positions = noisy(KINECT_V1, 200, 0.01)
+    projector = BoneLengths(standard_body(KINECT_V1))
+    moves = projector.project(positions, np.ones((200, 20))) - positions
+    moves -= moves[:, [j[:3] in ("Hip", "Sho") for j in KINECT_V1.joints]].mean(
+        axis=1, keepdims=True
+    )
+    sizes = np.linalg.norm(moves, axis=2).mean(axis=0)
+    moved = dict(zip(KINECT_V1.joints, sizes, strict=True))
+    for side in ("Left", "Right"):
+        assert moved[f"Hip{side}"] < 0.8 * moved[f"Knee{side}"]
+        assert moved[f"Shoulder{side}"] < 0.8 * moved[f"Elbow{side}"]
+
+
+def test_a_noisy_skeleton_comes_nearer_to_the_truth() -> None:
+    right, positions = postures(KINECT_V1, 200), noisy(KINECT_V1, 200, 0.01)
+    projector = BoneLengths(standard_body(KINECT_V1))
+    projected = projector.project(positions, np.ones((200, 20)))
+    before, after = (
+        np.linalg.norm(x - right, axis=2).mean() for x in (positions, projected)
+    )
+    assert after < 0.9 * before
+
+
+def test_fitting_lengths_are_those_that_all_frames_have() -> None:
+    body = standard_body(KINECT_V1)
+    longer = body.lengths * np.linspace(0.9, 1.1, 20)
+    positions = postures(KINECT_V1, 10)
+    bones = positions - positions[:, np.array(KINECT_V1.parents)]
+    for j in KINECT_V1.segments:
+        bone = bones[:, j] * longer[j] / body.lengths[j]
+        positions[:, j] = positions[:, KINECT_V1.parents[j]] + bone
+    found = BoneLengths(body).fitting(positions, np.ones((10, 20)))
+    np.testing.assert_allclose(found, longer * (np.arange(20) > 0), atol=1e-7)
+
+
+def test_joints_move_less_for_fitting_lengths_than_for_mean_ones() -> None:
+    body, firm = standard_body(KINECT_V1), np.ones((100, 20))
+    positions = noisy(KINECT_V1, 100, 0.003)
+    mean, ends = body.lengths.copy(), KINECT_V1.segments
+    mean[ends] = lengths_of(positions, KINECT_V1).mean(axis=0)
+    fitting = BoneLengths(body).fitting(positions, firm)
+
+    def cost(lengths: Array) -> float:
+        projector = BoneLengths(replace(body, lengths=lengths))
+        moves = projector.project(positions, firm) - positions
+        return float(np.sum(moves * (resistance(firm[0]) @ moves)))
+
+    assert cost(fitting) < cost(mean)
+
+
 def test_two_joints_share_an_error_as_their_mobilities() -> None:
     # One segment that is free at both ends: mobilities 1 / (confidence + 0.02).
     skeleton = KINECT_V1
@@ -175,18 +238,12 @@ def test_the_weighted_move_is_the_smallest_there_is(seed: int) -> None:
     skeleton, body = KINECT_V1, standard_body(KINECT_V1)
     positions = noisy(skeleton, 1, 0.01, seed)
     confidence = np.random.default_rng(seed).uniform(0.1, 1.0, (1, 20))
-    firmness = confidence[0] + 0.02
     projected = BoneLengths(body).project(positions, confidence)
-    # All above the knees moves three times as easily, but as one.
-    together = np.array(
-        [j[:4] not in ("Knee", "Ankl", "Foot") for j in skeleton.joints]
-    )
-    mobility = np.diag(1.0 / firmness) + 3.0 * np.outer(together, together)
-    resistance = np.linalg.inv(mobility)
+    resists = resistance(confidence[0])
 
     def cost(flat: Array) -> float:
         move = flat.reshape(20, 3) - positions[0]
-        return float(np.sum(move * (resistance @ move)))
+        return float(np.sum(move * (resists @ move)))
 
     def slack(flat: Array) -> Array:
         return np.asarray(

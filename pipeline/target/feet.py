@@ -40,7 +40,7 @@ _DRIFT = 0.10  # m: an ankle that moved farther has made a step that nobody saw
 _UNLOADING = 0.15  # s: from the first rise of a foot to its leaving
 _STEP = 0.3  # s: how long such a step takes
 
-PLANTED = 20.0
+PLANTED = 120.0
 """Firmness of a standing foot where bones ask for a move; a measured joint has 1."""
 _HEEL_ERROR = 0.10  # m: a standing ankle that is higher than this has left the floor
 _HEEL_DOWN = 0.01  # m that a heel rises and still counts as down

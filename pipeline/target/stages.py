@@ -33,7 +33,8 @@ from .smooth import smooth, smooth_by_speed
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother, against a measured one's 1
 _LEAST_BONE_WEIGHT = 0.3  # of an invented joint where bones ask for a move: the same
-_BONES_CUTOFF = 2.0  # Hz; lengths are wrong for longer than joints tremble
+_BONES_CUTOFF = 3.0  # Hz; lengths are wrong for longer than joints tremble
+_LANDINGS = 8  # times that joints are put over the floor and back on their segments
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _LET_GO = 0.05  # s in which a foot that steps joins its measured path
 _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share a frame: feet sink rarely, lift often
@@ -224,9 +225,11 @@ class Bones(Stage):
         )
         moved -= positions
         moved = smooth(draft.time, moved, np.ones(weights.shape), cutoff=_BONES_CUTOFF)
-        there = put_on_floor(bones.project(positions + moved, weights), body)
-        # Lifted toes are on longer legs: once more, as the body has to follow them.
-        draft.positions = put_on_floor(bones.project(there, weights), body)
+        there = positions + moved
+        # Lifted toes are on longer legs: again, as the body has to follow them.
+        for _ in range(_LANDINGS):
+            there = put_on_floor(bones.project(there, weights), body)
+        draft.positions = there
 
 
 class Orient(Stage):
