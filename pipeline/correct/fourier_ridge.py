@@ -54,7 +54,7 @@ _MOST, _SIMULATED_MOST = 2500, 50  # frames of a person that are learned from
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
 _CENTERS = 1000  # of the postures that were learned from
 _KNOWN, _STRANGE = 0.9, 0.65  # likeness at which most, and nothing, that moves is taken
-_MOST_TAKEN = 0.65  # of what moves, for the sake of movements not learned from
+_MOST_TAKEN = 0.7  # of what moves, for the sake of movements not learned from
 _NEAR, _FAR = 0.8, 0.4  # likeness at which all, and nothing, of the constant is taken
 _CALM, _CONSTANT = 3.0, 10.0  # s over which likeness is averaged, for what moves or not
 # Of limbs on the far side; chosen by leaving one of fourteen people out.
@@ -330,7 +330,7 @@ class FourierRidge(LearnedCorrector):
             hung = shift[..., parent, :]
             shift[..., j, :] = np.where(lost, hung, shift[..., j, :])
         moved = posture + shift
-        if seen.lengths is not None:
+        if seen.lengths is not None and self._person is None:
             odd = self._described.proportions(seen.lengths) - self.bones_
             scale = np.exp(-_BONE_SHARE * alike * odd)[..., None]
             bones = moved - moved[..., self._parents, :] * self._hangs
