@@ -43,3 +43,19 @@ class Hands:
                 bone = unit(share * stays + (1.0 - share) * follows)
                 carried[..., j, :] = carried[..., p, :] + body.lengths[j] * bone
         return carried
+
+    def straightened(self, positions: Array, share: Array, body: Body) -> Array:
+        """Return postures (..., J, 3), hands laid along their forearms.
+
+        ``share`` (..., J) in [0, 1] is how far; where it is 0, they stay as they are.
+        """
+        straight = positions.copy()
+        for elbow, wrist, hand in self._arms:
+            along = unit(positions[..., wrist, :] - positions[..., elbow, :])
+            for j in hand:
+                p, part = self._parents[j], share[..., j, None]
+                bone = unit(positions[..., j, :] - positions[..., p, :])
+                bone = body.lengths[j] * unit(part * along + (1.0 - part) * bone)
+                there = straight[..., p, :] + bone
+                straight[..., j, :] = np.where(part > 0.0, there, positions[..., j, :])
+        return straight

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from skeletons import every_skeleton
 
 from kinefilter import clean
-from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.rotations import about_y, rotate
+from kinefilter.characters import KINECT_V2, Skeleton, standard_body
+from kinefilter.characters.rotations import about_y, rotate, unit
 from kinefilter.retarget import Hands
 from kinefilter.scenes.sensor import sample_take
 
@@ -61,3 +61,23 @@ def test_no_hand_of_the_sample_hangs_bent() -> None:
         forearm, bone = wrist - elbow, hand - wrist
         lengths = np.linalg.norm([forearm, bone], axis=2).prod(axis=0)
         assert np.degrees(np.arccos(np.vecdot(forearm, bone) / lengths)).max() < 45.0
+
+
+def test_straight_hands_lie_along_their_forearms_as_far_as_said() -> None:
+    rng = np.random.default_rng(0)
+    body, index = standard_body(KINECT_V2), KINECT_V2.index
+    positions = body.rest_positions + 0.1 * rng.standard_normal((7, len(KINECT_V2), 3))
+    share = np.zeros((7, len(KINECT_V2)))
+    share[3:, index("HandLeft")] = np.linspace(0.25, 1.0, 4)
+    straight = Hands(KINECT_V2).straightened(positions, share, body)
+    elbow, wrist, hand = (index(part + "Left") for part in ("Elbow", "Wrist", "Hand"))
+    moved = [hand, *KINECT_V2.beyond(hand)]
+    others = [j for j in range(len(KINECT_V2)) if j not in moved]
+    np.testing.assert_array_equal(straight[:, others], positions[:, others])
+    np.testing.assert_array_equal(straight[:3], positions[:3])
+    forearm = unit(straight[:, wrist] - straight[:, elbow])
+    bone = straight[:, hand] - straight[:, wrist]
+    was = unit(positions[:, hand] - positions[:, wrist])
+    np.testing.assert_allclose(bone[-1], body.lengths[hand] * forearm[-1], atol=1e-12)
+    nearer = np.vecdot(unit(bone), forearm) - np.vecdot(was, forearm)
+    assert (nearer[3:] > 0.0).all()

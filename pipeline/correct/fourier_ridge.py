@@ -26,10 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.retarget.body_size import chain_matrix
+from kinefilter.retarget.hands import Hands
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Observation
 from .learned import LearnedCorrector, TrainingSet
@@ -107,7 +108,8 @@ class FourierRidge(LearnedCorrector):
         self.joints_ = self._described.joints
         self._parents = np.array(skeleton.parents)
         self._hangs = (self._parents >= 0)[:, None]
-        self._chain = chain_matrix(skeleton)
+        self._chain, self._hands = chain_matrix(skeleton), Hands(skeleton)
+        self._body = standard_body(skeleton)
         self._person: int | None = None
         self.start()
 
@@ -330,6 +332,10 @@ class FourierRidge(LearnedCorrector):
             hung = shift[..., parent, :]
             shift[..., j, :] = np.where(lost, hung, shift[..., j, :])
         moved = posture + shift
+        if beside.any():
+            # A hand behind the body is the sensor's guess as well.
+            aside = beside[..., self._described.follows]
+            moved = self._hands.straightened(moved, aside, self._body)
         if seen.lengths is not None and self._person is None:
             odd = self._described.proportions(seen.lengths) - self.bones_
             scale = np.exp(-_BONE_SHARE * alike * odd)[..., None]
