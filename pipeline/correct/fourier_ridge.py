@@ -224,8 +224,11 @@ class FourierRidge(LearnedCorrector):
         count, mirror = len(self.weights_) - size, self._described.mirror
         self._whole = RandomFeatures(self.mean_, count, seed, mirror)
         live, mirror = self._described.live, self._described.live_mirror
-        self._live_centers = np.ascontiguousarray(self.centers_[:, live])
-        self._live_far_centers = np.ascontiguousarray(self.far_centers_[:, live])
+        centers = (self.centers_, self.far_centers_)
+        self._centers, self._live_centers = (
+            [(np.ascontiguousarray(c), np.sum(c**2, axis=1)) for c in some]
+            for some in (centers, [c[:, live] for c in centers])
+        )
         count = len(self.live_weights_) - len(live)
         self._step = RandomFeatures(self.mean_[live], count, seed, mirror)
         self.know(None)
@@ -267,8 +270,8 @@ class FourierRidge(LearnedCorrector):
                 points[some], points, take.time[some], take.time, toward[some]
             )
             found[some] = self._whole(features) @ weights + constant
-            likeness[some, 0] = likeness_to(features, self.centers_)
-            likeness[some, 1] = likeness_to(features, self.far_centers_)
+            for column, centers in enumerate(self._centers):
+                likeness[some, column] = likeness_to(features, *centers)
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_TURN / step, 1.0))
         toward = uniform_filter1d(toward, window, axis=0, mode="nearest")
@@ -295,8 +298,8 @@ class FourierRidge(LearnedCorrector):
         )
         weights, constant = self._offsets[1]
         found, far = np.split((self._step(features) @ weights + constant)[0], 2)
-        centers = (self._live_centers, self._live_far_centers)
-        likeness = np.array([likeness_to(features, some)[0] for some in centers])
+        known = [likeness_to(features, *centers)[0] for centers in self._live_centers]
+        likeness = np.array(known)
         means = self._means or (found, likeness, likeness, toward[0])
         spans = (_CONSTANT, _CALM, _CONSTANT, _TURN / 2.0)
         latest = (found, likeness, likeness, toward[0])

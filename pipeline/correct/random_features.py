@@ -93,12 +93,15 @@ def direction_to(sensor: Array | None, count: int) -> Array:
     return np.where(distance > 0.5, flat / np.maximum(distance, 0.5), [0.0, 1.0])
 
 
-def likeness_to(features: Floats, centers: Floats) -> Array:
-    """Return how like the nearest center frames are, in [0, 1], shape (T,)."""
+def likeness_to(features: Floats, centers: Floats, squares: Floats) -> Array:
+    """Return how like the nearest center frames are, in [0, 1], shape (T,).
+
+    ``squares`` are those of the centers' lengths.
+    """
     if not len(centers):
         return np.zeros(len(features))
-    squares = np.sum(centers**2, axis=1) - 2.0 * features @ centers.T
-    nearest = squares.min(axis=1) + np.sum(features**2, axis=1)
+    nearest = (squares - 2.0 * features @ centers.T).min(axis=1)
+    nearest = nearest + np.sum(features**2, axis=1)
     return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))
 
 
