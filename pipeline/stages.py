@@ -270,7 +270,6 @@ class Correct(Stage):
             draft.time,
             body.lengths,
             draft.heading.origin,
-            draft.hidden,
         )
 
 

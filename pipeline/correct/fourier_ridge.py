@@ -319,8 +319,6 @@ class FourierRidge(LearnedCorrector):
         beside = -found.toward[..., :1] * self._described.sides
         beside = _ramp(beside, _ASIDE, _BESIDE)
         beside = beside * _ramp(found.lately[..., 1:], _FAR, _NEAR)
-        if seen.hidden is not None:
-            beside = np.where(seen.hidden[..., self.joints_], 0.0, beside)
         share = _ramp(found.lately[..., :1], _STRANGE, _KNOWN)
         if self._person is None:
             share = _MOST_TAKEN * share

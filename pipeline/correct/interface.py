@@ -35,8 +35,6 @@ class Observation:
     """The person's own segment lengths [m], shape (J,)."""
     sensor: Array | None = None
     """Where the sensor is [m], seen from the root, the person facing +z, shape (3,)."""
-    hidden: Any = None
-    """Joints that were reconstructed, not seen, shape (J,)."""
 
     def frame(self, k: int) -> Observation:
         """Return a frame of a take."""
@@ -47,7 +45,6 @@ class Observation:
             float(self.time[k]),
             self.lengths,
             None if self.sensor is None else self.sensor[k],
-            None if self.hidden is None else self.hidden[k],
         )
 
 
