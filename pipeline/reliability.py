@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import unit
 from kinefilter.retarget import measured_body
 
 SMALLEST_DISPLACEMENT = 0.03
@@ -175,7 +176,7 @@ def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
         joints = [skeleton.index(end + side) for side in _SIDES for end in ends]
         starts = [skeleton.parents[j] for j in joints]
         bones = take.positions[:, joints] - take.positions[:, starts]
-        return np.asarray((bones[..., 1] / np.linalg.norm(bones, axis=2)).T)
+        return unit(bones)[..., 1].T
 
     arms = rise("Elbow", "Wrist")
     down, sideways = (arms < -0.9).all(axis=0), (np.abs(arms) < 0.34).all(axis=0)

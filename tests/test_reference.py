@@ -159,6 +159,16 @@ def test_trunk_directions_are_of_frames_in_which_all_of_the_trunk_is_tracked() -
     np.testing.assert_allclose(directions[hip], body.directions[hip], atol=1e-12)
 
 
+@pytest.mark.filterwarnings("error")
+def test_frames_with_a_bone_of_no_length_do_not_count() -> None:
+    still = replace(still_take(), positions=np.tile(arms_down(), (20, 1, 1)))
+    ankle, knee = (KINECT_V1.index(part + "Left") for part in ("Ankle", "Knee"))
+    positions = still.positions.copy()
+    positions[:10, ankle] = positions[:10, knee]
+    reference = measure_reference(replace(still, positions=positions))
+    np.testing.assert_allclose(reference.lengths, measure_reference(still).lengths)
+
+
 def test_measuring_a_reference_of_the_sample_finds_the_performer() -> None:
     reference = measure_reference(sample_take())
     limbs = [
