@@ -182,21 +182,18 @@ class FourierRidge(LearnedCorrector):
         steps = iter(progress("learn", 2 * len(everybody)))
         for columns, count, mirror in zip(parts, counts, mirrors, strict=True):
             random = RandomFeatures(self.mean_[columns], count, self.seed, mirror)
-            shared, far = (
-                ridge_weights(random, columns, some, more, mean, steps)
-                for some, more, mean in (
-                    (recorded, others, self.offset_),
-                    (beside + facing, [], np.zeros_like(self.offset_)),
-                )
+            shared = ridge_weights(
+                random, columns, recorded, others, self.offset_, steps
             )
+            far, own = shared[:0], []
+            if beside:
+                none = np.zeros_like(self.offset_)
+                far = ridge_weights(random, columns, beside + facing, [], none, steps)
             # Recorded people come with their mirror images, which are others.
-            own = [
-                own_weights(random, columns, person, shared, self.offset_)
-                for person, _ in zip(recorded[::2], self.people_, strict=False)
-                if next(steps) >= 0
-            ]
-            empty = np.empty((0, random.size + 1, len(self.offset_)))
-            found.append((shared, far if beside else far[:0], [*empty, *own]))
+            for person in recorded[: 2 * len(self.people_) : 2]:
+                next(steps)
+                own.append(own_weights(random, columns, person, shared, self.offset_))
+            found.append((shared, far, own))
         for _ in steps:
             pass
         (self.weights_, self.far_weights_, self.own_weights_), live = (
