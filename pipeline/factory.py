@@ -98,9 +98,10 @@ def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Correc
     if config.person is not None:
         people = corrector.people_.tolist() if model.method == "learned" else []
         if config.person not in people:
+            known = f"only {', '.join(people)}" if people else "and nobody else"
             raise InputError(
-                f"{config.model}: knows nobody called {config.person!r}, but "
-                f"{', '.join(people) or 'nobody'}; train it with --people"
+                f"{config.model}: knows nobody called {config.person!r}, {known}; "
+                "teach it people with 'kinefilter train --people'"
             )
         corrector.know(config.person)
     if config.adapt:

@@ -143,6 +143,30 @@ def test_far_from_what_was_learned_nothing_is_moved(model: FourierRidge) -> None
         np.testing.assert_allclose(stepped, far[k], atol=1e-9)
 
 
+def test_where_nothing_is_known_nothing_is_added(model: FourierRidge) -> None:
+    far = 40.0 * standard_body(KINECT_V1).rest_positions
+    lengths = np.full(len(KINECT_V1), 9.0)
+    ones = np.ones(len(KINECT_V1))
+    model.start()
+    result = model.step(Observation(far, ones, ones, 0.0, lengths))
+    np.testing.assert_allclose(result.positions, far, atol=1e-9)
+    assert result.coverage == pytest.approx(0.0, abs=1e-9)
+    model.start()
+
+
+def test_missing_joints_are_filled_by_the_model(model: FourierRidge) -> None:
+    posture = standard_body(KINECT_V1).rest_positions
+    posture = posture - posture[KINECT_V1.root]
+    hand = KINECT_V1.index("HandRight")
+    posture[hand] = np.nan
+    ones = np.ones(len(KINECT_V1))
+    model.start()
+    result = model.step(Observation(posture, ones, ones))
+    model.start()
+    assert np.isfinite(result.positions).all()
+    assert result.confidence[hand] == 0.0
+
+
 def test_a_take_is_the_same_in_chunks(
     model: FourierRidge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -318,7 +342,7 @@ def test_a_known_person_is_corrected_as_that_person(tmp_path: Path) -> None:
         assert left["nobody", k] == left["stranger", k]
     config = CleanConfig(model=path, person="ann")
     assert make_corrector(KINECT_V1, config)._person == 1
-    with pytest.raises(InputError, match="knows nobody called 'tom', but bob, ann"):
+    with pytest.raises(InputError, match="knows nobody called 'tom', only bob, ann"):
         make_corrector(KINECT_V1, replace(config, person="tom"))
     with pytest.raises(InputError, match="--person needs --model"):
         make_corrector(KINECT_V1, CleanConfig(person="ann"))

@@ -172,30 +172,6 @@ def test_known_people_are_corrected_better(pairs: list[PairedTake]) -> None:
     assert known["learned"]["people"].keys() == {"s01", "s02", "s03"}
 
 
-def test_where_nothing_is_known_nothing_is_added(model: FourierRidge) -> None:
-    far = 40.0 * standard_body(KINECT_V1).rest_positions
-    lengths = np.full(len(KINECT_V1), 9.0)
-    ones = np.ones(len(KINECT_V1))
-    model.start()
-    result = model.step(Observation(far, ones, ones, 0.0, lengths))
-    np.testing.assert_allclose(result.positions, far, atol=1e-9)
-    assert result.coverage == pytest.approx(0.0, abs=1e-9)
-    model.start()
-
-
-def test_missing_joints_are_filled_by_the_model(model: FourierRidge) -> None:
-    posture = standard_body(KINECT_V1).rest_positions
-    posture = posture - posture[KINECT_V1.root]
-    hand = KINECT_V1.index("HandRight")
-    posture[hand] = np.nan
-    ones = np.ones(len(KINECT_V1))
-    model.start()
-    result = model.step(Observation(posture, ones, ones))
-    model.start()
-    assert np.isfinite(result.positions).all()
-    assert result.confidence[hand] == 0.0
-
-
 def test_a_model_file_gives_the_same_corrections(
     model: FourierRidge, pairs: list[PairedTake], tmp_path: Path
 ) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, Take, standard_body
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.lab import teach
 from kinefilter.pipeline.lab.two_views import LIMBS
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
@@ -59,6 +63,37 @@ def test_two_views_of_one_motion_agree(session: list[str], tmp_path: Path) -> No
     for limb in LIMBS:
         assert found["rows"]["raw"][limb]["all"] < 0.5
         assert found["rows"]["none"][limb]["all"] < 2.0
+
+
+def test_learned_has_not_learned_from_the_person_that_it_is_told_on(
+    session: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two people beside a sensor, and somebody with markers."""
+    monkeypatch.setattr(teach, "_SIMULATED", 0)
+    teach._simulated.cache_clear()
+    for person in ("ann", "bob"):
+        name = f"{person}_90deg_wave"
+        for file, end in zip((*session[:2], session[3]), ("_A", "_B", ""), strict=True):
+            kind = ".csv" if end else ".sync.csv"
+            shutil.copy(file, tmp_path / f"{name}{end}{kind}")
+    marked, out = tmp_path / "marked.npz", tmp_path / "views.json"
+    made = ["--motion", "wave", "--sensor", "v1", "-o", str(tmp_path / "take.csv")]
+    assert main(["simulate", "basic", *made, "--pairs", str(marked)]) == 0
+    taught, fit = [], FourierRidge.fit
+
+    def noted(model: FourierRidge, *args: Any, **options: Any) -> FourierRidge:
+        taught.append(options["views"].people)
+        return fit(model, *args, **options)
+
+    monkeypatch.setattr(FourierRidge, "fit", noted)
+    options = ["--train", str(marked), "--methods", "learned", "--no-physics"]
+    views = ["--views", str(tmp_path), *options, "--json", str(out)]
+    assert main(["evaluate", *views]) == 0
+    teach._simulated.cache_clear()
+    assert taught == [("bob",), ("ann",)]
+    for found in json.loads(out.read_text("utf-8"))["sessions"]:
+        for limb in LIMBS:
+            assert found["rows"]["learned"][limb]["all"] < 3.0
 
 
 def test_views_that_are_read_at_different_times_do_not_agree(

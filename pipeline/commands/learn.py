@@ -66,9 +66,10 @@ class Train:
             else:
                 simulated = furnished_pairs if self.furnished else simulated_pairs
                 lessons = training_set(simulated(self.simulated, progress=progress))
-            views = None
+            views, source = None, lessons.source
             if sessions:
                 views = training_set(view_pairs(sessions, progress))
+                source += f", and before two sensors {views.source}"
             learner = teach(
                 self.method,
                 lessons,
@@ -76,9 +77,8 @@ class Train:
                 people=self.people,
                 progress=progress,
             )
-        model = Model(learner, self.method, lessons.skeleton, lessons.source)
-        save_model(model, self.out)
-        out.print(f"wrote {self.out}: {self.method}, learned from {lessons.source}")
+        save_model(Model(learner, self.method, lessons.skeleton, source), self.out)
+        out.print(f"wrote {self.out}: {self.method}, learned from {source}")
         return 0
 
 

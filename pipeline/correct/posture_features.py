@@ -36,7 +36,7 @@ class PostureFeatures:
         """Those beyond the trunk."""
         rows = {int(j): k for k, j in enumerate(self.joints)}
         self._mirror = np.array([rows[int(skeleton.mirror[j])] for j in self.joints])
-        side = [(n[:-4] in _HIDDEN) - (n[:-5] in _HIDDEN) for n in names]
+        side = [(part in _HIDDEN) * sign for part in _LIMBS for sign in (1, -1)]
         self.sides = np.array([*np.zeros(len(trunk) + 1), *side])
         """1 of left joints that the body may hide, -1 of right ones, 0 of others."""
         # The segments between the joints that are known, over those that are not.

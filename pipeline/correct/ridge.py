@@ -21,10 +21,8 @@ from .random_features import Floats, RandomFeatures, direction_to
 _SHARE = 0.07  # a: variance of an effect, against 1 of what all people share
 _SIMULATED_SHARE = 0.05  # of the effect that simulated people have in common
 _OWN, _OWN_CLIP, _OWN_NOISE = 3.0, 0.03, 0.1  # variances where the person is known
-_BATCH = 2048  # rows whose products are summed at a time
-
-
 _LEAST_NOISE = 0.1  # variance of the noise in a frame, against a signal of 1
+_BATCH = 2048  # rows whose products are summed at a time
 
 
 @dataclass(frozen=True, eq=False)
