@@ -259,7 +259,7 @@ def _notes(draft: Draft) -> Iterable[str]:
     if not draft.reference.from_reference_posture:
         yield (
             "no T-pose or standing frames with every joint tracked: segment lengths "
-            "are medians over the take"
+            "are measured over the whole take"
         )
     if draft.tilt != 0.0:
         yield f"the sensor was tilted by {np.degrees(draft.tilt):+.1f} degrees"

@@ -31,14 +31,16 @@ class Evaluate:
     motion. Means over frames and joints, then over people, in cm, and against raw.
 
     default is exactly what clean does, with the weights that ship: they were learned on
-    the six people of UI-PRMD, so learned tells what it is worth to others. none is
-    clean without any correction.
+    the six people of UI-PRMD and on fourteen before two Kinects, so learned tells what
+    it is worth to others. none is clean without any correction.
 
     With --hide, a limb is hidden in the middle of each clip of PAIRS, and its joints
     are compared with those of the clip cleaned with nothing hidden, and with mocap.
     Beside the methods stand the clip with nothing hidden (seen), and the limb held
     still in the heading frame (hold), turned evenly from where it was last seen to
-    where it is seen next (slerp), or smoothed through both (spline).
+    where it is seen next (slerp), or smoothed through both (spline). All three begin
+    and end where the clip with nothing hidden has the limb; as that clip is smoothed,
+    the spline knows a little of what is hidden.
 
     With --views, the limbs of a sensor beside a person are compared with those that a
     sensor in front of the person saw at the same time; the method learned then learns
