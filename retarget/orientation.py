@@ -83,7 +83,8 @@ def _pelvis_frame(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags]:
     turned = between(_X, x)
     # What is left is the angle about x from the turned y axis to up.
     seen = rotate(inverse(turned), up)
-    ahead, aside = seen[..., 1], seen[..., 2]
+    # Of a view, arctan2 is rounded in one of two ways, by where its memory lies.
+    ahead, aside = seen[..., 1].copy(), seen[..., 2].copy()
     frame = multiply(turned, about_x(np.arctan2(aside, ahead)))
     plane = np.sum(x * x, axis=-1) * (ahead**2 + aside**2) > _NO_PLANE**2
     return frame, np.asarray(plane)

@@ -248,3 +248,21 @@ def test_a_missing_joint_leaves_its_segments_unknown_and_no_other(
             arm |= {j} if skeleton.parents[j] in arm else set()
     assert set(np.flatnonzero(unknown)) == arm
     np.testing.assert_array_equal(rotations[~unknown], whole[~unknown])
+
+
+def test_angles_do_not_depend_on_where_memory_lies(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a view whose memory ends where the result's begins numpy rounds otherwise."""
+    seen: list[bool] = []
+
+    def arctan2(*sides: Array) -> Array:
+        seen.extend(side.flags.c_contiguous for side in sides)
+        return np.asarray(original(*sides))
+
+    original = np.arctan2
+    monkeypatch.setattr(np, "arctan2", arctan2)
+    act = perform("wave", standard_body(KINECT_V1), seed=1)
+    rotations_from_positions(act.positions, act.body)
+    assert seen
+    assert all(seen)
