@@ -225,6 +225,9 @@ class Clip(Motion):
     measurement."""
     moved_by_physics: Array
     """Distance from the corrected to the final joint [m], shape (T, J)."""
+    uncertainty: Array
+    """How far the joint may be off, relative to the hips: standard deviation of each
+    coordinate [m], NaN where unknown, shape (T, J)."""
     contacts: Flags
     """Which parts of the feet stand on the floor (CONTACTS), shape (T, 4)."""
     external_force: Array
@@ -261,7 +264,7 @@ class Clip(Motion):
             **super()._shapes(),
             **dict.fromkeys(("state", "reliability", "deciding_term"), (t, j)),
             **dict.fromkeys(("origin", "moved_by_correction"), (t, j)),
-            "moved_by_physics": (t, j),
+            **dict.fromkeys(("moved_by_physics", "uncertainty"), (t, j)),
             "contacts": (t, len(CONTACTS)),
             "external_force": (t,),
         }
@@ -285,6 +288,7 @@ class Clip(Motion):
             "origin": np.full(shape, Origin.MEASURED, dtype=np.uint8),
             "moved_by_correction": unknown,
             "moved_by_physics": unknown,
+            "uncertainty": unknown,
             "contacts": np.zeros((shape[0], len(CONTACTS)), dtype=np.bool_),
             "external_force": np.full(shape[0], np.nan),
         }

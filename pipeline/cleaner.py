@@ -36,6 +36,7 @@ from .stages import (
 )
 from .target.floor import to_world
 from .target.stages import Bones, Feet, Floor, Level, Orient, Smooth
+from .uncertainty import uncertainty
 
 _LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which to move
 
@@ -220,6 +221,7 @@ class Cleaner:
             origin=draft.origin[frames],
             moved_by_correction=moved_by_correction[frames],
             moved_by_physics=distances(after, draft.posed)[frames],
+            uncertainty=uncertainty(draft)[frames],
             contacts=draft.contacts[frames],
             external_force=force[frames],
             props=tuple(prop.at(frames) for prop in draft.props),

@@ -137,6 +137,7 @@ def make_clip() -> MakeClip:
             origin=rng.integers(0, 3, shape).astype(np.uint8),
             moved_by_correction=moved,
             moved_by_physics=rng.random(shape),
+            uncertainty=moved,
             contacts=rng.random((len(time), 4)) < 0.5,
             external_force=rng.random(len(time)),
             source="made up",

@@ -33,6 +33,7 @@ def performed(name: str, *, seed: int = 3, skeleton: Skeleton = KINECT_V2) -> Cl
         "reliability": np.ones(shape),
         "moved_by_correction": np.zeros(shape),
         "moved_by_physics": np.zeros(shape),
+        "uncertainty": np.zeros(shape),
         "contacts": low & (np.concatenate([step[:1], step]) < _STILL),
         "source": name,
     }

@@ -42,9 +42,9 @@ def evaluated(
     found: list[Array] = []
     add = Tally.add
 
-    def watched(self: Tally, pair: PairedTake, positions: Array, s: float) -> None:
+    def watched(self: Tally, pair: PairedTake, positions: Array, *more: Any) -> None:
         found.append(positions)
-        add(self, pair, positions, s)
+        add(self, pair, positions, *more)
 
     monkeypatch.setattr(Tally, "add", watched)
     evaluate([], [pair], ["default"], **options)

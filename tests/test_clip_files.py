@@ -111,7 +111,7 @@ def test_usd_gives_back_where_every_joint_came_from(
     found = read_clip(tmp_path / f"clip{suffix}")
     for name in ("origin", "deciding_term", "contacts"):
         np.testing.assert_array_equal(getattr(found, name), getattr(clip, name))
-    for name in ("reliability", "moved_by_correction", "moved_by_physics"):
+    for name in ("reliability", "moved_by_correction", "uncertainty"):
         np.testing.assert_allclose(
             getattr(found, name), getattr(clip, name), rtol=1e-3, atol=1e-7
         )

@@ -186,6 +186,7 @@ def clip_fields(frames: int = 4, skeleton: Skeleton = KINECT_V1) -> dict[str, An
         "origin",
         "moved_by_correction",
         "moved_by_physics",
+        "uncertainty",
     )
     shape = (frames, len(skeleton))
     take = take_fields(frames, skeleton)
@@ -207,7 +208,7 @@ def arrays_of(motion: Take | Clip) -> dict[str, Array]:
 
 @pytest.mark.parametrize(
     ("motion", "count"),
-    [(Take(**take_fields()), 3), (Clip(**clip_fields()), 11)],
+    [(Take(**take_fields()), 3), (Clip(**clip_fields()), 12)],
     ids=["take", "clip"],
 )
 def test_arrays_of_a_motion_are_read_only(motion: Take | Clip, count: int) -> None:
@@ -258,6 +259,7 @@ def test_a_take_of_the_wrong_shape_is_refused(skeleton: Skeleton, name: str) -> 
         "origin",
         "moved_by_correction",
         "moved_by_physics",
+        "uncertainty",
         "contacts",
     ],
 )

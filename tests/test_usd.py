@@ -290,6 +290,7 @@ def test_reliability_and_provenance_are_there_for_every_joint_and_frame(
         ("origin", clip.origin),
         ("movedByCorrection", np.nan_to_num(clip.moved_by_correction, nan=-1.0)),
         ("movedByPhysics", clip.moved_by_physics),
+        ("uncertainty", np.nan_to_num(clip.uncertainty, nan=-1.0)),
     ):
         assert attribute(name).IsCustom()
         samples = attribute(name).GetTimeSamples()

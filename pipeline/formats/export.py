@@ -27,7 +27,7 @@ _FOLLOWED = {
     **dict.fromkeys((".csv", ".npz"), ("fps",)),
 }
 _END = 1e-6  # of a frame: the last one is not lost to rounding
-_MOVED = ("moved_by_correction", "moved_by_physics")
+_MOVED = ("moved_by_correction", "moved_by_physics", "uncertainty")
 _ON_A_LINE = ("root", "reliability", *_MOVED, "external_force")
 _NEAREST = ("state", "deciding_term", "origin", "contacts")
 

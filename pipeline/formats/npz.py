@@ -25,7 +25,8 @@ _KINDS = "biufUS"  # truth values, numbers and text
 _MOST_ARRAYS = 1000
 _LONGEST_HEADER = 10_000  # bytes, numpy's own limit for files from elsewhere
 
-_FRAME = ("tilt", "floor")  # archives of older versions lack them
+_FRAME = ("tilt", "floor")  # archives of older versions lack them,
+_SINCE_0_2 = "uncertainty"  # and this
 _FIRST = ("time", "positions", "rotations")
 _OTHERS = (*_FIRST, *_FRAME, "root", "body", "source", "props")
 _ARRAYS = (*_FIRST, *(f.name for f in fields(Clip) if f.name not in _OTHERS))
@@ -135,7 +136,9 @@ def read_npz(path: AnyPath) -> Clip:
 def _clip(archive: dict[str, Any]) -> Clip:
     skeleton = skeleton_named(str(archive["skeleton"]))
     measures: dict[str, Any] = {name: archive[name] for name in _BODY}
-    arrays = {name: archive[name] for name in _ARRAYS}
+    arrays = {name: archive[name] for name in _ARRAYS if name != _SINCE_0_2}
+    unknown = np.full(np.shape(arrays["reliability"]), np.nan)
+    arrays[_SINCE_0_2] = archive.get(_SINCE_0_2, unknown)
     frame = {name: archive.get(name, np.nan) for name in _FRAME}
     for name, array in (*arrays.items(), *measures.items(), *frame.items()):
         kinds = "f" if name == "time" else "biuf"

@@ -14,6 +14,8 @@ order of ``joints``, lengths in meters whatever the stage's unit:
 - ``origin``: where each joint came from, an index of ``originNames``
 - ``movedByCorrection``, ``movedByPhysics``: how far each joint was moved, -1 where
   nothing was measured
+- ``uncertainty``: how far each joint may be off, relative to the hips, the standard
+  deviation of each coordinate; -1 where nobody knows
 - ``contacts``: which of ``contactNames`` stand on the floor
 - ``externalForce``: body weights that no muscle and no floor gives; no sample without
   physics

@@ -36,6 +36,7 @@ PER_FRAME = {
     "reliability": "reliability",
     "movedByCorrection": "moved_by_correction",
     "movedByPhysics": "moved_by_physics",
+    "uncertainty": "uncertainty",
     "decidingTerm": "deciding_term",
     "origin": "origin",
     "contacts": "contacts",

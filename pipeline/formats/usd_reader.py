@@ -37,7 +37,7 @@ from .usd_character import CHARACTER, LINEAR, PER_FRAME, name_tables
 
 _LARGEST = 2**31  # bytes
 _BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
-_MOVED = {"moved_by_correction", "moved_by_physics", "reliability"}
+_MOVED = {"moved_by_correction", "moved_by_physics", "reliability", "uncertainty"}
 _KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # others have the same name
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.pairs import PairedTake
 
@@ -18,6 +18,9 @@ LIMBS = tuple(
     for side in ("Left", "Right")
 )
 """The joints that count: those whose place mocap and Kinect agree on in principle."""
+
+FAR = 0.07
+"""Joints farther off than this [m], constant offset aside, are to be found."""
 
 
 class Accuracy:
@@ -39,7 +42,7 @@ class Accuracy:
             positions: Joint positions [m], shape (T, J, 3).
             truth: Of the same frames and in the same orientation, shape (T, J, 3).
         """
-        return np.asarray(np.linalg.norm(self._away(positions, truth), axis=2))
+        return np.asarray(np.linalg.norm(self.away(positions, truth), axis=2))
 
     def standardized(self, positions: Array, truth: Array) -> Array:
         """Return E_std's: both sides' bones at standard lengths first, (T, 12)."""
@@ -50,13 +53,14 @@ class Accuracy:
 
         What an animator sees as wrong motion.
         """
-        away = self._away(positions, truth)
+        away = self.away(positions, truth)
         seen = ~np.isnan(away[..., 0])
         counts = np.maximum(seen.sum(axis=0), 1)[:, None]
         mean = np.where(seen[..., None], away, 0.0).sum(axis=0) / counts
         return np.asarray(np.linalg.norm(away - mean, axis=2))
 
-    def _away(self, positions: Array, truth: Array) -> Array:
+    def away(self, positions: Array, truth: Array) -> Array:
+        """Return errors of limb joints [m], NaN where unknown, shape (T, 12, 3)."""
         return self._from_hips(positions) - self._from_hips(truth)
 
     def _from_hips(self, positions: Array) -> Array:
@@ -91,16 +95,37 @@ class _Person:
     standardized: list[Array] = field(default_factory=list)
     varying: list[Array] = field(default_factory=list)
     jitters: list[float] = field(default_factory=list)
+    shares: list[Array] = field(default_factory=list)
+    """Errors of coordinates, over what the clip says that they may be."""
+    wrong: list[Flags] = field(default_factory=list)
+    """Whether a raw joint is over 7 cm off, constant offset aside."""
+    moved: list[Array] = field(default_factory=list)
+    """How far such a joint was moved [m], likewise."""
 
-    def figures(self) -> dict[str, float]:
-        """Return means over frames and joints [cm], and the jitter [m/s^3]."""
+    def figures(self) -> dict[str, float | None]:
+        """Return means over frames and joints [cm], and the jitter [m/s^3].
+
+        ``within_68`` and ``within_95``: per cent of coordinates that are off by less
+        than their uncertainty, and than 1.96 times as much. ``found``: area under the
+        ROC curve of how far a joint was moved, for raw joints that were off.
+        """
+        from sklearn.metrics import roc_auc_score
+
         distances = np.concatenate(self.distances)
+        shares = np.concatenate([np.empty((0, 12, 3)), *self.shares])
+        shares = shares[~np.isnan(shares)]
+        known = len(shares) > 0
+        wrong, moved = np.concatenate(self.wrong), np.concatenate(self.moved)
+        both = 0.0 < wrong.mean() < 1.0
         return {
             "E": float(np.nanmean(distances) * 100),
             "E_std": float(np.nanmean(np.concatenate(self.standardized)) * 100),
             "E_var": float(np.nanmean(np.concatenate(self.varying)) * 100),
             "p95": float(np.nanpercentile(distances, 95) * 100),
             "jitter": float(np.nanmean(self.jitters)),
+            "within_68": float(np.mean(shares < 1.0) * 100) if known else None,
+            "within_95": float(np.mean(shares < 1.96) * 100) if known else None,
+            "found": float(roc_auc_score(wrong, moved)) if both else None,
         }
 
     def per_joint(self) -> Array:
@@ -124,13 +149,20 @@ class Tally:
         self._people: dict[str, _Person] = {}
         self._seconds, self._frames = 0.0, 0
 
-    def add(self, pair: PairedTake, positions: Array, seconds: float) -> None:
+    def add(
+        self,
+        pair: PairedTake,
+        positions: Array,
+        seconds: float,
+        uncertainty: Array | None = None,
+    ) -> None:
         """Add a clip.
 
         Args:
             pair: The clip and its truth.
             positions: What the method made of it [m], shape (T, J, 3).
             seconds: What that took.
+            uncertainty: How far joints may be off [m], shape (T, J).
         """
         person = self._people.setdefault(pair.subject, _Person())
         accuracy, truth = self._accuracy, pair.truth
@@ -138,6 +170,14 @@ class Tally:
         person.standardized.append(accuracy.standardized(positions, truth))
         person.varying.append(accuracy.varying(positions, truth))
         person.jitters.append(jitter(pair.take.time, positions[:, accuracy.limbs]))
+        off = accuracy.varying(pair.take.positions, truth)
+        moved = accuracy.varying(positions, pair.take.positions)
+        known = ~np.isnan(off + moved)
+        person.wrong.append(off[known] > FAR)
+        person.moved.append(moved[known])
+        if uncertainty is not None:
+            away = np.abs(accuracy.away(positions, truth))
+            person.shares.append(away / uncertainty[:, accuracy.limbs, None])
         self._seconds += seconds
         self._frames += len(positions)
 
@@ -154,20 +194,24 @@ class Tally:
         """Return the figures: means over frames and joints, then over people."""
         each = {name: person.figures() for name, person in self._people.items()}
         mean = {
-            key: float(np.mean([figures[key] for figures in each.values()]))
-            for key in ("E", "E_std", "E_var", "p95", "jitter")
+            key: float(np.mean(known)) if (known := _known(each, key)) else None
+            for key in next(iter(each.values()))
         }
         joints = np.array([person.per_joint() for person in self._people.values()])
-        known = ~np.isnan(joints)
-        means = np.nansum(joints, axis=0) / np.maximum(known.sum(axis=0), 1)
+        seen = ~np.isnan(joints)
+        means = np.nansum(joints, axis=0) / np.maximum(seen.sum(axis=0), 1)
         return {
             **mean,
             "ms_per_frame": self._seconds / self._frames * 1e3,
             "joints": {
-                name: float(value) if seen else None
-                for name, value, seen in zip(
-                    LIMBS, means, known.any(axis=0), strict=True
+                name: float(value) if ever else None
+                for name, value, ever in zip(
+                    LIMBS, means, seen.any(axis=0), strict=True
                 )
             },
             "people": each,
         }
+
+
+def _known(people: dict[str, dict[str, float | None]], key: str) -> list[float]:
+    return [value for figures in people.values() if (value := figures[key]) is not None]

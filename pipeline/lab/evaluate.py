@@ -30,7 +30,7 @@ from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.training import training_set
 from kinefilter.pipeline.workers import workers
 
-from .accuracy import Accuracy, Tally
+from .accuracy import FAR, Accuracy, Tally
 from .bench import Timed
 from .teach import teach
 
@@ -147,9 +147,10 @@ def _test(
     for pair in over(pairs, "test", progress):
         corrector.know(pair.subject)
         clip = cleaner.clean(pair.take).clip
-        # A clip is level; the truth is in the sensor's frame.
-        truth = replace(pair, truth=leveled(pair.truth, clip.tilt))
-        tally.add(truth, clip.positions, correct.seconds[-1])
+        # A clip is level; take and truth are in the sensor's frame.
+        take = replace(pair.take, positions=leveled(pair.take.positions, clip.tilt))
+        level = replace(pair, take=take, truth=leveled(pair.truth, clip.tilt))
+        tally.add(level, clip.positions, correct.seconds[-1], clip.uncertainty)
     return tally
 
 
@@ -255,7 +256,7 @@ def reliability_auc(
         seen = ~np.isnan(distances)
         far["over_10_cm"].append(distances[seen] > 0.10)
         varying = accuracy.varying(positions, truth).ravel()
-        far["varying_over_7_cm"].append(varying[seen] > 0.07)
+        far["varying_over_7_cm"].append(varying[seen] > FAR)
         reference = measure_reference(pair.take)
         for name in SCORERS:
             scorer = make_scorer(name, pair.take.skeleton, reference)
@@ -285,6 +286,8 @@ def as_table(figures: dict[str, Any]) -> Table:
         "p95",
         "jitter",
         "ms",
+        "within",
+        "found",
         title=title,
     )
     raw = figures["methods"]["raw"]
@@ -298,11 +301,21 @@ def as_table(figures: dict[str, Any]) -> Table:
             f"{row['p95']:.1f}",
             f"{row['jitter']:.0f}",
             f"{row['ms_per_frame']:.2f}",
+            _numbers(".0f", row["within_68"], row["within_95"]),
+            _numbers(".2f", row["found"]),
         )
     areas = ", ".join(
         f"{name} {value:.2f}"
         for name, scores in figures["reliability_auc"].items()
         if (value := scores["varying_over_7_cm"]) is not None
     )
-    table.caption = f"area under ROC of joints over 7 cm off, offset removed: {areas}"
+    table.caption = (
+        "within: % of coordinates off by less than their uncertainty, and than 1.96 "
+        "times as much; area under ROC of joints over 7 cm off, offset removed: found, "
+        f"by how far they were moved; by reliability: {areas}"
+    )
     return table
+
+
+def _numbers(digits: str, *values: float | None) -> str:
+    return ", ".join(format(value, digits) for value in values if value is not None)

@@ -89,6 +89,8 @@ def measure_hidden(
         A record of each gap, and how many gaps were too long for their clip. Its errors
         [cm] are means over frames and joints: of the method, of the ``seen`` clip and
         of ``SIMPLE``, against the seen clip (``unhidden``) and against ``mocap``.
+        ``within``: per cent of hidden coordinates nearer to mocap than their
+        uncertainty, and than 1.96 times that; None live, and without mocap.
 
     Raises:
         InputError: Unknown methods, or no clip in which the gaps fit.
@@ -177,15 +179,16 @@ def _cleaner(method: str, physics: bool) -> Cleaner:
 
 def _cleaned(
     take: Take, unhidden: Take, method: str, options: HiddenLimbs
-) -> tuple[Array, float]:
-    """Return joint positions of the clean clip [m], and the tilt taken out [rad]."""
+) -> tuple[Array, Array | None, float]:
+    """Return joint positions of the clean clip [m], their uncertainty, and the tilt."""
     cleaner = _cleaner(method, options.physics)
     if not options.live:
         clip = cleaner.clean(take).clip
-        return clip.positions, clip.tilt
+        return clip.positions, clip.uncertainty, clip.tilt
     cleaner.start(measure_body(unhidden))
     frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
-    return np.array([cleaner.step(*frame).positions for frame in frames]), 0.0
+    positions = np.array([cleaner.step(*frame).positions for frame in frames])
+    return positions, None, 0.0
 
 
 def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Record]:
@@ -193,7 +196,7 @@ def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Recor
     found = []
     for case in cases:
         take, skeleton = case.take, case.take.skeleton
-        seen, tilt = _cleaned(take, take, method, options)
+        seen, sure, tilt = _cleaned(take, take, method, options)
         for gap, limb in product(options.gaps, options.limbs):
             joints = [skeleton.index(j) for j in HIDDEN[limb] if j in skeleton.joints]
             scored = [j for j in joints if skeleton.joints[j] in LIMBS]
@@ -203,7 +206,9 @@ def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Recor
                 rows = slice(start + span.start, start + span.stop)
                 seed = zlib.crc32(pair.clip.encode())
                 blind = hide(blind, joints, rows, options.guess, seed)
-            hidden = _cleaned(blind, take, method, options)[0] if spans else seen
+            hidden = seen
+            if spans:
+                hidden, sure, _ = _cleaned(blind, take, method, options)
             for pair, start, span in spans:
                 rows = slice(start, start + len(pair.take))
                 motions = simple_guesses(seen[rows], skeleton, joints, span)
@@ -215,6 +220,11 @@ def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Recor
                     for name, motion in motions.items()
                 }
                 mocap = limbs.pop("mocap")
+                within = None
+                if sure is not None:
+                    shares = np.abs(limbs[method] - mocap)
+                    shares /= sure[rows][span][:, scored, None]
+                    within = _within(shares)
                 found.append(
                     {
                         "person": pair.subject,
@@ -225,6 +235,7 @@ def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Recor
                         "method": method,
                         "unhidden": _errors(limbs, limbs["seen"]),
                         "mocap": _errors(limbs, mocap),
+                        "within": within,
                     }
                 )
     return found
@@ -235,6 +246,13 @@ def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
     away = {k: np.linalg.norm(limb - truth, axis=2) * 100 for k, limb in limbs.items()}
     known = ~np.isnan(next(iter(away.values())))
     return {k: float(a[known].mean()) if known.any() else None for k, a in away.items()}
+
+
+def _within(shares: Array) -> list[float] | None:
+    known = shares[~np.isnan(shares)]
+    if not len(known):
+        return None
+    return [float(np.mean(known < k) * 100) for k in (1.0, 1.96)]
 
 
 def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
@@ -265,6 +283,8 @@ def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
             row["percent_of_hold"] = (away or 0.0) / hold * 100 if hold else None
             row["mocap_cm"] = _mean(some, "mocap", name)
             row["worse_percent"] = float(np.mean(worse) * 100)
+            told = [r["within"] for r in some if r["within"]] if name in methods else []
+            row["within_percent"] = np.mean(told, axis=0).tolist() if told else None
             rows.append(row)
     return rows
 
@@ -280,7 +300,7 @@ def _mean(records: Sequence[Record], key: str, row: str) -> float | None:
 def as_table(rows: Sequence[Record], title: str, by: By | None = None) -> Table:
     """Return what ``summarize`` found, for a terminal."""
     table = Table("limb", *([by] if by else []), "", title=title)
-    for heading in ("clips", "cm", "% of hold", "cm to mocap", "worse %"):
+    for heading in ("clips", "cm", "% of hold", "cm to mocap", "worse %", "within"):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         figures = [row["unhidden_cm"], row["percent_of_hold"], row["mocap_cm"]]
@@ -291,9 +311,11 @@ def as_table(rows: Sequence[Record], title: str, by: By | None = None) -> Table:
             row["row"],
             str(row["clips"]),
             *("" if value is None else f"{value:.{n}f}" for value, n in digits),
+            ", ".join(f"{share:.0f}" for share in row["within_percent"] or ()),
         )
     table.caption = (
         "cm: hidden joints relative to the hips, against the clip with nothing hidden; "
-        "worse: clips over 1 cm worse than the better of hold and slerp"
+        "worse: clips over 1 cm worse than the better of hold and slerp; within: % of "
+        "coordinates nearer to mocap than their uncertainty, and than 1.96 times that"
     )
     return table

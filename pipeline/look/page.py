@@ -120,7 +120,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
     """Return everything that a page shows, ready for ``json.dumps``.
 
     Arrays are base64 of little-endian numbers, frame by frame: positions and distances
-    moved int16 [mm], -32768 where missing; reliability uint8 [%], 255 where unknown.
+    int16 [mm], -32768 where missing; reliability uint8 [%], 255 where unknown.
     """
     clip = comparison.clip
     rates = np.where(np.isnan(clip.reliability), _NO_RATE, clip.reliability * 100.0)
@@ -162,6 +162,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         "origin": _packed(clip.origin, "u1"),
         "correction": _packed(_millimeters(clip.moved_by_correction), "<i2"),
         "physics": _packed(_millimeters(clip.moved_by_physics), "<i2"),
+        "uncertainty": _packed(_millimeters(clip.uncertainty), "<i2"),
         "contacts": _packed(clip.contacts, "u1"),
         "curves": [
             {

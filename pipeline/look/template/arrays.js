@@ -10,7 +10,7 @@ function unpacked(text, Numbers) {
 
 for (const [Numbers, names] of [
   [Float32Array, ["time"]],
-  [Int16Array, ["raw", "clean", "correction", "physics"]],
+  [Int16Array, ["raw", "clean", "correction", "physics", "uncertainty"]],
   [Uint8Array, ["reliability", "term", "origin", "contacts"]],
 ]) {
   for (const name of names) report[name] = unpacked(report[name], Numbers);

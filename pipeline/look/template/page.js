@@ -12,13 +12,14 @@ const rate = (k) => (report.reliability[k] === NO_RATE ? "reliability unknown"
 const tip = (k) =>
   `${rate(k)}\n` +
   `origin: ${word(report.origins, report.origin[k])}\n` +
-  `moved by correction ${cm(report.correction[k])}, by physics ${cm(report.physics[k])}`;
-const distanceMap = (name, hex) => ({
-  title: `Moved by ${name}`, rows: report.joints, tip,
+  `moved by correction ${cm(report.correction[k])}, by physics ${cm(report.physics[k])}\n` +
+  `may be off by ${cm(report.uncertainty[k])}`;
+const distanceMap = (title, name, hex, far = FAR) => ({
+  title, rows: report.joints, tip,
   badness: (k) => report[name][k],
   color: (k) => report[name][k] === MISSING ? [120, 120, 128]
-    : mixed(WHITE, rgb(hex), Math.min(report[name][k] / FAR, 1)),
-  legend: [[WHITE, "0"], [hex, `${FAR / 10} cm or more`], ["#787880", "unknown"]],
+    : mixed(WHITE, rgb(hex), Math.min(report[name][k] / far, 1)),
+  legend: [[WHITE, "0"], [hex, `${far / 10} cm or more`], ["#787880", "unknown"]],
 });
 const MAPS = [
   { title: "Reliability", rows: report.joints, tip,
@@ -35,8 +36,9 @@ const MAPS = [
       : mixed(rgb(TERM_COLORS[report.term[k]] || UNKNOWN), WHITE,
         report.reliability[k] / 100),
     legend: report.terms.map((name, k) => [TERM_COLORS[k] || UNKNOWN, name]) },
-  distanceMap("correction", "#b45309"),
-  distanceMap("physics", "#0f6e6c"),
+  distanceMap("Uncertainty", "uncertainty", "#7b3fa0", 100),
+  distanceMap("Moved by correction", "correction", "#b45309"),
+  distanceMap("Moved by physics", "physics", "#0f6e6c"),
   { title: "Contacts", rows: report.parts,
     tip: (k) => (report.contacts[k] ? "on the floor" : "in the air"),
     badness: (k) => -report.contacts[k],
