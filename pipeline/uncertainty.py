@@ -1,9 +1,9 @@
 """How far each joint of a clip may be from where it was.
 
 It depends on how fast the joint moves, how reliable it is and how well its posture is
-known; where it was hidden, on how long, how much it moves when it is seen, and how it
-moved before and after. The weights were learned from people beside marker mocap, in
-front of the sensor, whom the corrector had not learned from
+known; where it was hidden, on how far the frame is from one that shows it, and how fast
+it went before and after. The weights were learned from people in front of a sensor,
+beside marker mocap, whom the corrector had not learned from
 (``pipeline.lab.uncertainty_lessons``).
 """
 
@@ -24,16 +24,13 @@ from .draft import Draft
 PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 """The joints that are judged, left and right; others are as the nearest of these."""
 SEEN = ("speed", "unreliable", "unknown posture")
-HIDDEN = (
-    *("until seen", "gap", "moves at all", "between ends", "speed at ends"),
-    "unknown posture",
-)
-"""What the uncertainty of joints that the sensor saw, and of hidden ones, depends on;
-speeds, times and distances as logarithms."""
+HIDDEN = ("until seen", "speed at ends", "unknown posture")
+"""What the uncertainty of joints that the sensor saw, and of hidden ones, depends on:
+times and speeds as logarithms."""
 
 _SIDES = ("Left", "Right")
 _LEAST, _MOST = 0.005, 0.5  # m
-_STRANGEST = 0.3  # what is less known than that was not learned from
+_STRANGEST = 0.2  # beyond, errors grow no more
 _ENDS = 3  # frames beside a gap that its speed is a mean over
 
 
@@ -77,8 +74,8 @@ def log_uncertainty(
 def describe(draft: Draft) -> tuple[Array, Array, Flags]:
     """Return SEEN and HIDDEN of the judged joints, and which of these are hidden.
 
-    Shapes (T, 2 P, 3), (T, 2 P, 6) and (T, 2 P); joints in the order of PARTS, left
-    before right. A joint that is never seen has NaN in place of HIDDEN.
+    Shapes (T, 2 P, 3) twice and (T, 2 P); joints in the order of PARTS, left before
+    right. Of a joint that is never seen HIDDEN is NaN.
     """
     skeleton, time = draft.skeleton, draft.time
     joints = judged(skeleton)
@@ -97,33 +94,21 @@ def describe(draft: Draft) -> tuple[Array, Array, Flags]:
     gone = np.full((*speed.shape, len(HIDDEN)), np.nan)
     gone[..., -1] = strange
     step = nominal_step(time)
-    for k in np.flatnonzero(hidden.any(axis=0)):
-        shown = path[~hidden[:, k], k]
-        if len(shown):
-            spread = np.sqrt(shown.var(axis=0).sum())
-            for gap in runs(hidden[:, k]):
-                gone[gap, k, :-1] = _gap(path[:, k], speed[:, k], gap, spread, step)
+    for k in np.flatnonzero(hidden.any(axis=0) & ~hidden.all(axis=0)):
+        for gap in runs(hidden[:, k]):
+            gone[gap, k, :-1] = _gap(speed[:, k], gap, step)
     return np.stack(seen, axis=2), gone, hidden
 
 
-def _gap(path: Array, speed: Array, gap: slice, spread: float, step: float) -> Array:
-    """Return all but the last of HIDDEN in the frames of a gap, shape (N, 5)."""
-    count, after = gap.stop - gap.start, len(path) - gap.stop
-    frames = np.arange(1, count + 1)
+def _gap(speed: Array, gap: slice, step: float) -> Array:
+    """Return all but the last of HIDDEN in the frames of a gap, shape (N, 2)."""
+    frames = np.arange(1, gap.stop - gap.start + 1)
     before = frames if gap.start else np.inf
-    left = frames[::-1] if after else np.inf
-    ends = [*speed[max(gap.start - _ENDS, 0) : gap.start]]
-    ends += [*speed[gap.stop : gap.stop + _ENDS]]
-    across = 0.0
-    if gap.start and after:
-        across = float(np.linalg.norm(path[gap.stop] - path[gap.start - 1]))
-    found = np.empty((count, len(HIDDEN) - 1))
-    found[:, 0] = np.log(np.minimum(before, left) * step + 0.05)
-    found[:, 1] = np.log(count * step + 0.1)
-    found[:, 2] = np.log(spread + 0.03)
-    found[:, 3] = np.log(across + 0.03)
-    found[:, 4] = np.log(np.mean(ends) + 0.05)
-    return found
+    after = frames[::-1] if gap.stop < len(speed) else np.inf
+    ends = speed[max(gap.start - _ENDS, 0) : gap.start]
+    ends = np.append(ends, speed[gap.stop : gap.stop + _ENDS])
+    nearest = np.log(np.minimum(before, after) * step + 0.05)
+    return np.stack([nearest, np.full(len(frames), np.log(ends.mean() + 0.05))], axis=1)
 
 
 def judged(skeleton: Skeleton) -> list[int]:
