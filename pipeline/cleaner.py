@@ -19,7 +19,7 @@ from kinefilter.characters.arrays import Array
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft
-from .failures import Failure
+from .failures import Failure, displaced
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .progress import Progress, silent
@@ -198,6 +198,10 @@ class Cleaner:
         draft = self.whole(recorded, progress)
         mended = to_world(draft.measured, draft.tilt, draft.floor)
         moved_by_correction = distances(draft.posed, mended)
+        late = displaced(
+            draft.time, mended, draft.posed, draft.heading.yaw, take.skeleton
+        )
+        failures = sorted((*draft.failures, *late), key=lambda found: found.first)
         del mended
         raw = to_world(recorded.positions, draft.tilt, draft.floor)
         motions = {"raw": raw, "corrected": draft.posed}
@@ -235,7 +239,7 @@ class Cleaner:
             stages,
             draft.coverage[frames],
             draft.trace,
-            draft.failures,
+            tuple(failures),
             tuple(_notes(draft)),
         )
 

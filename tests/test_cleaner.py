@@ -42,9 +42,11 @@ def evaluated(
     found: list[Array] = []
     add = Tally.add
 
-    def watched(self: Tally, pair: PairedTake, positions: Array, *more: Any) -> None:
+    def watched(
+        self: Tally, pair: PairedTake, positions: Array, *more: Any, **told: bool
+    ) -> None:
         found.append(positions)
-        add(self, pair, positions, *more)
+        add(self, pair, positions, *more, **told)
 
     monkeypatch.setattr(Tally, "add", watched)
     evaluate([], [pair], ["default"], **options)

@@ -12,10 +12,19 @@ from scipy.ndimage import minimum_filter1d
 from skeletons import every_skeleton
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take, Term, random_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    State,
+    Take,
+    Term,
+    random_body,
+    standard_body,
+)
 from kinefilter.pipeline.failures import (
     Failure,
     FailureKind,
+    displaced,
     distrust,
     find_failures,
     unmirrored,
@@ -303,3 +312,23 @@ def test_limbs_that_leap_were_lost() -> None:
                 lost.append(_limbs_off(pair)[failure.part][around].max() > 0.2)
     assert len(lost) > 20
     assert np.mean(lost) > 0.9
+
+
+def test_a_limb_that_cleaning_moves_far_is_told() -> None:
+    """For as long as it is far; what is moved all the time alike is an offset."""
+    body = standard_body(KINECT_V1)
+    clean = perform("bend", body, seed=0).positions
+    time, wrist = np.arange(len(clean)) / 30.0, KINECT_V1.index("WristLeft")
+    yaw = np.zeros(len(time))
+    raw = clean + [0.4, 0.0, 1.0]
+    raw[:, KINECT_V1.index("KneeRight")] += [0.0, 0.0, 0.3]
+    assert not list(displaced(time, raw, clean, yaw, KINECT_V1))
+    raw[60:90, wrist] += [0.0, 0.2, 0.0]
+    raw[:, KINECT_V1.index("AnkleLeft")] = np.nan
+    (found,) = displaced(time, raw, clean, yaw, KINECT_V1)
+    assert found.kind == FailureKind.DISPLACED
+    assert found.part == "left arm"
+    assert abs(found.first - 60) <= 8
+    assert abs(found.last - 89) <= 8
+    assert found.start == time[found.first]
+    assert "left arm displaced by 9 cm or more from" in str(found)

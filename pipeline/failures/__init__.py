@@ -3,9 +3,18 @@
 Sensors now and then take a person for one who faces the other way, and exchange left
 and right from one frame to the next; they bend a leg the way no knee bends, put an arm
 through the head, or let a limb leap to somewhere else and back. Most of it goes on for
-many frames, so that nothing which looks at single frames or lengths minds it.
+many frames, so that nothing which looks at single frames or lengths minds it. What is
+plausible but wrong shows in the end, as cleaning moves it far.
 """
 
+from .displaced import displaced
 from .gross import Failure, FailureKind, distrust, find_failures, unmirrored
 
-__all__ = ["Failure", "FailureKind", "distrust", "find_failures", "unmirrored"]
+__all__ = [
+    "Failure",
+    "FailureKind",
+    "displaced",
+    "distrust",
+    "find_failures",
+    "unmirrored",
+]

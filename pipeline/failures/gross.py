@@ -34,6 +34,7 @@ class FailureKind(StrEnum):
     THROUGH_HEAD = "through the head"
     OUT_OF_RANGE = "beyond the shoulder's range"
     LEAPING = "leaping faster than limbs move"
+    DISPLACED = "displaced by 9 cm or more"
 
 
 _DOUBTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)

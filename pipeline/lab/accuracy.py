@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
@@ -21,6 +22,9 @@ LIMBS = tuple(
 
 FAR = 0.07
 """Joints farther off than this [m], constant offset aside, are to be found."""
+MISPLACED = 0.12
+"""Clips in which the mean of that over half a second is larger [m] are to be told."""
+_WHILE = 0.5  # s
 
 
 class Accuracy:
@@ -101,6 +105,8 @@ class _Person:
     """Whether a raw joint is over 7 cm off, constant offset aside."""
     moved: list[Array] = field(default_factory=list)
     """How far such a joint was moved [m], likewise."""
+    told: list[tuple[bool, bool]] = field(default_factory=list)
+    """Whether a limb was off by 12 cm for half a second, and whether that was told."""
 
     def figures(self) -> dict[str, float | None]:
         """Return means over frames and joints [cm], and the jitter [m/s^3].
@@ -155,6 +161,8 @@ class Tally:
         positions: Array,
         seconds: float,
         uncertainty: Array | None = None,
+        *,
+        told: bool = False,
     ) -> None:
         """Add a clip.
 
@@ -163,6 +171,7 @@ class Tally:
             positions: What the method made of it [m], shape (T, J, 3).
             seconds: What that took.
             uncertainty: How far joints may be off [m], shape (T, J).
+            told: Whether the user was told that limbs were displaced.
         """
         person = self._people.setdefault(pair.subject, _Person())
         accuracy, truth = self._accuracy, pair.truth
@@ -173,6 +182,9 @@ class Tally:
         off = accuracy.varying(pair.take.positions, truth)
         moved = accuracy.varying(positions, pair.take.positions)
         known = ~np.isnan(off + moved)
+        frames = max(round(_WHILE * pair.take.fps), 1)
+        lasting = uniform_filter1d(np.nan_to_num(off), frames, axis=0).max()
+        person.told.append((bool(lasting > MISPLACED), told))
         person.wrong.append(off[known] > FAR)
         person.moved.append(moved[known])
         if uncertainty is not None:
@@ -198,6 +210,7 @@ class Tally:
             for key in next(iter(each.values()))
         }
         joints = np.array([person.per_joint() for person in self._people.values()])
+        told = [pair for person in self._people.values() for pair in person.told]
         seen = ~np.isnan(joints)
         means = np.nansum(joints, axis=0) / np.maximum(seen.sum(axis=0), 1)
         return {
@@ -209,6 +222,9 @@ class Tally:
                     LIMBS, means, seen.any(axis=0), strict=True
                 )
             },
+            "clips_off": sum(off for off, _ in told),
+            "clips_off_told": sum(off and said for off, said in told),
+            "false_alarms": sum(said and not off for off, said in told),
             "people": each,
         }
 
