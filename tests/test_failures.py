@@ -320,7 +320,7 @@ def test_a_limb_that_cleaning_moves_far_is_told() -> None:
     clean = perform("bend", body, seed=0).positions
     time, wrist = np.arange(len(clean)) / 30.0, KINECT_V1.index("WristLeft")
     yaw = np.zeros(len(time))
-    raw = clean + [0.4, 0.0, 1.0]
+    raw = clean + np.array([0.4, 0.0, 1.0])
     raw[:, KINECT_V1.index("KneeRight")] += [0.0, 0.0, 0.3]
     assert not list(displaced(time, raw, clean, yaw, KINECT_V1))
     raw[60:90, wrist] += [0.0, 0.2, 0.0]

@@ -37,22 +37,25 @@ def displaced(
         yaw: Heading of the person [rad], shape (T,).
         skeleton: The joints.
     """
-    moved = clean - raw
-    moved -= moved[:, skeleton.hips].mean(axis=1, keepdims=True)
-    moved = HeadingFrame(np.zeros((len(time), 3)), yaw).remove(moved)
+    names = [
+        (f"{side} {limb}", [part + side.capitalize() for part in parts])
+        for side in ("left", "right")
+        for limb, parts in _LIMBS.items()
+    ]
+    joints = [skeleton.index(joint) for _, parts in names for joint in parts]
+    hips = (clean[:, skeleton.hips] - raw[:, skeleton.hips]).mean(axis=1, keepdims=True)
+    heading = HeadingFrame(np.zeros((len(time), 3)), yaw)
+    moved = heading.remove(clean[:, joints] - raw[:, joints] - hips)
     frames = max(round(_WHILE / nominal_step(time)), 1)
-    for side in ("left", "right"):
-        for limb, parts in _LIMBS.items():
-            joints = [skeleton.index(part + side.capitalize()) for part in parts]
-            far = np.zeros(len(time), dtype=bool)
-            for j in joints:
-                known = ~np.isnan(moved[:, j, 0])
-                if known.any():
-                    away = moved[:, j] - moved[known, j].mean(axis=0)
-                    distance = np.nan_to_num(np.linalg.norm(away, axis=1))
-                    far |= uniform_filter1d(distance, frames) > _FAR
-            for run in runs(far):
-                last = run.stop - 1
-                ends = float(time[run.start]), float(time[last])
-                part = f"{side} {limb}"
-                yield Failure(FailureKind.DISPLACED, part, run.start, last, *ends)
+    for k, (limb, _) in enumerate(names):
+        far = np.zeros(len(time), dtype=bool)
+        for j in (2 * k, 2 * k + 1):
+            known = ~np.isnan(moved[:, j, 0])
+            if known.any():
+                away = moved[:, j] - moved[known, j].mean(axis=0)
+                distance = np.nan_to_num(np.linalg.norm(away, axis=1))
+                far |= uniform_filter1d(distance, frames) > _FAR
+        for run in runs(far):
+            first, last = run.start, run.stop - 1
+            start, end = float(time[first]), float(time[last])
+            yield Failure(FailureKind.DISPLACED, limb, first, last, start, end)
