@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -49,6 +50,7 @@ a file could not be written; 130 interrupted: the same batch, render or reproduc
 command goes on where it ended. Files are written whole or not at all."""
 
 _INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
+_UNREAD = 141  # and of one whose output nobody reads any more
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,6 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as ended:  # its words are what the user should know
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
         return _INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read what is printed has seen enough; nor may the last flush fail.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _UNREAD
 
 
 def _read(words: Sequence[str]) -> Any:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -333,3 +335,12 @@ def test_without_a_command_nothing_is_done(capsys: pytest.CaptureFixture[str]) -
             main(arguments)
         assert caught.value.code == 2
     assert "clean" in capsys.readouterr().err
+
+
+def test_output_that_nobody_reads_ends_the_command_quietly() -> None:
+    command = f"{sys.executable} -m kinefilter.pipeline.cli evaluate --help | head -1"
+    shell = ["bash", "-c", f"set -o pipefail; {command}"]
+    done = subprocess.run(shell, capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("usage: kinefilter evaluate")
+    assert done.stderr == ""
+    assert done.returncode in (0, 141)
