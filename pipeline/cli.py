@@ -57,11 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code, see ``kinefilter --help``."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        command = _read(words)
-        if hasattr(command, "given"):
-            command = replace(command, given=given_options(words))
-        with ended_gently(), one_thread():
-            return int(command.run())
+        return _run(words)
     except InputError as error:
         err.print(f"kinefilter: {error}")
         return 2
@@ -69,9 +65,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
         return _INTERRUPTED
     except BrokenPipeError:
-        # Whoever read what is printed has seen enough; nor may the last flush fail.
+        # Whoever reads has seen enough; nor may the flush at the end fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _UNREAD
+
+
+def _run(words: Sequence[str]) -> int:
+    try:
+        command = _read(words)
+        if hasattr(command, "given"):
+            command = replace(command, given=given_options(words))
+        with ended_gently(), one_thread():
+            return int(command.run())
+    finally:
+        sys.stdout.flush()
 
 
 def _read(words: Sequence[str]) -> Any:
