@@ -19,7 +19,7 @@ from kinefilter.characters.arrays import Array
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft
-from .failures import Failure, displaced
+from .failures import Failure, find_displaced
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .progress import Progress, silent
@@ -198,7 +198,7 @@ class Cleaner:
         draft = self.whole(recorded, progress)
         mended = to_world(draft.measured, draft.tilt, draft.floor)
         moved_by_correction = distances(draft.posed, mended)
-        late = displaced(
+        late = find_displaced(
             draft.time, mended, draft.posed, draft.heading.yaw, take.skeleton
         )
         failures = sorted((*draft.failures, *late), key=lambda found: found.first)

@@ -24,8 +24,8 @@ from kinefilter.characters import (
 from kinefilter.pipeline.failures import (
     Failure,
     FailureKind,
-    displaced,
     distrust,
+    find_displaced,
     find_failures,
     unmirrored,
 )
@@ -322,10 +322,10 @@ def test_a_limb_that_cleaning_moves_far_is_told() -> None:
     yaw = np.zeros(len(time))
     raw = clean + np.array([0.4, 0.0, 1.0])
     raw[:, KINECT_V1.index("KneeRight")] += [0.0, 0.0, 0.3]
-    assert not list(displaced(time, raw, clean, yaw, KINECT_V1))
+    assert not list(find_displaced(time, raw, clean, yaw, KINECT_V1))
     raw[60:90, wrist] += [0.0, 0.2, 0.0]
     raw[:, KINECT_V1.index("AnkleLeft")] = np.nan
-    (found,) = displaced(time, raw, clean, yaw, KINECT_V1)
+    (found,) = find_displaced(time, raw, clean, yaw, KINECT_V1)
     assert found.kind == FailureKind.DISPLACED
     assert found.part == "left arm"
     assert abs(found.first - 60) <= 8

@@ -7,14 +7,14 @@ many frames, so that nothing which looks at single frames or lengths minds it. W
 plausible but wrong shows in the end, as cleaning moves it far.
 """
 
-from .displaced import displaced
+from .displaced import find_displaced
 from .gross import Failure, FailureKind, distrust, find_failures, unmirrored
 
 __all__ = [
     "Failure",
     "FailureKind",
-    "displaced",
     "distrust",
+    "find_displaced",
     "find_failures",
     "unmirrored",
 ]

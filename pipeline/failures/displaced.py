@@ -25,7 +25,7 @@ _WHILE = 0.5  # s over which the distance is a mean
 _LIMBS = {"arm": ("Elbow", "Wrist"), "leg": ("Knee", "Ankle")}
 
 
-def displaced(
+def find_displaced(
     time: Array, raw: Array, clean: Array, yaw: Array, skeleton: Skeleton
 ) -> Iterator[Failure]:
     """Yield where limbs were moved far, relative to the middle of the hips.
