@@ -58,7 +58,8 @@ class CleanResult:
     trace: PhysicsTrace | None
     """What the simulation did, per distinct time stamp; None without physics."""
     failures: tuple[Failure, ...]
-    """Where the tracker failed grossly, frames counted by distinct time stamp."""
+    """Where the tracker failed grossly, and limbs that cleaning had to move far; frames
+    counted by distinct time stamp."""
     notes: tuple[str, ...]
     """What the user should know about this take."""
 

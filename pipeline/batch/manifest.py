@@ -50,7 +50,7 @@ class ClipRow:
     skate_mm_per_frame: float | None  # how far feet slide on the floor, mean
     external_force_body_weights: float | None  # beyond what a floor could bear, mean
     share_outside_database: float | None  # of frames; the database lacks their posture
-    failures: int  # of the tracker, gross ones
+    failures: int  # of the tracker: gross ones, and displaced limbs
     notes: tuple[str, ...]  # what the user should know
 
 
