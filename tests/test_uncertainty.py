@@ -110,6 +110,7 @@ def test_the_scale_of_errors_is_found_again() -> None:
             expected[0], expected[k] = bias + np.log(1.25), scale
             np.testing.assert_allclose(found, expected, atol=0.02)
     for shares in within(weights, made_up("b", 2)).values():
+        assert shares is not None
         np.testing.assert_allclose(shares, (72.1, 93.0), atol=2.5)
 
 
@@ -123,7 +124,9 @@ def test_intervals_hold_for_a_person_whom_nothing_has_learned_from() -> None:
     corrector = FourierRidge(KINECT_V1, samples=256).fit(training_set(taught))
     first, second = (lessons(corrector, clips[name], 8) for name in ("s06", "s07"))
     for learned, tested in ((first, second), (second, first)):
-        share, more = within(fit([learned]), tested)["seen"]
+        held = within(fit([learned]), tested)["seen"]
+        assert held is not None
+        share, more = held
         assert 45.0 < share < 92.0
         assert more > 75.0
 

@@ -91,6 +91,18 @@ class Accuracy:
         return standard
 
 
+def within_uncertainty(shares: Array) -> tuple[float, float] | None:
+    """Return the per cent of coordinates within their uncertainty, and 1.96 times it.
+
+    Args:
+        shares: Sizes of errors over what the clip says they may be, NaN where unknown.
+    """
+    known = shares[~np.isnan(shares)]
+    if not known.size:
+        return None
+    return float(np.mean(known < 1.0) * 100), float(np.mean(known < 1.96) * 100)
+
+
 @dataclass(eq=False)
 class _Person:
     """What a method did on the clips of one person."""
@@ -118,9 +130,7 @@ class _Person:
         from sklearn.metrics import roc_auc_score
 
         distances = np.concatenate(self.distances)
-        shares = np.concatenate([np.empty((0, 12, 3)), *self.shares])
-        shares = shares[~np.isnan(shares)]
-        known = len(shares) > 0
+        within = within_uncertainty(np.concatenate(self.shares or [np.empty(0)]))
         wrong, moved = np.concatenate(self.wrong), np.concatenate(self.moved)
         both = 0.0 < wrong.mean() < 1.0
         return {
@@ -129,8 +139,8 @@ class _Person:
             "E_var": float(np.nanmean(np.concatenate(self.varying)) * 100),
             "p95": float(np.nanpercentile(distances, 95) * 100),
             "jitter": float(np.nanmean(self.jitters)),
-            "within_68": float(np.mean(shares < 1.0) * 100) if known else None,
-            "within_95": float(np.mean(shares < 1.96) * 100) if known else None,
+            "within_68": within[0] if within else None,
+            "within_95": within[1] if within else None,
             "found": float(roc_auc_score(wrong, moved)) if both else None,
         }
 

@@ -29,7 +29,7 @@ from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
-from .accuracy import LIMBS
+from .accuracy import LIMBS, within_uncertainty
 from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
 
 Context = Literal["alone", "repetitions"]
@@ -224,7 +224,7 @@ def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Recor
                 if sure is not None:
                     shares = np.abs(limbs[method] - mocap)
                     shares /= sure[rows][span][:, scored, None]
-                    within = _within(shares)
+                    within = within_uncertainty(shares)
                 found.append(
                     {
                         "person": pair.subject,
@@ -246,13 +246,6 @@ def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
     away = {k: np.linalg.norm(limb - truth, axis=2) * 100 for k, limb in limbs.items()}
     known = ~np.isnan(next(iter(away.values())))
     return {k: float(a[known].mean()) if known.any() else None for k, a in away.items()}
-
-
-def _within(shares: Array) -> list[float] | None:
-    known = shares[~np.isnan(shares)]
-    if not len(known):
-        return None
-    return [float(np.mean(known < k) * 100) for k in (1.0, 1.96)]
 
 
 def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:

@@ -34,6 +34,7 @@ from kinefilter.pipeline.uncertainty import (
 )
 from kinefilter.pipeline.workers import workers
 
+from .accuracy import within_uncertainty
 from .hidden_limbs import join_cases
 from .limb_guesses import HIDDEN as LIMBS
 from .limb_guesses import Guess, hide
@@ -151,20 +152,14 @@ def _scale_of(features: Array, away: Array, shares: Array) -> list[float]:
     return [round(float(number), 4) for number in (bias, *scales)]
 
 
-def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float]]:
-    """Return the per cent of coordinates within the uncertainty, and within 1.96 times.
-
-    Of joints that were seen, and of hidden ones.
-    """
+def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None]:
+    """Return what ``within_uncertainty`` does, of seen and of hidden joints."""
     limits = np.exp(log_uncertainty(weights, rows.seen, rows.gone, rows.hidden))
     shares = np.abs(rows.away) / limits[..., None]
-    found = {}
-    for name, which in (("seen", ~rows.hidden), ("hidden", rows.hidden)):
-        some = shares[which]
-        some = some[~np.isnan(some)]
-        share, more = (float(np.mean(some < k) * 100) for k in (1.0, 1.96))
-        found[name] = share, more
-    return found
+    return {
+        "seen": within_uncertainty(shares[~rows.hidden]),
+        "hidden": within_uncertainty(shares[rows.hidden]),
+    }
 
 
 def _person(person: str, pairs: Sequence[PairedTake]) -> Rows:
@@ -184,11 +179,11 @@ def main(out: Path, files: Sequence[str]) -> None:
     for mine in rows:
         others = [row for row in rows if row is not mine]
         print(mine.person, within(fit(others), mine))  # noqa: T201
+    weights = fit(rows)
     lines = ["# Written by kinefilter.pipeline.lab.uncertainty_lessons: bias, weights."]
     for table, names in (("seen", SEEN), ("hidden", HIDDEN)):
         lines += ["", f"[{table}] # {', '.join(names)}"]
-        weights = fit(rows)[table]
-        lines += [f"{part} = {numbers}" for part, numbers in weights.items()]
+        lines += [f"{part} = {numbers}" for part, numbers in weights[table].items()]
     out.write_text("\n".join(lines) + "\n", "utf-8")
 
 
