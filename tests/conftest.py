@@ -160,7 +160,7 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
 def few_for_kernels() -> Iterator[None]:
     """Fit hyper-parameters to fewer samples: most of the time that fitting takes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("kinefilter.pipeline.correct.local_models._FOR_KERNEL", 120)
+        patch.setattr("kinefilter.pipeline.lab.methods.local_models._FOR_KERNEL", 120)
         yield
 
 

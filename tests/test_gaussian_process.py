@@ -10,7 +10,7 @@ from scipy.optimize import approx_fprime
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from kinefilter.pipeline.correct.gaussian_process import (
+from kinefilter.pipeline.lab.methods.gaussian_process import (
     Kernel,
     fit_kernel,
     grow_factor,

@@ -36,7 +36,6 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
-from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import (
     read_bvh,
@@ -47,6 +46,7 @@ from kinefilter.pipeline.formats import (
     write_take_csv,
 )
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
+from kinefilter.pipeline.lab.methods.joint_offsets import JointOffsets
 from kinefilter.pipeline.models import Model, load_model, save_model
 from kinefilter.pipeline.pairs import read_pairs
 

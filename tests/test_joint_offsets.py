@@ -29,14 +29,13 @@ from kinefilter.pipeline.correct import (
     InTurn,
     Observation,
     TrainingSet,
-    joint_offsets,
 )
-from kinefilter.pipeline.correct.joint_offsets import JointOffsets
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.factory import default_corrector
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
+from kinefilter.pipeline.lab.methods.joint_offsets import JointOffsets
 from kinefilter.pipeline.lab.simulate import simulate, simulated_pairs
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import MeasureCorrectedBody
@@ -138,11 +137,8 @@ def test_what_was_not_measured_stays_open_to_the_next_method() -> None:
     assert np.nanmax(np.abs(watch.saw - posture)) > 0.01
 
 
-def test_a_whole_take_is_moved_as_its_frames_are(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Across chunks too, and where joints are missing for a while."""
-    monkeypatch.setattr(joint_offsets, "_CHUNK", 7)
+def test_a_whole_take_is_moved_as_its_frames_are() -> None:
+    """Also where joints are missing for a while."""
     postures = _postures(KINECT_V2)[:40].copy()
     postures[5:20, KINECT_V2.index("ElbowLeft")] = np.nan
     postures[13:15] = np.nan

@@ -14,10 +14,11 @@ import pytest
 from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline import spool
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.correct import TrainingSet, learned
+from kinefilter.pipeline.correct import TrainingSet
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
-from kinefilter.pipeline.correct.learned import Lessons
 from kinefilter.pipeline.database.build import database_from_pairs
+from kinefilter.pipeline.lab.methods import lessons as module
+from kinefilter.pipeline.lab.methods.lessons import Lessons
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.spool import Spool
@@ -68,7 +69,7 @@ def test_lessons_are_the_same_from_a_disk_in_blocks_and_in_memory(
 ) -> None:
     lessons = training_set(iter(pairs))
     whole = Lessons.drawn(in_memory(lessons), KINECT_V1, 200, 0, above=0.1)
-    monkeypatch.setattr(learned, "_BLOCK", 37)
+    monkeypatch.setattr(module, "_BLOCK", 37)
     parts = Lessons.drawn(lessons, KINECT_V1, 200, 0, above=0.1)
     for name in ("postures", "offsets", "learned", "seen", "lengths"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
@@ -79,7 +80,6 @@ def test_a_model_is_the_same_from_a_disk_in_blocks_and_in_memory(
 ) -> None:
     lessons = training_set(iter(pairs))
     whole = FourierRidge(KINECT_V1, samples=64).fit(in_memory(lessons)).arrays()
-    monkeypatch.setattr(learned, "_BLOCK", 37)
     parts = FourierRidge(KINECT_V1, samples=64).fit(lessons).arrays()
     for name, array in whole.items():
         np.testing.assert_array_equal(parts[name], array)

@@ -22,10 +22,10 @@ from kinefilter.characters import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
-from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.lab import teach
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate, repetition
+from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.metrics import distances, jitter
 from kinefilter.pipeline.models import Model, load_model, save_model

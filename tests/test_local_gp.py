@@ -22,8 +22,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import Ridge
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.correct.local_gp import LocalGP, least_energy
-from kinefilter.pipeline.correct.local_models import JointFeatures, LinearTrend
+from kinefilter.pipeline.lab.methods.local_gp import LocalGP, least_energy
+from kinefilter.pipeline.lab.methods.local_models import JointFeatures, LinearTrend
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
 

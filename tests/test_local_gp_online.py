@@ -17,9 +17,9 @@ from offset_lessons import (
 )
 
 from kinefilter.pipeline.correct import Observation
-from kinefilter.pipeline.correct import gaussian_process as shared
-from kinefilter.pipeline.correct import local_models as module
-from kinefilter.pipeline.correct.local_gp import LocalGP
+from kinefilter.pipeline.lab.methods import gaussian_process as shared
+from kinefilter.pipeline.lab.methods import local_models as module
+from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
 

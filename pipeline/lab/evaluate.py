@@ -17,11 +17,11 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.factory import make_scorer
 from kinefilter.pipeline.failures import FailureKind
+from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.methods import METHODS, SCORERS
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent

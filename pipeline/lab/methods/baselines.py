@@ -18,14 +18,11 @@ from kinefilter.pipeline.correct import (
     Observation,
     TrainingSet,
 )
-from kinefilter.pipeline.correct.learned import Lessons, OffsetCorrector
-from kinefilter.pipeline.correct.local_models import (
-    JointFeatures,
-    JointKernels,
-    fit_kernels,
-)
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.progress import Progress, silent
+
+from .lessons import Lessons, OffsetCorrector
+from .local_models import JointFeatures, JointKernels, fit_kernels
 
 _FOR_VARIANCE = 10  # nearest samples the variance is taken from
 _NO_OFFSET = 0.05  # weight of no offset at all, against 1 for the same posture again

@@ -10,8 +10,8 @@ from time import perf_counter
 import numpy as np
 
 from kinefilter.pipeline.correct import LearnedCorrector, TrainingSet
-from kinefilter.pipeline.correct.local_gp import LocalGP
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
+from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.progress import over
 from kinefilter.pipeline.training import training_set
 

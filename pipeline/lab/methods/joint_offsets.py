@@ -10,7 +10,6 @@ holds for real ones.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Self
 
 import numpy as np
@@ -18,12 +17,11 @@ import numpy as np
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import cross, unit
+from kinefilter.pipeline.correct import Observation, TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
 
-from .interface import Correction, Observation
-from .learned import Lessons, OffsetCorrector, TrainingSet, add_offsets
+from .lessons import Lessons, OffsetCorrector
 
-_CHUNK = 4096  # frames at a time: their vectors are many times the positions
 _RIDGE = 0.2
 """Weight against large offsets, with simulated people as teachers: at half of it one
 real person in three moved less truly than as measured, at twice it a sixth of what is
@@ -68,27 +66,6 @@ class JointOffsets(OffsetCorrector):
             wanted = lessons.offsets[:, k].ravel()
             self.shares_[k] = np.linalg.solve(gram, sides.T @ wanted / len(sides))
         return self
-
-    def whole(
-        self,
-        take: Observation,
-        frames: Iterable[int] | None = None,  # noqa: ARG002 - at once
-    ) -> Correction:
-        """Correct a whole take."""
-        self.start()
-        positions = np.empty_like(take.positions)
-        confidence = np.empty(take.positions.shape[:2])
-        nothing = float("nan")
-        for first in range(0, len(positions), _CHUNK):
-            some = slice(first, first + _CHUNK)
-            missing = np.isnan(take.positions[some, :, 0])
-            posture = self._hold.fill(take.positions[some])
-            offsets = self.offsets(posture)
-            found = add_offsets(
-                self.skeleton, posture, self.joints_, offsets, missing, nothing
-            )
-            positions[some], confidence[some] = found.positions, found.confidence
-        return Correction(positions, None, confidence, np.full(len(positions), nothing))
 
     def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002 - of the posture alone
         return self.offsets(posture), float("nan")

@@ -18,11 +18,11 @@ from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.correct import Correction, Observation, TrainingSet
 from kinefilter.pipeline.progress import Progress, silent
 
 from .gaussian_process import informative_samples
-from .interface import Correction, Observation
-from .learned import Lessons, OffsetCorrector, TrainingSet
+from .lessons import Lessons, OffsetCorrector
 from .local_models import (
     JointFeatures,
     JointKernels,
