@@ -22,9 +22,11 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Observation, TrainingSet, fourier_ridge
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.correct.random_features import RandomFeatures
-from kinefilter.pipeline.correct.ridge import people_of
 from kinefilter.pipeline.factory import make_corrector, shipped_model
 from kinefilter.pipeline.lab.accuracy import Accuracy
+from kinefilter.pipeline.lab.methods import fourier_ridge_learner as learner
+from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
+from kinefilter.pipeline.lab.methods.ridge import people_of
 from kinefilter.pipeline.models import Model, save_model
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.training import observed, standard_truth, training_set
@@ -65,7 +67,7 @@ def _lessons() -> TrainingSet:
 
 @pytest.fixture(scope="module")
 def model() -> FourierRidge:
-    return FourierRidge(KINECT_V1, samples=256).fit(_lessons())
+    return FourierRidgeLearner(KINECT_V1, samples=256).fit(_lessons())
 
 
 def _observation(positions: Array, rate: float = 30.0) -> Observation:
@@ -88,7 +90,7 @@ def test_weights_are_what_the_kernel_with_random_effects_says(
     model: FourierRidge,
 ) -> None:
     """The dual: a Gaussian process on all frames, of all people and mirror images."""
-    people = list(people_of(_lessons(), fourier_ridge._WEIGHT, fourier_ridge._MOST))
+    people = list(people_of(_lessons(), learner._WEIGHT, learner._MOST))
     assert len(people) == 6
     count = len(model.weights_) - len(model.mean_)
     random = RandomFeatures(model.mean_, count, 0, model._described.mirror)
@@ -254,7 +256,7 @@ def test_what_ships_is_what_the_recordings_teach() -> None:
     """Of fewer clips and features, and nobody simulated: nearly the same offsets."""
     files = sorted(PAIRS.glob("s*.npz"))
     lessons = training_set(p for file in files for p in read_pairs(file)[::18])
-    again = FourierRidge(KINECT_V1, samples=512).fit(lessons)
+    again = FourierRidgeLearner(KINECT_V1, samples=512).fit(lessons)
     shipped = shipped_model(KINECT_V1)
     differ, moved, raw, left = [], [], [], []
     accuracy = Accuracy(KINECT_V1)
@@ -290,7 +292,7 @@ def _beside() -> TrainingSet:
 def test_limbs_on_the_far_side_are_put_where_a_sensor_in_front_saw_them() -> None:
     """Nearer ones and those of people whom the sensor faces stay as they are."""
     truthful = replace(_lessons(), positions=_lessons().truth)
-    model = FourierRidge(KINECT_V1, samples=256).fit(truthful, views=_beside())
+    model = FourierRidgeLearner(KINECT_V1, samples=256).fit(truthful, views=_beside())
     beside = _beside()
     left, right = (KINECT_V1.index(f"Wrist{side}") for side in ("Left", "Right"))
     seen, truth = beside.positions[:120], beside.truth[:120]
@@ -317,7 +319,7 @@ def test_a_known_person_is_corrected_as_that_person(tmp_path: Path) -> None:
     ann = np.asarray(lessons.person) == 1
     own[ann, KINECT_V1.index("Head")] += [0.0, 0.05, 0.0]
     lessons = replace(lessons, positions=own, people=("bob", "ann", "eve"))
-    knowing = FourierRidge(KINECT_V1, samples=256).fit(lessons, people=True)
+    knowing = FourierRidgeLearner(KINECT_V1, samples=256).fit(lessons, people=True)
     path = tmp_path / "people.npz"
     save_model(Model(knowing, "learned", KINECT_V1, "imagined"), path)
     takes = {"stranger": None, "ann": "ann", "nobody": "nobody"}

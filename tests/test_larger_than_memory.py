@@ -15,9 +15,9 @@ from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline import spool
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import TrainingSet
-from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.lab.methods import lessons as module
+from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.methods.lessons import Lessons
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
 from kinefilter.pipeline.pairs import PairedTake
@@ -76,11 +76,11 @@ def test_lessons_are_the_same_from_a_disk_in_blocks_and_in_memory(
 
 
 def test_a_model_is_the_same_from_a_disk_in_blocks_and_in_memory(
-    pairs: list[PairedTake], monkeypatch: pytest.MonkeyPatch
+    pairs: list[PairedTake],
 ) -> None:
     lessons = training_set(iter(pairs))
-    whole = FourierRidge(KINECT_V1, samples=64).fit(in_memory(lessons)).arrays()
-    parts = FourierRidge(KINECT_V1, samples=64).fit(lessons).arrays()
+    whole = FourierRidgeLearner(KINECT_V1, samples=64).fit(in_memory(lessons)).arrays()
+    parts = FourierRidgeLearner(KINECT_V1, samples=64).fit(lessons).arrays()
     for name, array in whole.items():
         np.testing.assert_array_equal(parts[name], array)
 

@@ -25,6 +25,7 @@ from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.lab import teach
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate, repetition
+from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.metrics import distances, jitter
@@ -78,7 +79,7 @@ def _only_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def model(pairs: list[PairedTake]) -> FourierRidge:
-    return FourierRidge(KINECT_V1, samples=256).fit(training_set(pairs))
+    return FourierRidgeLearner(KINECT_V1, samples=256).fit(training_set(pairs))
 
 
 def _save_pairs(pairs: list[PairedTake], path: Path, **changes: Any) -> None:
@@ -212,7 +213,8 @@ def test_every_learned_method_trains_saves_and_cleans(
     method: str, pairs: list[PairedTake], tmp_path: Path
 ) -> None:
     lessons = training_set(pairs[:12])
-    learner = LEARNED[method].load()(KINECT_V1).fit(lessons)
+    load = FourierRidgeLearner if method == "learned" else LEARNED[method].load()
+    learner = load(KINECT_V1).fit(lessons)
     path = tmp_path / "m.npz"
     save_model(Model(learner, method, KINECT_V1, lessons.source), path)
     take, truth = pairs[4].take, pairs[4].truth
@@ -251,7 +253,7 @@ def test_models_that_do_not_fit_are_refused(
 
 def test_too_few_frames_are_refused(pairs: list[PairedTake]) -> None:
     with pytest.raises(InputError, match="too few"):
-        FourierRidge(KINECT_V1).fit(training_set(pairs[:1]))
+        FourierRidgeLearner(KINECT_V1).fit(training_set(pairs[:1]))
     with pytest.raises(InputError, match="no clips"):
         training_set([])
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, Take, standard_body
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab import teach
+from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.two_views import LIMBS
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
@@ -79,13 +79,15 @@ def test_learned_has_not_learned_from_the_person_that_it_is_told_on(
     marked, out = tmp_path / "marked.npz", tmp_path / "views.json"
     made = ["--motion", "wave", "--sensor", "v1", "-o", str(tmp_path / "take.csv")]
     assert main(["simulate", "basic", *made, "--pairs", str(marked)]) == 0
-    taught, fit = [], FourierRidge.fit
+    taught, fit = [], FourierRidgeLearner.fit
 
-    def noted(model: FourierRidge, *args: Any, **options: Any) -> FourierRidge:
+    def noted(
+        model: FourierRidgeLearner, *args: Any, **options: Any
+    ) -> FourierRidgeLearner:
         taught.append(options["views"].people)
         return fit(model, *args, **options)
 
-    monkeypatch.setattr(FourierRidge, "fit", noted)
+    monkeypatch.setattr(FourierRidgeLearner, "fit", noted)
     options = ["--train", str(marked), "--methods", "learned", "--no-physics"]
     views = ["--views", str(tmp_path), *options, "--json", str(out)]
     assert main(["evaluate", *views]) == 0

@@ -14,11 +14,11 @@ from real_data import PAIRS, paired
 from kinefilter import clean
 from kinefilter.characters import KINECT_V1, Clip, Take
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.formats import read_clip, write_clip
 from kinefilter.pipeline.lab.accuracy import Accuracy, Tally
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN as LIMBS
 from kinefilter.pipeline.lab.limb_guesses import hide
+from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.uncertainty_lessons import Rows, fit, lessons, within
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.training import training_set
@@ -121,7 +121,7 @@ def test_intervals_hold_for_a_person_whom_nothing_has_learned_from() -> None:
         for person in ("s02", "s03", "s06", "s07")
     }
     taught = [pair for person in ("s02", "s03") for pair in clips[person][::5]]
-    corrector = FourierRidge(KINECT_V1, samples=256).fit(training_set(taught))
+    corrector = FourierRidgeLearner(KINECT_V1, samples=256).fit(training_set(taught))
     first, second = (lessons(corrector, clips[name], 8) for name in ("s06", "s07"))
     for learned, tested in ((first, second), (second, first)):
         held = within(fit([learned]), tested)["seen"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.progress import Progress, silent
 
 from .hold import Hold
 from .interface import Corrector
@@ -49,15 +47,13 @@ class TrainingSet:
         return len(self.positions)
 
 
-class LearnedCorrector(Corrector, ABC):
+class LearnedCorrector(Corrector):
     """A correction method that learns from pairs of Kinect and mocap.
 
-    The constructor stores settings, ``fit`` computes, fitted state ends in ``_``.
+    Fitted state ends in ``_``; ``Learner`` in the lab's methods computes it.
 
     Args:
         skeleton: The joints.
-        samples: Most training frames that are used.
-        seed: Draws them.
     """
 
     fitted: ClassVar[tuple[str, ...]]
@@ -65,21 +61,13 @@ class LearnedCorrector(Corrector, ABC):
     joints_: NDArray[np.intp]
     """The joints that it corrects, shape (M,)."""
 
-    def __init__(self, skeleton: Skeleton, *, samples: int = 0, seed: int = 0) -> None:
-        self.skeleton, self.samples, self.seed = skeleton, samples, seed
+    def __init__(self, skeleton: Skeleton) -> None:
+        self.skeleton = skeleton
         self._hold = Hold(skeleton)
 
     def start(self) -> None:
         """Forget all frames."""
         self._hold.start()
-
-    @abstractmethod
-    def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Learn from pairs.
-
-        Raises:
-            InputError: The pairs are too few, or of another skeleton.
-        """
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the fitted state as named arrays, for a model file."""

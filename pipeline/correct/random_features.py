@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,6 @@ from kinefilter.characters.arrays import Array
 Floats = NDArray[np.float32]
 
 _LINEAR = 0.8  # variance of the linear part, against 1 of the Gaussian one
-_ALONE = 3  # so few frames' center would be nearly a recorded posture
 
 
 class RandomFeatures:
@@ -103,20 +101,3 @@ def likeness_to(features: Floats, centers: Floats, squares: Floats) -> Array:
     nearest = (squares - 2.0 * features @ centers.T).min(axis=1)
     nearest = nearest + np.sum(features**2, axis=1)
     return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))
-
-
-def centers_of(features: Floats, count: int) -> Floats:
-    """Return centers of the frames; those of a few frames alone are left out."""
-    from sklearn.cluster import KMeans
-
-    some = features[np.random.default_rng(0).permutation(len(features))[: 20 * count]]
-    count = -(-len(some) // 20)
-    means = KMeans(count, init="random", max_iter=10, random_state=0)
-    nearest = means.fit_predict(some)
-    common = np.bincount(nearest, minlength=count) > _ALONE
-    return np.asarray(means.cluster_centers_[common])
-
-
-def rounded(values: NDArray[Any]) -> Floats:
-    """Return values as a file of half precision has them."""
-    return values.astype(np.float16).astype(np.float32)

@@ -6,11 +6,12 @@ from functools import cache
 
 from kinefilter.characters import Skeleton
 from kinefilter.pipeline.correct import LearnedCorrector, TrainingSet
-from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.training import training_set
 
+from .methods.fourier_ridge_learner import FourierRidgeLearner
+from .methods.lessons import Learner
 from .simulate import simulated_pairs
 
 _SIMULATED = 102  # people beside the recorded ones: every motion twice
@@ -39,14 +40,14 @@ def teach(
         InputError: The pairs are too few.
     """
     if method == "learned":
-        return FourierRidge(lessons.skeleton).fit(
+        return FourierRidgeLearner(lessons.skeleton).fit(
             lessons,
             simulated=_simulated(lessons.skeleton),
             views=views,
             people=people,
             progress=progress,
         )
-    learner: LearnedCorrector = LEARNED[method].load()(lessons.skeleton)
+    learner: Learner = LEARNED[method].load()(lessons.skeleton)
     return learner.fit(lessons, progress=progress)
 
 

@@ -18,7 +18,6 @@ from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import (
     Correction,
-    LearnedCorrector,
     Observation,
     TrainingSet,
 )
@@ -26,7 +25,7 @@ from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
 from kinefilter.pipeline.progress import Progress, silent
 
 from .gaussian_process import Kernel, fit_kernel
-from .lessons import Lessons
+from .lessons import Learner, Lessons
 
 _POOL = 25  # frames drawn for each centroid
 _FOR_KERNEL = 400  # centroids the hyper-parameters are learned from
@@ -75,7 +74,7 @@ class BoneWalk:
         return self.lay(self.measure(postures)[0], self.lengths)
 
 
-class ClusteredGP(LearnedCorrector):
+class ClusteredGP(Learner):
     """Moves joints to where a process over the whole standardized posture has them.
 
     The process is on the difference of mocap and Kinect: the prior is the measurement,
@@ -101,8 +100,8 @@ class ClusteredGP(LearnedCorrector):
         smallest_reliability: float = 0.7,
         seed: int = 0,
     ) -> None:
-        super().__init__(skeleton, samples=_POOL * centroids, seed=seed)
-        self.centroids = centroids
+        super().__init__(skeleton)
+        self.centroids, self.seed = centroids, seed
         self.smallest_reliability = smallest_reliability
         self._walk = BoneWalk(skeleton)
 
@@ -111,7 +110,7 @@ class ClusteredGP(LearnedCorrector):
         lessons = Lessons.drawn(
             training,
             self.skeleton,
-            self.samples,
+            _POOL * self.centroids,
             self.seed,
             above=self.smallest_reliability,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
@@ -20,13 +20,36 @@ from kinefilter.pipeline.correct import (
     TrainingSet,
 )
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
+from kinefilter.pipeline.progress import Progress, silent
 
 _BLOCK = 100_000  # frames looked at at a time; 200 MB of the largest skeleton
 _LEAST_FRAMES = 100
 
 
-class OffsetCorrector(LearnedCorrector):
-    """Adds offsets to the joints, and fills missing ones beforehand."""
+class Learner(LearnedCorrector, ABC):
+    """A correction method that can be taught."""
+
+    @abstractmethod
+    def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
+        """Learn from pairs.
+
+        Raises:
+            InputError: The pairs are too few, or of another skeleton.
+        """
+
+
+class OffsetCorrector(Learner):
+    """Adds offsets to the joints, and fills missing ones beforehand.
+
+    Args:
+        skeleton: The joints.
+        samples: Most training frames that are used.
+        seed: Draws them.
+    """
+
+    def __init__(self, skeleton: Skeleton, *, samples: int, seed: int) -> None:
+        super().__init__(skeleton)
+        self.samples, self.seed = samples, seed
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, cho_factor, cho_solve, cholesky, solve_triangular
 
 from kinefilter.characters.arrays import Array
-
-from .hold import Hold
-from .learned import TrainingSet
-from .posture_features import PostureFeatures
-from .random_features import Floats, RandomFeatures, direction_to
+from kinefilter.pipeline.correct import Hold, TrainingSet
+from kinefilter.pipeline.correct.posture_features import PostureFeatures
+from kinefilter.pipeline.correct.random_features import (
+    Floats,
+    RandomFeatures,
+    direction_to,
+)
 
 _SHARE = 0.07  # a: variance of an effect, against 1 of what all people share
 _SIMULATED_SHARE = 0.05  # of the effect that simulated people have in common

@@ -1,0 +1,157 @@
+"""How the corrector that ships learns its weights: who counts how much."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.correct import TrainingSet
+from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
+from kinefilter.pipeline.correct.random_features import Floats, RandomFeatures
+from kinefilter.pipeline.progress import Progress, silent
+
+from .lessons import Learner
+from .ridge import own_weights, people_of, ridge_weights
+
+# Chosen by leaving one of six people out, and one of their movements.
+_WEIGHT, _SIMULATED_WEIGHT = (
+    15000.0,
+    150.0,
+)  # frames without noise that a person is like
+_MOST, _SIMULATED_MOST = 2500, 50  # frames of a person that are learned from
+_CENTERS = 1000  # of the postures that were learned from
+# Of limbs on the far side; chosen by leaving one of fourteen people out.
+_VIEW_WEIGHT, _VIEW_MOST, _VIEW_CENTERS = 700.0, 1500, 300
+_FACING_WEIGHT, _FACING_MOST = 200.0, 800  # of people in front, whom it leaves alone
+_ALONE = 3  # so few frames' center would be nearly a recorded posture
+
+
+class FourierRidgeLearner(FourierRidge, Learner):
+    """The corrector before it has learned.
+
+    Args:
+        skeleton: The joints.
+        samples: Random features of whole takes; live motion has half of them.
+        seed: Draws their frequencies.
+    """
+
+    def __init__(
+        self, skeleton: Skeleton, *, samples: int = 4096, seed: int = 0
+    ) -> None:
+        super().__init__(skeleton)
+        self.samples, self.seed = samples, seed
+
+    def fit(
+        self,
+        training: TrainingSet,
+        *,
+        simulated: TrainingSet | None = None,
+        views: TrainingSet | None = None,
+        people: bool = False,
+        progress: Progress = silent,
+    ) -> Self:
+        """Learn offsets from pairs.
+
+        Args:
+            training: People with markers.
+            simulated: Simulated people beside them.
+            views: People whom a second sensor saw as well, of any skeleton; that is the
+                truth of the limbs on the far side of their bodies.
+            people: Also learn what each person in ``training`` has alone.
+            progress: Wraps the steps, for a progress bar.
+        """
+        if training.skeleton != self.skeleton or training.person is None:
+            raise InputError(
+                f"{training.source}: pairs of {training.skeleton.name}, but the model "
+                f"is for {self.skeleton.name}"
+            )
+        recorded = list(people_of(training, _WEIGHT, _MOST))
+        if sum(len(person.features) for person in recorded) < 200:
+            raise InputError(
+                f"{training.source}: {len(training)} frames are too few to learn from; "
+                "give 100 or more"
+            )
+        others = []
+        if simulated is not None:
+            others = list(people_of(simulated, _SIMULATED_WEIGHT, _SIMULATED_MOST))
+        beside, facing = [], []
+        if views is not None:
+            beside = list(people_of(views, _VIEW_WEIGHT, _VIEW_MOST))
+            for person in people_of(training, _FACING_WEIGHT, _FACING_MOST):
+                facing.append(replace(person, offsets=np.zeros_like(person.offsets)))
+        means = [person.features.mean(axis=0) for person in recorded]
+        self.mean_ = np.mean(means, axis=0).astype(np.float16).astype(np.float32)
+        means = [person.offsets.mean(axis=0) for person in recorded]
+        self.offset_ = np.mean(means, axis=0).astype(np.float32)
+        self.bones_ = self._odd_bones(training).astype(np.float32)
+        self.seed_ = np.array(self.seed)
+        features = np.concatenate([p.features for p in (*recorded, *others)])
+        self.centers_ = _rounded(_centers_of(features, _CENTERS))
+        self.far_centers_ = np.empty((0, features.shape[1]), dtype=np.float32)
+        if beside:
+            seen = np.concatenate([person.features for person in beside])
+            self.far_centers_ = _rounded(_centers_of(seen, _VIEW_CENTERS))
+        self.people_ = np.array(training.people if people else (), dtype=np.str_)
+        parts = [np.arange(features.shape[1]), self._described.live]
+        mirrors = [self._described.mirror, self._described.live_mirror]
+        # Frames are alike: half as many features as frames are plenty.
+        most = min(self.samples, len(features) // 2) // 4 * 4
+        counts = (most, most // 8 * 4)
+        found = []
+        everybody = [*recorded, *others, *beside, *facing, *self.people_]
+        steps = iter(progress("learn", 2 * len(everybody)))
+        for columns, count, mirror in zip(parts, counts, mirrors, strict=True):
+            random = RandomFeatures(self.mean_[columns], count, self.seed, mirror)
+            shared = ridge_weights(
+                random, columns, recorded, others, self.offset_, steps
+            )
+            far, own = shared[:0], []
+            if beside:
+                none = np.zeros_like(self.offset_)
+                far = ridge_weights(random, columns, beside + facing, [], none, steps)
+            # Recorded people come with their mirror images, which are others.
+            for person in recorded[: 2 * len(self.people_) : 2]:
+                next(steps)
+                own.append(own_weights(random, columns, person, shared, self.offset_))
+            found.append((shared, far, own))
+        for _ in steps:
+            pass
+        (self.weights_, self.far_weights_, self.own_weights_), live = (
+            tuple(_rounded(np.array(part)) for part in some) for some in found
+        )
+        self.live_weights_, self.live_far_weights_, self.live_own_weights_ = live
+        self._prepare()
+        return self
+
+    def _odd_bones(self, training: TrainingSet) -> Array:
+        """Return the mean over people of what ``proportions`` says."""
+        if training.lengths is None or training.person is None:
+            return np.zeros(len(self._described.limbs))
+        people = [training.person == p for p in np.unique(training.person)]
+        each = [
+            self._described.proportions(np.median(training.lengths[p], 0))
+            for p in people
+        ]
+        return np.asarray(np.mean(each, axis=0))
+
+
+def _centers_of(features: Floats, count: int) -> Floats:
+    """Return centers of the frames; those of a few frames alone are left out."""
+    from sklearn.cluster import KMeans
+
+    some = features[np.random.default_rng(0).permutation(len(features))[: 20 * count]]
+    count = -(-len(some) // 20)
+    means = KMeans(count, init="random", max_iter=10, random_state=0)
+    nearest = means.fit_predict(some)
+    common = np.bincount(nearest, minlength=count) > _ALONE
+    return np.asarray(means.cluster_centers_[common])
+
+
+def _rounded(values: NDArray[Any]) -> Floats:
+    """Return values as a file of half precision has them."""
+    return values.astype(np.float16).astype(np.float32)
