@@ -94,14 +94,15 @@ def test_identical_postures_span_a_space_of_no_dimension_but_their_own() -> None
 
 def test_the_energy_is_the_papers_sums(database: PostureDatabase) -> None:
     rng = np.random.default_rng(1)
-    lengths = standard_body(KINECT_V1).lengths
-    weights = EnergyWeights(1.1, 0.6, 1.4, 0.3)
-    energy = PostureEnergy(KINECT_V1, lengths, weights)
+    body, weights = standard_body(KINECT_V1), EnergyWeights(1.1, 0.6, 1.4, 0.3)
     neighbors = database.flat[:7].astype(float)
+    space = PostureSpace(neighbors, 4)
     measured, reliability = database.positions[9], rng.uniform(0, 1, JOINTS)
     before, last = database.flat[10].astype(float), database.flat[11].astype(float)
-    energy.observe(measured, reliability, neighbors, 2 * last - before)
-    posture = database.flat[12].astype(float) + 0.05 * rng.standard_normal(60)
+    steady = 2 * last - before
+    energy = PostureEnergy(space, body, measured, reliability, steady, weights)
+    latent = 0.3 * rng.standard_normal(4)
+    posture = space.posture(latent)
     p = posture.reshape(-1, 3)
     control = sum(
         reliability[j] * np.sum((p[j] - measured[j]) ** 2) for j in range(JOINTS)
@@ -109,13 +110,14 @@ def test_the_energy_is_the_papers_sums(database: PostureDatabase) -> None:
     style = min(np.sum((posture - n) ** 2) / JOINTS for n in neighbors)
     kinematics = np.mean(
         [
-            (np.linalg.norm(p[j] - p[KINECT_V1.parents[j]]) - lengths[j]) ** 2
+            (np.linalg.norm(p[j] - p[KINECT_V1.parents[j]]) - body.lengths[j]) ** 2
             for j in KINECT_V1.segments
         ]
     )
     continuity = np.sum((posture - 2 * last + before) ** 2) / JOINTS
     expected = 1.1 * control + 0.6 * style + 1.4 * kinematics + 0.3 * continuity
-    assert energy(posture[None])[0] == pytest.approx(expected, rel=1e-9)
+    found = energy(latent[None])[0][0] + energy.constant
+    assert found == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("take", [sample_take()], ids=["sample"])
@@ -123,20 +125,20 @@ def test_the_solver_reaches_lower_energy_than_the_stochastic_search(
     database: PostureDatabase, take: Take
 ) -> None:
     corrector = LocalPCA(database)
-    energy, rng = corrector.energy, np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     lower, stationary = [], []
     for k, seen in enumerate(_observations(take)):
         corrector.step(seen)  # leaves the energy as the frame set it
         if k % 5:
             continue
-        space = PostureSpace(energy.neighbors, 20)
-        start = space.project(energy.neighbors[0])
-        solved = solve(space, energy, start)
-        sampled = stochastic_search(space, energy, start, rng)
-        energies = energy(space.posture(np.array([solved, sampled])))
+        energy = corrector.energy
+        start = energy.space.latent[0]
+        solved = solve(energy, start)
+        sampled = stochastic_search(energy, start, rng)
+        energies = energy(np.array([solved, sampled]))[0]
         lower.append(energies[0] <= energies[1] + 1e-12)
         nearby = solved + 1e-3 * rng.standard_normal((50, len(solved)))
-        stationary.append(energies[0] <= energy(space.posture(nearby)).min() + 1e-7)
+        stationary.append(energies[0] <= energy(nearby)[0].min() + 1e-7)
     assert len(lower) > 50
     assert np.mean(lower) >= 0.95
     assert np.mean(stationary) >= 0.95

@@ -74,6 +74,7 @@ class FourierRidge(LearnedCorrector):
     offset_: Floats
     bones_: Floats
     centers_: Floats
+    seed_: NDArray[np.intp]
     far_weights_: Floats
     live_far_weights_: Floats
     far_centers_: Floats

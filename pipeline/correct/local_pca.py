@@ -15,7 +15,6 @@ from kinefilter.pipeline.database import PostureDatabase
 from .hold import Blend, measurement_confidence
 from .interface import CORRECTED_CONFIDENCE, Correction, Corrector, Observation
 from .posture_space import (
-    EnergyWeights,
     NaturalSpaces,
     PostureEnergy,
     PostureSpace,
@@ -46,7 +45,6 @@ class LocalPCA(Corrector):
         database: Natural postures.
         neighbors: K, postures that span the natural posture space.
         dimensions: Most dimensions of that space.
-        weights: Weights of the energy terms.
         search: How the posture of least energy is found.
         steps: Most steps of the stochastic search.
         samples: Samples in each of them.
@@ -59,7 +57,6 @@ class LocalPCA(Corrector):
         *,
         neighbors: int = _NEIGHBORS,
         dimensions: int = 20,
-        weights: EnergyWeights | None = None,
         search: Search = "solver",
         steps: int = 20,
         samples: int = 100,
@@ -72,11 +69,8 @@ class LocalPCA(Corrector):
         self.steps = steps
         self.samples = samples
         self.seed = seed
-        skeleton = database.skeleton
-        self.energy = PostureEnergy(
-            skeleton, standard_body(skeleton).lengths, weights or EnergyWeights()
-        )
-        self._blend = Blend(skeleton)
+        self._body = standard_body(database.skeleton)
+        self._blend = Blend(database.skeleton)
         # A script imagines motions: how its postures vary says little about people.
         self._spaces = NaturalSpaces(database) if database.recorded else None
         self.start()
@@ -120,13 +114,14 @@ class LocalPCA(Corrector):
         nearest = self._neighbors(measured, reliability)
         postures = self.database.flat[nearest].astype(float)
         space = PostureSpace(postures, self.dimensions)
-        self.energy.observe(measured, reliability, postures, self._steady())
+        self.energy = PostureEnergy(
+            space, self._body, measured, reliability, self._steady()
+        )
         start = space.project(self._last[-1] if self._last else postures[0])
         if self.search == "solver":
-            latent = solve(space, self.energy, start)
+            latent = solve(self.energy, start)
         else:
             latent = stochastic_search(
-                space,
                 self.energy,
                 start,
                 self._generator,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from kinefilter.characters import Skeleton
+from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
@@ -44,6 +44,10 @@ class EnergyWeights:
     """Pull to the standard body's segment lengths."""
     continuity: float = 0.25
     """Pull to steady movement since the last two frames."""
+
+
+WEIGHTS = EnergyWeights()
+"""Those of the paper."""
 
 
 class PostureSpace:
@@ -81,85 +85,102 @@ class PostureSpace:
 
 
 class PostureEnergy:
-    """E = wc Ec + ws Es + wk Ek + wm Em of postures (Shum 2013, eq. 10-15) [m^2]."""
+    """E = wc Ec + ws Es + wk Ek + wm Em in a space (Shum 2013, eq. 10-15) [m^2].
+
+    The basis is orthonormal, so distances between postures of the space are those of
+    their latent points, and nothing but the bones has to leave the space.
+
+    Args:
+        space: The posture space of the neighboring postures.
+        body: Whose segment lengths postures are to have.
+        measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
+        reliability: Reliability of each joint, shape (J,).
+        steady: Posture [m] that continues the last two, shape (3 J,), or None.
+        weights: Weights of the terms.
+    """
 
     def __init__(
-        self, skeleton: Skeleton, standard_lengths: Array, weights: EnergyWeights
-    ) -> None:
-        self.weights = weights
-        self.ends, self.starts = skeleton.segments, skeleton.segment_parents
-        self.lengths = standard_lengths[self.ends]
-        self.joints = len(skeleton)
-
-    def observe(
         self,
+        space: PostureSpace,
+        body: Body,
         measured: Array,
         reliability: Array,
-        neighbors: Array,
         steady: Array | None,
+        weights: EnergyWeights = WEIGHTS,
     ) -> None:
-        """Set what the energy is about in this frame.
+        self.space, w, joints = space, weights, len(reliability)
+        basis, axes = space.basis, space.basis.shape[1]
+        trust = np.repeat(reliability, 3)
+        away = np.where(trust > 0.0, measured.ravel(), 0.0) - space.mean
+        pulled = (w.control * trust)[:, None] * basis  # eq. 10
+        self._hessian = pulled.T @ basis
+        self._fixed = away @ pulled
+        self.constant = float(w.control * trust @ away**2)
+        """What the energies leave out, since it is the same in all of the space."""
+        eased = w.style / joints
+        if steady is not None:
+            eased += w.continuity / joints
+            self._fixed += w.continuity / joints * space.project(steady)
+            change = steady - space.mean
+            self.constant += w.continuity / joints * float(change @ change)
+        self._hessian.flat[:: axes + 1] += eased
+        self._to_neighbors = w.style / joints * space.latent  # eq. 11
+        self._from_neighbors = w.style / joints * space.squares
+        ends, starts = body.skeleton.segments, body.skeleton.segment_parents
+        points = space.mean.reshape(-1, 3)
+        self._bones = points[ends] - points[starts]
+        points = basis.reshape(joints, 3, axes)
+        self._bone_basis = points[ends] - points[starts]
+        self._flat_basis = self._bone_basis.reshape(-1, axes).T
+        self._lengths = body.lengths[ends]
+        self._stiff = w.kinematics / len(ends)  # eq. 12
 
-        Args:
-            measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
-            reliability: Reliability of each joint, shape (J,).
-            neighbors: Neighboring postures [m], shape (K, 3 J).
-            steady: Posture [m] that continues the last two, shape (3 J,), or None.
-        """
-        self.reliability = np.repeat(reliability, 3)
-        self.measured = np.where(self.reliability > 0.0, measured.ravel(), 0.0)
-        self.neighbors = neighbors
-        self._neighbor_squares = np.sum(neighbors * neighbors, axis=1)
-        self.steady = steady
-
-    def __call__(self, postures: Array) -> Array:
-        """Return energies [m^2] (N,) of postures [m] (N, 3 J)."""
-        w = self.weights
-        away = postures - self.measured
-        control = (away * away) @ self.reliability  # eq. 10
-        squares = np.sum(postures * postures, axis=1)
-        to_neighbors = (
-            squares[:, None]
-            - 2.0 * (postures @ self.neighbors.T)
-            + self._neighbor_squares
+    def __call__(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return energies (N,) of points (N, d), bones (N, S, 3) and lengths (N, S)."""
+        bones = self._bones + (points @ self._flat_basis).reshape(
+            -1, *self._bones.shape
         )
-        style = to_neighbors.min(axis=1) / self.joints  # eq. 11
-        error = self._length_errors(postures)
-        kinematics = np.mean(error * error, axis=1)  # eq. 12
-        energy = w.control * control + w.style * style + w.kinematics * kinematics
-        if self.steady is not None:
-            change = postures - self.steady
-            energy += w.continuity * np.sum(change * change, axis=1) / self.joints
-        return np.asarray(energy)
+        lengths = np.sqrt(np.vecdot(bones, bones))
+        errors = lengths - self._lengths
+        energies = np.vecdot(points @ self._hessian - 2.0 * self._fixed, points)
+        style = self._from_neighbors - 2.0 * (points @ self._to_neighbors.T)
+        energies += style.min(axis=1)
+        energies += self._stiff * np.vecdot(errors, errors)
+        return energies, bones, lengths
 
-    def _length_errors(self, postures: Array) -> Array:
-        """Return by how much segments are too long [m], shape (N, S)."""
-        points = postures.reshape(len(postures), -1, 3)
-        bones = points[:, self.ends] - points[:, self.starts]
-        lengths = np.sqrt(np.sum(bones * bones, axis=2))
-        return np.asarray(lengths - self.lengths)
+    def minima(self, latent: Array, bones: Array, lengths: Array) -> Array:
+        """Return where each neighbor's energy, linearized at a point, is least, (K, d).
+
+        The point has shape (d,), the bones there (S, 3) and their lengths (S,).
+        """
+        directions = bones / np.maximum(lengths, 1e-9)[:, None]
+        slope = np.einsum("sk,skd->sd", directions, self._bone_basis)
+        curvature = self._hessian + self._stiff * (slope.T @ slope)
+        wanted = slope @ latent - (lengths - self._lengths)
+        pull = self._fixed + self._stiff * (wanted @ slope)
+        # LAPACK itself: the wrappers' checks take longer than so small a solution.
+        return np.asarray(dposv(curvature, (pull + self._to_neighbors).T)[1].T)
 
 
-def solve(space: PostureSpace, energy: PostureEnergy, start: Array) -> Array:
+def solve(energy: PostureEnergy, start: Array) -> Array:
     """Return the latent point of least energy, by Gauss-Newton.
 
     All terms but the segment lengths are quadratic, and the style term of each neighbor
     adds the same Hessian, so one factorization gives every neighbor's minimum at once;
     the best of them under the true energy is the next iterate. A step that does not
-    lower the energy is halved. The energy has observed the frame.
+    lower the energy is halved.
     """
-    inside = _EnergyInside(space, energy)
     latent = start
-    energies, bones, lengths = inside(latent[None])
+    energies, bones, lengths = energy(latent[None])
     best, bones, lengths = float(energies[0]), bones[0], lengths[0]
     for _ in range(_STEPS):
-        points = inside.minima(latent, bones, lengths)
-        energies, tried_bones, tried_lengths = inside(points)
+        points = energy.minima(latent, bones, lengths)
+        energies, tried_bones, tried_lengths = energy(points)
         k = int(energies.argmin())
         step, lowered = points[k] - latent, float(energies[k])
         while lowered > best and np.abs(step).max() > _CONVERGED:
             step, k = step / 2.0, 0
-            energies, tried_bones, tried_lengths = inside((latent + step)[None])
+            energies, tried_bones, tried_lengths = energy((latent + step)[None])
             lowered = float(energies[0])
         if lowered > best:
             break
@@ -170,61 +191,7 @@ def solve(space: PostureSpace, energy: PostureEnergy, start: Array) -> Array:
     return latent
 
 
-class _EnergyInside:
-    """The energy as a function of the latent point, up to a constant.
-
-    The basis is orthonormal, so distances between postures of the space are those of
-    their latent points, and nothing but the bones has to leave the space.
-    """
-
-    def __init__(self, space: PostureSpace, energy: PostureEnergy) -> None:
-        w, joints = energy.weights, energy.joints
-        basis, axes = space.basis, space.basis.shape[1]
-        pulled = (w.control * energy.reliability)[:, None] * basis
-        self.hessian = pulled.T @ basis
-        self.fixed = (energy.measured - space.mean) @ pulled
-        eased = w.style / joints
-        if energy.steady is not None:
-            eased += w.continuity / joints
-            self.fixed += w.continuity / joints * space.project(energy.steady)
-        self.hessian.flat[:: axes + 1] += eased
-        self.to_neighbors = w.style / joints * space.latent
-        self.from_neighbors = w.style / joints * space.squares
-        points = space.mean.reshape(-1, 3)
-        self.bones = points[energy.ends] - points[energy.starts]
-        points = basis.reshape(joints, 3, axes)
-        self.bone_basis = points[energy.ends] - points[energy.starts]
-        self._flat_basis = self.bone_basis.reshape(-1, axes).T
-        self.lengths = energy.lengths
-        self.stiff = w.kinematics / len(self.lengths)
-
-    def __call__(self, points: Array) -> tuple[Array, Array, Array]:
-        """Return energies (N,) of points (N, d), bones (N, S, 3) and lengths (N, S)."""
-        bones = self.bones + (points @ self._flat_basis).reshape(-1, *self.bones.shape)
-        lengths = np.sqrt(np.vecdot(bones, bones))
-        errors = lengths - self.lengths
-        energies = np.vecdot(points @ self.hessian - 2.0 * self.fixed, points)
-        style = self.from_neighbors - 2.0 * (points @ self.to_neighbors.T)
-        energies += style.min(axis=1)
-        energies += self.stiff * np.vecdot(errors, errors)
-        return energies, bones, lengths
-
-    def minima(self, latent: Array, bones: Array, lengths: Array) -> Array:
-        """Return where each neighbor's energy, linearized at a point, is least, (K, d).
-
-        The point has shape (d,), the bones there (S, 3) and their lengths (S,).
-        """
-        directions = bones / np.maximum(lengths, 1e-9)[:, None]
-        slope = np.einsum("sk,skd->sd", directions, self.bone_basis)
-        curvature = self.hessian + self.stiff * (slope.T @ slope)
-        wanted = slope @ latent - (lengths - self.lengths)
-        pull = self.fixed + self.stiff * (wanted @ slope)
-        # LAPACK itself: the wrappers' checks take longer than so small a solution.
-        return np.asarray(dposv(curvature, (pull + self.to_neighbors).T)[1].T)
-
-
 def stochastic_search(
-    space: PostureSpace,
     energy: PostureEnergy,
     start: Array,
     generator: np.random.Generator,
@@ -239,11 +206,11 @@ def stochastic_search(
     half a standard deviation of the neighbors, shrinking by a fifth a step.
     """
     latent = start
-    best = float(energy(space.posture(latent[None]))[0])
-    spread = 0.5 * space.deviations
+    best = float(energy(latent[None])[0][0])
+    spread = 0.5 * energy.space.deviations
     for _ in range(steps):
         points = latent + spread * generator.standard_normal((samples, len(latent)))
-        energies = energy(space.posture(points))
+        energies = energy(points)[0]
         k = int(np.argmin(energies))
         if energies[k] < best:
             latent, best = points[k], float(energies[k])

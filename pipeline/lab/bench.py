@@ -15,11 +15,7 @@ from kinefilter.characters import Body, Take
 from kinefilter.pipeline.avatar import Avatar
 from kinefilter.pipeline.cleaner import Cleaner, clean
 from kinefilter.pipeline.correct import LocalPCA, Observation
-from kinefilter.pipeline.correct.posture_space import (
-    PostureSpace,
-    solve,
-    stochastic_search,
-)
+from kinefilter.pipeline.correct.posture_space import solve, stochastic_search
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats import read_take
@@ -99,7 +95,7 @@ def _time_offline(take: Take) -> dict[str, float]:
 
 def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
     """Return how the solver and the paper's sampling do in the same posture spaces."""
-    cleaner, energy = Cleaner().until("standardize"), corrector.energy
+    cleaner = Cleaner().until("standardize")
     cleaner.start(measure_body(take))
     generator = np.random.default_rng(0)
     times, energies = [], []
@@ -107,15 +103,15 @@ def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
         frame = cleaner.step(take.positions[k], float(take.time[k]), take.state[k])
         seen = Observation(frame.standard, frame.reliability, frame.geometry)
         corrector.step(seen)
-        space = PostureSpace(energy.neighbors, corrector.dimensions)
-        start = space.project(energy.neighbors[0])
+        energy = corrector.energy
+        start = energy.space.latent[0]
         marks = [perf_counter()]
-        solved = solve(space, energy, start)
+        solved = solve(energy, start)
         marks.append(perf_counter())
-        sampled = stochastic_search(space, energy, start, generator)
+        sampled = stochastic_search(energy, start, generator)
         marks.append(perf_counter())
         times.append(np.diff(marks))
-        energies.append(energy(space.posture(np.array([solved, sampled]))))
+        energies.append(energy(np.array([solved, sampled]))[0])
     solver, stochastic = np.median(times, axis=0) * 1e3
     lower = [e[0] <= e[1] + 1e-12 for e in energies]
     return {

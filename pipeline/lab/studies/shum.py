@@ -246,7 +246,9 @@ def _measure(
             start = perf_counter()
             made[k] = method.synthesize(take.positions[k], take.reliability[k])[0]
             seconds.append(perf_counter() - start)
-            energies.append(float(method.energy(made[k].reshape(1, -1))[0]))
+            energy = method.energy
+            found = energy.space.project(made[k].ravel())
+            energies.append(energy.constant + float(energy(found[None])[0][0]))
         back, truth = take.undo(made)[:_FRAMES], take.pair.truth[:_FRAMES]
         errors.append(bone_errors(back, truth, KINECT_V1))
     error = float(np.concatenate(errors).mean())
