@@ -33,9 +33,9 @@ from kinefilter.pipeline.lab.scripted_database import (
     BUILTIN_POSTURES,
     scripted_postures,
 )
+from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import measure_reference
-from kinefilter.pipeline.training import training_set
 from kinefilter.retarget import Standardizer, measured_body
 
 Array = NDArray[np.float64]

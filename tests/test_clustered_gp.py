@@ -12,8 +12,9 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from kinefilter.characters import KINECT_V1, InputError, standard_body
-from kinefilter.pipeline.correct import Correction, Observation, TrainingSet
+from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.lab.methods.clustered_gp import BoneWalk, ClusteredGP
+from kinefilter.pipeline.lab.methods.lessons import TrainingSet
 
 Array = NDArray[np.float64]
 

@@ -19,17 +19,18 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.correct import Observation, TrainingSet, fourier_ridge
+from kinefilter.pipeline.correct import Observation, fourier_ridge
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.correct.random_features import RandomFeatures
 from kinefilter.pipeline.factory import make_corrector, shipped_model
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods import fourier_ridge_learner as learner
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
+from kinefilter.pipeline.lab.methods.lessons import TrainingSet
 from kinefilter.pipeline.lab.methods.ridge import people_of
+from kinefilter.pipeline.lab.training import observed, standard_truth, training_set
 from kinefilter.pipeline.models import Model, save_model
 from kinefilter.pipeline.pairs import read_pairs
-from kinefilter.pipeline.training import observed, standard_truth, training_set
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -23,23 +23,18 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.correct import (
-    Correction,
-    Hold,
-    InTurn,
-    Observation,
-    TrainingSet,
-)
+from kinefilter.pipeline.correct import Correction, Hold, InTurn, Observation
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.factory import default_corrector
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.lab.methods.joint_offsets import JointOffsets
+from kinefilter.pipeline.lab.methods.lessons import TrainingSet
 from kinefilter.pipeline.lab.simulate import simulate, simulated_pairs
+from kinefilter.pipeline.lab.training import observed, training_set
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import MeasureCorrectedBody
-from kinefilter.pipeline.training import observed, training_set
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -14,15 +14,14 @@ import pytest
 from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline import spool
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.correct import TrainingSet
 from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.lab.methods import lessons as module
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
-from kinefilter.pipeline.lab.methods.lessons import Lessons
+from kinefilter.pipeline.lab.methods.lessons import Lessons, TrainingSet
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
+from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.spool import Spool
-from kinefilter.pipeline.training import training_set
 
 
 @pytest.fixture(scope="module")

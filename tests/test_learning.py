@@ -27,11 +27,11 @@ from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate, repetition
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
+from kinefilter.pipeline.lab.training import observed, standard_truth, training_set
 from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.metrics import distances, jitter
 from kinefilter.pipeline.models import Model, load_model, save_model
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
-from kinefilter.pipeline.training import observed, standard_truth, training_set
 from kinefilter.scenes.library import perform
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")

@@ -25,10 +25,11 @@ from offset_lessons import (
 from real_data import paired
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError
-from kinefilter.pipeline.correct import Observation, TrainingSet
+from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods.baselines import Exemplar, FullGP
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
+from kinefilter.pipeline.lab.methods.lessons import TrainingSet
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")

@@ -19,9 +19,9 @@ from kinefilter.pipeline.lab.accuracy import Accuracy, Tally
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN as LIMBS
 from kinefilter.pipeline.lab.limb_guesses import hide
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
+from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.lab.uncertainty_lessons import Rows, fit, lessons, within
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
-from kinefilter.pipeline.training import training_set
 from kinefilter.pipeline.uncertainty import HIDDEN, PARTS, SEEN
 from kinefilter.scenes.sensor import sample_take
 

@@ -47,9 +47,9 @@ class Train:
         """Learn and write."""
         from kinefilter.pipeline.lab.simulate import furnished_pairs, simulated_pairs
         from kinefilter.pipeline.lab.teach import teach
+        from kinefilter.pipeline.lab.training import training_set
         from kinefilter.pipeline.lab.two_views import find_sessions, view_pairs
         from kinefilter.pipeline.models import Model, save_model
-        from kinefilter.pipeline.training import training_set
 
         if bool(self.pairs) == (self.simulated is not None):
             raise InputError("give pairs files or --simulated SKELETON, not both")

@@ -2,7 +2,7 @@
 
 from .hold import Hold
 from .interface import Correction, Corrector, InTurn, Observation
-from .learned import LearnedCorrector, TrainingSet
+from .learned import LearnedCorrector
 from .local_pca import LocalPCA
 
 __all__ = [
@@ -13,5 +13,4 @@ __all__ = [
     "LearnedCorrector",
     "LocalPCA",
     "Observation",
-    "TrainingSet",
 ]

@@ -28,12 +28,12 @@ from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
-from kinefilter.pipeline.training import training_set
 from kinefilter.pipeline.workers import workers
 
 from .accuracy import FAR, Accuracy, Tally
 from .bench import Timed
 from .teach import teach
+from .training import training_set
 
 _LIU_TERMS = {
     "local-gp S": {"temporal": 0.0, "reliability": 0.0},

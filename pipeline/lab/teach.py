@@ -5,14 +5,14 @@ from __future__ import annotations
 from functools import cache
 
 from kinefilter.characters import Skeleton
-from kinefilter.pipeline.correct import LearnedCorrector, TrainingSet
+from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.training import training_set
 
 from .methods.fourier_ridge_learner import FourierRidgeLearner
-from .methods.lessons import Learner
+from .methods.lessons import Learner, TrainingSet
 from .simulate import simulated_pairs
+from .training import training_set
 
 _SIMULATED = 102  # people beside the recorded ones: every motion twice
 

@@ -22,19 +22,20 @@ from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.correct import LearnedCorrector, TrainingSet
+from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.smooth import smooth
-from kinefilter.pipeline.training import training_set
 from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .hidden_limbs import check_methods
+from .methods.lessons import TrainingSet
 from .misplaced import misplaced
 from .teach import teach
+from .training import training_set
 
 LIMBS = {
     f"{limb} {side.lower()}": tuple(joint + side for joint in joints)

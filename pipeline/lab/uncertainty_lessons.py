@@ -23,7 +23,6 @@ from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.target.floor import leveled
-from kinefilter.pipeline.training import training_set
 from kinefilter.pipeline.uncertainty import (
     HIDDEN,
     PARTS,
@@ -39,6 +38,7 @@ from .hidden_limbs import join_cases
 from .limb_guesses import HIDDEN as LIMBS
 from .limb_guesses import Guess, hide
 from .teach import teach
+from .training import training_set
 
 Weights = dict[str, dict[str, list[float]]]
 

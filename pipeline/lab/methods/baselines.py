@@ -11,17 +11,11 @@ from sklearn.neighbors import NearestNeighbors
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct import (
-    Correction,
-    Corrector,
-    LocalPCA,
-    Observation,
-    TrainingSet,
-)
+from kinefilter.pipeline.correct import Correction, Corrector, LocalPCA, Observation
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.progress import Progress, silent
 
-from .lessons import Lessons, OffsetCorrector
+from .lessons import Lessons, OffsetCorrector, TrainingSet
 from .local_models import JointFeatures, JointKernels, fit_kernels
 
 _FOR_VARIANCE = 10  # nearest samples the variance is taken from

@@ -16,16 +16,12 @@ from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct import (
-    Correction,
-    Observation,
-    TrainingSet,
-)
+from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
 from kinefilter.pipeline.progress import Progress, silent
 
 from .gaussian_process import Kernel, fit_kernel
-from .lessons import Learner, Lessons
+from .lessons import Learner, Lessons, TrainingSet
 
 _POOL = 25  # frames drawn for each centroid
 _FOR_KERNEL = 400  # centroids the hyper-parameters are learned from

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct import TrainingSet
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.correct.random_features import Floats, RandomFeatures
 from kinefilter.pipeline.progress import Progress, silent
 
-from .lessons import Learner
+from .lessons import Learner, TrainingSet
 from .ridge import own_weights, people_of, ridge_weights
 
 # Chosen by leaving one of six people out, and one of their movements.

@@ -17,10 +17,10 @@ import numpy as np
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import cross, unit
-from kinefilter.pipeline.correct import Observation, TrainingSet
+from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
-from .lessons import Lessons, OffsetCorrector
+from .lessons import Lessons, OffsetCorrector, TrainingSet
 
 _RIDGE = 0.2
 """Weight against large offsets, with simulated people as teachers: at half of it one

@@ -17,13 +17,44 @@ from kinefilter.pipeline.correct import (
     Hold,
     LearnedCorrector,
     Observation,
-    TrainingSet,
 )
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
 from kinefilter.pipeline.progress import Progress, silent
 
 _BLOCK = 100_000  # frames looked at at a time; 200 MB of the largest skeleton
 _LEAST_FRAMES = 100
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet:
+    """Frames on the standard body, root at the origin, facing +z, and their truth."""
+
+    positions: Array
+    """Measured joint positions [m], NaN where missing, shape (N, J, 3)."""
+    reliability: Array
+    """Reliability in [0, 1], shape (N, J)."""
+    truth: Array
+    """Mocap's joint positions [m] in the same view and scale, NaN where none; moved so
+    that the hips' middle is where the measurement has it, shape (N, J, 3)."""
+    first: NDArray[np.bool_]
+    """The frame begins a take, shape (N,)."""
+    skeleton: Skeleton
+    """The joints, in the order of the arrays."""
+    source: str
+    """What the pairs are, for the model file."""
+    lengths: Array | None = None
+    """The person's own segment lengths in each frame [m], shape (N, J)."""
+    person: NDArray[np.intp] | None = None
+    """Whose frame it is, by number, shape (N,)."""
+    people: tuple[str, ...] = ()
+    """Their names, by number."""
+    time: Array | None = None
+    """Time stamps [s] within each take, shape (N,); None: 30 frames a second."""
+    sensor: Array | None = None
+    """Where the sensor is, as in ``Observation``, shape (N, 3)."""
+
+    def __len__(self) -> int:
+        return len(self.positions)
 
 
 class Learner(LearnedCorrector, ABC):

@@ -18,11 +18,11 @@ from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct import Correction, Observation, TrainingSet
+from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.progress import Progress, silent
 
 from .gaussian_process import informative_samples
-from .lessons import Lessons, OffsetCorrector
+from .lessons import Lessons, OffsetCorrector, TrainingSet
 from .local_models import (
     JointFeatures,
     JointKernels,

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, cho_factor, cho_solve, cholesky, solve_triangular
 
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct import Hold, TrainingSet
+from kinefilter.pipeline.correct import Hold
 from kinefilter.pipeline.correct.posture_features import PostureFeatures
 from kinefilter.pipeline.correct.random_features import (
     Floats,
     RandomFeatures,
     direction_to,
 )
+
+from .lessons import TrainingSet
 
 _SHARE = 0.07  # a: variance of an effect, against 1 of what all people share
 _SIMULATED_SHARE = 0.05  # of the effect that simulated people have in common

@@ -10,9 +10,9 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.lab.accuracy import Accuracy
+from kinefilter.pipeline.lab.training import observed
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.stages import Correct
-from kinefilter.pipeline.training import observed
 from kinefilter.retarget import Standardizer
 
 

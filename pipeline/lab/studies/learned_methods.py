@@ -9,11 +9,12 @@ from time import perf_counter
 
 import numpy as np
 
-from kinefilter.pipeline.correct import LearnedCorrector, TrainingSet
+from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
+from kinefilter.pipeline.lab.methods.lessons import TrainingSet
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
+from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.progress import over
-from kinefilter.pipeline.training import training_set
 
 from .corrected import StandardizedTake
 from .study import Cell, Options, Panel, Series, Study, series_of

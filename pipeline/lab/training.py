@@ -8,13 +8,13 @@ import numpy as np
 
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.spool import Spool
 from kinefilter.retarget import Standardizer
 
-from .cleaner import Cleaner
-from .correct import TrainingSet
-from .draft import Draft
-from .pairs import PairedTake
-from .spool import Spool
+from .methods.lessons import TrainingSet
 
 
 def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
