@@ -1,6 +1,6 @@
 """Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, STATURES, Body, random_body, standard_body
+from .anthropometry import STANDARD_HEIGHT, STATURES, Body, standard_body
 from .errors import InputError, KinefilterError
 from .motion import (
     CONTACTS,
@@ -38,7 +38,6 @@ __all__ = [
     "Term",
     "Tracking",
     "positions_from_rotations",
-    "random_body",
     "skeleton_named",
     "standard_body",
 ]

@@ -73,20 +73,6 @@ def scene_xml(scene: str | Path, body: Body | None = None) -> str:
     return str(spec.to_xml())
 
 
-def movable_props(scene: mujoco.MjSpec) -> tuple[str, ...]:
-    """Return the names of the movable props: bodies with a free joint.
-
-    The character also has one; it is known by its targets.
-    """
-    bodies = {body.name for body in scene.bodies}
-    free = (
-        joint.parent.name
-        for joint in scene.joints
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE
-    )
-    return tuple(name for name in free if f"target:{name}" not in bodies)
-
-
 def _path(scene: str | Path) -> Path:
     if scene in SCENES:
         return _FOLDER / f"{scene}.xml"

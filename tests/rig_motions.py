@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V2, Clip, Motion, Skeleton, random_body
-from kinefilter.scenes.library import perform
+from kinefilter.characters import KINECT_V2, Clip, Motion, Skeleton
+from kinefilter.scenes.library import perform, random_body
 
 Array = NDArray[np.float64]
 

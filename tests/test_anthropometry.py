@@ -18,9 +18,9 @@ from kinefilter.characters import (
     STANDARD_HEIGHT,
     InputError,
     Skeleton,
-    random_body,
     standard_body,
 )
+from kinefilter.scenes.library import random_body
 
 skeletons = st.sampled_from([KINECT_V1, KINECT_V2])
 heights = st.floats(0.6, 2.4)

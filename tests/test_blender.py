@@ -14,18 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    Body,
-    Clip,
-    Skeleton,
-    random_body,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Clip, Skeleton
 from kinefilter.characters.rotations import rotate
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.formats import Export, write_clip
 from kinefilter.pipeline.formats.export import in_strict_t, resampled
+from kinefilter.scenes.library import random_body
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]

@@ -10,18 +10,11 @@ import numpy as np
 import pytest
 from skeletons import every_skeleton
 
-from kinefilter.characters import (
-    KINECT_V2,
-    Body,
-    Clip,
-    InputError,
-    Skeleton,
-    State,
-    random_body,
-)
+from kinefilter.characters import KINECT_V2, Body, Clip, InputError, Skeleton, State
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector
 from kinefilter.pipeline.formats import Export, read_clip, write_clip
 from kinefilter.pipeline.formats.export import in_strict_t, resampled
+from kinefilter.scenes.library import random_body
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]

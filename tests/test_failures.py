@@ -12,15 +12,7 @@ from scipy.ndimage import minimum_filter1d
 from skeletons import every_skeleton
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    State,
-    Take,
-    Term,
-    random_body,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take, Term, standard_body
 from kinefilter.pipeline.failures import (
     Failure,
     FailureKind,
@@ -33,7 +25,7 @@ from kinefilter.pipeline.failures.limbs import trunk_axes
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import Scores
 from kinefilter.pipeline.summary import as_json
-from kinefilter.scenes.library import MOTIONS, perform
+from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 Array = NDArray[np.float64]
 

@@ -9,15 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    Motion,
-    random_body,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, Motion, standard_body
 from kinefilter.characters.rotations import about_x, about_z, inverse, multiply, rotate
-from kinefilter.scenes.library import MOTIONS, Area, perform
+from kinefilter.scenes.library import MOTIONS, Area, perform, random_body
 from kinefilter.scenes.library.poses import JOINT_RANGES
 
 Array = NDArray[np.float64]

@@ -15,8 +15,8 @@ from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import rotate
-from kinefilter.scenes import SCENES, load_scene, movable_props
-from kinefilter.scenes.library import perform, prop_poses
+from kinefilter.scenes import SCENES, load_scene
+from kinefilter.scenes.library import movable_props, perform, prop_poses
 from kinefilter.scenes.library.ball import Contact, Ending, ball_path, contacts
 from kinefilter.scenes.library.hands import Hands
 from kinefilter.scenes.library.moving_props import box_path

@@ -21,8 +21,8 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.humanoid import build_humanoid, to_mujoco
 from kinefilter.pipeline.physics import PhysicsFilter
-from kinefilter.scenes import SCENES, load_scene, movable_props, scene_xml
-from kinefilter.scenes.library import perform, prop_poses
+from kinefilter.scenes import SCENES, load_scene, scene_xml
+from kinefilter.scenes.library import movable_props, perform, prop_poses
 from kinefilter.scenes.sensor import Sensor
 
 FOLDER = Path(kinefilter.scenes.rooms.__file__).parent

@@ -21,7 +21,6 @@ from kinefilter.characters import (
     Clip,
     InputError,
     positions_from_rotations,
-    random_body,
     standard_body,
 )
 from kinefilter.characters.rotations import inverse, multiply, rotate, rotation_vector
@@ -36,6 +35,7 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.bvh import continuous_euler, wxyz_from_euler
 from kinefilter.pipeline.formats.export import RotationOrder, in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of
+from kinefilter.scenes.library import random_body
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from kinefilter import read_take
-from kinefilter.characters import SKELETONS, InputError, Motion, State, random_body
+from kinefilter.characters import SKELETONS, InputError, Motion, State
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab.simulate import area_in_view, motion_for, simulate
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.scenes import SCENES
-from kinefilter.scenes.library import perform
+from kinefilter.scenes.library import perform, random_body
 from kinefilter.scenes.sensor import SENSORS, in_sensor_frame
 
 every_sensor = pytest.mark.parametrize("sensor", SENSORS)

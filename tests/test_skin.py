@@ -14,11 +14,11 @@ from kinefilter.characters import (
     KINECT_V2,
     Body,
     positions_from_rotations,
-    random_body,
     standard_body,
 )
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
 from kinefilter.characters.skin import INFLUENCES, Skin, quads_of, skin_of
+from kinefilter.scenes.library import random_body
 
 Array = NDArray[np.float64]
 DENSITY = 1050.0  # kg/m^3

@@ -11,13 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinefilter.characters import (
-    KINECT_V1,
-    SKELETONS,
-    InputError,
-    random_body,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, SKELETONS, InputError, standard_body
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.lab.studies import (
@@ -31,7 +25,7 @@ from kinefilter.pipeline.lab.studies.corrected import bone_errors
 from kinefilter.pipeline.lab.studies.study import Options, Panel, Series
 from kinefilter.pipeline.lab.studies.takes import CLASSES, first_person, study_takes
 from kinefilter.scenes import load_scene
-from kinefilter.scenes.library import perform, prop_poses
+from kinefilter.scenes.library import perform, prop_poses, random_body
 
 POSTURE = standard_body(KINECT_V1).rest_positions
 SMALL = Study(

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kinefilter.characters import Skeleton, random_body
+from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.build import (
@@ -19,7 +19,7 @@ from kinefilter.pipeline.database.build import (
     standard_postures,
 )
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.scenes.library import MOTIONS, perform
+from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 BUILTIN_POSTURES = 5000
 """About how many the built-in database holds: twice Shum's, so that half of the real

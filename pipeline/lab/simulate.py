@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import SKELETONS, InputError, State, Take, random_body
+from kinefilter.characters import SKELETONS, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes import load_scene
-from kinefilter.scenes.library import MOTIONS, Area, perform, prop_poses
+from kinefilter.scenes.library import MOTIONS, Area, perform, prop_poses, random_body
 from kinefilter.scenes.sensor import SENSORS, Sensor, in_sensor_frame, observe
 
 _IN_SCENE = {

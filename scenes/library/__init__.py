@@ -1,7 +1,16 @@
 """Scripted performers, and the props that follow their hands."""
 
 from .gaits import Area
-from .moving_props import prop_poses
+from .moving_props import movable_props, prop_poses
+from .people import random_body
 from .performers import MOTIONS, perform, perform_medley
 
-__all__ = ["MOTIONS", "Area", "perform", "perform_medley", "prop_poses"]
+__all__ = [
+    "MOTIONS",
+    "Area",
+    "movable_props",
+    "perform",
+    "perform_medley",
+    "prop_poses",
+    "random_body",
+]

@@ -17,7 +17,6 @@ from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import matrix_from_wxyz, normalize
 from kinefilter.retarget.runs import runs
-from kinefilter.scenes.rooms import movable_props
 
 from .ball import ball_path
 from .hands import Hands, fading
@@ -122,6 +121,20 @@ def _half_height(turn: Array, size: Array) -> Array:
     return np.asarray(np.abs(matrix_from_wxyz(turn)[:, 2]) @ size)
 
 
+def movable_props(scene: mujoco.MjSpec) -> tuple[str, ...]:
+    """Return the names of the movable props: bodies with a free joint.
+
+    The character also has one; it is known by its targets.
+    """
+    bodies = {body.name for body in scene.bodies}
+    free = (
+        joint.parent.name
+        for joint in scene.joints
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE
+    )
+    return tuple(name for name in free if f"target:{name}" not in bodies)
+
+
 def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
     """Return the pose of every movable prop in every frame, shape (T, 7), by name.
 
@@ -149,8 +162,6 @@ def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
                 poses[name][:, :3] = ball_path(hands, float(size[0]), rest[:3])
             case mujoco.mjtGeom.mjGEOM_BOX:
                 poses[name] = box_path(hands, size, rest, support)
-            case _:
-                pass
     return poses
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kinefilter import CleanConfig, clean
-from kinefilter.characters import KINECT_V1, random_body
+from kinefilter.characters import KINECT_V1
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.local_pca import Search
@@ -19,7 +19,7 @@ from kinefilter.pipeline.lab.scripted_database import scripted_postures
 from kinefilter.pipeline.progress import Progress, over
 from kinefilter.retarget import HeadingFrame, Standardizer
 from kinefilter.retarget.heading_frame import find_yaw
-from kinefilter.scenes.library import perform
+from kinefilter.scenes.library import perform, random_body
 
 from .corrected import StandardizedTake, bone_errors
 from .study import Cell, Kind, Options, Panel, Study, series_of
