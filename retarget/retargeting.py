@@ -24,6 +24,7 @@ from kinefilter.characters.rotations import (
     slerp,
 )
 
+from .bent_limb import bent_limb
 from .rig_map import SIDES
 from .stance import held, near_stance, smooth_step
 from .target_rig import TargetRig
@@ -53,7 +54,6 @@ _SLACK = 0.0175
 share of the leg's length: 1.5 cm of a leg of 86 cm. A guess."""
 _TOE_NEAR = 0.05  # m over the floor: toes that are lower are level. A guess.
 _STEEP, _SLOPING = 0.3, 0.7  # cosines of the sole's slope: toes are level below it
-_SHORT = 1e-9  # m
 _UP, _LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
 
 
@@ -234,28 +234,6 @@ class _Motion:
         hinge = rotate(self.clip.rotations[:, segment], _BENDS[limb])
         aside = bone - share[:, None] * line
         return np.asarray(aside + _HINGE * self._our_length(side, limb) * hinge)
-
-
-def bent_limb(
-    start: Array, goal: Array, toward: Array, lengths: Array
-) -> tuple[Array, Array]:
-    """Return where middle and end [m] of a limb of two bones are, in closed form.
-
-    The law of cosines says how far along the line to the goal the middle is, and how
-    far aside. A goal out of reach is approached as far as the bones go. ``toward`` is
-    the direction to which the middle bends, of any length but not along the limb;
-    points are (..., 3), lengths [m] (2,).
-    """
-    first, second = lengths
-    line = goal - start
-    asked = np.linalg.norm(line, axis=-1, keepdims=True)
-    along = line / np.maximum(asked, _SHORT)
-    reach = np.clip(asked, max(abs(first - second), _SHORT), first + second)
-    share = (reach**2 + first**2 - second**2) / (2.0 * reach)
-    aside = np.sqrt(np.maximum(first**2 - share**2, 0.0))
-    across = toward - np.sum(toward * along, axis=-1, keepdims=True) * along
-    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), _SHORT)
-    return start + share * along + aside * across, start + reach * along
 
 
 def segment_of(skeleton: Skeleton, part: str) -> int:

@@ -29,7 +29,7 @@ from kinefilter.characters.rotations import (
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.pipeline.physics.pulled_character import substeps_in
-from kinefilter.retarget.retargeting import bent_limb
+from kinefilter.retarget.bent_limb import bent_limb
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from kinefilter.pipeline.reconstruct.continuity import (
     bridge_matrix,
     coast,
 )
-from kinefilter.pipeline.reconstruct.foothold import bent, on_both_ends
+from kinefilter.pipeline.reconstruct.foothold import bent, between_ends
 from kinefilter.pipeline.reconstruct.recall import Process
 
 Array = NDArray[np.float64]
@@ -100,17 +100,17 @@ def test_a_leg_reaches_its_goal_with_its_own_lengths(shift: list[float]) -> None
     knee, ankle = hip - np.array([[0.0, 0.4, -0.05], [0.0, 0.75, 0.0]])
     thigh, shin = (float(np.linalg.norm(v)) for v in (knee - hip, ankle - knee))
     goal = hip + np.array([0.0, -0.6, 0.0]) + 0.4 * np.array(shift)
-    new_knee, new_ankle = bent(hip, knee, ankle, goal, thigh, shin)
+    new_knee, new_ankle = bent(hip, knee, ankle, goal, (thigh, shin))
     if np.linalg.norm(goal - hip) < 0.99 * (thigh + shin):
         np.testing.assert_allclose(new_ankle, goal, atol=1e-9)
-        between = on_both_ends(hip, new_knee, new_ankle, first=thigh, second=shin)
+        between, _ = between_ends(hip, new_knee, new_ankle, (thigh, shin))
         assert abs(np.linalg.norm(between - hip) - thigh) < 1e-9
         assert abs(np.linalg.norm(between - new_ankle) - shin) < 1e-9
 
 
 def test_a_leg_whose_ankle_is_where_it_should_be_stays() -> None:
     hip, knee, ankle = np.eye(3)
-    found = bent(hip, knee, ankle, ankle, 0.4, 0.4)
+    found = bent(hip, knee, ankle, ankle, (0.4, 0.4))
     np.testing.assert_allclose(found, [knee, ankle], atol=1e-12)
 
 
@@ -167,13 +167,8 @@ def test_a_foot_that_stood_stays_while_the_body_sinks() -> None:
             KINECT_V1.index(part + side) for part in ("Hip", "Knee", "Ankle", "Foot")
         )
         truth[:, [ankle, foot]] = truth[0, [ankle, foot]]
-        truth[:, knee] = on_both_ends(
-            truth[:, hip],
-            truth[:, knee],
-            truth[:, ankle],
-            first=BODY.lengths[knee],
-            second=BODY.lengths[ankle],
-        )
+        limb, lengths = truth[:, [hip, knee, ankle]], BODY.lengths[[knee, ankle]]
+        truth[:, knee], _ = between_ends(*np.moveaxis(limb, 1, 0), lengths)
     gap = slice(20, 70)
     found = filled(truth, hidden_in(90, LEG, gap))
     assert error(found, truth, gap, LEG[:2]) < 0.03

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rig_motions import bent_to
 
-from kinefilter.retarget.retargeting import bent_limb
+from kinefilter.retarget.bent_limb import bent_limb
 from kinefilter.retarget.stance import held, near_stance
 
 Array = NDArray[np.float64]

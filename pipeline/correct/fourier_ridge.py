@@ -100,17 +100,19 @@ class FourierRidge(LearnedCorrector):
         self._means: tuple[Any, ...] = ()
 
     def _prepare(self) -> None:
-        seed, size = int(self.seed_), len(self.mean_)
-        count, mirror = len(self.weights_) - size, self._described.mirror
-        self._whole = RandomFeatures(self.mean_, count, seed, mirror)
-        live, mirror = self._described.live, self._described.live_mirror
-        centers = (self.centers_, self.far_centers_)
-        self._centers, self._live_centers = (
-            [(np.ascontiguousarray(c), np.sum(c**2, axis=1)) for c in some]
-            for some in (centers, [c[:, live] for c in centers])
-        )
-        count = len(self.live_weights_) - len(live)
-        self._step = RandomFeatures(self.mean_[live], count, seed, mirror)
+        described = self._described
+        self._features, self._centers = list[RandomFeatures](), list[Any]()
+        for weights, part, mirror in (
+            (self.weights_, slice(None), described.mirror),
+            (self.live_weights_, described.live, described.live_mirror),
+        ):
+            mean, seed = self.mean_[part], int(self.seed_)
+            count = len(weights) - len(mean)
+            self._features.append(RandomFeatures(mean, count, seed, mirror))
+            centers = [c[:, part] for c in (self.centers_, self.far_centers_)]
+            self._centers.append(
+                [(np.ascontiguousarray(c), np.sum(c**2, axis=1)) for c in centers]
+            )
         self.know(None)
 
     def know(self, person: str | None) -> None:
@@ -130,6 +132,13 @@ class FourierRidge(LearnedCorrector):
             constants = np.concatenate([constant, np.zeros_like(constant)])
             self._offsets.append((np.hstack([here, beside]), constants))
 
+    def _told(self, features: Floats, *, live: bool) -> tuple[Array, Array]:
+        """Return offsets, those of the far side beside them, and both likenesses."""
+        weights, constant = self._offsets[live]
+        found = self._features[live](features) @ weights + constant
+        likeness = [likeness_to(features, *centers) for centers in self._centers[live]]
+        return found, np.stack(likeness, axis=1)
+
     def whole(
         self,
         take: Observation,
@@ -143,15 +152,12 @@ class FourierRidge(LearnedCorrector):
         found = np.empty((count, 2 * len(self.offset_)))
         likeness = np.empty((count, 2))
         toward = direction_to(take.sensor, count)
-        weights, constant = self._offsets[0]
         for k in range(0, count, _CHUNK):
             some = slice(k, k + _CHUNK)
             features = self._described(
                 points[some], points, take.time[some], take.time, toward[some]
             )
-            found[some] = self._whole(features) @ weights + constant
-            for column, centers in enumerate(self._centers):
-                likeness[some, column] = likeness_to(features, *centers)
+            found[some], likeness[some] = self._told(features, live=False)
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_TURN / step, 1.0))
         toward = uniform_filter1d(toward, window, axis=0, mode="nearest")
@@ -176,16 +182,15 @@ class FourierRidge(LearnedCorrector):
         features = self._described(
             points[None], before, np.array([now]), times, toward, live=True
         )
-        weights, constant = self._offsets[1]
-        found, far = np.split((self._step(features) @ weights + constant)[0], 2)
-        known = [likeness_to(features, *centers)[0] for centers in self._live_centers]
-        likeness = np.array(known)
-        means = self._means or (found, likeness, likeness, toward[0])
+        told, (likeness,) = self._told(features, live=True)
+        found, far = np.split(told[0], 2)
         spans = (_CONSTANT, _CALM, _CONSTANT, _TURN / 2.0)
         latest = (found, likeness, likeness, toward[0])
         self._means = tuple(
             mean + min(1.0, elapsed / span) * (value - mean)
-            for mean, value, span in zip(means, latest, spans, strict=True)
+            for mean, value, span in zip(
+                self._means or latest, latest, spans, strict=True
+            )
         )
         constant, lately, lasting, turned = self._means
         offsets = _Offsets(constant, found - constant, far, lately, lasting, turned)

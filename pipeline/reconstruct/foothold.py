@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import unit
+from kinefilter.retarget.bent_limb import bent_limb
 
 _RESTS = 1.0  # m/s: an ankle that is much slower than that stands
 _LOW = 0.3  # m over the floor: an ankle much lower than that stands
@@ -59,36 +59,21 @@ def hold_place(
 
 
 def bent(
-    hip: Array, knee: Array, ankle: Array, goal: Array, thigh: float, shin: float
+    hip: Array, knee: Array, ankle: Array, goal: Array, lengths: tuple[float, float]
 ) -> tuple[Array, Array]:
     """Return knee and ankle [m] of a leg whose ankle goes to a goal, shapes (..., 3).
 
     The knee turns as little as it can. Where goal and ankle agree, both stay.
     """
-    knees, ankles = zip(
-        *(_two_bones(hip, knee, end, thigh, shin) for end in (ankle, goal)), strict=True
-    )
-    return knee + knees[1] - knees[0], ankle + ankles[1] - ankles[0]
+    was, now = (between_ends(hip, knee, end, lengths) for end in (ankle, goal))
+    return knee + now[0] - was[0], ankle + now[1] - was[1]
 
 
-def on_both_ends(
-    top: Array, middle: Array, end: Array, *, first: float, second: float
-) -> Array:
-    """Return the place [m] of an elbow or knee between both ends of its limb."""
-    return _two_bones(top, middle, end, first, second)[0]
-
-
-def _two_bones(
-    hip: Array, knee: Array, ankle: Array, thigh: float, shin: float
+def between_ends(
+    top: Array, middle: Array, end: Array, lengths: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """Return the knee and the reachable ankle by two-bone inverse kinematics."""
-    way = ankle - hip
-    reach = np.linalg.norm(way, axis=-1, keepdims=True)
-    ahead = way / np.maximum(reach, 1e-9)
-    reach = np.clip(reach, abs(thigh - shin) + 1e-3, _STRAIGHT * (thigh + shin))
-    along = (thigh**2 - shin**2 + reach**2) / (2.0 * reach)
-    height = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
+    """Return an elbow or knee [m] about there, and the end as far as it is in reach."""
     # Of a straight leg the knee goes to the front, +z.
-    side = knee - hip + np.array([0.0, 0.0, 0.05])
-    side = unit(side - np.sum(side * ahead, axis=-1, keepdims=True) * ahead)
-    return hip + along * ahead + height * side, hip + reach * ahead
+    toward = middle - top + np.array([0.0, 0.0, 0.05])
+    least = abs(lengths[0] - lengths[1]) + 1e-3
+    return bent_limb(top, end, toward, lengths, (least, _STRAIGHT * sum(lengths)))

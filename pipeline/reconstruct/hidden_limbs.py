@@ -21,7 +21,7 @@ from kinefilter.retarget.runs import runs
 from kinefilter.retarget.stance import smooth_step
 
 from .continuity import bridge
-from .foothold import on_both_ends, standing_height
+from .foothold import between_ends, standing_height
 from .limbs import is_hand, limb_of, limbs, with_tips
 from .recall import SHORTEST, learn
 from .windows import Limb, Seen, describe
@@ -210,8 +210,6 @@ def _between_ends(seen: Seen, hidden: Flags, limb: tuple[int, int, int]) -> None
     _, middle, end = limb
     frames = hidden[:, middle] & ~hidden[:, end]
     if frames.any() and np.isfinite(seen.lengths[[middle, end]]).all():
-        seen.positions[frames, middle] = on_both_ends(
-            *np.moveaxis(seen.positions[frames][:, limb], 1, 0),
-            first=seen.lengths[middle],
-            second=seen.lengths[end],
-        )
+        joints = np.moveaxis(seen.positions[frames][:, limb], 1, 0)
+        lengths = (seen.lengths[middle], seen.lengths[end])
+        seen.positions[frames, middle] = between_ends(*joints, lengths)[0]

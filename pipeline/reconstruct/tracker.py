@@ -85,10 +85,8 @@ class HiddenLimbTracker:
         skeleton, k = self._body.skeleton, self._remember(time)
         hidden = with_tips(hidden, skeleton)
         there = ~hidden
-        root, yaw = (
-            positions[skeleton.root],
-            find_yaw(positions, there.astype(float), skeleton),
-        )
+        root = positions[skeleton.root]
+        yaw = find_yaw(positions, there.astype(float), skeleton)
         if hidden[skeleton.root] or np.isnan(root).any():
             root = self._root[k - 1]
         if np.isnan(yaw):
@@ -125,15 +123,8 @@ class HiddenLimbTracker:
     def _remember(self, time: float) -> int:
         """Make room for the next frame and return its row."""
         if self._count == 2 * _MEMORY:
-            for array in (
-                self._times,
-                self._root,
-                self._yaw,
-                self._positions,
-                self._directions,
-                self._known,
-                self._joined,
-            ):
+            log = (self._times, self._root, self._yaw, self._positions)
+            for array in (*log, self._directions, self._known, self._joined):
                 array[:_MEMORY] = array[_MEMORY:]
             self._count = _MEMORY
             for gap in self._gaps.values():

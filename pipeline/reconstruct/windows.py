@@ -264,5 +264,5 @@ def _on_foot(
     knees = hips + thigh * base[..., 0, :]
     ankles = knees + shin * base[..., 1, :]
     goal = ankles + firm[..., None] * (place - ankles)
-    knees, ankles = bent(hips, knees, ankles, goal, thigh, shin)
+    knees, ankles = bent(hips, knees, ankles, goal, (thigh, shin))
     return unit(np.stack([knees - hips, ankles - knees], axis=-2))
