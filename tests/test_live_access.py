@@ -72,8 +72,8 @@ def test_where_others_may_connect_a_token_is_needed(tmp_path: Path) -> None:
             assert run.tally.events[Event.REFUSED] == 8
             async with connect(f"{out}/?token={token}") as stream:
                 await stream.recv()
-                async with open_sender(source, token_file=tmp_path / "token") as sender:
-                    assert await sender.send(format_frame(sample_frame(0)))
+                async with open_sender(source, token_file=tmp_path / "token") as send:
+                    assert await send(format_frame(sample_frame(0)))
                     assert (await pose(stream))["body"] == "1"
             async with reading(out, additional_headers=bearer):
                 pass
@@ -111,9 +111,9 @@ def test_with_a_certificate_connections_are_encrypted(tmp_path: Path) -> None:
             trusted = ssl.create_default_context(cafile=files[0])
             async with (
                 reading(out, ssl=trusted) as stream,
-                open_sender(source, certificate=files[0]) as sender,
+                open_sender(source, certificate=files[0]) as send,
             ):
-                assert await sender.send(format_frame(sample_frame(0)))
+                assert await send(format_frame(sample_frame(0)))
                 assert (await pose(stream))["time"] == 0.0
             with pytest.raises(ssl.SSLCertVerificationError):
                 await connect(str(out))

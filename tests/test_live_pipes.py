@@ -18,8 +18,7 @@ from kinefilter.pipeline.live import (
     format_frame,
     open_sender,
     replay,
-    sinks,
-    sources,
+    standard,
 )
 from kinefilter.pipeline.live.endpoints import Address
 from kinefilter.pipeline.live.tally import Event
@@ -32,8 +31,8 @@ class Pipes:
         self._text, self.read = text, b""
         self._input, self._fed = os.pipe()
         self._out, self.output = os.pipe()
-        monkeypatch.setattr(sources, "_STDIN", self._input)
-        monkeypatch.setattr(sinks, "_STDOUT", self.output)
+        monkeypatch.setattr(standard, "_STDIN", self._input)
+        monkeypatch.setattr(standard, "_STDOUT", self.output)
         self._threads = [threading.Thread(target=w) for w in (self._feed, self._drain)]
 
     def _feed(self) -> None:
@@ -98,7 +97,7 @@ def test_a_replay_writes_a_line_a_frame_and_waits_for_the_reader(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out, into = os.pipe()
-    monkeypatch.setattr(sinks, "_STDOUT", into)
+    monkeypatch.setattr(standard, "_STDOUT", into)
     read = io.BytesIO()
 
     def drain() -> None:

@@ -187,7 +187,5 @@ class Replay:
         with stopped_by_signals(stop):
             async with open_sender(
                 address, token_file=self.token_file, certificate=self.certificate
-            ) as sender:
-                return await replay(
-                    takes, sender, stop, speed=self.speed, loop=self.loop
-                )
+            ) as send:
+                return await replay(takes, send, stop, speed=self.speed, loop=self.loop)

@@ -200,8 +200,6 @@ async def open_server(
     """
     from websockets.asyncio.server import serve
 
-    connections: set[ServerConnection] = set()
-
     def guard(connection: ServerConnection, request: Request) -> Response | None:
         """Refuse clients that may not connect."""
         if not access.grants(request.path, request.headers):
@@ -213,16 +211,9 @@ async def open_server(
         tally.count(Event.REFUSED)
         return connection.respond(status, reason)
 
-    async def handle(connection: ServerConnection) -> None:
-        connections.add(connection)
-        try:
-            await handler(connection)
-        finally:
-            connections.discard(connection)
-
     try:
         server = await serve(
-            handle,
+            handler,
             address.host,
             address.port,
             # websockets declares origins more narrowly than it takes them.
@@ -243,6 +234,7 @@ async def open_server(
         port = int(next(iter(server.sockets)).getsockname()[1])
         yield Address("ws" if access.tls is None else "wss", address.host, port)
     finally:
+        connections = server.connections
         server.close()
         try:
             async with asyncio.timeout(_GOODBYE):

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import socket
-import threading
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
@@ -16,13 +14,13 @@ from kinefilter.characters import Skeleton
 
 from .endpoints import STANDARD, Access, Address, Datagrams, open_datagrams, open_server
 from .messages import LivePose, gone_line, pose_line, skeleton_line
+from .standard import write_out
 from .tally import Event, Tally
 from .vmc import VmcFigure, absence
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
-_STDOUT = 1
 _WAITING = 32  # lines that wait for a reader: a second of one person; poses get old
 _DEAD = 10.0  # s after which a client that reads nothing is closed; it may come again
 _SENT_AHEAD = 2**17  # bytes that the system keeps for a slow reader, two seconds of one
@@ -62,11 +60,19 @@ async def open_sink(
     Raises InputError if the port is taken or the host not known.
     """
     if address.scheme == STANDARD:
-        printer = _Printer(skeleton, tally, lost)
+        lines = Broadcast(skeleton, tally, waited_for=True)
+        printing = asyncio.ensure_future(
+            lines.serve(lambda line: write_out(f"{line}\n"))
+        )
+        printing.add_done_callback(lambda _: lost())
+        await asyncio.sleep(0)  # it begins
         try:
-            yield printer, address
+            yield lines, address
         finally:
-            await printer.finish()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(lines.flushed(), _GOODBYE)
+            printing.cancel()
+            await asyncio.gather(printing, return_exceptions=True)
     elif address.scheme == "vmc":
         with open_datagrams(address) as out:
             yield _Engine(out, tally), address
@@ -108,11 +114,14 @@ class _Engine(Sink):
 
 
 class Broadcast(Sink):
-    """Sends lines to all readers of a WebSocket; a slow reader loses the oldest."""
+    """Sends lines to all readers; a slow reader loses the oldest, which is counted."""
 
-    def __init__(self, skeleton: Skeleton, tally: Tally) -> None:
+    def __init__(
+        self, skeleton: Skeleton, tally: Tally, *, waited_for: bool = False
+    ) -> None:
         self._first, self._tally = skeleton_line(skeleton), tally
-        self.readers: set[_Reader] = set()  # who is connected
+        self._waited_for = waited_for  # whether the input waits for readers
+        self.readers: set[Reader] = set()
 
     def put(self, line: str) -> None:
         """Give a line to all readers."""
@@ -120,107 +129,55 @@ class Broadcast(Sink):
             if len(reader.lines) == _WAITING:
                 self._tally.count(Event.SLOW)
             reader.lines.append(line)
-            reader.wake.set()
+            reader.idle.clear()
+            reader.came.set()
+
+    async def flushed(self) -> None:
+        """Wait until readers have every line, where they are waited for."""
+        for reader in list(self.readers) if self._waited_for else ():
+            await reader.idle.wait()
+
+    async def serve(self, write: Callable[[str], Awaitable[None]]) -> None:
+        """Let a new reader have all lines from now on, by what writes one for it."""
+        reader = Reader()
+        self.readers.add(reader)
+        try:
+            await write(self._first)
+            while True:
+                while reader.lines:
+                    await write(reader.lines.popleft())
+                reader.idle.set()
+                await reader.came.wait()
+                reader.came.clear()
+        finally:
+            reader.idle.set()
+            self.readers.discard(reader)
 
     async def handle(self, connection: ServerConnection) -> None:
-        """Serve a reader until it goes."""
+        """Serve a reader of a WebSocket until it goes."""
         from websockets.exceptions import ConnectionClosed
+
+        async def write(line: str) -> None:
+            async with asyncio.timeout(_DEAD):
+                await connection.send(line)
 
         out = connection.transport.get_extra_info("socket")
         out.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENT_AHEAD)
-        reader = _Reader()
+        serving = asyncio.ensure_future(self.serve(write))
         closed = asyncio.ensure_future(connection.wait_closed())
-        closed.add_done_callback(lambda _: reader.wake.set())
-        self.readers.add(reader)
+        closed.add_done_callback(lambda _: serving.cancel())
         try:
-            with contextlib.suppress(ConnectionClosed):
-                await connection.send(self._first)
-                while not closed.done():
-                    await reader.wake.wait()
-                    reader.wake.clear()
-                    while reader.lines:
-                        async with asyncio.timeout(_DEAD):
-                            await connection.send(reader.lines.popleft())
+            with contextlib.suppress(ConnectionClosed, asyncio.CancelledError):
+                await serving
         except TimeoutError:
             connection.transport.abort()
         finally:
-            self.readers.discard(reader)
             closed.cancel()
 
 
-class _Reader:
+class Reader:
+    """Lines that wait for a reader."""
+
     def __init__(self) -> None:
         self.lines: deque[str] = deque(maxlen=_WAITING)
-        self.wake = asyncio.Event()
-
-
-class _Printer(Sink):
-    """Prints lines; if they are not read for long, the oldest are lost and counted."""
-
-    def __init__(
-        self, skeleton: Skeleton, tally: Tally, lost: Callable[[], None]
-    ) -> None:
-        self._tally, self._lost = tally, lost
-        self._loop = asyncio.get_running_loop()
-        self._change = threading.Condition()
-        self._lines: deque[str] = deque()
-        self._busy, self._over = False, False
-        self._idle = asyncio.Event()
-        first = skeleton_line(skeleton)
-        # A daemon: a write to a pipe that is not read never ends.
-        threading.Thread(target=self._write, args=(first,), daemon=True).start()
-
-    async def flushed(self) -> None:
-        await self._idle.wait()
-
-    async def finish(self) -> None:
-        """Wait a moment for the last lines."""
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._idle.wait(), _GOODBYE)
-        with self._change:
-            self._over = True
-            self._change.notify()
-
-    def put(self, line: str) -> None:
-        with self._change:
-            if len(self._lines) == _WAITING:
-                self._lines.popleft()
-                self._tally.count(Event.SLOW)
-            self._lines.append(line)
-            self._idle.clear()
-            self._change.notify()
-
-    def _write(self, text: str) -> None:
-        try:
-            while True:
-                write_out(f"{text}\n".encode())
-                with self._change:
-                    self._busy = False
-                    if not self._lines:
-                        self._loop.call_soon_threadsafe(self._settle)
-                    self._change.wait_for(lambda: self._lines or self._over)
-                    if self._over:
-                        return
-                    text, self._busy = "\n".join(self._lines), True
-                    self._lines.clear()
-        except OSError:
-            with contextlib.suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._closed)
-        except RuntimeError:
-            return  # the loop is closed
-
-    def _settle(self) -> None:
-        with self._change:
-            if not self._lines and not self._busy:
-                self._idle.set()
-
-    def _closed(self) -> None:
-        self._idle.set()
-        self._lost()
-
-
-def write_out(data: bytes) -> None:
-    """Write to the standard output and wait; raises OSError if nobody reads it."""
-    # To the descriptor: a buffer's lock would outlive the interpreter.
-    while data:
-        data = data[os.write(_STDOUT, data) :]
+        self.came, self.idle = asyncio.Event(), asyncio.Event()
