@@ -14,14 +14,11 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.live import (
-    AccessConfig,
-    LiveConfig,
-    Session,
-    format_frame,
-    open_sender,
-)
+from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.endpoints import MOST_CONNECTIONS, Access
+from kinefilter.pipeline.live.messages import format_frame
+from kinefilter.pipeline.live.playback import open_sender
+from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 
 

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
-from kinefilter.pipeline.live import Frame, SeenBody, format_frame, parse_frame
 from kinefilter.pipeline.live.crowd import Stamps
 from kinefilter.pipeline.live.endpoints import (
     MOST_CONNECTIONS,
@@ -20,7 +19,14 @@ from kinefilter.pipeline.live.endpoints import (
     listening_host,
     read_address,
 )
-from kinefilter.pipeline.live.messages import MalformedError, Reason
+from kinefilter.pipeline.live.messages import (
+    Frame,
+    MalformedError,
+    Reason,
+    SeenBody,
+    format_frame,
+    parse_frame,
+)
 from kinefilter.pipeline.live.sources import Intake, Rate, Receiver
 from kinefilter.pipeline.live.tally import Event, Tally
 from kinefilter.pipeline.loopback import is_loopback

@@ -13,14 +13,11 @@ import pytest
 from hostile_messages import hostile_messages
 from live_session import PATIENCE, SAMPLE, config, sample_frame
 
-from kinefilter.pipeline.live import (
-    Session,
-    format_frame,
-    open_sender,
-    replay,
-    standard,
-)
+from kinefilter.pipeline.live import standard
 from kinefilter.pipeline.live.endpoints import Address
+from kinefilter.pipeline.live.messages import format_frame
+from kinefilter.pipeline.live.playback import open_sender, replay
+from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from live_session import SAMPLE, WS, config, do, pose, reading, running, sample_frame
 
-from kinefilter.pipeline.live import format_frame, open_sender, replay
 from kinefilter.pipeline.live.endpoints import read_address
-from kinefilter.pipeline.live.playback import frames_of
+from kinefilter.pipeline.live.messages import format_frame
+from kinefilter.pipeline.live.playback import frames_of, open_sender, replay
 
 
 def test_a_replay_sends_every_frame_at_its_own_stamp_of_everybody() -> None:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from kinefilter.characters import Take
-    from kinefilter.pipeline.live import Session
     from kinefilter.pipeline.live.endpoints import Address
+    from kinefilter.pipeline.live.session import Session
 
 _REFRESH = 0.3  # s between two lines on a terminal
 _LOGGED = 60.0  # s between two lines where there is no terminal, as in a log file
@@ -50,7 +50,7 @@ class Live:
 
     def run(self) -> int:
         """Follow people until Ctrl-C, SIGTERM or the end of the input."""
-        from kinefilter.pipeline.live import Session
+        from kinefilter.pipeline.live.session import Session
 
         check_output(self.json)
         session = Session(self.config, self.access)
@@ -181,7 +181,7 @@ class Replay:
         return 0
 
     async def _sent(self, takes: tuple[Take, ...], address: Address) -> int:
-        from kinefilter.pipeline.live import open_sender, replay
+        from kinefilter.pipeline.live.playback import open_sender, replay
 
         stop = asyncio.Event()
         with stopped_by_signals(stop):

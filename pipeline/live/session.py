@@ -15,9 +15,10 @@ from kinefilter.characters import (
     skeleton_named,
     standard_body,
 )
+from kinefilter.pipeline.avatar import Avatar
 
 from .config import AccessConfig, LiveConfig
-from .crowd import Crowd, Person, Presence, Waiting, make_avatar
+from .crowd import Crowd, Person, Presence, Waiting
 from .endpoints import Address, find_endpoints
 from .messages import LivePose, MalformedError, parse_frame
 from .recorder import Recorder
@@ -179,10 +180,10 @@ class Session:
 
     def _warm_up(self) -> None:
         """Load what the first pose needs, and exempt it from garbage collection."""
-        height, mass = self._config.height, self._config.mass
-        height = STANDARD_HEIGHT if height is None else height
-        body = standard_body(self._skeleton, height=height, mass=mass)
-        avatar = make_avatar(body, self._config)
+        config = self._config
+        height = STANDARD_HEIGHT if config.height is None else config.height
+        body = standard_body(self._skeleton, height=height, mass=config.mass)
+        avatar = Avatar(body, config.scene, floor=config.floor)
         for k in range(_WARM_UP):
             avatar.step(body.rest_positions, k / 30.0)
         gc.collect()
