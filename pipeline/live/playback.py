@@ -18,9 +18,9 @@ import numpy as np
 from kinefilter.characters import InputError, Take
 from kinefilter.pipeline.extras import require
 
+from .background import meanwhile, write_out
 from .endpoints import STANDARD, Address, open_datagrams, read_token
 from .messages import Frame, SeenBody, format_frame
-from .standard import write_out
 
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
@@ -72,16 +72,12 @@ async def open_sender(
                 reason = f"not a certificate ({error.strerror}); expected a PEM file"
                 raise InputError(f"{certificate}: {reason}") from None
         connection = _Connection(address, token, tls)
-        keeping = asyncio.ensure_future(connection.keep())
-        try:
+        async with meanwhile(connection.keep()):
             await connection.tried.wait()
             if connection.refused:
                 hint = "give --token-file with the receiver's token"
                 raise InputError(f"{address}: refused; {hint}")
             yield connection.send
-        finally:
-            keeping.cancel()
-            await asyncio.gather(keeping, return_exceptions=True)
 
 
 class _Connection:

@@ -17,6 +17,7 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.avatar import Avatar
 
+from .background import meanwhile
 from .config import AccessConfig, LiveConfig
 from .crowd import Crowd, Person, Presence, Waiting
 from .endpoints import Address, find_endpoints
@@ -66,42 +67,30 @@ class Session:
         ``started`` is called with the addresses in use, of the input, then the outputs.
         Raises InputError if a port is taken, or a host not known.
         """
+        access, used = self.endpoints.access, []
         try:
             self._warm_up()
             async with AsyncExitStack() as stack:
-                await self._serve(stack, stop, started)
+                for target in self.endpoints.targets:
+                    sink, place = await stack.enter_async_context(
+                        open_sink(target, access, self._skeleton, self.tally, stop.set)
+                    )
+                    self._sinks.append(sink)
+                    used.append(place)
+                work = (self._pump(), self._tick(), self._record(), stop.wait())
+                tasks = await stack.enter_async_context(meanwhile(*work))
+                intake = Intake(self.receive, self._done, stop.set, self.tally)
+                async with open_source(self.endpoints.source, access, intake) as place:
+                    started([place, *used])
+                    await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                for task in tasks:
+                    if task.done():
+                        task.result()
+                await self._idle.wait()
         finally:
             gc.unfreeze()
             if self.recorder is not None:
                 self.recorded = self.recorder.finish()
-
-    async def _serve(
-        self, stack: AsyncExitStack, stop: asyncio.Event, started: _Started
-    ) -> None:
-        access, used = self.endpoints.access, []
-        for target in self.endpoints.targets:
-            sink, place = await stack.enter_async_context(
-                open_sink(target, access, self._skeleton, self.tally, stop.set)
-            )
-            self._sinks.append(sink)
-            used.append(place)
-        intake = Intake(self.receive, self._done, stop.set, self.tally)
-        tasks = [
-            asyncio.ensure_future(work)
-            for work in (self._pump(), self._tick(), self._record(), stop.wait())
-        ]
-        try:
-            async with open_source(self.endpoints.source, access, intake) as place:
-                started([place, *used])
-                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in tasks:
-                if task.done():
-                    task.result()
-            await self._idle.wait()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
 
     def receive(self, message: bytes | str) -> None:
         """Take in a message; one that is not a frame is counted."""

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 from kinefilter.characters import Skeleton
 
+from .background import meanwhile, write_out
 from .endpoints import STANDARD, Access, Address, Datagrams, open_datagrams, open_server
 from .messages import LivePose, gone_line, pose_line, skeleton_line
-from .standard import write_out
 from .tally import Event, Tally
 from .vmc import VmcFigure, absence
 
@@ -61,18 +61,15 @@ async def open_sink(
     """
     if address.scheme == STANDARD:
         lines = Broadcast(skeleton, tally, waited_for=True)
-        printing = asyncio.ensure_future(
-            lines.serve(lambda line: write_out(f"{line}\n"))
-        )
-        printing.add_done_callback(lambda _: lost())
-        await asyncio.sleep(0)  # it begins
-        try:
-            yield lines, address
-        finally:
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(lines.flushed(), _GOODBYE)
-            printing.cancel()
-            await asyncio.gather(printing, return_exceptions=True)
+        printing = lines.serve(lambda line: write_out(f"{line}\n"))
+        async with meanwhile(printing) as (task,):
+            task.add_done_callback(lambda _: lost())
+            await asyncio.sleep(0)  # it begins
+            try:
+                yield lines, address
+            finally:
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(lines.flushed(), _GOODBYE)
     elif address.scheme == "vmc":
         with open_datagrams(address) as out:
             yield _Engine(out, tally), address

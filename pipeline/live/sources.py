@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from .background import meanwhile, read_in
 from .endpoints import (
     MOST_CONNECTIONS,
     STANDARD,
@@ -18,7 +19,6 @@ from .endpoints import (
     open_server,
 )
 from .messages import LARGEST_MESSAGE, Reason
-from .standard import read_in
 from .tally import Event, Tally
 
 if TYPE_CHECKING:
@@ -65,12 +65,8 @@ async def open_source(
     Raises InputError if the port is taken or the host is not of this machine.
     """
     if address.scheme == STANDARD:
-        reading = asyncio.ensure_future(_read_stdin(intake))
-        try:
+        async with meanwhile(_read_stdin(intake)):
             yield address
-        finally:
-            reading.cancel()
-            await asyncio.gather(reading, return_exceptions=True)
     elif address.scheme == "udp":
         loop = asyncio.get_running_loop()
         try:

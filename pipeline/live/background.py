@@ -1,19 +1,34 @@
-"""The standard input and output, which may keep whoever uses them waiting for ever."""
+"""What goes on beside a block, and the standard input and output, which may block."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future
-from typing import TypeVar
+from contextlib import asynccontextmanager
+from typing import Any, TypeVar
 
 _T = TypeVar("_T")
 
 # Descriptors: the lock of a buffer would outlive the interpreter.
 _STDIN, _STDOUT = 0, 1
 _CHUNK = 2**16  # bytes
+
+
+@asynccontextmanager
+async def meanwhile(
+    *work: Coroutine[Any, Any, object],
+) -> AsyncIterator[list[asyncio.Task[object]]]:
+    """Let some work go on until the block ends; yields its tasks."""
+    tasks = [asyncio.ensure_future(each) for each in work]
+    try:
+        yield tasks
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def read_in() -> bytes:
