@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 STANDARD = "-"  # the scheme of the standard input and output
 MOST_PORT = 2**16 - 1
+_ADDRESS = re.compile(
+    r"([a-z]+)://(?:\[([0-9a-f:.%]+)\]|([^]/:@?#\s[]+)):([0-9]{1,5})/?"
+)
 _SOURCES = ("udp", "ws", "wss", STANDARD)
 _TARGETS = ("vmc", "ws", "wss", STANDARD)
 _SHORTEST_TOKEN = 16  # characters; shorter ones can be guessed
@@ -70,18 +73,10 @@ def read_address(text: str, schemes: Sequence[str]) -> Address:
     if text == STANDARD and STANDARD in schemes:
         return Address(STANDARD)
     expected = ", ".join(s if s == STANDARD else f"{s}://HOST:PORT" for s in schemes)
-    wrong = InputError(f"{text!r} is not an address; expected one of: {expected}")
-    try:
-        parts = urlsplit(text)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        raise wrong from None
-    rest = (parts.query, parts.fragment, parts.username, parts.password)
-    if parts.scheme not in schemes or not host or port is None or any(rest):
-        raise wrong
-    if parts.path not in ("", "/") or not 0 <= port <= MOST_PORT:
-        raise wrong
-    return Address(parts.scheme, host, port)
+    found = _ADDRESS.fullmatch(text.lower())
+    if found is None or found[1] not in schemes or int(found[4]) > MOST_PORT:
+        raise InputError(f"{text!r} is not an address; expected one of: {expected}")
+    return Address(found[1], found[2] or found[3], int(found[4]))
 
 
 def listening_host(address: Address, bind: str | None) -> str:

@@ -23,7 +23,7 @@ from .crowd import Crowd, Person, Presence, Waiting
 from .endpoints import Address, find_endpoints
 from .messages import LivePose, MalformedError, parse_frame
 from .recorder import Recorder
-from .sinks import Sink, open_sink
+from .sinks import Broadcast, Engine, open_sink
 from .sources import Intake, open_source
 from .tally import Event, Tally
 
@@ -55,7 +55,7 @@ class Session:
         self.recorder: Recorder | None = None
         if config.record is not None:
             self.recorder = Recorder(config.record, self._skeleton, self.tally)
-        self._sinks: list[Sink] = []
+        self._sinks: list[Broadcast | Engine] = []
         self._came, self._idle = asyncio.Event(), asyncio.Event()
         self._idle.set()
 

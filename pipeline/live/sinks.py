@@ -28,25 +28,6 @@ _LARGEST_ASKED = 2**10  # bytes: readers have nothing to say
 _GOODBYE = 1.0  # s for the last lines
 
 
-class Sink:
-    """Where poses go."""
-
-    def send(self, live: LivePose) -> None:
-        """Send a pose, without waiting for readers."""
-        self.put(pose_line(live))
-
-    def gone(self, body: str, slot: int) -> None:
-        """Tell that a person is gone."""
-        del slot  # which VMC alone knows people by
-        self.put(gone_line(body))
-
-    def put(self, line: str) -> None:
-        """Send a line."""
-
-    async def flushed(self) -> None:
-        """Wait for readers; of those that come and go as they like, for none."""
-
-
 @asynccontextmanager
 async def open_sink(
     address: Address,
@@ -54,7 +35,7 @@ async def open_sink(
     skeleton: Skeleton,
     tally: Tally,
     lost: Callable[[], None],
-) -> AsyncIterator[tuple[Sink, Address]]:
+) -> AsyncIterator[tuple[Broadcast | Engine, Address]]:
     """Yield what poses are sent to, and its address in use.
 
     Raises InputError if the port is taken or the host not known.
@@ -72,7 +53,7 @@ async def open_sink(
                     await asyncio.wait_for(lines.flushed(), _GOODBYE)
     elif address.scheme == "vmc":
         with open_datagrams(address) as out:
-            yield _Engine(out, tally), address
+            yield Engine(out, tally), address
     else:
         lines = Broadcast(skeleton, tally)
         async with open_server(
@@ -81,7 +62,7 @@ async def open_sink(
             yield lines, actual
 
 
-class _Engine(Sink):
+class Engine:
     """Sends each person to a port of their own: the first to PORT, the next to PORT+1.
 
     Datagrams that no engine listens for are lost; it goes on with the next pose.
@@ -93,6 +74,7 @@ class _Engine(Sink):
         self._since: float | None = None
 
     def send(self, live: LivePose) -> None:
+        """Send a pose."""
         figure = self._figures.get(live.slot)
         if figure is None or figure.body is not live.body:
             figure = self._figures[live.slot] = VmcFigure(live.body)
@@ -102,15 +84,19 @@ class _Engine(Sink):
             self._send(live.slot, datagram)
 
     def gone(self, body: str, slot: int) -> None:
+        """Tell that a person is gone."""
         del body
         self._send(slot, absence())
+
+    async def flushed(self) -> None:
+        """Wait for nobody: an engine may not even be there."""
 
     def _send(self, slot: int, datagram: bytes) -> None:
         if not self._out(datagram, slot):
             self._tally.count(Event.UNSENT)
 
 
-class Broadcast(Sink):
+class Broadcast:
     """Sends lines to all readers; a slow reader loses the oldest, which is counted."""
 
     def __init__(
@@ -119,6 +105,15 @@ class Broadcast(Sink):
         self._first, self._tally = skeleton_line(skeleton), tally
         self._waited_for = waited_for  # whether the input waits for readers
         self.readers: set[Reader] = set()
+
+    def send(self, live: LivePose) -> None:
+        """Send a pose, without waiting for readers."""
+        self.put(pose_line(live))
+
+    def gone(self, body: str, slot: int) -> None:
+        """Tell that a person is gone."""
+        del slot  # which VMC alone knows people by
+        self.put(gone_line(body))
 
     def put(self, line: str) -> None:
         """Give a line to all readers."""

@@ -64,7 +64,7 @@ def camera_path(
     ``rate`` frames a second. Raises an InputError if there is no such camera.
     """
     if camera not in CAMERAS:
-        return _from_file(camera)
+        return camera_of(camera)
     around, up = np.radians(_DIRECTIONS[camera])
     ahead = np.array([0.0, 0.0, 1.0])  # where a character with no heading faces
     headings = rotate(motion.rotations[:, motion.skeleton.root], ahead)
@@ -91,12 +91,6 @@ def camera_path(
     angles = azimuth + 2.0 * np.pi * whole * np.arange(count) / count
     positions = target + away * np.stack([_direction(a, up) for a in angles])
     return CameraPath(positions, np.broadcast_to(target, positions.shape), _FOV)
-
-
-def check_camera(camera: str) -> None:
-    """Raise what ``camera_path`` would raise, before there is a motion."""
-    if camera not in CAMERAS:
-        _from_file(camera)
 
 
 def axes_toward(toward: Array) -> tuple[Array, Array]:
@@ -135,7 +129,8 @@ def _distance(seen: Array, toward: Array, aspect: float) -> float:
     return float(np.max(seen @ toward + across))
 
 
-def _from_file(camera: str) -> CameraPath:
+def camera_of(camera: str) -> CameraPath:
+    """Return the camera in a TOML file, or raise an InputError."""
     path = Path(camera)
     if path.suffix != ".toml":
         raise InputError(

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, InputError, Origin, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.formats.files import atomic_path, check_folder, read_toml
-from kinefilter.pipeline.metrics import METRICS, even_differences
+from kinefilter.pipeline.formats.files import atomic_path, read_toml
+from kinefilter.pipeline.metrics import METRICS, even_differences, number_or_none
 
 from .comparison import Comparison
 from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
@@ -87,10 +87,9 @@ def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]
 
 
 def check_report(path: Path) -> None:
-    """Raise an InputError, before any work, if a report cannot be written there."""
+    """Raise an InputError, before any work, unless a file is named as a web page."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report is a web page; name it .html")
-    check_folder(path)
 
 
 def write_report(
@@ -128,8 +127,8 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         {
             "name": name,
             "meaning": meaning,
-            "raw": _finite(comparison.before[name]),
-            "clean": _finite(comparison.after[name]),
+            "raw": number_or_none(comparison.before[name]),
+            "clean": number_or_none(comparison.after[name]),
             "limits": [
                 {"text": f"{k.side} {k.number:g}", "fails": k.fails(comparison.after)}
                 for k in limits
@@ -202,7 +201,3 @@ def _derivative(time: Array, positions: Array, order: int) -> Array:
     middle = np.flatnonzero(known) + order // 2  # of the frames of each difference
     values[middle] = np.nanmean(size[known], axis=1) / nominal**order
     return values
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

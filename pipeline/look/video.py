@@ -16,7 +16,7 @@ from kinefilter.pipeline.formats import check_folder
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.workers import cores, workers
 
-from .cameras import check_camera
+from .cameras import CAMERAS, camera_of
 from .options import Look
 from .video_files import FASTEST_GIF, Coded, write_gif, write_mp4
 from .video_opengl import Backend, find_backend
@@ -68,7 +68,8 @@ def render_clips(
         raise InputError("--compare is the take of one clip; draw them one at a time")
     if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
         raise InputError(f"--size {look.size}: videos have even sides; add a pixel")
-    check_camera(look.camera)
+    if look.camera not in CAMERAS:
+        camera_of(look.camera)  # raises if it is wrong, before anything is read
     paths = output_paths(clips, out)
     with ThreadPoolExecutor(1) as beside:  # drivers are slow to start
         asked = beside.submit(find_backend)
