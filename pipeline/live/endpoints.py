@@ -132,19 +132,14 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     Raises InputError if an address or a file is wrong, others could reach it though the
     user did not allow it, or a package is not installed.
     """
-    addresses = [
-        read_address(config.source, _SOURCES),
-        *(read_address(out, _TARGETS) for out in config.out),
-    ]
-    source, *targets = (
-        replace(address, host=listening_host(address, access.bind))
-        if address.scheme in ("udp", "ws", "wss")
-        else address
-        for address in addresses
-    )
-    if not targets:
+    ends = [read_address(config.source, _SOURCES)]
+    ends += [read_address(out, _TARGETS) for out in config.out]
+    if len(ends) < 2:
         raise InputError("--out is missing; give one, such as --out -")
-    schemes = {address.scheme for address in (source, *targets)}
+    for k, end in enumerate(ends):
+        if end.scheme in ("udp", "ws", "wss"):
+            ends[k] = replace(end, host=listening_host(end, access.bind))
+    schemes = {end.scheme for end in ends}
     if schemes & {"ws", "wss"}:
         require("websockets", "a WebSocket", "live")
     if "vmc" in schemes:
@@ -166,7 +161,7 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
             ) from None
     elif "wss" in schemes:
         raise InputError("wss:// needs --certificate; give one, or write ws://")
-    return Endpoints(source, tuple(targets), Access(token, access.origin, tls))
+    return Endpoints(ends[0], tuple(ends[1:]), Access(token, access.origin, tls))
 
 
 def read_token(path: Path) -> str:

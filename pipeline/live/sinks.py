@@ -155,16 +155,15 @@ class Broadcast:
 
         out = connection.transport.get_extra_info("socket")
         out.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENT_AHEAD)
-        serving = asyncio.ensure_future(self.serve(write))
-        closed = asyncio.ensure_future(connection.wait_closed())
-        closed.add_done_callback(lambda _: serving.cancel())
         try:
-            with contextlib.suppress(ConnectionClosed, asyncio.CancelledError):
-                await serving
+            async with meanwhile(self.serve(write), connection.wait_closed()) as tasks:
+                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                if tasks[0].done():
+                    tasks[0].result()
+        except ConnectionClosed:
+            pass
         except TimeoutError:
             connection.transport.abort()
-        finally:
-            closed.cancel()
 
 
 class Reader:

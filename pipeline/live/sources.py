@@ -7,6 +7,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Hashable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .background import meanwhile, read_in
@@ -37,6 +38,13 @@ class Intake:
     done: Callable[[], Awaitable[None]]  # waits until all that was taken has its pose
     ended: Callable[[], None]  # called when nothing more can come
     tally: Tally  # counts messages that are not taken
+
+    def take(self, message: bytes | str, rate: Rate, now: float) -> None:
+        """Take a message that comes now [s] from a sender, unless it sends too many."""
+        if rate.allows(now):
+            self.receive(message)
+        else:
+            self.tally.count(Event.TOO_FAST)
 
 
 class Rate:
@@ -81,8 +89,9 @@ async def open_source(
         finally:
             transport.close()
     else:
+        handler = partial(_take_all, intake)
         async with open_server(
-            _handler(intake), address, access, intake.tally, largest=LARGEST_MESSAGE
+            handler, address, access, intake.tally, largest=LARGEST_MESSAGE
         ) as actual:
             yield actual
 
@@ -100,10 +109,8 @@ class Receiver(asyncio.DatagramProtocol):
         rate = self.rate(addr, now)
         if rate is None:
             self._intake.tally.count(Event.REFUSED)
-        elif not rate.allows(now):
-            self._intake.tally.count(Event.TOO_FAST)
         else:
-            self._intake.receive(data)
+            self._intake.take(data, rate, now)
 
     def rate(self, peer: Hashable, now: float) -> Rate | None:
         """Return a sender's rate, or None where there are too many senders."""
@@ -118,25 +125,18 @@ class Receiver(asyncio.DatagramProtocol):
         return rates.setdefault(peer, Rate(now))
 
 
-def _handler(intake: Intake) -> Callable[[ServerConnection], Awaitable[None]]:
-    """Return what takes the messages of one connection."""
+async def _take_all(intake: Intake, connection: ServerConnection) -> None:
+    """Take the messages of one connection."""
     from websockets.exceptions import ConnectionClosedError
     from websockets.frames import CloseCode
 
-    async def handle(connection: ServerConnection) -> None:
-        rate = Rate(time.perf_counter())
-        try:
-            async for message in connection:
-                if rate.allows(time.perf_counter()):
-                    intake.receive(message)
-                else:
-                    intake.tally.count(Event.TOO_FAST)
-        except ConnectionClosedError as error:
-            sent = error.sent
-            if sent is not None and sent.code == CloseCode.MESSAGE_TOO_BIG:
-                intake.tally.malformed[Reason.TOO_LONG] += 1
-
-    return handle
+    rate = Rate(time.perf_counter())
+    try:
+        async for message in connection:
+            intake.take(message, rate, time.perf_counter())
+    except ConnectionClosedError as error:
+        if error.sent is not None and error.sent.code == CloseCode.MESSAGE_TOO_BIG:
+            intake.tally.malformed[Reason.TOO_LONG] += 1
 
 
 async def _read_stdin(intake: Intake) -> None:

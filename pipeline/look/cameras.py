@@ -141,7 +141,6 @@ def camera_of(camera: str) -> CameraPath:
     unknown = ", ".join(sorted(set(table) - {"position", "target", "fov"}))
     if unknown:
         raise InputError(f"{path}: unknown {unknown}; known: position, target, fov")
-    places = []
     for name in ("position", "target"):
         place = table.get(name)
         if not (isinstance(place, list) and len(place) == 3) or not all(
@@ -151,8 +150,8 @@ def camera_of(camera: str) -> CameraPath:
                 f"{path}: {name} is {place!r}; expected three numbers [x, y, z] in "
                 "meters, y up"
             )
-        places.append(np.array(place, dtype=np.float64))
-    (position, target), fov = places, table.get("fov", _FOV)
+    position, target = np.array([table["position"], table["target"]], dtype=np.float64)
+    fov = table.get("fov", _FOV)
     if not isinstance(fov, int | float) or not 1.0 <= fov <= 170.0:
         raise InputError(f"{path}: fov is {fov!r}; expected 1 to 170 degrees")
     if np.linalg.norm(np.cross(position - target, [0.0, 1.0, 0.0])) < 1e-3:

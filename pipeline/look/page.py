@@ -27,7 +27,8 @@ from kinefilter.pipeline.metrics import METRICS, even_differences, number_or_non
 from .comparison import Comparison
 from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 
-_FORM = re.compile(r"\s*(\w+)\s*([<>])\s*(\S+)\s*")
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_FORM = re.compile(rf"\s*(\w+)\s*([<>])\s*({_NUMBER})\s*")
 _EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
 _SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
 _MISSING = -(2**15)  # of the int16 that a position is written as
@@ -55,18 +56,12 @@ class Limit:
 def parse_limit(text: str) -> Limit:
     """Return the limit that a text such as ``skate>0.003`` describes, or InputError."""
     form = _FORM.fullmatch(text)
-    if form is None or form[1] not in METRICS:
+    if form is None or form[1] not in METRICS or math.isinf(float(form[3])):
         raise InputError(
             f"{text!r}: expected a metric, < or >, and a number, as skate>0.003; "
             f"metrics: {', '.join(METRICS)}"
         )
-    try:
-        number = float(form[3])
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{text!r}: {form[3]!r} is no number; write it as 0.003")
-    return Limit(form[1], ">" if form[2] == ">" else "<", number)
+    return Limit(form[1], ">" if form[2] == ">" else "<", float(form[3]))
 
 
 def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]:

@@ -67,6 +67,8 @@ def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
         with _own_pages_only(loopback=is_loopback(bind)):
             server = Server(host=bind, port=port, verbose=False)
         try:
+            if port not in (0, server.get_port()):
+                check_address(bind, port)  # somebody was faster
             yield server
         finally:
             server.stop()
