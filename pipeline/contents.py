@@ -134,11 +134,16 @@ def _of_clip(clip: Clip) -> dict[str, Any]:
         "height_m": clip.body.height,
         "mass_kg": clip.body.mass,
         "reliability": float(clip.reliability.mean()),
-        "origin": {o.name.lower(): float(np.mean(clip.origin == o)) for o in Origin},
+        "origin": origin_shares(clip),
         "standing": dict(zip(CONTACTS, standing, strict=True)),
         "external_force_body_weights": float(force.mean()) if len(force) else None,
         "states": _states(clip),
     }
+
+
+def origin_shares(clip: Clip) -> dict[str, float]:
+    """Return the share of joints, in all frames, that have each origin, by its name."""
+    return {o.name.lower(): float(np.mean(clip.origin == o)) for o in Origin}
 
 
 def _of_contacts(path: Path) -> dict[str, Any]:

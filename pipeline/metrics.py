@@ -192,6 +192,11 @@ def amplitude(positions: Array, body: Body) -> Array:
     return moves
 
 
+def number_or_none(value: float) -> float | None:
+    """Return a figure; None (JSON has no NaN) where nothing could be measured."""
+    return value if np.isfinite(value) else None
+
+
 def _known(values: Array) -> Array:
     return values[~np.isnan(values)]
 

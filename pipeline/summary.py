@@ -12,8 +12,9 @@ from rich.table import Table
 from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
-from .contents import failures_as_json
+from .contents import failures_as_json, origin_shares
 from .failures import Failure
+from .metrics import number_or_none
 
 _ROWS = (
     ("bone-length variation", "bone_length_cv", "{:.2g}"),
@@ -39,16 +40,13 @@ def as_json(result: CleanResult) -> dict[str, Any]:
         "fps": clip.fps,
         "body": {"height_m": clip.body.height, "mass_kg": clip.body.mass},
         "reliability": dict(zip(clip.skeleton.joints, rates.tolist(), strict=True)),
-        "share_outside_database": _finite(result.share_outside),
-        **{
-            f"share_{origin.name.lower()}": float(np.mean(clip.origin == origin))
-            for origin in Origin
-        },
+        "share_outside_database": number_or_none(result.share_outside),
+        **{f"share_{name}": share for name, share in origin_shares(clip).items()},
         "failures": failures_as_json(result.failures),
         "notes": list(result.notes),
     }
     for stage, quality in result.stages.items():
-        figures[stage] = {k: _finite(v) for k, v in asdict(quality).items()}
+        figures[stage] = {k: number_or_none(v) for k, v in asdict(quality).items()}
     if result.trace is not None:
         figures["physics"] |= {
             "tracking_error_mm": float(result.trace.tracking_error.mean() * 1e3),
@@ -56,11 +54,6 @@ def as_json(result: CleanResult) -> dict[str, Any]:
             "frames_reset": int(result.trace.reset.sum()),
         }
     return figures
-
-
-def _finite(value: float) -> float | None:
-    """Return the value, or None (JSON has no NaN) where nothing could be measured."""
-    return value if np.isfinite(value) else None
 
 
 def as_tables(result: CleanResult) -> RenderableType:
@@ -87,7 +80,7 @@ def as_tables(result: CleanResult) -> RenderableType:
             Term(int(terms.argmax())).words,
             f"{np.mean(clip.origin[:, j] == Origin.FILLED):.0%}",
         )
-    shares = (f"{o.name.lower()} {np.mean(clip.origin == o):.0%}" for o in Origin)
+    shares = (f"{name} {share:.0%}" for name, share in origin_shares(clip).items())
     lines = [f"of all joints: {', '.join(shares)}"]
     if np.isfinite(result.share_outside):
         share = f"{result.share_outside:.0%}"

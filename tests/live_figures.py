@@ -36,7 +36,7 @@ from websockets.asyncio.client import connect
 from kinefilter import read_take
 from kinefilter.characters import Take
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.live import Frame, format_frame
+from kinefilter.pipeline.live.messages import Frame, format_frame
 from kinefilter.pipeline.live.playback import frames_of
 
 _say = Console(soft_wrap=True, highlight=False).print

@@ -14,14 +14,11 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.live import (
-    AccessConfig,
-    LiveConfig,
-    Session,
-    format_frame,
-    open_sender,
-)
+from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.endpoints import MOST_CONNECTIONS, Access
+from kinefilter.pipeline.live.messages import format_frame
+from kinefilter.pipeline.live.playback import open_sender
+from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 
 
@@ -72,8 +69,8 @@ def test_where_others_may_connect_a_token_is_needed(tmp_path: Path) -> None:
             assert run.tally.events[Event.REFUSED] == 8
             async with connect(f"{out}/?token={token}") as stream:
                 await stream.recv()
-                async with open_sender(source, token_file=tmp_path / "token") as sender:
-                    assert await sender.send(format_frame(sample_frame(0)))
+                async with open_sender(source, token_file=tmp_path / "token") as send:
+                    assert await send(format_frame(sample_frame(0)))
                     assert (await pose(stream))["body"] == "1"
             async with reading(out, additional_headers=bearer):
                 pass
@@ -111,9 +108,9 @@ def test_with_a_certificate_connections_are_encrypted(tmp_path: Path) -> None:
             trusted = ssl.create_default_context(cafile=files[0])
             async with (
                 reading(out, ssl=trusted) as stream,
-                open_sender(source, certificate=files[0]) as sender,
+                open_sender(source, certificate=files[0]) as send,
             ):
-                assert await sender.send(format_frame(sample_frame(0)))
+                assert await send(format_frame(sample_frame(0)))
                 assert (await pose(stream))["time"] == 0.0
             with pytest.raises(ssl.SSLCertVerificationError):
                 await connect(str(out))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 
 import numpy as np
@@ -11,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
-from kinefilter.pipeline.live import Frame, SeenBody, format_frame, parse_frame
 from kinefilter.pipeline.live.crowd import Stamps
 from kinefilter.pipeline.live.endpoints import (
     MOST_CONNECTIONS,
@@ -19,9 +19,16 @@ from kinefilter.pipeline.live.endpoints import (
     listening_host,
     read_address,
 )
-from kinefilter.pipeline.live.messages import MalformedError, Reason
-from kinefilter.pipeline.live.sources import Peers, Rate
-from kinefilter.pipeline.live.tally import Event
+from kinefilter.pipeline.live.messages import (
+    Frame,
+    MalformedError,
+    Reason,
+    SeenBody,
+    format_frame,
+    parse_frame,
+)
+from kinefilter.pipeline.live.sources import Intake, Rate, Receiver
+from kinefilter.pipeline.live.tally import Event, Tally
 from kinefilter.pipeline.loopback import is_loopback
 
 STATES = [int(state) for state in State]
@@ -138,7 +145,7 @@ def test_a_rate_lets_a_kinect_and_a_burst_pass_and_no_flood() -> None:
 
 
 def test_silent_senders_make_room_for_others() -> None:
-    peers = Peers()
+    peers = Receiver(Intake(print, asyncio.Event().wait, print, Tally()))
     assert all(peers.rate(n, 0.0) for n in range(MOST_CONNECTIONS))
     assert peers.rate("late", 5.0) is None
     assert peers.rate(0, 5.0) is not None

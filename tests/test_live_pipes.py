@@ -13,15 +13,11 @@ import pytest
 from hostile_messages import hostile_messages
 from live_session import PATIENCE, SAMPLE, config, sample_frame
 
-from kinefilter.pipeline.live import (
-    Session,
-    format_frame,
-    open_sender,
-    replay,
-    sinks,
-    sources,
-)
+from kinefilter.pipeline.live import background
 from kinefilter.pipeline.live.endpoints import Address
+from kinefilter.pipeline.live.messages import format_frame
+from kinefilter.pipeline.live.playback import open_sender, replay
+from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 
 
@@ -32,8 +28,8 @@ class Pipes:
         self._text, self.read = text, b""
         self._input, self._fed = os.pipe()
         self._out, self.output = os.pipe()
-        monkeypatch.setattr(sources, "_STDIN", self._input)
-        monkeypatch.setattr(sinks, "_STDOUT", self.output)
+        monkeypatch.setattr(background, "_STDIN", self._input)
+        monkeypatch.setattr(background, "_STDOUT", self.output)
         self._threads = [threading.Thread(target=w) for w in (self._feed, self._drain)]
 
     def _feed(self) -> None:
@@ -98,7 +94,7 @@ def test_a_replay_writes_a_line_a_frame_and_waits_for_the_reader(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out, into = os.pipe()
-    monkeypatch.setattr(sinks, "_STDOUT", into)
+    monkeypatch.setattr(background, "_STDOUT", into)
     read = io.BytesIO()
 
     def drain() -> None:

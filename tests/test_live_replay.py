@@ -9,26 +9,21 @@ import numpy as np
 import pytest
 from live_session import SAMPLE, WS, config, do, pose, reading, running, sample_frame
 
-from kinefilter.pipeline.live import format_frame, open_sender, replay
 from kinefilter.pipeline.live.endpoints import read_address
-from kinefilter.pipeline.live.playback import frames_of
+from kinefilter.pipeline.live.messages import format_frame
+from kinefilter.pipeline.live.playback import frames_of, open_sender, replay
 
 
 def test_a_replay_sends_every_frame_at_its_own_stamp_of_everybody() -> None:
-    class Kept:
-        """Keeps what is sent."""
+    lines: list[str] = []
 
-        def __init__(self) -> None:
-            self.lines: list[str] = []
+    async def keep(line: str) -> bool:
+        lines.append(line)
+        return True
 
-        async def send(self, line: str) -> bool:
-            self.lines.append(line)
-            return True
-
-    kept = Kept()
-    count = asyncio.run(replay([SAMPLE, SAMPLE], kept, asyncio.Event(), speed=1e6))
-    assert count == len(SAMPLE) == len(kept.lines)
-    frames = [json.loads(line) for line in kept.lines]
+    count = asyncio.run(replay([SAMPLE, SAMPLE], keep, asyncio.Event(), speed=1e6))
+    assert count == len(SAMPLE) == len(lines)
+    frames = [json.loads(line) for line in lines]
     assert [frame["time"] for frame in frames] == SAMPLE.time.tolist()
     assert [body["id"] for body in frames[0]["bodies"]] == ["1", "2"]
 
@@ -49,15 +44,12 @@ def test_a_replay_takes_as_long_as_the_take_over_the_speed() -> None:
 
     stamps: list[float] = []
 
-    class Timed:
-        """Notes when frames are sent."""
-
-        async def send(self, line: str) -> bool:  # noqa: ARG002 - as all senders
-            stamps.append(asyncio.get_running_loop().time())
-            return True
+    async def note(_: str) -> bool:
+        stamps.append(asyncio.get_running_loop().time())
+        return True
 
     with asyncio.Runner(loop_factory=Virtual) as runner:
-        runner.run(replay([SAMPLE], Timed(), asyncio.Event(), speed=2.0))
+        runner.run(replay([SAMPLE], note, asyncio.Event(), speed=2.0))
     np.testing.assert_allclose(np.diff(stamps), np.diff(SAMPLE.time) / 2.0, atol=1e-9)
 
 
@@ -74,14 +66,14 @@ def test_a_replay_connects_again_when_live_comes_back() -> None:
         async with running(config(source=WS)) as (_, (source, _)):
             pass
         address = read_address(str(source), ("ws",))
-        async with open_sender(address) as sender:  # nobody is there
-            assert not await sender.send("lost")
+        async with open_sender(address) as send:  # nobody is there
+            assert not await send("lost")
             again = config(source=str(source))
             async with running(again) as (_, (_, out)), reading(out) as stream:
                 asking = asyncio.ensure_future(pose(stream))
                 row = 0
                 while not asking.done():
-                    await sender.send(format_frame(sample_frame(row % 290, time=row)))
+                    await send(format_frame(sample_frame(row % 290, time=row)))
                     row += 1
                     await asyncio.sleep(0.02)
                 assert asking.result()["body"] == "1"

@@ -27,14 +27,14 @@ from websockets.exceptions import ConnectionClosed
 
 from kinefilter import Avatar, read_take
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline.live import format_frame, sinks
+from kinefilter.pipeline.live import sinks
 from kinefilter.pipeline.live.endpoints import (
     MOST_CONNECTIONS,
     Access,
     Address,
     open_server,
 )
-from kinefilter.pipeline.live.messages import Reason
+from kinefilter.pipeline.live.messages import Reason, format_frame
 from kinefilter.pipeline.live.sinks import Broadcast
 from kinefilter.pipeline.live.sources import Intake, Receiver
 from kinefilter.pipeline.live.tally import Event, Tally

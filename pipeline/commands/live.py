@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats import read_recording
+from kinefilter.pipeline.live.background import meanwhile
 from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.endpoints import read_address
 from kinefilter.pipeline.live.tally import Event, Tally
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from kinefilter.characters import Take
-    from kinefilter.pipeline.live import Session
     from kinefilter.pipeline.live.endpoints import Address
+    from kinefilter.pipeline.live.session import Session
 
 _REFRESH = 0.3  # s between two lines on a terminal
 _LOGGED = 60.0  # s between two lines where there is no terminal, as in a log file
@@ -50,7 +49,7 @@ class Live:
 
     def run(self) -> int:
         """Follow people until Ctrl-C, SIGTERM or the end of the input."""
-        from kinefilter.pipeline.live import Session
+        from kinefilter.pipeline.live.session import Session
 
         check_output(self.json)
         session = Session(self.config, self.access)
@@ -67,7 +66,7 @@ class Live:
     async def _follow(self, session: Session) -> None:
         stop = asyncio.Event()
         with stopped_by_signals(stop):
-            async with _shown(session):
+            async with meanwhile(_show(session)):
                 await session.run(stop, lambda used: self._print_places(session, used))
 
     def _print_places(self, session: Session, used: list[Address]) -> None:
@@ -84,30 +83,20 @@ class Live:
             )
 
 
-@asynccontextmanager
-async def _shown(session: Session) -> AsyncIterator[None]:
-    """Show a line of the session's state for as long as it runs."""
+async def _show(session: Session) -> None:
+    """Show a line of the session's state again and again."""
     from rich.live import Live as Display
     from rich.text import Text
 
-    async def show() -> None:
-        with Display(console=err, auto_refresh=False, transient=True) as display:
-            while True:
-                line = Text(status(session), overflow="ellipsis")
-                display.update(line, refresh=True)
-                await asyncio.sleep(_REFRESH)
-
-    async def log() -> None:
+    if not err.is_terminal:
         while True:
             await asyncio.sleep(_LOGGED)
             err.print(status(session))
-
-    task = asyncio.ensure_future(show() if err.is_terminal else log())
-    try:
-        yield
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
+    with Display(console=err, auto_refresh=False, transient=True) as display:
+        while True:
+            line = Text(status(session), overflow="ellipsis")
+            display.update(line, refresh=True)
+            await asyncio.sleep(_REFRESH)
 
 
 def status(session: Session) -> str:
@@ -181,13 +170,11 @@ class Replay:
         return 0
 
     async def _sent(self, takes: tuple[Take, ...], address: Address) -> int:
-        from kinefilter.pipeline.live import open_sender, replay
+        from kinefilter.pipeline.live.playback import open_sender, replay
 
         stop = asyncio.Event()
         with stopped_by_signals(stop):
             async with open_sender(
                 address, token_file=self.token_file, certificate=self.certificate
-            ) as sender:
-                return await replay(
-                    takes, sender, stop, speed=self.speed, loop=self.loop
-                )
+            ) as send:
+                return await replay(takes, send, stop, speed=self.speed, loop=self.loop)

@@ -31,11 +31,6 @@ _MOST_FRAMES = 120  # kept meanwhile, whatever the rate
 _WELL_SEEN = 0.8  # share of joints tracked in a good frame. A guess.
 
 
-def make_avatar(body: Body, config: LiveConfig) -> Avatar:
-    """Return the character of a person's body."""
-    return Avatar(body, config.scene, floor=config.floor)
-
-
 class Person:
     """Follows one person.
 
@@ -51,7 +46,7 @@ class Person:
         if config.height is not None:
             height, mass = config.height, config.mass
             body = standard_body(self._skeleton, height=height, mass=mass)
-            self._avatar = make_avatar(body, config)
+            self._avatar = Avatar(body, config.scene, floor=config.floor)
 
     @property
     def body(self) -> Body | None:
@@ -83,7 +78,7 @@ class Person:
             frames = stacked(good if enough else self._frames)
             take = Take(*frames, self._skeleton, "live")
             body = measure_body(take, mass=self._config.mass)
-            self._avatar = make_avatar(body, self._config)
+            self._avatar = Avatar(body, self._config.scene, floor=self._config.floor)
             self._frames.clear()
         return None
 
@@ -159,7 +154,7 @@ class Crowd:
     @property
     def measuring(self) -> int:
         """How many people are there and not measured yet."""
-        people = [presence.person for presence in self._here.values()]
+        people = (presence.person for presence in self._here.values())
         return sum(person is None or person.body is None for person in people)
 
     def arrive(self, frame: Frame, now: float) -> list[SeenBody]:

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 STANDARD = "-"  # the scheme of the standard input and output
 MOST_PORT = 2**16 - 1
+_ADDRESS = re.compile(
+    r"([a-z]+)://(?:\[([0-9a-f:.%]+)\]|([^]/:@?#\s[]+)):([0-9]{1,5})/?"
+)
 _SOURCES = ("udp", "ws", "wss", STANDARD)
 _TARGETS = ("vmc", "ws", "wss", STANDARD)
 _SHORTEST_TOKEN = 16  # characters; shorter ones can be guessed
@@ -70,18 +73,10 @@ def read_address(text: str, schemes: Sequence[str]) -> Address:
     if text == STANDARD and STANDARD in schemes:
         return Address(STANDARD)
     expected = ", ".join(s if s == STANDARD else f"{s}://HOST:PORT" for s in schemes)
-    wrong = InputError(f"{text!r} is not an address; expected one of: {expected}")
-    try:
-        parts = urlsplit(text)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        raise wrong from None
-    rest = (parts.query, parts.fragment, parts.username, parts.password)
-    if parts.scheme not in schemes or not host or port is None or any(rest):
-        raise wrong
-    if parts.path not in ("", "/") or not 0 <= port <= MOST_PORT:
-        raise wrong
-    return Address(parts.scheme, host, port)
+    found = _ADDRESS.fullmatch(text.lower())
+    if found is None or found[1] not in schemes or int(found[4]) > MOST_PORT:
+        raise InputError(f"{text!r} is not an address; expected one of: {expected}")
+    return Address(found[1], found[2] or found[3], int(found[4]))
 
 
 def listening_host(address: Address, bind: str | None) -> str:
@@ -137,19 +132,14 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     Raises InputError if an address or a file is wrong, others could reach it though the
     user did not allow it, or a package is not installed.
     """
-    addresses = [
-        read_address(config.source, _SOURCES),
-        *(read_address(out, _TARGETS) for out in config.out),
-    ]
-    source, *targets = (
-        replace(address, host=listening_host(address, access.bind))
-        if address.scheme in ("udp", "ws", "wss")
-        else address
-        for address in addresses
-    )
-    if not targets:
+    ends = [read_address(config.source, _SOURCES)]
+    ends += [read_address(out, _TARGETS) for out in config.out]
+    if len(ends) < 2:
         raise InputError("--out is missing; give one, such as --out -")
-    schemes = {address.scheme for address in (source, *targets)}
+    for k, end in enumerate(ends):
+        if end.scheme in ("udp", "ws", "wss"):
+            ends[k] = replace(end, host=listening_host(end, access.bind))
+    schemes = {end.scheme for end in ends}
     if schemes & {"ws", "wss"}:
         require("websockets", "a WebSocket", "live")
     if "vmc" in schemes:
@@ -171,7 +161,7 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
             ) from None
     elif "wss" in schemes:
         raise InputError("wss:// needs --certificate; give one, or write ws://")
-    return Endpoints(source, tuple(targets), Access(token, access.origin, tls))
+    return Endpoints(ends[0], tuple(ends[1:]), Access(token, access.origin, tls))
 
 
 def read_token(path: Path) -> str:
@@ -200,8 +190,6 @@ async def open_server(
     """
     from websockets.asyncio.server import serve
 
-    connections: set[ServerConnection] = set()
-
     def guard(connection: ServerConnection, request: Request) -> Response | None:
         """Refuse clients that may not connect."""
         if not access.grants(request.path, request.headers):
@@ -213,16 +201,9 @@ async def open_server(
         tally.count(Event.REFUSED)
         return connection.respond(status, reason)
 
-    async def handle(connection: ServerConnection) -> None:
-        connections.add(connection)
-        try:
-            await handler(connection)
-        finally:
-            connections.discard(connection)
-
     try:
         server = await serve(
-            handle,
+            handler,
             address.host,
             address.port,
             # websockets declares origins more narrowly than it takes them.
@@ -243,6 +224,7 @@ async def open_server(
         port = int(next(iter(server.sockets)).getsockname()[1])
         yield Address("ws" if access.tls is None else "wss", address.host, port)
     finally:
+        connections = server.connections
         server.close()
         try:
             async with asyncio.timeout(_GOODBYE):

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import asyncio
 import ssl
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, suppress
 from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinefilter.characters import InputError, Take
 from kinefilter.pipeline.extras import require
 
-from .endpoints import STANDARD, Address, Datagrams, open_datagrams, read_token
+from .background import meanwhile, write_out
+from .endpoints import STANDARD, Address, open_datagrams, read_token
 from .messages import Frame, SeenBody, format_frame
-from .sinks import write_out
 
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
@@ -29,26 +29,36 @@ _SOONEST, _LATEST = 0.2, 5.0  # s between attempts to connect, doubled every tim
 _PATIENCE = 5.0  # s for a connection
 
 
-class Sender(Protocol):
-    """Where frames go."""
-
-    async def send(self, line: str) -> bool:
-        """Send a frame; tell whether it may have arrived."""
+Send = Callable[[str], Awaitable[bool]]
+"""Sends a frame; tells whether it may have arrived."""
 
 
 @asynccontextmanager
 async def open_sender(
     address: Address, *, token_file: Path | None = None, certificate: Path | None = None
-) -> AsyncIterator[Sender]:
+) -> AsyncIterator[Send]:
     """Yield what sends frames to an address.
 
     Raises InputError if the host is not known, or a file is wrong.
     """
     if address.scheme == STANDARD:
-        yield _Printed()
+
+        async def send(line: str) -> bool:
+            try:
+                await write_out(f"{line}\n")
+            except BrokenPipeError:
+                ended = "-: the program that read the output has ended"
+                raise InputError(ended) from None
+            return True
+
+        yield send
     elif address.scheme == "udp":
         with open_datagrams(address) as out:
-            yield _ToPort(out)
+
+            async def send(line: str) -> bool:
+                return out(line.encode(), 0)
+
+            yield send
     else:
         require("websockets", "a WebSocket", "live")
         token = None if token_file is None else read_token(token_file)
@@ -62,33 +72,12 @@ async def open_sender(
                 reason = f"not a certificate ({error.strerror}); expected a PEM file"
                 raise InputError(f"{certificate}: {reason}") from None
         connection = _Connection(address, token, tls)
-        keeping = asyncio.ensure_future(connection.keep())
-        try:
+        async with meanwhile(connection.keep()):
             await connection.tried.wait()
             if connection.refused:
                 hint = "give --token-file with the receiver's token"
                 raise InputError(f"{address}: refused; {hint}")
-            yield connection
-        finally:
-            keeping.cancel()
-            await asyncio.gather(keeping, return_exceptions=True)
-
-
-class _Printed:
-    async def send(self, line: str) -> bool:
-        try:
-            await asyncio.to_thread(write_out, f"{line}\n".encode())
-        except BrokenPipeError:
-            raise InputError("-: the program that read the output has ended") from None
-        return True
-
-
-class _ToPort:
-    def __init__(self, out: Datagrams) -> None:
-        self._out = out
-
-    async def send(self, line: str) -> bool:
-        return self._out(line.encode(), 0)
+            yield connection.send
 
 
 class _Connection:
@@ -170,7 +159,7 @@ def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
 
 async def replay(
     takes: Sequence[Take],
-    sender: Sender,
+    send: Send,
     stop: asyncio.Event,
     *,
     speed: float = 1.0,
@@ -193,5 +182,5 @@ async def replay(
                     await stop.wait()
         if stop.is_set():
             break
-        sent += await sender.send(format_frame(frame))
+        sent += await send(format_frame(frame))
     return sent

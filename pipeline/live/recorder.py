@@ -5,7 +5,8 @@ from __future__ import annotations
 import glob
 import os
 import threading
-from dataclasses import dataclass, field
+from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,8 +28,7 @@ class _Part:
     path: Path
     file: BinaryIO
     last: float  # the last frame's stamp [s]
-    frames: int = 0
-    waiting: list[tuple[float, SeenBody]] = field(default_factory=list)
+    frames: int = 0  # that are written
 
 
 class Recorder:
@@ -55,35 +55,31 @@ class Recorder:
         self._path, self._skeleton, self._tally = path, skeleton, tally
         self._parts: list[_Part] = []
         self._current: dict[str, _Part] = {}
-        self._waiting, self._lock = 0, threading.Lock()
+        self._waiting: deque[tuple[_Part, float, SeenBody]] = deque()
         self._writing = threading.Lock()
         self.failure: str | None = None  # why nothing more can be written, if it cannot
 
     def add(self, time: float, seen: SeenBody) -> None:
         """Keep a person's frame with the stamp ``time`` [s] for the next ``flush``."""
         part = self._part(time, seen)
-        if part is None or self._waiting >= _MOST_WAITING:
+        if part is None or len(self._waiting) >= _MOST_WAITING:
             self._tally.count(Event.UNRECORDED)
             return
         part.last = time
-        with self._lock:
-            part.waiting.append((time, seen))
-            self._waiting += 1
+        self._waiting.append((part, time, seen))
 
     def flush(self) -> None:
         """Write what came since the last time; threads that call it take turns."""
         with self._writing:
+            came = [self._waiting.popleft() for _ in range(len(self._waiting))]
             for part in list(self._parts):
-                with self._lock:
-                    rows, part.waiting = part.waiting, []
+                rows = [(time, seen) for of, time, seen in came if of is part]
                 if rows and self.failure is None:
                     try:
                         _write_whole(part.file, take_rows(*stacked(rows)).encode())
                         part.frames += len(rows)
                     except OSError as error:
                         self._fail(part.path, error)
-                with self._lock:
-                    self._waiting -= len(rows)
 
     def finish(self) -> list[Path]:
         """Write the rest after any flush under way, name the files, return them."""
@@ -110,13 +106,10 @@ class Recorder:
 
     def _part(self, time: float, seen: SeenBody) -> _Part | None:
         """Return a body's file, a new one where there is none or time goes back."""
-        part = self._current.get(seen.id)
-        if self.failure is not None:
-            return None
-        if part is not None and time >= part.last:
+        part, number = self._current.get(seen.id), len(self._parts) + 1
+        if part is not None and time >= part.last and self.failure is None:
             return part
-        number = len(self._parts) + 1
-        if number > _MOST_FILES:
+        if number > _MOST_FILES or self.failure is not None:
             return None
         path = self._path.with_name(f"{self._path.stem}.{number}.part.csv")
         try:

@@ -15,13 +15,15 @@ from kinefilter.characters import (
     skeleton_named,
     standard_body,
 )
+from kinefilter.pipeline.avatar import Avatar
 
+from .background import meanwhile
 from .config import AccessConfig, LiveConfig
-from .crowd import Crowd, Person, Presence, Waiting, make_avatar
+from .crowd import Crowd, Person, Presence, Waiting
 from .endpoints import Address, find_endpoints
 from .messages import LivePose, MalformedError, parse_frame
 from .recorder import Recorder
-from .sinks import Sink, open_sink
+from .sinks import Broadcast, Engine, open_sink
 from .sources import Intake, open_source
 from .tally import Event, Tally
 
@@ -53,7 +55,7 @@ class Session:
         self.recorder: Recorder | None = None
         if config.record is not None:
             self.recorder = Recorder(config.record, self._skeleton, self.tally)
-        self._sinks: list[Sink] = []
+        self._sinks: list[Broadcast | Engine] = []
         self._came, self._idle = asyncio.Event(), asyncio.Event()
         self._idle.set()
 
@@ -65,42 +67,30 @@ class Session:
         ``started`` is called with the addresses in use, of the input, then the outputs.
         Raises InputError if a port is taken, or a host not known.
         """
+        access, used = self.endpoints.access, []
         try:
             self._warm_up()
             async with AsyncExitStack() as stack:
-                await self._serve(stack, stop, started)
+                for target in self.endpoints.targets:
+                    sink, place = await stack.enter_async_context(
+                        open_sink(target, access, self._skeleton, self.tally, stop.set)
+                    )
+                    self._sinks.append(sink)
+                    used.append(place)
+                work = (self._pump(), self._tick(), self._record(), stop.wait())
+                tasks = await stack.enter_async_context(meanwhile(*work))
+                intake = Intake(self.receive, self._done, stop.set, self.tally)
+                async with open_source(self.endpoints.source, access, intake) as place:
+                    started([place, *used])
+                    await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                for task in tasks:
+                    if task.done():
+                        task.result()
+                await self._idle.wait()
         finally:
             gc.unfreeze()
             if self.recorder is not None:
                 self.recorded = self.recorder.finish()
-
-    async def _serve(
-        self, stack: AsyncExitStack, stop: asyncio.Event, started: _Started
-    ) -> None:
-        access, used = self.endpoints.access, []
-        for target in self.endpoints.targets:
-            sink, place = await stack.enter_async_context(
-                open_sink(target, access, self._skeleton, self.tally, stop.set)
-            )
-            self._sinks.append(sink)
-            used.append(place)
-        intake = Intake(self.receive, self._done, stop.set, self.tally)
-        tasks = [
-            asyncio.ensure_future(work)
-            for work in (self._pump(), self._tick(), self._record(), stop.wait())
-        ]
-        try:
-            async with open_source(self.endpoints.source, access, intake) as place:
-                started([place, *used])
-                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in tasks:
-                if task.done():
-                    task.result()
-            await self._idle.wait()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
 
     def receive(self, message: bytes | str) -> None:
         """Take in a message; one that is not a frame is counted."""
@@ -179,10 +169,10 @@ class Session:
 
     def _warm_up(self) -> None:
         """Load what the first pose needs, and exempt it from garbage collection."""
-        height, mass = self._config.height, self._config.mass
-        height = STANDARD_HEIGHT if height is None else height
-        body = standard_body(self._skeleton, height=height, mass=mass)
-        avatar = make_avatar(body, self._config)
+        config = self._config
+        height = STANDARD_HEIGHT if config.height is None else config.height
+        body = standard_body(self._skeleton, height=height, mass=config.mass)
+        avatar = Avatar(body, config.scene, floor=config.floor)
         for k in range(_WARM_UP):
             avatar.step(body.rest_positions, k / 30.0)
         gc.collect()

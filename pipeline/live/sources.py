@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import threading
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Hashable
-from concurrent.futures import CancelledError
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from .background import meanwhile, read_in
 from .endpoints import (
     MOST_CONNECTIONS,
     STANDARD,
@@ -26,8 +25,6 @@ from .tally import Event, Tally
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
-_STDIN = 0
-_CHUNK = 2**16  # bytes
 _RATE = 240.0  # messages a second from one sender: eight times a Kinect's
 _BURST = 60.0  # messages that may come at once after a pause
 _FORGOTTEN = 10.0  # s after which a silent sender of datagrams makes room
@@ -41,6 +38,13 @@ class Intake:
     done: Callable[[], Awaitable[None]]  # waits until all that was taken has its pose
     ended: Callable[[], None]  # called when nothing more can come
     tally: Tally  # counts messages that are not taken
+
+    def take(self, message: bytes | str, rate: Rate, now: float) -> None:
+        """Take a message that comes now [s] from a sender, unless it sends too many."""
+        if rate.allows(now):
+            self.receive(message)
+        else:
+            self.tally.count(Event.TOO_FAST)
 
 
 class Rate:
@@ -60,24 +64,6 @@ class Rate:
         return True
 
 
-class Peers:
-    """The senders of datagrams, which never close a connection."""
-
-    def __init__(self) -> None:
-        self._rates: dict[Hashable, Rate] = {}
-
-    def rate(self, peer: Hashable, now: float) -> Rate | None:
-        """Return a sender's rate, or None where there are too many senders."""
-        rates = self._rates
-        if peer not in rates and len(rates) >= MOST_CONNECTIONS:
-            silent = [p for p, rate in rates.items() if now - rate.heard >= _FORGOTTEN]
-            for one in silent:
-                del rates[one]
-            if not silent:
-                return None
-        return rates.setdefault(peer, Rate(now))
-
-
 @asynccontextmanager
 async def open_source(
     address: Address, access: Access, intake: Intake
@@ -87,10 +73,8 @@ async def open_source(
     Raises InputError if the port is taken or the host is not of this machine.
     """
     if address.scheme == STANDARD:
-        # A daemon: a read of a pipe that stays empty never ends.
-        loop = asyncio.get_running_loop()
-        threading.Thread(target=_read_stdin, args=(intake, loop), daemon=True).start()
-        yield address
+        async with meanwhile(_read_stdin(intake)):
+            yield address
     elif address.scheme == "udp":
         loop = asyncio.get_running_loop()
         try:
@@ -105,8 +89,9 @@ async def open_source(
         finally:
             transport.close()
     else:
+        handler = partial(_take_all, intake)
         async with open_server(
-            _handler(intake), address, access, intake.tally, largest=LARGEST_MESSAGE
+            handler, address, access, intake.tally, largest=LARGEST_MESSAGE
         ) as actual:
             yield actual
 
@@ -115,76 +100,68 @@ class Receiver(asyncio.DatagramProtocol):
     """Hands over the datagrams of a few senders, each up to a rate."""
 
     def __init__(self, intake: Intake) -> None:
-        self._intake, self._peers = intake, Peers()
+        self._intake = intake
+        self._rates: dict[Hashable, Rate] = {}
 
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
         """Take a datagram."""
         now = time.perf_counter()
-        rate = self._peers.rate(addr, now)
+        rate = self.rate(addr, now)
         if rate is None:
             self._intake.tally.count(Event.REFUSED)
-        elif not rate.allows(now):
-            self._intake.tally.count(Event.TOO_FAST)
         else:
-            self._intake.receive(data)
+            self._intake.take(data, rate, now)
+
+    def rate(self, peer: Hashable, now: float) -> Rate | None:
+        """Return a sender's rate, or None where there are too many senders."""
+        rates = self._rates
+        if peer not in rates and len(rates) >= MOST_CONNECTIONS:
+            # They never close a connection.
+            silent = [p for p, rate in rates.items() if now - rate.heard >= _FORGOTTEN]
+            for one in silent:
+                del rates[one]
+            if not silent:
+                return None
+        return rates.setdefault(peer, Rate(now))
 
 
-def _handler(intake: Intake) -> Callable[[ServerConnection], Awaitable[None]]:
-    """Return what takes the messages of one connection."""
+async def _take_all(intake: Intake, connection: ServerConnection) -> None:
+    """Take the messages of one connection."""
     from websockets.exceptions import ConnectionClosedError
     from websockets.frames import CloseCode
 
-    async def handle(connection: ServerConnection) -> None:
-        rate = Rate(time.perf_counter())
-        try:
-            async for message in connection:
-                if rate.allows(time.perf_counter()):
-                    intake.receive(message)
-                else:
-                    intake.tally.count(Event.TOO_FAST)
-        except ConnectionClosedError as error:
-            sent = error.sent
-            if sent is not None and sent.code == CloseCode.MESSAGE_TOO_BIG:
-                intake.tally.malformed[Reason.TOO_LONG] += 1
-
-    return handle
+    rate = Rate(time.perf_counter())
+    try:
+        async for message in connection:
+            intake.take(message, rate, time.perf_counter())
+    except ConnectionClosedError as error:
+        if error.sent is not None and error.sent.code == CloseCode.MESSAGE_TOO_BIG:
+            intake.tally.malformed[Reason.TOO_LONG] += 1
 
 
-def _read_stdin(intake: Intake, loop: asyncio.AbstractEventLoop) -> None:
+async def _read_stdin(intake: Intake) -> None:
     """Take lines of the standard input, each after the poses of the last.
 
     A program that writes into a pipe can wait, so no frame is dropped.
     """
+    rest, too_long = b"", False
 
-    async def take(line: bytes, too_long: bool) -> None:
+    async def take(line: bytes) -> None:
+        nonlocal too_long
         if too_long:
             intake.tally.malformed[Reason.TOO_LONG] += 1
         elif line.strip():
             intake.receive(line)
             await intake.done()
+        too_long = False
 
-    async def end() -> None:
+    try:
+        while chunk := await read_in():
+            *lines, rest = (rest + chunk).split(b"\n")
+            for line in lines:
+                await take(line)
+            if len(rest) > LARGEST_MESSAGE:
+                rest, too_long = b"", True
+        await take(rest)
+    finally:
         intake.ended()
-
-    def call(work: Coroutine[Any, Any, None]) -> bool:
-        """Run something in the loop and wait for it; tell whether it could."""
-        try:
-            asyncio.run_coroutine_threadsafe(work, loop).result()
-        except (RuntimeError, CancelledError):  # the loop is closed, or closing
-            work.close()
-            return False
-        return True
-
-    # From the descriptor: a buffer's lock would outlive the interpreter.
-    rest, too_long = b"", False
-    while chunk := os.read(_STDIN, _CHUNK):
-        *lines, rest = (rest + chunk).split(b"\n")
-        for line in lines:
-            if not call(take(b"" if too_long else line, too_long)):
-                return
-            too_long = False
-        if len(rest) > LARGEST_MESSAGE:
-            rest, too_long = b"", True
-    if rest.strip() or too_long:
-        call(take(rest, too_long))
-    call(end())

@@ -64,7 +64,7 @@ def camera_path(
     ``rate`` frames a second. Raises an InputError if there is no such camera.
     """
     if camera not in CAMERAS:
-        return _from_file(camera)
+        return camera_of(camera)
     around, up = np.radians(_DIRECTIONS[camera])
     ahead = np.array([0.0, 0.0, 1.0])  # where a character with no heading faces
     headings = rotate(motion.rotations[:, motion.skeleton.root], ahead)
@@ -91,12 +91,6 @@ def camera_path(
     angles = azimuth + 2.0 * np.pi * whole * np.arange(count) / count
     positions = target + away * np.stack([_direction(a, up) for a in angles])
     return CameraPath(positions, np.broadcast_to(target, positions.shape), _FOV)
-
-
-def check_camera(camera: str) -> None:
-    """Raise what ``camera_path`` would raise, before there is a motion."""
-    if camera not in CAMERAS:
-        _from_file(camera)
 
 
 def axes_toward(toward: Array) -> tuple[Array, Array]:
@@ -135,7 +129,8 @@ def _distance(seen: Array, toward: Array, aspect: float) -> float:
     return float(np.max(seen @ toward + across))
 
 
-def _from_file(camera: str) -> CameraPath:
+def camera_of(camera: str) -> CameraPath:
+    """Return the camera in a TOML file, or raise an InputError."""
     path = Path(camera)
     if path.suffix != ".toml":
         raise InputError(
@@ -146,7 +141,6 @@ def _from_file(camera: str) -> CameraPath:
     unknown = ", ".join(sorted(set(table) - {"position", "target", "fov"}))
     if unknown:
         raise InputError(f"{path}: unknown {unknown}; known: position, target, fov")
-    places = []
     for name in ("position", "target"):
         place = table.get(name)
         if not (isinstance(place, list) and len(place) == 3) or not all(
@@ -156,8 +150,8 @@ def _from_file(camera: str) -> CameraPath:
                 f"{path}: {name} is {place!r}; expected three numbers [x, y, z] in "
                 "meters, y up"
             )
-        places.append(np.array(place, dtype=np.float64))
-    (position, target), fov = places, table.get("fov", _FOV)
+    position, target = np.array([table["position"], table["target"]], dtype=np.float64)
+    fov = table.get("fov", _FOV)
     if not isinstance(fov, int | float) or not 1.0 <= fov <= 170.0:
         raise InputError(f"{path}: fov is {fov!r}; expected 1 to 170 degrees")
     if np.linalg.norm(np.cross(position - target, [0.0, 1.0, 0.0])) < 1e-3:

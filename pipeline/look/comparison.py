@@ -74,14 +74,16 @@ def compare(clip: Clip, take: Take) -> Comparison:
     clip = in_time_of(clip, take)
     _check(clip, take)
     raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
-    distinct = np.concatenate([[True], np.diff(clip.time) > 0])
+    distinct = np.diff(clip.time, prepend=-np.inf) > 0
     time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
-    figures = []
-    for positions in (raw[distinct], clip.positions[distinct]):
-        found = asdict(measure(time, positions, raw[distinct], clip.body, stands))
-        found["skate"] = found["skate_mm_per_frame"] * 1e-3
-        figures.append({name: float(found[name]) for name in METRICS})
-    return Comparison(clip=clip, raw=raw, before=figures[0], after=figures[1])
+
+    def figures(positions: Array) -> dict[str, float]:
+        measured = measure(time, positions[distinct], raw[distinct], clip.body, stands)
+        found = asdict(measured) | {"skate": measured.skate_mm_per_frame * 1e-3}
+        return {name: float(found[name]) for name in METRICS}
+
+    before, after = figures(raw), figures(clip.positions)
+    return Comparison(clip=clip, raw=raw, before=before, after=after)
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
@@ -90,24 +92,19 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
     NaN where nothing was measured, shape (T, J, 3). Raises an InputError if the file is
     no take, or not the one that the clip was made from.
     """
-    take = read_take(path)
-    if take.skeleton.name != clip.skeleton.name:
-        raise InputError(
-            f"--compare {path}: a take of {take.skeleton.name}, but the clip has "
-            f"{clip.skeleton.name}; {_TRY}"
-        )
-    own, clip = clip.time, in_time_of(clip, take)
-    if clip.time is not own:
-        times = np.interp(times, own, clip.time)
-    nearest = nearest_frames(take.time, times)
-    apart = np.abs(take.time[nearest] - times)
-    if np.median(apart) > _APART:
-        raise InputError(
-            f"--compare {path}: the take runs from {take.time[0]:.2f} to "
-            f"{take.time[-1]:.2f} s, but the clip from {times[0]:.2f} to "
-            f"{times[-1]:.2f} s; {_TRY}"
-        )
+    take, own = read_take(path), clip.time
     try:
+        _check_skeletons(clip, take)
+        clip = in_time_of(clip, take)
+        if clip.time is not own:
+            times = np.interp(times, own, clip.time)
+        nearest = nearest_frames(take.time, times)
+        apart = np.abs(take.time[nearest] - times)
+        if np.median(apart) > _APART:
+            raise InputError(
+                f"the take runs from {take.time[0]:.2f} to {take.time[-1]:.2f} s, but "
+                f"the clip from {times[0]:.2f} to {times[-1]:.2f} s; {_TRY}"
+            )
         placed = (in_clip_frame if _keeps_frame(clip) else leveled_to_clip)(take, clip)
     except InputError as error:
         raise InputError(f"--compare {path}: {error}") from None
@@ -142,17 +139,19 @@ def _keeps_frame(clip: Clip) -> bool:
     return bool(np.isfinite([clip.tilt, clip.floor]).all())
 
 
-def _check(clip: Clip, take: Take) -> None:
+def _check_skeletons(clip: Clip, take: Take) -> None:
     if clip.skeleton != take.skeleton:
         raise InputError(
             f"the clip is of {clip.skeleton.name}, the take of {take.skeleton.name}; "
             f"{_TRY}"
         )
+
+
+def _check(clip: Clip, take: Take) -> None:
+    _check_skeletons(clip, take)
     if len(clip) != len(take):
-        raise InputError(
-            f"the clip has {len(clip)} frames, the take {len(take)}; {_TRY} (and "
-            "without --fps)"
-        )
+        counts = f"the clip has {len(clip)} frames, the take {len(take)}"
+        raise InputError(f"{counts}; {_TRY} (and without --fps)")
     if len(clip) < 2 or clip.time[-1] <= clip.time[0]:
         raise InputError("a motion needs two frames or more at different times")
     if not same_stamps(clip, take):

@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, InputError, Origin, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.formats.files import atomic_path, check_folder, read_toml
-from kinefilter.pipeline.metrics import METRICS, even_differences
+from kinefilter.pipeline.formats.files import atomic_path, read_toml
+from kinefilter.pipeline.metrics import METRICS, even_differences, number_or_none
 
 from .comparison import Comparison
 from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 
-_FORM = re.compile(r"\s*(\w+)\s*([<>])\s*(\S+)\s*")
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_FORM = re.compile(rf"\s*(\w+)\s*([<>])\s*({_NUMBER})\s*")
 _EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
 _SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
 _MISSING = -(2**15)  # of the int16 that a position is written as
@@ -55,18 +56,12 @@ class Limit:
 def parse_limit(text: str) -> Limit:
     """Return the limit that a text such as ``skate>0.003`` describes, or InputError."""
     form = _FORM.fullmatch(text)
-    if form is None or form[1] not in METRICS:
+    if form is None or form[1] not in METRICS or math.isinf(float(form[3])):
         raise InputError(
             f"{text!r}: expected a metric, < or >, and a number, as skate>0.003; "
             f"metrics: {', '.join(METRICS)}"
         )
-    try:
-        number = float(form[3])
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{text!r}: {form[3]!r} is no number; write it as 0.003")
-    return Limit(form[1], ">" if form[2] == ">" else "<", number)
+    return Limit(form[1], ">" if form[2] == ">" else "<", float(form[3]))
 
 
 def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]:
@@ -87,10 +82,9 @@ def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]
 
 
 def check_report(path: Path) -> None:
-    """Raise an InputError, before any work, if a report cannot be written there."""
+    """Raise an InputError, before any work, unless a file is named as a web page."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report is a web page; name it .html")
-    check_folder(path)
 
 
 def write_report(
@@ -128,8 +122,8 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         {
             "name": name,
             "meaning": meaning,
-            "raw": _finite(comparison.before[name]),
-            "clean": _finite(comparison.after[name]),
+            "raw": number_or_none(comparison.before[name]),
+            "clean": number_or_none(comparison.after[name]),
             "limits": [
                 {"text": f"{k.side} {k.number:g}", "fails": k.fails(comparison.after)}
                 for k in limits
@@ -202,7 +196,3 @@ def _derivative(time: Array, positions: Array, order: int) -> Array:
     middle = np.flatnonzero(known) + order // 2  # of the frames of each difference
     values[middle] = np.nanmean(size[known], axis=1) / nominal**order
     return values
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

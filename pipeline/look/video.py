@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 from kinefilter.characters import InputError
@@ -15,16 +16,15 @@ from kinefilter.pipeline.formats import check_folder
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.workers import cores, workers
 
-from .cameras import check_camera
+from .cameras import CAMERAS, camera_of
 from .options import Look
 from .video_files import FASTEST_GIF, Coded, write_gif, write_mp4
 from .video_opengl import Backend, find_backend
-from .video_task import Composition, Parts, RenderTask, draw_parts
+from .video_task import PART, Composition, RenderTask, draw_parts
 
 _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"
 _NUMBERED = re.compile(r"[^%]*%0?\d*d[^%]*")  # such as %05d.png
-_PART = 60  # frames: each part of a video begins with a keyframe, to which players jump
 # Stretches that each process draws, about. With fewer, one process is left with the
 # last; with more, each of them has to read every clip.
 _STRETCHES = 4
@@ -45,7 +45,7 @@ class _Job:
     task: RenderTask
     frames: int
     rate: float
-    futures: dict[Future[list[list[Coded]]], Parts] = field(default_factory=dict)
+    futures: dict[Future[list[list[Coded]]], range] = field(default_factory=dict)
 
 
 def render_clips(
@@ -68,7 +68,8 @@ def render_clips(
         raise InputError("--compare is the take of one clip; draw them one at a time")
     if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
         raise InputError(f"--size {look.size}: videos have even sides; add a pixel")
-    check_camera(look.camera)
+    if look.camera not in CAMERAS:
+        camera_of(look.camera)  # raises if it is wrong, before anything is read
     paths = output_paths(clips, out)
     with ThreadPoolExecutor(1) as beside:  # drivers are slow to start
         asked = beside.submit(find_backend)
@@ -117,9 +118,8 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
         )
     named = out
     if len(clips) > 1 and _CLIP not in str(out):
-        named = out.with_name(f"{out.stem}.{_CLIP}{out.suffix}")
-        if numbered:
-            named = out.parent / _CLIP / out.name
+        added = f"{_CLIP}/{out.name}" if numbered else f"{out.stem}.{_CLIP}{out.suffix}"
+        named = out.parent / added
     stems = [c.name.removesuffix(".gz").rpartition(".")[0] or c.name for c in clips]
     paths = [Path(str(named).replace(_CLIP, stem)) for stem in stems]
     twice = [path for path, count in Counter(paths).items() if count > 1]
@@ -141,39 +141,38 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
     return paths
 
 
-def stretches(count: int, share: int) -> list[Parts]:
-    """Return the parts of a clip in groups that one process draws in one go.
+def stretches(count: int, share: int) -> list[range]:
+    """Return the frames of a clip in stretches that one process draws in one go.
 
-    ``share`` is how many frames of all clips each process draws. The parts are the same
-    whatever the groups, and so are the videos made of them.
+    ``share`` is how many frames of all clips each process draws. Each is of whole
+    parts, which are the same whatever the stretches, and so are the videos.
     """
-    parts = [range(k, min(k + _PART, count)) for k in range(0, count, _PART)]
-    size = max(1, min(share // _STRETCHES, _LONGEST) // _PART)
-    return [tuple(parts[k : k + size]) for k in range(0, len(parts), size)]
+    size = PART * max(1, min(share // _STRETCHES, _LONGEST) // PART)
+    return [range(k, min(k + size, count)) for k in range(0, count, size)]
 
 
 def _drawn(
     planned: list[_Job], backend: Backend, count: int, steps: Iterator[int]
 ) -> Iterator[tuple[_Job, str | None]]:
     """Yield each job when it is done, with what went wrong."""
-    done = 0
+    left = deque(planned)
     share = sum(job.frames for job in planned) // count
     groups = [stretches(job.frames, share) for job in planned]
     processes = min(count, max(sum(map(len, groups)), 1))
     with workers(processes, environment=backend.environment) as pool:
         try:
-            for job, parts in zip(planned, groups, strict=True):
-                job.futures = {pool.submit(draw_parts, job.task, p): p for p in parts}
-            for job in planned:
-                yield job, _finished(job, steps)
-                done += 1
+            for job, group in zip(planned, groups, strict=True):
+                job.futures = {pool.submit(draw_parts, job.task, k): k for k in group}
+            while left:
+                yield left[0], _finished(left[0], steps)
+                left.popleft()
         except BrokenProcessPool:
-            pass
-    left = planned[done:]
-    if left and len(planned) == 1:
-        clip = left[0].task.clip
-        yield left[0], f"{clip}: a process that drew it died; is memory short?"
-        return
+            if len(planned) == 1:
+                clip = left.pop().task.clip
+                yield (
+                    planned[0],
+                    f"{clip}: a process that drew it died; is memory short?",
+                )
     # Which clip it was shows once each has processes of its own.
     for job in left:
         yield from _drawn([job], backend, count, steps)
@@ -185,10 +184,9 @@ def _finished(job: _Job, steps: Iterator[int]) -> str | None:
     write = {".mp4": write_mp4, ".gif": write_gif}.get(out.suffix.lower())
 
     def drawn() -> Iterator[list[Coded]]:
-        for future, parts in job.futures.items():
+        for future, frames in job.futures.items():
             yield from future.result()
-            for _ in range(sum(map(len, parts))):
-                next(steps, None)
+            deque(islice(steps, len(frames)), maxlen=0)
 
     try:
         if write is not None:

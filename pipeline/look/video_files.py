@@ -177,11 +177,9 @@ def _filtered(
 
     graph: Any = av.filter.Graph()
     node, sink = graph.add(name, options), graph.add("buffersink")
-    node.link_to(sink)
-    width, height = size
     layout = av.VideoFormat("rgb24")
-    source = graph.add_buffer(None, width, height, layout, time_base=_STEP)
-    source.link_to(node)
+    source = graph.add_buffer(None, *size, layout, time_base=_STEP)
+    graph.link_nodes(source, node, sink)
     if palette is not None:
         palette.pts, palette.time_base = 0, _STEP
         colors = graph.add_buffer(palette, time_base=_STEP)

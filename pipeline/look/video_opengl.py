@@ -61,8 +61,7 @@ def find_backend() -> Backend:
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     reasons = []
     for name in (wanted,) if wanted else _NAMES:
-        found = _try(name)
-        if isinstance(found, Backend):
+        if isinstance(found := _try(name), Backend):
             return found
         reasons.append(f"{_NAMES.get(name, name)}: {found}")
     raise InputError(

@@ -34,8 +34,8 @@ from .video_opengl import Backend
 if TYPE_CHECKING:
     from .video_model import OffscreenRenderer
 
-Parts = tuple[range, ...]
-"""Frames of a clip in parts, counted from the first that is drawn."""
+PART = 60
+"""Frames: each part of a video begins with a keyframe, to which players jump."""
 
 _SKIN = 0.13  # m from a joint to the skin, at most: the head's, about
 _GPU_SAMPLES = 4  # edges are smooth, and a GPU is hardly slower
@@ -151,24 +151,25 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     return props + tuple(prop for prop in others if prop.name not in known)
 
 
-def draw_parts(task: RenderTask, parts: Parts) -> list[list[Coded]]:
-    """Draw frames of a task: pictures of a video or a GIF are returned, others written.
+def draw_parts(task: RenderTask, frames: range) -> list[list[Coded]]:
+    """Draw frames of a task, counted from the first that is drawn.
 
-    Raises an InputError if something cannot be drawn or written.
+    Those of a video or a GIF are returned in parts (PART), pictures are written. Raises
+    an InputError if something cannot be drawn or written.
     """
     out, suffix = task.out, task.out.suffix.lower()
-    if suffix == ".png":
-        paths = {n: out.with_name(out.name % n) for part in parts for n in part}
-        made = task.fingerprint
-        missing = {n: path for n, path in paths.items() if not is_drawn(path, made)}
-        drawn = zip(_pictures(task, missing), missing.values(), strict=True)
-        for picture, path in drawn:
-            write_frame(picture, path, made)
-        return [[] for _ in parts]
+    parts = [frames[k : k + PART] for k in range(0, len(frames), PART)]
     if suffix == ".gif":
         return [[(encode_png(p), True) for p in _pictures(task, k)] for k in parts]
-    rate = _opened(task)[0].rate
-    return [encode_video(_pictures(task, k), task.look.pixels, rate) for k in parts]
+    if suffix == ".mp4":
+        rate = _opened(task)[0].rate
+        return [encode_video(_pictures(task, k), task.look.pixels, rate) for k in parts]
+    paths = {n: out.with_name(out.name % n) for n in frames}
+    made = task.fingerprint
+    missing = {n: path for n, path in paths.items() if not is_drawn(path, made)}
+    for picture, path in zip(_pictures(task, missing), missing.values(), strict=True):
+        write_frame(picture, path, made)
+    return []
 
 
 def _pictures(task: RenderTask, numbers: Iterable[int]) -> Iterator[Pixels]:

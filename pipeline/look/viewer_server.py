@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from kinefilter.characters import InputError
@@ -36,7 +36,10 @@ def check_address(bind: str, port: int) -> None:
                 f"--bind {bind}: no address of this machine ({error.strerror}); "
                 "127.0.0.1 is for this machine alone, 0.0.0.0 for the whole network"
             ) from None
-        _refuse(bind, port, error.strerror)
+        raise InputError(
+            f"cannot listen at {bind}, port {port} ({error.strerror}); give another "
+            "--port, 0 for any that is free"
+        ) from None
 
 
 @contextmanager
@@ -65,7 +68,7 @@ def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
             server = Server(host=bind, port=port, verbose=False)
         try:
             if port not in (0, server.get_port()):
-                _refuse(bind, port, "in use")
+                check_address(bind, port)  # somebody was faster
             yield server
         finally:
             server.stop()
@@ -80,13 +83,6 @@ def may_connect(origin: str | None, host: str | None, *, loopback: bool) -> bool
     if loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):
         return False
     return origin == f"http://{host}"
-
-
-def _refuse(bind: str, port: int, reason: str | None) -> NoReturn:
-    raise InputError(
-        f"cannot listen at {bind}, port {port} ({reason}); give another --port, "
-        "0 for any that is free"
-    ) from None
 
 
 @contextmanager
