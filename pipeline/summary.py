@@ -12,7 +12,7 @@ from rich.table import Table
 from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
-from .contents import failures_as_json
+from .contents import failures_as_json, gaps_as_json
 from .failures import Failure
 
 _ROWS = (
@@ -44,6 +44,7 @@ def as_json(result: CleanResult) -> dict[str, Any]:
             f"share_{origin.name.lower()}": float(np.mean(clip.origin == origin))
             for origin in Origin
         },
+        "gaps": gaps_as_json(clip.time),
         "failures": failures_as_json(result.failures),
         "notes": list(result.notes),
     }
@@ -73,7 +74,8 @@ def as_tables(result: CleanResult) -> RenderableType:
     stages = Table("", *result.stages, title="per stage", title_justify="left")
     for label, key, form in _ROWS:
         values = [getattr(quality, key) for quality in result.stages.values()]
-        stages.add_row(label, *(form.format(v) for v in values))
+        told = (form.format(v) if np.isfinite(v) else "-" for v in values)
+        stages.add_row(label, *told)
     rates = clip.reliability.mean(axis=0)
     columns = ("joint", "reliability", "decided by", "filled")
     joints = Table(*columns, title="least reliable joints", title_justify="left")
