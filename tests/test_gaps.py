@@ -22,11 +22,13 @@ from kinefilter.characters import (
 from kinefilter.characters.gaps import LONG_GAP, long_gaps, parts_of
 from kinefilter.characters.rotations import IDENTITY
 from kinefilter.pipeline.avatar import Avatar
+from kinefilter.pipeline.batch.plan import clip_names
 from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export
 from kinefilter.pipeline.formats.export import resampled
+from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.formats.sheets import write_take_csv
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.pipeline.look.page import contents_of as page_contents
@@ -212,7 +214,7 @@ def test_a_take_is_split_at_its_gaps(held: CleanResult, tmp_path: Path) -> None:
         assert clip.fps == pytest.approx(held.clip.fps, rel=1e-3)
     split = Cleaner(CleanConfig(gaps="split")).clean(_with_gap(60.0, _walk()))
     np.testing.assert_array_equal(split.clips[1].time, held.clip.time[FRAMES:])
-    assert "another" in split.notes[0] or "next clip" in split.notes[0]
+    assert split.notes[0].endswith(": the next clip begins")
 
 
 def test_no_part_overwrites_what_the_user_has(tmp_path: Path) -> None:
@@ -223,6 +225,15 @@ def test_no_part_overwrites_what_the_user_has(tmp_path: Path) -> None:
     assert main(command) == 2
     assert take.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == [take.name]
+
+
+def test_names_of_parts_and_people_go_together() -> None:
+    clip = Path("clips/walk.usda")
+    assert part_paths(clip, 1) == [clip]
+    second = [path.name for path in part_paths(numbered(clip, 2), 2)]
+    assert second == ["walk.2.part1.usda", "walk.2.part2.usda"]
+    names = clip_names(["walk.csv", "walk.part1.csv"], ".usda", several=True)
+    assert names == ["walk.csv.usda", "walk.part1.csv.usda"]
 
 
 def test_batch_splits_and_takes_up_where_it_was(tmp_path: Path) -> None:

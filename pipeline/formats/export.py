@@ -46,8 +46,8 @@ class Export:
     """Unit of length of USD and BVH."""
     fps: float | None = None
     """Frames a second of the clip, between the take's; default: the take's own frames,
-    where they are, and in BVH the mean frame time. Blender keeps its own rate when it
-    imports USD: set it to the clip's."""
+    where they are, and in BVH the mean frame time, or with a long gap the take's rate.
+    Blender keeps its own rate when it imports USD: set it to the clip's."""
     rest: Literal["own", "t"] = "own"
     """Rest pose of USD and BVH: a T-pose with trunk, shoulders and hips as this person
     has them, or a strict T, upright and square."""
@@ -202,7 +202,9 @@ def resampled(clip: Clip, fps: float) -> Clip:
         **{name: line(getattr(clip, name)) for name in _ON_A_LINE},
         **{name: getattr(clip, name)[nearest] for name in _NEAREST},
         "rotations": arc(clip.rotations),
-        "origin": np.where(held[:, None], Origin.FILLED, clip.origin[nearest]),
+        "origin": np.where(
+            held[:, None], np.uint8(Origin.FILLED), clip.origin[nearest]
+        ),
         "props": tuple(prop_at(prop) for prop in clip.props),
     }
     return replace(clip, time=time, **found)

@@ -156,7 +156,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             "terms": TERMS,
             "unknown": UNKNOWN,
         },
-        "time": _packed(clip.time - clip.time[0], "<f4"),
+        "time": _packed(clip.time - clip.time[0], "<f8"),
         "raw": _packed(_millimeters(comparison.raw), "<i2"),
         "clean": _packed(_millimeters(clip.positions), "<i2"),
         "reliability": _packed(rates, "u1"),
