@@ -7,19 +7,23 @@ entry and measures what comes out at the end.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, InputError, Take, Tracking
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import long_gaps, parts_of, told_gaps
 
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft
 from .failures import Failure, find_displaced
+from .formats.recording import check_rate
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .progress import Progress, silent
@@ -62,6 +66,8 @@ class CleanResult:
     counted by distinct time stamp."""
     notes: tuple[str, ...]
     """What the user should know about this take."""
+    clips: tuple[Clip, ...]
+    """What is to be written: the clip, or the parts that ``gaps`` splits it into."""
 
     @property
     def share_outside(self) -> float:
@@ -105,6 +111,7 @@ class Cleaner:
         )
         left_out = {"physics": config.physics, "reconstruct": config.reconstruct}
         self.stages = tuple(s for s in self.stages if left_out.get(s.name, True))
+        self._gaps = config.gaps
         self._time: float | None = None
 
     def replaced(self, *stages: Stage) -> Cleaner:
@@ -135,7 +142,7 @@ class Cleaner:
                 raise InputError(f"no stage {name!r}; there are {', '.join(known)}")
 
     def _with(self, stages: Sequence[Stage]) -> Cleaner:
-        other = Cleaner.__new__(Cleaner)
+        other = copy(self)
         other.stages, other._time = tuple(stages), None
         return other
 
@@ -178,7 +185,14 @@ class Cleaner:
         """
         draft = Draft.of(take)
         for stage in self.stages:
-            stage.whole(draft, progress)
+            parts = draft.parts if stage.in_parts else [draft]
+            if len(parts) == 1:
+                stage.whole(draft, progress)
+                continue
+            steps = iter(progress(stage.name, len(draft.time)))  # one bar for all
+            for part in parts:
+                stage.whole(part, partial(_drawn, steps))
+            draft.join(parts)
         return draft
 
     def clean(self, take: Take, *, progress: Progress = silent) -> CleanResult:
@@ -189,9 +203,15 @@ class Cleaner:
             progress: Wraps the frame loops, for a progress bar.
 
         Raises:
-            InputError: The take holds nothing to clean, or the database does not fit.
+            InputError: The take holds nothing to clean, or a long gap that is not to
+                be, or the database does not fit.
         """
         _check(take)
+        if self._gaps == "refuse" and (gaps := long_gaps(take.time)):
+            raise InputError(
+                f"{take.source}: {told_gaps(gaps)[0]}; clean it with --gaps hold or "
+                "split, or cut it there"
+            )
         distinct = np.concatenate([[True], np.diff(take.time) > 0])
         # Which distinct frame each of the take's shows; a slice copies nothing.
         frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
@@ -215,6 +235,8 @@ class Cleaner:
             name: measure(draft.time, positions, raw, draft.body, draft.stands)
             for name, positions in motions.items()
         }
+        split = self._gaps == "split"
+        becomes = "the next clip begins" if split else "the character holds still"
         clip = Clip(
             time=take.time,
             root=after[frames, take.skeleton.root],
@@ -241,7 +263,8 @@ class Cleaner:
             draft.coverage[frames],
             draft.trace,
             tuple(failures),
-            tuple(_notes(draft)),
+            (*told_gaps(long_gaps(take.time), f": {becomes}"), *_notes(draft)),
+            tuple(map(clip.at, parts_of(clip.time))) if split else (clip,),
         )
 
 
@@ -261,6 +284,11 @@ def clean(
     return Cleaner(config).clean(take, progress=progress)
 
 
+def _drawn(steps: Iterator[int], _stage: str, count: int) -> Iterator[int]:
+    """Yield the steps of a part, one for each that is drawn from those of all parts."""
+    return (k for k, _ in zip(range(count), steps, strict=False))
+
+
 def _notes(draft: Draft) -> Iterable[str]:
     """Yield what the user should know about how a take was cleaned."""
     if not draft.reference.from_reference_posture:
@@ -275,6 +303,7 @@ def _notes(draft: Draft) -> Iterable[str]:
 
 
 def _check(take: Take) -> None:
+    check_rate(take.time, take.source)
     if np.isnan(take.positions[..., 0]).all():
         raise InputError(
             f"{take.source}: every joint is missing in every frame; nothing to clean"

@@ -52,6 +52,10 @@ class CleanConfig:
     same_person: tuple[Path, ...] = ()
     """Other takes of the person by the same sensor: hidden limbs move as they do there,
     too, as far as that would have helped where they were seen."""
+    gaps: Literal["hold", "split", "refuse"] = "hold"
+    """What to do where more than two seconds have no frame: hold the character still
+    in one clip, split the take into a clip for each part, clip.part1.usda,
+    clip.part2.usda and so on, or refuse the take."""
     physics: bool = True
     """Pull a simulated character through the motion, so that dynamics hold."""
     feet: Literal["auto", "always", "never"] = "auto"

@@ -23,6 +23,7 @@ from kinefilter.characters import (
     Take,
 )
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.characters.motion import nominal_step
 
 from .database import PostureDatabase
@@ -49,7 +50,7 @@ _USD = (b"#usda", b"PXR-USDC")
 _LISTED = 30  # names of joints on a terminal
 _SHOWN_APART = (
     *("file", "kind", "format", "bodies", "notes", "body", "most_seen"),
-    *("states", "failures"),
+    *("states", "gaps", "failures"),
 )
 
 
@@ -194,7 +195,6 @@ def contents_of_take(take: Take) -> dict[str, Any]:
     moving = np.concatenate([[True], np.diff(take.time) > 0])
     names = ("time", "positions", "state")
     distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
-    failures = find_failures(distinct) if len(distinct) > 1 else ()
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
@@ -202,7 +202,7 @@ def contents_of_take(take: Take) -> dict[str, Any]:
         "frames_without_anyone": int(np.sum(lacks.all(axis=1))),
         "joints_never_seen": np.array(take.skeleton.joints)[lacks.all(axis=0)].tolist(),
         "states": _states(take),
-        "failures": failures_as_json(failures),
+        "failures": failures_as_json(find_failures(distinct)),
     }
 
 
@@ -211,6 +211,11 @@ def failures_as_json(failures: Iterable[Failure]) -> list[dict[str, Any]]:
     rows = [(f.kind.name.lower(), f.part, f.start, f.end) for f in failures]
     names = ("kind", "part", "start_s", "end_s")
     return [dict(zip(names, row, strict=True)) for row in rows]
+
+
+def gaps_as_json(time: Array) -> list[dict[str, float]]:
+    """Return between which time stamps [s] long gaps are, ready for ``json.dump``."""
+    return [{"start_s": start, "end_s": end} for start, end in long_gaps(time)]
 
 
 def _timing(time: Array) -> dict[str, Any]:
@@ -225,6 +230,7 @@ def _timing(time: Array) -> dict[str, Any]:
         "repeated_frames": int(np.sum(steps == 0)),
         "dropped_frames": int(np.sum(np.round(gaps / usual) - 1)),
         "longest_gap_s": float(gaps.max(initial=0.0)),
+        "gaps": gaps_as_json(time),
     }
 
 
@@ -258,6 +264,8 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
         for key, value in facts.items()
         if key not in _SHOWN_APART
     ]
+    gaps = [(gap["start_s"], gap["end_s"]) for gap in facts.get("gaps", ())]
+    lines += [f"  {told}" for told in told_gaps(gaps)]
     if "states" in facts:
         names = [state.name.lower().replace("_", " ") for state in State]
         table = Table("part", *names, title="tracking states", title_justify="left")

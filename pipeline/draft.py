@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Prop, Skeleton, Take
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import parts_of
 from kinefilter.retarget import HeadingFrame
 
 from .failures import Failure
@@ -101,6 +104,40 @@ class Draft:
     def of(cls, take: Take) -> Draft:
         """Return the draft of a take about which nothing was found out yet."""
         return cls(take.skeleton, take.time, take.positions, take.state, take.source)
+
+    @property
+    def parts(self) -> list[Draft]:
+        """The parts of a take between its long gaps: the draft itself without one."""
+        spans = parts_of(self.time)
+        return [self] if len(spans) == 1 else [self._part(frames) for frames in spans]
+
+    def _part(self, frames: slice) -> Draft:
+        part = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(part, name, value[frames])
+            elif isinstance(value, HeadingFrame):
+                setattr(part, name, value.at(frames))
+        part.failures = tuple(
+            found.moved(-frames.start)
+            for found in self.failures
+            if frames.start <= found.first < frames.stop
+        )
+        return part
+
+    def join(self, parts: Sequence[Draft]) -> None:
+        """Take over the arrays and failures that a stage gave to ``parts``."""
+        known, first, failures = vars(parts[0]), 0, list[Failure]()
+        for name in vars(self).keys() - known.keys():
+            delattr(self, name)
+        for name in known:
+            values = [getattr(part, name) for part in parts]
+            if isinstance(values[0], np.ndarray):
+                setattr(self, name, np.concatenate(values))
+        for part in parts:
+            failures += [found.moved(first) for found in part.failures]
+            first += len(part.time)
+        self.failures = tuple(failures)
 
     @property
     def missing(self) -> NDArray[np.bool_]:

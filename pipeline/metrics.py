@@ -3,7 +3,9 @@
 Time stamps [s] have shape (T,), joint positions [m] (T, J, 3), NaN where missing, in
 the world frame with the floor at y = 0; ``stands`` tells whether each foot (left,
 right) stands, shape (T, 2), and the body has the lengths, capsules and masses. A figure
-that nothing can be measured of is NaN.
+that nothing can be measured of is NaN, such as the jitter of a take without four even
+frames in a row: JSON says null then, tables a dash. Nothing is measured across a long
+gap.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.gaps import LONG_GAP, parts_of
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
 from kinefilter.retarget.runs import runs
@@ -125,8 +128,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     of those frames with more than 0.2 m/s, and the highest speed [m/s]; NaN where no
     foot ever stands.
     """
-    steps, speeds = np.diff(time), []
-    steps = np.where(steps > 0, steps, np.nan)
+    steps, speeds = _steps(time), []
     for side in SIDES:
         foot = body.skeleton.index(f"Foot{side}")
         height = positions[:, foot, 1] - body.radii[foot]
@@ -149,9 +151,8 @@ def floating(positions: Array, stands: Flags, body: Body) -> float:
 
 def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:
     """Return the speed [m/s] that joints exceed in a hundredth of the frames."""
-    steps = np.diff(time)
     moved = np.linalg.norm(np.diff(positions[:, joints], axis=0), axis=2)
-    speed = _known(moved[steps > 0] / steps[steps > 0, None])
+    speed = _known(moved / _steps(time)[:, None])
     return float(np.percentile(speed, 99.0)) if len(speed) else float("nan")
 
 
@@ -166,8 +167,8 @@ def flight_error(time: Array, positions: Array, stands: Flags, body: Body) -> fl
     flying = ~stands.any(axis=1) & (lowest_point(positions, body) > SKATE_HEIGHT)
     masses = joint_masses(body)
     errors, frames = [], []
-    for flight in runs(flying):
-        span, path = time[flight], positions[flight]
+    for part, flight in ((p, run) for p in parts_of(time) for run in runs(flying[p])):
+        span, path = time[part][flight], positions[part][flight]
         seen = ~np.isnan(path[..., 0]).any(axis=0)
         if len(span) < _SHORTEST_FLIGHT or (np.diff(span) <= 0).any() or not seen.any():
             continue
@@ -195,6 +196,12 @@ def amplitude(positions: Array, body: Body) -> Array:
 def number_or_none(value: float) -> float | None:
     """Return a figure; None (JSON has no NaN) where nothing could be measured."""
     return value if np.isfinite(value) else None
+
+
+def _steps(time: Array) -> Array:
+    """Return time steps [s], NaN where stamps repeat and over long gaps, (T - 1,)."""
+    steps = np.diff(time)
+    return np.where((steps > 0.0) & (steps <= LONG_GAP), steps, np.nan)
 
 
 def _known(values: Array) -> Array:

@@ -49,6 +49,9 @@ class Stage(ABC):
     """What it is called in tables, progress bars and ``Cleaner.replaced``."""
     adds: ClassVar[tuple[str, ...]] = ()
     """Fields of the draft that ``step`` sets, which ``whole`` gathers by default."""
+    in_parts: ClassVar[bool] = True
+    """Whether it does each part between long gaps as a take of its own; otherwise it
+    measures what is the same in all of them, or minds the gaps itself."""
 
     def start(self, body: Body) -> None:  # noqa: B027 - most have something to forget
         """Forget all frames; those of a body come next."""
@@ -99,6 +102,7 @@ class MeasureBody(Stage):
     """Measures the person's segments, by default on what the sensor gave."""
 
     name = "measure"
+    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._height, self._mass = config.height, config.mass
@@ -176,6 +180,7 @@ class Standardize(Stage):
     """Brings postures to the standard body, root at the origin, facing +z."""
 
     name = "standardize"
+    in_parts = False
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
@@ -282,6 +287,7 @@ class Physics(Stage):
     """
 
     name = "physics"
+    in_parts = False
 
     def __init__(self, config: CleanConfig, tracking: Tracking | None = None) -> None:
         self._scene, self._tracking = config.scene, tracking

@@ -12,7 +12,7 @@ from rich.table import Table
 from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
-from .contents import failures_as_json, origin_shares
+from .contents import failures_as_json, gaps_as_json, origin_shares
 from .failures import Failure
 from .metrics import number_or_none
 
@@ -42,6 +42,7 @@ def as_json(result: CleanResult) -> dict[str, Any]:
         "reliability": dict(zip(clip.skeleton.joints, rates.tolist(), strict=True)),
         "share_outside_database": number_or_none(result.share_outside),
         **{f"share_{name}": share for name, share in origin_shares(clip).items()},
+        "gaps": gaps_as_json(clip.time),
         "failures": failures_as_json(result.failures),
         "notes": list(result.notes),
     }
@@ -66,7 +67,8 @@ def as_tables(result: CleanResult) -> RenderableType:
     stages = Table("", *result.stages, title="per stage", title_justify="left")
     for label, key, form in _ROWS:
         values = [getattr(quality, key) for quality in result.stages.values()]
-        stages.add_row(label, *(form.format(v) for v in values))
+        told = (form.format(v) if np.isfinite(v) else "-" for v in values)
+        stages.add_row(label, *told)
     rates = clip.reliability.mean(axis=0)
     columns = ("joint", "reliability", "decided by", "filled")
     joints = Table(*columns, title="least reliable joints", title_justify="left")

@@ -120,12 +120,12 @@ def clip_names(
     ``walks/fast.csv.gz`` becomes ``walks/fast.usdc``. Takes that differ only in their
     extension keep it: ``fast.csv.usdc`` and ``fast.bvh.usdc``. So a name depends on
     which other takes there are, but not on their order. With ``several``, takes may
-    give a clip for each of several people (``numbered``).
+    give a clip for each of several people or parts (``numbered``).
     """
 
     def key(name: str) -> str:
-        # Numbers at its end could be those of people.
-        return re.sub(r"(\.\d+)+$" if several else "$", "", name.casefold())
+        # Numbers at its end could be those of people or parts.
+        return re.sub(r"(\.(part)?\d+)+$" if several else "$", "", name.casefold())
 
     plain = [re.sub(r"(?<=[^/])\.gz$", "", take, flags=re.IGNORECASE) for take in takes]
     names, longer = list[str](), [str(PurePosixPath(p).with_suffix("")) for p in plain]
@@ -161,7 +161,7 @@ class Job:
 
     source: Source
     store: Store  # where the clip is written
-    output: str  # the clip's path there, without a person's number
+    output: str  # the clip's path there, without the number of a person or part
     settings: Settings
     fingerprint: str  # of the settings
 
@@ -241,7 +241,7 @@ def plan_jobs(
         _check(one, store, suffix)
     fingerprints = {one: fingerprint(one, suffix) for one in dict.fromkeys(chosen)}
     _check_contacts(zip(sources, chosen, strict=True))
-    several = any(one.body == "all" for one in chosen)
+    several = any(one.body == "all" or one.config.gaps == "split" for one in chosen)
     names = clip_names([source.take for source in sources], suffix, several=several)
     jobs = [
         Job(source, store, name, one, fingerprints[one])

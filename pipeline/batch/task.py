@@ -15,11 +15,11 @@ from time import perf_counter
 
 import numpy as np
 
-from kinefilter.characters import InputError, Take
-from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.characters import Clip, InputError, Take
+from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import Recording, write_clip
-from kinefilter.pipeline.formats.recording import numbered
+from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.formats.takes import read_recording
 from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
@@ -93,7 +93,7 @@ def _write_clips(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], s
     for body in bodies:
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            clips.append(_write_clip(recording.take(body), str(path), body, job))
+            clips += _write_clip(recording.take(body), path, body, job)
         except InputError as error:
             errors.append(str(error))
     return tuple(clips), "; ".join(errors)
@@ -105,17 +105,29 @@ def _cleaner(config: CleanConfig, _fingerprint: str) -> Cleaner:
     return Cleaner(config)
 
 
-def _write_clip(take: Take, name: str, body: int, job: Job) -> ClipRow:
-    """Clean a take, write the clip, and return its main figures."""
+def _write_clip(
+    take: Take, output: PurePosixPath, body: int, job: Job
+) -> list[ClipRow]:
+    """Clean a take, write its clips, and return its main figures for each."""
     cleaner = _cleaner(job.settings.config, job.fingerprint)
     result = cleaner.clean(take, progress=_while_awaited)
+    paths = part_paths(output, len(result.clips))
+    return [
+        _written(result, clip, str(path), body, job)
+        for path, clip in zip(paths, result.clips, strict=True)
+    ]
+
+
+def _written(
+    result: CleanResult, clip: Clip, name: str, body: int, job: Job
+) -> ClipRow:
     with job.store.writing(name) as path:
-        write_clip(result.clip, path, job.settings.export)
+        write_clip(clip, path, job.settings.export)
         sha256 = hash_of(path)
     file = job.store.find(name)
     if file is None:
         raise InputError(f"{job.store.path(name)}: was removed while it was written")
-    clip, trace, last = result.clip, result.trace, [*result.stages.values()][-1]
+    trace, last = result.trace, [*result.stages.values()][-1]
     force = np.nan if trace is None else float(trace.external_force.mean())
     return ClipRow(
         output=name,

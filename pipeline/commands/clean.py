@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
+from kinefilter.characters.gaps import parts_of
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.config_files import overlaid, read_settings
 from kinefilter.pipeline.formats import (
@@ -21,7 +22,8 @@ from kinefilter.pipeline.formats import (
     write_clip,
     write_contacts,
 )
-from kinefilter.pipeline.formats.recording import numbered
+from kinefilter.pipeline.formats.export import paced
+from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.settings import Settings
 
 from .terminal import (
@@ -80,10 +82,17 @@ class Clean:
         self._check(used)
         recording = read_recording(self.take, format=self.format)
         several = len(recording.takes) > 1 and self.body == "all"
-        for body in recording.numbers(self.body) if several else ():
-            for written in (self.out, self.save_contacts, self.report):
+        others = (self.json, self.save_contacts, self.report)
+        for body in recording.numbers(self.body):
+            number, time = body if several else None, recording.take(body).time
+            parts = parts_of(time) if self.config.gaps == "split" else [slice(None)]
+            paths = part_paths(numbered(self.out, number), len(parts))
+            for path, part in zip(paths, parts, strict=True):
+                check_output(path, *used, *others)
+                paced(self.export, self.out.suffix, time[part], str(self.take))
+            for written in others[1:] if several else ():
                 if written is not None:
-                    check_output(numbered(written, body), *used, self.json)
+                    check_output(numbered(written, number), *used, self.json)
         results = self._cleaned(recording)
         for body, result in results.items():
             self._write(result, recording.take(body), body if several else None)
@@ -133,12 +142,13 @@ class Clean:
     def _write(self, result: CleanResult, take: Take, body: int | None) -> None:
         from kinefilter.pipeline.summary import as_tables
 
-        path = numbered(self.out, body)
-        write_clip(result.clip, path, self.export)
+        paths = part_paths(numbered(self.out, body), len(result.clips))
+        for path, clip in zip(paths, result.clips, strict=True):
+            write_clip(clip, path, self.export)
         if self.save_contacts is not None:
             write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))
-        out.print(f"wrote {path}")
+        out.print(f"wrote {', '.join(map(str, paths))}")
         if self.report is not None:
             from kinefilter.pipeline.look.comparison import compare
             from kinefilter.pipeline.look.page import read_limits, write_report

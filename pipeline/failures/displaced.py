@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter1d
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.motion import nominal_step
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.runs import runs
@@ -46,7 +47,7 @@ def find_displaced(
     hips = (clean[:, skeleton.hips] - raw[:, skeleton.hips]).mean(axis=1, keepdims=True)
     heading = HeadingFrame(np.zeros((len(time), 3)), yaw)
     moved = heading.remove(clean[:, joints] - raw[:, joints] - hips)
-    frames = max(round(_WHILE / nominal_step(time)), 1)
+    frames, parts = max(round(_WHILE / nominal_step(time)), 1), parts_of(time)
     for k, (limb, _) in enumerate(names):
         far = np.zeros(len(time), dtype=bool)
         for j in (2 * k, 2 * k + 1):
@@ -54,8 +55,9 @@ def find_displaced(
             if known.any():
                 away = moved[:, j] - moved[known, j].mean(axis=0)
                 distance = np.nan_to_num(np.linalg.norm(away, axis=1))
-                far |= uniform_filter1d(distance, frames) > _FAR
-        for run in runs(far):
-            first, last = run.start, run.stop - 1
+                for part in parts:
+                    far[part] |= uniform_filter1d(distance[part], frames) > _FAR
+        for part, run in ((p, run) for p in parts for run in runs(far[p])):
+            first, last = part.start + run.start, part.start + run.stop - 1
             start, end = float(time[first]), float(time[last])
             yield Failure(FailureKind.DISPLACED, limb, first, last, start, end)

@@ -66,12 +66,18 @@ class Failure:
         """Its frames."""
         return slice(self.first, self.last + 1)
 
+    def moved(self, frames: int) -> Failure:
+        """Return the failure counted from another frame."""
+        return replace(self, first=self.first + frames, last=self.last + frames)
+
     def __str__(self) -> str:
         return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
 
 
 def find_failures(take: Take) -> tuple[Failure, ...]:
     """Return the gross failures in a take, time stamps strictly increasing."""
+    if len(take) < 2:
+        return ()
     kind = FailureKind
     found = list(_lasting(take, kind.MIRRORED, "body", _mirrored(take)))
     take = unmirrored(take, found)  # sides are named as they are once exchanged back

@@ -256,7 +256,8 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
 
     The format has neither axes nor a unit; ``export`` chooses them. Angles [deg] are
     continuous over time: they pass 360 rather than jump. Each frame of the clip is one
-    frame of the file, at the mean frame time. Raises InputError if it cannot be
+    frame of the file, at the mean frame time, which a long gap makes no sense of
+    (``paced``). Raises InputError if it cannot be
     written.
     """
     rig = replace(moved.rig, axes=None)  # a BVH skeleton is not rotated at rest

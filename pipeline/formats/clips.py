@@ -29,7 +29,7 @@ from kinefilter.retarget.rig_map import RigMap, load_rig_map
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
-from .export import USD_SUFFIXES, Export, in_strict_t, resampled, with_y_up
+from .export import USD_SUFFIXES, Export, in_strict_t, paced, resampled, with_y_up
 from .files import AnyPath, check_file, check_folder
 from .npz import read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
@@ -68,16 +68,18 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     another rig, USD and BVH hold its skeleton and rotations. The extension decides:
     ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.bvh``, ``.csv`` or ``.npz``. By
     default units are meters, y is up, and frames are the clip's. Raises InputError if
-    the extension is unknown, an option does not go with it, or nothing can be written.
+    the extension is unknown, an option does not go with it, nothing can be written, or
+    as ``even_frames``.
     """
     export = export or Export()
     check_writable(path, export)
+    path = Path(path)
+    suffix = path.suffix.lower()
+    export = paced(export, suffix, clip.time, clip.source)
     if export.fps is not None:
         clip = resampled(clip, export.fps)
     if export.rest == "t":
         clip = in_strict_t(clip)
-    path = Path(path)
-    suffix = path.suffix.lower()
     if suffix == ".csv":
         write_take_csv(clip, path)
     elif suffix == ".npz":

@@ -8,11 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from kinefilter.characters import Clip, InputError, Prop, standard_body
+from kinefilter.characters import Clip, InputError, Origin, Prop, standard_body
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import LONG_GAP, long_gaps, told_gaps
+from kinefilter.characters.motion import frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
 
-from .recording import chunks
+from .recording import MOST_FRAMES, chunks
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
@@ -29,7 +31,8 @@ _FOLLOWED = {
 _END = 1e-6  # of a frame: the last one is not lost to rounding
 _MOVED = ("moved_by_correction", "moved_by_physics", "uncertainty")
 _ON_A_LINE = ("root", "reliability", *_MOVED, "external_force")
-_NEAREST = ("state", "deciding_term", "origin", "contacts")
+_NEAREST = ("state", "deciding_term", "contacts")
+_LONGEST_HELD = 600.0  # s in which nothing moves: who animates that? A guess
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,8 @@ class Export:
     """Unit of length of USD and BVH."""
     fps: float | None = None
     """Frames a second of the clip, between the take's; default: the take's own frames,
-    where they are, and in BVH the mean frame time. Blender keeps its own rate when it
-    imports USD: set it to the clip's."""
+    where they are, and in BVH the mean frame time, or with a long gap the take's rate.
+    Blender keeps its own rate when it imports USD: set it to the clip's."""
     rest: Literal["own", "t"] = "own"
     """Rest pose of USD and BVH: a T-pose with trunk, shoulders and hips as this person
     has them, or a strict T, upright and square."""
@@ -113,22 +116,63 @@ def with_y_up(values: Array) -> Array:
     return turned
 
 
+def even_frames(time: Array, fps: float, source: str) -> int:
+    """Return how many frames ``fps`` a second are between time stamps [s] (T,).
+
+    Raises InputError for more than a recording has, and for long gaps that take too
+    long to hold still in.
+    """
+    count = int((time[-1] - time[0]) * fps + _END) + 1
+    gaps = long_gaps(time)
+    held = sum(end - start for start, end in gaps)
+    if held > _LONGEST_HELD:
+        raise InputError(
+            f"{source}: {told_gaps(gaps)[0]}; at {fps:g} frames a second, a character "
+            f"that holds still for {held:.4g} s in all would take {held * fps:.3g} "
+            f"frames, expected {_LONGEST_HELD:g} s at most; split it with --gaps split"
+        )
+    if count > MOST_FRAMES:
+        raise InputError(
+            f"{source}: {count:,} frames at {fps:g} a second, expected "
+            f"{MOST_FRAMES:,} at most; choose a lower --fps or cut the take"
+        )
+    return count
+
+
+def paced(export: Export, suffix: str, time: Array, source: str) -> Export:
+    """Return how a motion with time stamps [s] (T,) is written, with its frame rate.
+
+    BVH has no time stamps: to hold still in a long gap it has even frames. Raises
+    InputError as ``even_frames``.
+    """
+    if suffix == ".bvh" and export.fps is None and long_gaps(time):
+        export = replace(export, fps=frames_per_second(time))
+    if export.fps is not None:
+        even_frames(time, export.fps, source)
+    return export
+
+
 def resampled(clip: Clip, fps: float) -> Clip:
     """Return a clip with ``fps`` frames a second, from its first to its last.
 
     Positions and numbers between frames are interpolated on a line, rotations on the
     shortest arc; what has no middle, such as contacts, is the nearest frame's. Of
-    frames with the same time, the last counts.
+    frames with the same time, the last counts. In long gaps everything holds still, and
+    joints count as filled. Raises InputError as ``even_frames``.
     """
     known = np.flatnonzero(np.append(np.diff(clip.time) > 0.0, True))
     stamps = clip.time[known]
-    count = int((stamps[-1] - stamps[0]) * fps + _END) + 1
+    count = even_frames(stamps, fps, clip.source)
     time = stamps[0] + np.arange(count) / fps
     last = np.clip(np.searchsorted(stamps, time, "right"), 1, max(len(known) - 1, 1))
     last = np.minimum(last, len(known) - 1)
     first = np.maximum(last - 1, 0)
-    step = np.maximum(stamps[last] - stamps[first], 1e-12)
-    share = np.clip((time - stamps[first]) / step, 0.0, 1.0)
+    still = stamps[last] - stamps[first] > LONG_GAP
+    # The way to the next place takes the time of a frame, right before it.
+    begins = np.where(still, stamps[last] - 1.0 / clip.fps, stamps[first])
+    step = np.maximum(stamps[last] - begins, 1e-12)
+    share = np.clip((time - begins) / step, 0.0, 1.0)
+    held = still & (share < 1.0) & (time > stamps[first])
     before, after = known[first], known[last]
 
     def line(values: Array) -> Array:
@@ -158,6 +202,9 @@ def resampled(clip: Clip, fps: float) -> Clip:
         **{name: line(getattr(clip, name)) for name in _ON_A_LINE},
         **{name: getattr(clip, name)[nearest] for name in _NEAREST},
         "rotations": arc(clip.rotations),
+        "origin": np.where(
+            held[:, None], np.uint8(Origin.FILLED), clip.origin[nearest]
+        ),
         "props": tuple(prop_at(prop) for prop in clip.props),
     }
     return replace(clip, time=time, **found)

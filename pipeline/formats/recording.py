@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import nominal_step
 
 from .files import open_text
 
@@ -21,6 +22,11 @@ _Path = TypeVar("_Path", bound=PurePath)
 
 MOST_FRAMES = 1_000_000  # of a recording: nine hours at 30 a second
 _FASTEST = 2000.0  # frames a second, of marker mocap
+_LONGEST_STEP = 1.0  # s between frames, in the median: less is no motion. A guess
+_SHORTEST_NUMBER = 4.0  # of a step that is not in seconds: ms at 250 frames a second
+_UNITS = {"milliseconds": 10**3, "microseconds": 10**6, "ticks of 100 ns": 10**7}
+_UNITS["nanoseconds"] = 10**9
+_COARSEST = 1e-4  # s: a hundredth of a frame of 100 a second
 _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
 _FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
@@ -75,6 +81,17 @@ def numbered(path: _Path, body: int | None) -> _Path:
     if body is None:
         return path
     return path.with_name(f"{path.stem}.{body}{path.suffix}")
+
+
+def part_paths(path: _Path, parts: int) -> list[_Path]:
+    """Return a path for each part of a take: the path itself, or ``clip.part1.usda``.
+
+    Of one of several people it is ``clip.2.part1.usda``.
+    """
+    if parts == 1:
+        return [path]
+    names = (f"{path.stem}.part{k}{path.suffix}" for k in range(1, parts + 1))
+    return [path.with_name(name) for name in names]
 
 
 @contextmanager
@@ -136,12 +153,29 @@ def check_length(frames: int, source: str) -> None:
 
 
 def check_rate(time: Array, source: str) -> None:
-    """Raise InputError for frames faster than any sensor's; times may repeat [s]."""
+    """Raise InputError for frames faster or slower than any sensor's.
+
+    Or for time stamps [s] too far from 0 to tell frames apart; they may repeat.
+    """
     distinct, seconds = 1 + int(np.sum(np.diff(time) > 0)), time[-1] - time[0]
     if distinct > 1 and distinct > _FASTEST * seconds + 2:
         raise InputError(
             f"{source}: {distinct} frames in {seconds:.3g} s are more than any sensor "
             "takes; are the times in seconds?"
+        )
+    step = nominal_step(time)
+    if step > _LONGEST_STEP:
+        unit, factor = min(_UNITS.items(), key=lambda u: abs(np.log(30 * step / u[1])))
+        hint = f"the time stamps look like {unit}: divide them by {factor}"
+        raise InputError(
+            f"{source}: frames are {step:.4g} s apart, expected {_LONGEST_STEP:g} s at "
+            f"most; {hint if step > _SHORTEST_NUMBER else 'record more frames'}"
+        )
+    latest = max(time[0], time[-1], key=abs)
+    if np.spacing(abs(latest)) > _COARSEST:
+        raise InputError(
+            f"{source}: numbers near the time stamp {latest:.4g} s are "
+            f"{np.spacing(abs(latest)):.2g} s apart; subtract the first from all"
         )
 
 

@@ -42,6 +42,7 @@ import numpy as np
 
 from kinefilter.characters import Clip, InputError
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
 
@@ -77,7 +78,8 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     """Write a clip as a UsdSkel character in T-pose, its animation and its props.
 
     A frame's time code is its time since the first frame times ``timeCodesPerSecond``.
-    Frames with the same time share a sample, the last one's. ``.usda`` is text,
+    Frames with the same time share a sample, the last one's; one more ends a long gap,
+    without provenance, so that the character holds still until then. ``.usda`` is text,
     ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package of one binary layer.
     Raises InputError if the file cannot be written, or the character does not fit.
     """
@@ -150,6 +152,7 @@ def _write_layer(
     layer.Save()
     _write_extents(layer, clip, moved, export, codes)
     layer.Save()
+    _hold_still(layer, clip, codes)
     _write_provenance(layer, clip, codes)
     if reference is not None:
         # Last, when no stage looks for its layer, which may not be in its place yet.
@@ -224,6 +227,21 @@ def _write_extents(
         around = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
         attribute.default = vectors(around)
         set_samples(layer, attribute.path, codes, map(vectors, boxes))
+
+
+def _hold_still(layer: Any, clip: Clip, codes: Array) -> None:
+    """Repeat all samples so far at the end of long gaps: readers interpolate."""
+    ends = [part.start for part in parts_of(clip.time)[1:]]
+
+    def hold(path: Any) -> None:
+        if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
+            for k in ends:
+                last = layer.QueryTimeSample(path, codes[k - 1])
+                layer.SetTimeSample(path, codes[k] - 1.0, last)
+
+    if ends:
+        layer.Traverse("/", hold)
+        layer.Save()
 
 
 def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:

@@ -158,6 +158,10 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
                 f"{path}: its skeleton ({', '.join(names[:3])[:60]}, ...) is not one "
                 "of kinefilter's own; write it without --rig or as .npz to read it"
             )
+        rated = stage.GetPrimAtPath(CHARACTER).GetAttribute("kinefilter:reliability")
+        if rated and (frames := set(rated.GetTimeSamples())):
+            # What only ends a long gap is no frame of the clip.
+            codes = [code for code in codes if code in frames]
         meters = UsdGeom.GetStageMetersPerUnit(stage)
         turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
         axes = with_y_up if turned else np.asarray

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, InputError, Origin, Term
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.pipeline.formats.files import atomic_path, read_toml
 from kinefilter.pipeline.metrics import METRICS, even_differences, number_or_none
 
@@ -137,6 +138,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         "skeleton": clip.skeleton.name,
         "fps": clip.fps,
         "height": clip.body.height,
+        "gaps": told_gaps(long_gaps(clip.time)),
         "joints": list(clip.skeleton.joints),
         "parents": list(clip.skeleton.parents),
         "terms": [term.words for term in Term],
@@ -148,7 +150,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             "terms": TERMS,
             "unknown": UNKNOWN,
         },
-        "time": _packed(clip.time - clip.time[0], "<f4"),
+        "time": _packed(clip.time - clip.time[0], "<f8"),
         "raw": _packed(_millimeters(comparison.raw), "<i2"),
         "clean": _packed(_millimeters(clip.positions), "<i2"),
         "reliability": _packed(rates, "u1"),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Prop, Shape, ShapeKind, positions_from_rotations
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import continuous
 from kinefilter.retarget import HeadingFrame
@@ -149,7 +150,7 @@ class PhysicsFilter(PulledCharacter):
         stands: NDArray[np.bool_] | None = None,
         frames: Iterable[int] | None = None,
     ) -> PhysicsResult:
-        """Pull the character through a whole motion.
+        """Pull the character through a whole motion; it starts again after long gaps.
 
         Args:
             time: Time stamps [s], strictly increasing, shape (T,).
@@ -172,8 +173,8 @@ class PhysicsFilter(PulledCharacter):
         things = Things(self.model, self.data, character, count)
         for k in range(count) if frames is None else frames:
             standing = None if stands is None else stands[k]
-            if k == 0:
-                self.start(positions[0], rotations[0])
+            if k == 0 or time[k] - time[k - 1] > LONG_GAP:
+                self.start(positions[k], rotations[k], anew=k == 0)
                 # Hold the first target until the start-up transient is gone.
                 first, turns = (from_mujoco(value) for value in self._target)
                 for _ in range(_SETTLING):
@@ -211,6 +212,7 @@ def _accelerations(time: Array, positions: Array) -> Array:
         found[1:-1] = (velocities[1:] - velocities[:-1]) / (
             0.5 * (steps[1:] + steps[:-1])
         )[:, None, None]
+        found[1:-1][np.maximum(steps[1:], steps[:-1]) > LONG_GAP] = 0.0
     return found
 
 

@@ -138,14 +138,23 @@ class PulledCharacter:
             mujoco.set_mju_user_warning(lambda _: None)
         self.start(body.rest_positions, np.tile(IDENTITY, (n, 1)))
 
-    def start(self, positions: Array, rotations: Array) -> None:
+    def start(self, positions: Array, rotations: Array, *, anew: bool = True) -> None:
         """Put the character at rest onto a target posture.
+
+        Args:
+            positions: The target's joint positions.
+            rotations: The target's rotations.
+            anew: Whether what is around it goes back to where the scene has it, too;
+                otherwise it comes to rest where it is.
 
         Raises:
             InputError: The target is not finite.
         """
         _check_target(positions, rotations)
+        there = self.data.qpos.copy()
         mujoco.mj_resetData(self.model, self.data)
+        if not anew:
+            self.data.qpos[:] = there
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
         self._load[:], self._pressure = 0.0, 0.0

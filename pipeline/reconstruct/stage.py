@@ -26,6 +26,7 @@ class Reconstruct(Stage):
     """Lets limbs that the sensor did not see, or only guessed, go on as they went."""
 
     name = "reconstruct"
+    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._files = config.same_person

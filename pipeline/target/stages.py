@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, positions_from_rotations
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Observation
@@ -44,6 +45,7 @@ class Level(Stage):
     """Turns the sensor's frame so that the floor is level."""
 
     name = "level"
+    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._tilt = None if config.tilt is None else float(np.radians(config.tilt))
@@ -55,8 +57,11 @@ class Level(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Find which feet stand, and from them the tilt, and level the take."""
-        draft.stands = find_stance(
-            draft.time, draft.positions, draft.confidence, draft.skeleton
+        draft.stands = np.concatenate(
+            [
+                find_stance(part.time, part.positions, part.confidence, part.skeleton)
+                for part in draft.parts
+            ]
         )
         draft.tilt = (
             sensor_tilt(draft.positions, draft.confidence, draft.stands, draft.body)
@@ -99,6 +104,7 @@ class Floor(Stage):
     """Puts the floor at y = 0."""
 
     name = "floor"
+    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._given = config.floor_height
@@ -139,6 +145,7 @@ class Feet(Stage):
     """
 
     name = "feet"
+    in_parts = False  # the contacts that are given are those of the whole take
 
     def __init__(
         self, config: CleanConfig, contacts: NDArray[np.bool_] | None = None
@@ -184,9 +191,17 @@ class Feet(Stage):
             contacts = read_contacts(self._file, draft.time)
         if contacts is not None:
             stands, heels = feet_of(contacts), contacts[:, ::2]
-        draft.positions, heels = plant_feet(
-            draft.time, draft.positions, draft.confidence, stands, draft.body, heels
-        )
+        planted, down = np.empty_like(draft.positions), np.empty_like(stands)
+        for k in parts_of(draft.time):
+            planted[k], down[k] = plant_feet(
+                draft.time[k],
+                draft.positions[k],
+                draft.confidence[k],
+                stands[k],
+                draft.body,
+                None if heels is None else heels[k],
+            )
+        draft.positions, heels = planted, down
         draft.contacts = np.stack([heels, stands], axis=2).reshape(-1, 4)
         draft.stands = feet_of(draft.contacts)
         weights = np.maximum(draft.confidence, _LEAST_BONE_WEIGHT)
@@ -236,6 +251,7 @@ class Orient(Stage):
     """Gives every segment an orientation."""
 
     name = "orientation"
+    in_parts = False  # rotations keep their sign across gaps
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
@@ -273,5 +289,7 @@ def _without_jumps(time: Array, rotations: NDArray[Any] | None) -> NDArray[Any] 
     weights = np.ones((len(time), 1))
     for j in range(rotations.shape[1]):
         signed = continuous(rotations[:, j, None].astype(float))
-        smoothed[:, j] = smooth(time, signed, weights, cutoff=_TWIST_CUTOFF)[:, 0]
+        for k in parts_of(time):
+            found = smooth(time[k], signed[k], weights[k], cutoff=_TWIST_CUTOFF)
+            smoothed[k, j] = found[:, 0]
     return smoothed

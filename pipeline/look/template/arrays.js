@@ -9,7 +9,7 @@ function unpacked(text, Numbers) {
 }
 
 for (const [Numbers, names] of [
-  [Float32Array, ["time"]],
+  [Float64Array, ["time"]],
   [Int16Array, ["raw", "clean", "correction", "physics", "uncertainty"]],
   [Uint8Array, ["reliability", "term", "origin", "contacts"]],
 ]) {

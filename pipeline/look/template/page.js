@@ -113,7 +113,8 @@ window.addEventListener("resize", redraw);
 document.getElementById("source").textContent = report.source;
 document.getElementById("facts").textContent =
   `${report.skeleton}, ${frames} frames, ${duration.toFixed(1)} s, ` +
-  `${report.fps.toFixed(1)} frames a second`;
+  `${report.fps.toFixed(1)} frames a second` +
+  report.gaps.map((gap) => `; ${gap}`).join("");
 fillMetrics(document.getElementById("metrics"));
 fillMoved(document.getElementById("moved"));
 redraw();
