@@ -16,9 +16,9 @@ from functools import cached_property
 
 import numpy as np
 
-from .arrays import Array, check_shapes, freeze, read_only
+from .arrays import Array, as_number, check_arrays, freeze, read_only
 from .errors import InputError
-from .skeleton import KINECT_V1, KINECT_V2, Skeleton
+from .skeleton import KINECT_V1, KINECT_V2, Skeleton, check_skeleton
 
 GRAVITY = 9.81
 """Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
@@ -29,6 +29,9 @@ STANDARD_HEIGHT = 1.75
 STATURES = (0.3, 3.0)
 """Statures [m] between which a body may be: anything else is a wrong unit."""
 
+_MEASURES = {"height": (*STATURES, "m", "meters"), "mass": (2, 500, "kg", "kilograms")}
+"""What a whole body measures: between what, in which unit."""
+_LONGEST = 100.0  # m, of a segment: beyond, a number is damaged
 _UNIT = 1e-3  # by which a direction may be longer than 1: single precision, and room
 _DENSITY = 1050.0  # kg/m^3, whole-body tissue average (Winter 2009, section 4.1.1)
 _BODY_MASS_INDEX = 22.0  # kg/m^2, middle of the WHO's normal range, if no mass is given
@@ -79,6 +82,7 @@ def joint_range(name: str) -> float:
 
 def _table(skeleton: Skeleton) -> dict[str, _Row]:
     """Return the rows of a skeleton by joint name."""
+    check_skeleton(skeleton, "a body")
     trunk, limbs = {
         KINECT_V1.name: (_V1_TRUNK, _LIMBS),
         KINECT_V2.name: (_V2_TRUNK, {**_LIMBS, **_V2_HANDS}),
@@ -91,17 +95,29 @@ def _table(skeleton: Skeleton) -> dict[str, _Row]:
     return table
 
 
+def _measure(name: str, value: object) -> float:
+    """Return the height or mass of a body, or raise an InputError."""
+    least, most, unit, words = _MEASURES[name]
+    number = as_number(value, f"body {name}")
+    if not least < number < most:
+        raise InputError(
+            f"body {name} {number:g} {unit} is outside {least:g} to {most:g} {unit}; "
+            f"give the {name} in {words}"
+        )
+    return number
+
+
 def _check_segments(body: Body) -> None:
     """Raise an InputError for lengths and directions that no body has."""
     skeleton = body.skeleton
     count, ends = len(skeleton), skeleton.segments
     shapes = {"lengths": (count,), "directions": (count, 3)}
-    check_shapes(body, "a body", shapes, f" for {skeleton.name}")
+    check_arrays(body, "a body", shapes, f" for {skeleton.name}")
     lengths = body.lengths[ends]
     with np.errstate(over="ignore"):  # of a damaged file
         norms = np.linalg.norm(body.directions[ends], axis=1)
     for values, good, words in (
-        (lengths, (lengths > 0.0) & (lengths < np.inf), "is {:g} m long"),
+        (lengths, (lengths > 0.0) & (lengths < _LONGEST), "is {:g} m long"),
         (norms, np.abs(norms - 1.0) < _UNIT, "points along a vector of length {:g}"),
     ):
         if not good.all():
@@ -129,17 +145,9 @@ class Body:
     (J, 3), root 0. Sensors differ in where trunk, hips and shoulders are."""
 
     def __post_init__(self) -> None:
-        least, most = STATURES
-        if not least < self.height < most:
-            raise InputError(
-                f"body height {self.height:g} m is outside {least:g} to {most:g} m; "
-                "give the height in meters"
-            )
-        if not 2.0 < self.mass < 500.0:
-            raise InputError(
-                f"body mass {self.mass:g} kg is outside 2 to 500 kg; "
-                "give the mass in kilograms"
-            )
+        check_skeleton(self.skeleton, "a body")
+        for name in _MEASURES:
+            object.__setattr__(self, name, _measure(name, getattr(self, name)))
         _check_segments(self)
         freeze(self)
 
@@ -191,7 +199,9 @@ def standard_body(
     Stature is in m, mass in kg, by default that of a body mass index of 22 kg/m^2.
     Raises an InputError where they are not a human's.
     """
-    rows = [_table(skeleton)[joint] for joint in skeleton.joints]
+    table = _table(skeleton)
+    rows = [table[joint] for joint in skeleton.joints]
+    height = _measure("height", height)
     if mass is None:
         mass = _BODY_MASS_INDEX * height**2
     directions = np.array([row[2] for row in rows])

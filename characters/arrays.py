@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterable
 from dataclasses import fields
+from types import UnionType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +19,7 @@ Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 """Truths, and indices of joints, frames or points."""
 
+Lengths = tuple[int | None, ...]
 Number = TypeVar("Number", bound=np.generic)
 
 
@@ -27,14 +30,81 @@ def read_only(array: NDArray[Number]) -> NDArray[Number]:
     return view
 
 
-def check_shapes(
-    value: Any, what: str, expected: dict[str, tuple[int, ...]], of: str = ""
+def shown(value: object) -> str:
+    """Return the beginning of what a value looks like, for messages."""
+    try:
+        return repr(value)[:60].partition("\n")[0]
+    except Exception:  # of somebody else's class, or a number of 5000 digits
+        return f"a {type(value).__name__}"
+
+
+def check_kind(value: object, kind: type | UnionType, what: str) -> None:
+    """Raise an InputError if a value is of another class."""
+    if not isinstance(value, kind):
+        wanted = getattr(kind, "__name__", str(kind).rpartition(".")[2])
+        raise InputError(f"{what} is {shown(value)}; give a {wanted}")
+
+
+def check_word(value: object, known: Iterable[str], what: str) -> None:
+    """Raise an InputError if a value is none of the known words."""
+    words = tuple(known)
+    if not isinstance(value, str) or value not in words:
+        raise InputError(f"unknown {what} {shown(value)}; known: {', '.join(words)}")
+
+
+def as_numbers(
+    value: Any, what: str, shape: Lengths, of: str = "", *, finite: bool = False
+) -> NDArray[Any]:
+    """Return what somebody gave as an array; None in the shape is any length.
+
+    Masked numbers, and None among numbers, are NaN. Raises an InputError for another
+    shape, for anything but real numbers, and for NaN and inf where all are ``finite``.
+    """
+    try:
+        if isinstance(value, np.ma.MaskedArray):
+            value = value.astype(float).filled(np.nan)
+        array = np.asarray(value)
+        if array.dtype.kind == "O":
+            array = array.astype(float)
+    except (TypeError, ValueError, OverflowError):
+        array = np.array("")
+    if array.dtype.kind not in ("biuf" if shape else "iuf"):
+        wanted = f"numbers of shape {shape}" if shape else "a number"
+        raise InputError(f"{what} is {shown(value)}, expected {wanted}{of}")
+    if len(array.shape) != len(shape) or any(
+        wanted not in (None, found)
+        for wanted, found in zip(shape, array.shape, strict=True)
+    ):
+        raise InputError(f"{what} has shape {array.shape}, expected {shape}{of}")
+    if finite and not np.isfinite(array).all():
+        raise InputError(f"{what} is not finite; give numbers without NaN and inf")
+    return array
+
+
+def as_number(value: Any, what: str) -> float:
+    """Return what somebody gave as a number, or raise an InputError."""
+    return float(as_numbers(value, what, ()))
+
+
+def check_arrays(
+    value: Any,
+    what: str,
+    expected: dict[str, Lengths],
+    of: str = "",
+    *,
+    finite: bool = False,
+    keep: Container[str] = (),
 ) -> None:
-    """Raise an InputError if arrays of a value have other shapes than expected."""
+    """Make fields of a frozen dataclass arrays in double precision, or raise.
+
+    The type of those to ``keep`` stays; errors are those of ``as_numbers``.
+    """
     for name, shape in expected.items():
-        found = np.shape(getattr(value, name))
-        if found != shape:
-            raise InputError(f"{what}: {name} has shape {found}, expected {shape}{of}")
+        given, where = getattr(value, name), f"{what}: {name}"
+        array = as_numbers(given, where, shape, of, finite=finite)
+        if name not in keep:
+            array = array.astype(float, copy=False)
+        object.__setattr__(value, name, array)
 
 
 def freeze(value: Any) -> None:

@@ -5,18 +5,34 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .anthropometry import Body
-from .arrays import Array, Flags, check_shapes, freeze, read_only
+from .arrays import (
+    Array,
+    Flags,
+    Lengths,
+    as_number,
+    check_arrays,
+    check_kind,
+    freeze,
+    read_only,
+)
 from .errors import InputError
 from .props import Prop
 from .rotations import rotate
-from .skeleton import Skeleton
+from .skeleton import Skeleton, check_skeleton
 
+LATEST = 1e12
+"""Time stamps [s] are earlier: clocks count from 1970, in seconds."""
+_MOST = np.finfo(float).max
+_MEASURES = {"reliability": 1.0} | dict.fromkeys(
+    ("moved_by_correction", "moved_by_physics", "uncertainty"), _MOST
+)
+"""Numbers of joints that are 0 to this much, or NaN."""
 _UNIT = 1e-3  # by which a quaternion may be longer than 1: single precision, and room
 
 CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")
@@ -60,14 +76,24 @@ class Term(IntEnum):
         return self.name.lower().replace("_", " ")
 
 
-def _check(motion: Take | Motion, shapes: dict[str, tuple[int, ...]]) -> None:
-    check_shapes(motion, motion.source, shapes, f" for {motion.skeleton.name}")
+def _check(motion: Take | Motion, **codes: type[IntEnum]) -> None:
+    """Make arrays of what somebody gave, or raise an InputError."""
+    check_kind(motion.source, str, "the source of a take or clip")
+    check_skeleton(motion.skeleton, motion.source)
+    of = f" for {motion.skeleton.name}"
+    check_arrays(motion, motion.source, {"time": (None,)}, of)
+    shapes = motion._shapes()
+    check_arrays(motion, motion.source, shapes, of, keep=codes)
+    for name, known in codes.items():
+        values = getattr(motion, name)
+        _refuse(motion, name, values, np.isin(values, list(known)))
+        object.__setattr__(motion, name, values.astype(np.uint8, copy=False))
     time = motion.time
-    wrong = np.flatnonzero(~np.isfinite(time))
+    wrong = np.flatnonzero(~(np.abs(time) < LATEST))
     if len(wrong):
         raise InputError(
-            f"{motion.source}: frame {wrong[0] + 1} has no time stamp; "
-            "give every frame one, in seconds"
+            f"{motion.source}: frame {wrong[0] + 1} has no time stamp "
+            f"({time[wrong[0]]:g}); give every frame one, in seconds"
         )
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
@@ -79,12 +105,15 @@ def _check(motion: Take | Motion, shapes: dict[str, tuple[int, ...]]) -> None:
         )
 
 
-def _refuse(motion: Motion, what: str, values: NDArray[Any], good: Flags) -> None:
+def _refuse(
+    motion: Take | Motion, what: str, values: NDArray[Any], good: Flags
+) -> None:
     if not good.all():
-        frame, joint = np.argwhere(~good)[0]
+        frame, column = np.argwhere(~good)[0]
+        columns = CONTACTS if what == "contacts" else motion.skeleton.joints
         raise InputError(
-            f"{motion.source}: frame {frame + 1}, {motion.skeleton.joints[joint]}: "
-            f"{what} {values[frame, joint]:g} is not valid; write the clip again"
+            f"{motion.source}: frame {frame + 1}, {columns[column]}: "
+            f"{what} {values[frame, column]:g} is not valid; correct it"
         )
 
 
@@ -132,9 +161,17 @@ class Take:
     """Where the take came from, for messages."""
 
     def __post_init__(self) -> None:
-        t, j = len(self.time), len(self.skeleton)
-        _check(self, {"time": (t,), "positions": (t, j, 3), "state": (t, j)})
+        _check(self, state=State)
+        known = np.isfinite(self.positions)
+        lost = ~known.all(axis=-1)
+        if (known.any(axis=-1) & lost).any() or np.isinf(self.positions).any():
+            whole = np.where(lost[..., None], np.nan, self.positions)
+            object.__setattr__(self, "positions", whole)
         freeze(self)
+
+    def _shapes(self) -> dict[str, Lengths]:
+        t, j = len(self.time), len(self.skeleton)
+        return {"positions": (t, j, 3), "state": (t, j)}
 
     def __len__(self) -> int:
         return len(self.time)
@@ -153,6 +190,8 @@ class Motion:
     follow from root and rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
     """
 
+    _codes: ClassVar[dict[str, type[IntEnum]]] = {}
+
     time: Array
     """Time stamps [s], never decreasing, shape (T,)."""
     body: Body
@@ -166,13 +205,18 @@ class Motion:
     """Where the motion came from, for messages."""
 
     def __post_init__(self) -> None:
-        _check(self, self._shapes())
+        check_kind(self.body, Body, "the body of a motion")
+        _check(self, **self._codes)
+        if not np.isfinite(self.root).all():
+            raise InputError(
+                f"{self.source}: root is not finite; leave such frames out"
+            )
         with np.errstate(over="ignore"):  # of a damaged file
             lengths = np.sqrt(np.vecdot(self.rotations, self.rotations))
         _refuse(self, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
         freeze(self)
 
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
+    def _shapes(self) -> dict[str, Lengths]:
         t, j = len(self.time), len(self.skeleton)
         return {"time": (t,), "root": (t, 3), "rotations": (t, j, 4)}
 
@@ -210,6 +254,12 @@ class Clip(Motion):
     Time stamps are those of the take.
     """
 
+    _codes: ClassVar[dict[str, type[IntEnum]]] = {
+        "state": State,
+        "deciding_term": Term,
+        "origin": Origin,
+    }
+
     state: NDArray[np.uint8]
     """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
     frames where left and right were put back."""
@@ -245,20 +295,25 @@ class Clip(Motion):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_kind(self.props, tuple, f"{self.source}: its props")
         for prop in self.props:
+            check_kind(prop, Prop, f"{self.source}: a prop")
             if len(prop.positions) not in (1, len(self)):
                 raise InputError(
                     f"{self.source}: prop {prop.name} has {len(prop.positions)} "
                     f"places, expected 1 or {len(self)}, one a frame"
                 )
-        score = self.reliability
-        _refuse(self, "reliability", score, ~((score < 0.0) | (score > 1.0)))
-        codes = (("state", State), ("deciding_term", Term), ("origin", Origin))
-        for name, known in codes:
+        for name, most in _MEASURES.items():
             values = getattr(self, name)
-            _refuse(self, name, values, (values >= 0) & (values <= max(known)))
+            _refuse(self, name, values, ~((values < 0.0) | (values > most)))
+        contacts = self.contacts
+        _refuse(self, "contacts", contacts, np.isin(contacts, (0, 1)))
+        object.__setattr__(self, "contacts", read_only(contacts.astype(np.bool_)))
+        for name in ("tilt", "floor"):
+            what = f"{self.source}: {name}"
+            object.__setattr__(self, name, as_number(getattr(self, name), what))
 
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
+    def _shapes(self) -> dict[str, Lengths]:
         t, j = len(self.time), len(self.skeleton)
         return {
             **super()._shapes(),

@@ -7,7 +7,15 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from .arrays import Array, Indices, check_shapes, freeze
+from .arrays import (
+    Array,
+    Indices,
+    Lengths,
+    check_arrays,
+    check_kind,
+    check_word,
+    freeze,
+)
 from .errors import InputError
 
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
@@ -33,12 +41,18 @@ class Shape:
     """Indices of points, counter-clockwise from outside, shape (F, 3)."""
 
     def __post_init__(self) -> None:
-        shapes: dict[str, tuple[int, ...]] = {"rotation": (4,)}
+        shapes: dict[str, Lengths] = {"rotation": (4,)}
         shapes |= dict.fromkeys(("size", "position", "color"), (3,))
-        check_shapes(self, "a prop", shapes)
-        if self.kind not in get_args(ShapeKind):
-            known = ", ".join(get_args(ShapeKind))
-            raise InputError(f"unknown kind of shape {self.kind!r}; known: {known}")
+        shapes |= dict.fromkeys(("points", "triangles"), (None, 3))
+        check_arrays(self, "a prop", shapes, finite=True)
+        check_word(self.kind, get_args(ShapeKind), "kind of shape")
+        corners = self.triangles
+        if not np.isin(corners, np.arange(len(self.points))).all():
+            raise InputError(
+                f"triangles of a prop name points that its {len(self.points)} are not; "
+                "count them from 0"
+            )
+        object.__setattr__(self, "triangles", corners.astype(np.intp))
         if self.kind == "mesh" and not len(self.points):
             raise InputError("a mesh has no points; give it some, or leave it out")
         freeze(self)
@@ -66,8 +80,13 @@ class Prop:
     """Rotation, unit quaternions wxyz, shape (T, 4) or (1, 4)."""
 
     def __post_init__(self) -> None:
-        count = len(self.positions)
-        check_shapes(self, "a prop", {"positions": (count, 3), "rotations": (count, 4)})
+        check_kind(self.name, str, "the name of a prop")
+        check_kind(self.shapes, tuple, f"prop {self.name}: its shapes")
+        for shape in self.shapes:
+            check_kind(shape, Shape, f"prop {self.name}: a shape")
+        check_arrays(self, "a prop", {"positions": (None, 3)}, finite=True)
+        turns = {"rotations": (len(self.positions), 4)}
+        check_arrays(self, "a prop", turns, finite=True)
         freeze(self)
 
     @property

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .arrays import Indices
+from .arrays import Indices, check_word, shown
 from .errors import InputError
 
 
@@ -27,14 +27,26 @@ class Skeleton:
     parents: tuple[int, ...]
     """Index of each joint's parent, -1 for the root."""
 
+    def __post_init__(self) -> None:
+        joints, parents = self.joints, self.parents
+        for given, kind in ((joints, str), (parents, int)):
+            if not isinstance(given, tuple) or {type(one) for one in given} != {kind}:
+                raise InputError(f"a skeleton has {shown(given)}; see KINECT_V1")
+        tree = len(set(joints)) == len(parents) == len(joints) and -1 in parents
+        if not tree or min(parents) < -1 or len(self.order) != len(joints):
+            raise InputError(
+                f"the joints of skeleton {shown(self.name)} are no tree: give each one "
+                "name and one parent, and -1 to the root"
+            )
+
     def __len__(self) -> int:
         return len(self.joints)
 
     def index(self, joint: str) -> int:
         """Return the index of ``joint``; raises InputError where there is none."""
-        if joint not in self._index:
+        if not isinstance(joint, str) or joint not in self._index:
             raise InputError(
-                f"skeleton {self.name} has no joint {joint!r}; it has "
+                f"skeleton {self.name} has no joint {shown(joint)}; it has "
                 + ", ".join(self.joints)
             )
         return self._index[joint]
@@ -147,6 +159,14 @@ SKELETONS = {skeleton.name: skeleton for skeleton in (KINECT_V1, KINECT_V2)}
 
 def skeleton_named(name: str) -> Skeleton:
     """Return the skeleton called ``name``; raises InputError for an unknown one."""
-    if name not in SKELETONS:
-        raise InputError(f"unknown skeleton {name!r}; known: {', '.join(SKELETONS)}")
+    check_word(name, SKELETONS, "skeleton")
     return SKELETONS[name]
+
+
+def check_skeleton(skeleton: object, what: str) -> None:
+    """Raise an InputError if a value is none of SKELETONS."""
+    if not isinstance(skeleton, Skeleton) or skeleton not in SKELETONS.values():
+        raise InputError(
+            f"{what}: its skeleton is {shown(skeleton)}; give KINECT_V1 or KINECT_V2 "
+            "of kinefilter.characters"
+        )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from .arrays import as_number
 from .errors import InputError
 
 
@@ -28,7 +29,7 @@ class Tracking:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
+            value = as_number(getattr(self, field.name), field.name)
             if not 0.0 < value < np.inf:
                 raise InputError(
                     f"{field.name} of the tracking is {value:g}; give a finite number "

@@ -8,10 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import Body, InputError, State, Tracking
+from kinefilter.characters import Body, Tracking
 from kinefilter.characters.arrays import Array, Flags
 
 from .cleaner import Cleaner
@@ -62,14 +61,13 @@ class Avatar:
         corrector: Corrector | None = None,
     ) -> None:
         self.body, self.floor = body, floor
-        room = None if scene is None else str(scene)
+        room = str(scene) if isinstance(scene, Path) else scene
         config = CleanConfig(scene=room, floor="auto" if floor is None else floor)
         self.cleaner = Cleaner(config, tracking=tracking, corrector=corrector)
         self.start()
 
     def start(self) -> None:
         """Begin anew: the next frame is where the character appears."""
-        self._time: float | None = None
         self.cleaner.start(self.body)
         physics = self.cleaner.stages[-1]
         assert isinstance(physics, Physics)
@@ -84,32 +82,12 @@ class Avatar:
         (J, 3); states (State), shape (J,), by default tracked where there is a joint.
         Raises an InputError for a wrong shape, or a time that does not go on.
         """
-        seen = np.asarray(positions, dtype=float)
-        skeleton = self.body.skeleton
-        if seen.shape != (len(skeleton), 3):
-            raise InputError(
-                f"a frame of {skeleton.name} has shape ({len(skeleton)}, 3), not "
-                f"{seen.shape}; give the joints in the SDK's order"
-            )
-        if not np.isfinite(time):
-            raise InputError(f"a frame at {time:g} s; give its stamp in seconds")
-        if self._time is not None and time <= self._time:
-            raise InputError(
-                f"time {time:g} s comes after {self._time} s; give each frame the "
-                "sensor's own stamp, in seconds, or call start()"
-            )
-        self._time = time
-        seen = np.where(np.isfinite(seen).all(axis=1, keepdims=True), seen, np.nan)
-        states = np.full(len(seen), State.TRACKED, dtype=np.uint8)
-        if state is not None:
-            states = np.asarray(state, dtype=np.uint8)
-        states = np.where(np.isnan(seen[:, 0]), State.NOT_TRACKED, states)
-        found = self.cleaner.step(seen, time, states.astype(np.uint8))
+        found = self.cleaner.step(positions, time, state)
         return Pose(**{f.name: getattr(found, f.name) for f in fields(Pose)})
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push a part of the body for some time; see ``PulledCharacter.push``."""
-        self.physics.push(part, np.asarray(force, dtype=float), seconds)
+        self.physics.push(part, force, seconds)
 
     def let_go(self) -> None:
         """Stop pulling the character: it falls, until ``take_hold``."""

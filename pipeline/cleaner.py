@@ -13,17 +13,33 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from kinefilter.characters import Body, Clip, InputError, Take, Tracking
-from kinefilter.characters.arrays import Array
+from kinefilter.characters import (
+    Body,
+    Clip,
+    InputError,
+    Skeleton,
+    State,
+    Take,
+    Tracking,
+)
+from kinefilter.characters.arrays import (
+    Array,
+    as_number,
+    as_numbers,
+    check_kind,
+    check_word,
+    shown,
+)
 from kinefilter.characters.gaps import long_gaps, parts_of, told_gaps
+from kinefilter.characters.motion import LATEST
 
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft
 from .failures import Failure, find_displaced
-from .formats.recording import check_rate
+from .formats.recording import FASTEST, check_extent, check_rate
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .progress import Progress, silent
@@ -42,6 +58,7 @@ from .target.floor import to_world
 from .target.stages import Bones, Feet, Floor, Level, Orient, Smooth
 from .uncertainty import uncertainty
 
+_FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
 _LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which to move
 
 
@@ -92,7 +109,10 @@ class Cleaner:
         tracking: Tracking | None = None,
         corrector: Corrector | None = None,
     ) -> None:
-        config = config or CleanConfig()
+        config = CleanConfig() if config is None else config
+        check_kind(config, CleanConfig, "the config")
+        for given, kind in ((tracking, Tracking), (corrector, Corrector)):
+            check_kind(given, kind | None, f"the {kind.__name__.lower()}")
         self.stages: tuple[Stage, ...] = (
             Failures(),  # gross failures: sides put back, impossible limbs distrusted
             MeasureBody(config),  # how long the person's segments are
@@ -113,6 +133,7 @@ class Cleaner:
         self.stages = tuple(s for s in self.stages if left_out.get(s.name, True))
         self._gaps = config.gaps
         self._time: float | None = None
+        self._body: Body | None = None
 
     def replaced(self, *stages: Stage) -> Cleaner:
         """Return a cleaner with other stages in the place of those of their names.
@@ -120,6 +141,8 @@ class Cleaner:
         Raises:
             InputError: There is no stage of that name.
         """
+        for stage in stages:
+            check_kind(stage, Stage, "a stage")
         others = {stage.name: stage for stage in stages}
         self._check_names(*others)
         return self._with([others.get(s.name, s) for s in self.stages])
@@ -138,33 +161,51 @@ class Cleaner:
     def _check_names(self, *names: str) -> None:
         known = [stage.name for stage in self.stages]
         for name in names:
-            if name not in known:
-                raise InputError(f"no stage {name!r}; there are {', '.join(known)}")
+            check_word(name, known, "stage")
 
     def _with(self, stages: Sequence[Stage]) -> Cleaner:
         other = copy(self)
-        other.stages, other._time = tuple(stages), None
+        other.stages, other._time, other._body = tuple(stages), None, None
         return other
 
     def start(self, body: Body) -> None:
         """Forget all frames: those of a body come next, one by one."""
+        check_kind(body, Body, "the body")
         self._body, self._time = body, None
         for stage in self.stages:
             stage.start(body)
 
-    def step(self, positions: Array, time: float, state: NDArray[np.uint8]) -> Draft:
+    def step(
+        self, positions: ArrayLike, time: float, state: ArrayLike | None = None
+    ) -> Draft:
         """Pass the next frame through the stages, without looking ahead.
 
         Args:
             positions: Joint positions [m], sensor frame with y up, NaN where missing,
                 shape (J, 3).
             time: Time stamp [s], later than the last.
-            state: Tracking states (State), shape (J,).
+            state: Tracking states (State), shape (J,); by default tracked where there
+                is a joint.
 
         Returns:
             What the stages found; ``positions`` and ``rotations`` are the character's.
+
+        Raises:
+            InputError: The frame has another shape, no numbers, or a time that does not
+                go on; or nothing was started.
         """
-        draft = Draft(self._body.skeleton, time, positions, state)
+        if self._body is None:
+            raise InputError("no body to step; call start() with one")
+        skeleton, time = self._body.skeleton, as_number(time, "the time of a frame")
+        seen, states = _frame(positions, state, skeleton)
+        if not abs(time) < LATEST:
+            raise InputError(f"a frame at {time:g} s; give its stamp in seconds")
+        if self._time is not None and time <= self._time:
+            raise InputError(
+                f"time {time:g} s comes after {self._time} s; give each frame the "
+                "sensor's own stamp, in seconds, or call start()"
+            )
+        draft = Draft(skeleton, time, seen, states)
         draft.body = self._body
         if self._time is not None:
             draft.elapsed = min(time - self._time, _LONGEST_STEP)
@@ -183,6 +224,7 @@ class Cleaner:
         Returns:
             What the stages found.
         """
+        check_kind(take, Take, "the take")
         draft = Draft.of(take)
         for stage in self.stages:
             parts = draft.parts if stage.in_parts else [draft]
@@ -302,11 +344,35 @@ def _notes(draft: Draft) -> Iterable[str]:
         yield f"physics: {draft.trace.status}"
 
 
+def _frame(
+    positions: ArrayLike, state: ArrayLike | None, skeleton: Skeleton
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Return positions (J, 3), NaN where missing or too far, and states (J,)."""
+    what, count = f"a frame of {skeleton.name}", len(skeleton)
+    seen = as_numbers(positions, what, (count, 3), ", the joints in the SDK's order")
+    seen = seen.astype(float)
+    near = (np.abs(seen) < _FARTHEST).all(axis=1)  # False for NaN, too
+    states = np.full(count, State.TRACKED, dtype=np.uint8)
+    if state is not None:
+        known = as_numbers(state, f"the states of {what}", (count,))
+        if not ((known == 0) | (known == 1) | (known == 2)).all():
+            raise InputError(f"the states of {what} are {shown(state)}; give 0, 1 or 2")
+        states = known.astype(np.uint8)
+    return np.where(near[:, None], seen, np.nan), np.where(near, states, np.uint8(0))
+
+
 def _check(take: Take) -> None:
-    check_rate(take.time, take.source)
+    check_kind(take, Take, "the take")
     if np.isnan(take.positions[..., 0]).all():
         raise InputError(
             f"{take.source}: every joint is missing in every frame; nothing to clean"
+        )
+    check_extent(take.positions, take.source)
+    check_rate(take.time, take.source)
+    if take.fps > FASTEST:
+        raise InputError(
+            f"{take.source}: {take.fps:.3g} frames a second are more than any sensor "
+            "takes; are the times in seconds?"
         )
     if take.time[-1] <= take.time[0]:
         raise InputError(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from kinefilter.characters import InputError
 
+from .field_types import check_fields
 from .formats.takes import FORMATS
 from .methods import MethodName, ScorerName
+
+_FARTHEST = 10_000.0  # m; no sensor sees a floor that far away
 
 if TYPE_CHECKING:
     TakeFormat = str
@@ -88,6 +90,7 @@ class CleanConfig:
         return 0.0 if self.floor == "none" else self.floor
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.cutoff != 0.0 and not 0.5 <= self.cutoff < float("inf"):
             raise InputError(
                 f"--cutoff {self.cutoff:g} Hz: expected 0 (no smoothing) or 0.5 and "
@@ -101,7 +104,9 @@ class CleanConfig:
             raise InputError(
                 f"--tilt {self.tilt:g}: expected degrees between -90 and 90"
             )
-        if not isinstance(self.floor, str) and not isfinite(self.floor):
+        if not isinstance(self.floor, str) and not abs(self.floor) < _FARTHEST:
             raise InputError(
                 f"--floor {self.floor:g}: expected auto, none or a height in meters"
             )
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed}: expected 0 or more")

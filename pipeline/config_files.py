@@ -7,15 +7,15 @@ A file holds what ``clean`` has flags for, such as ``method = "local-pca"``,
 from __future__ import annotations
 
 import os
-import types
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple
 
 from kinefilter.characters import InputError
 
 from .config import CleanConfig
+from .field_types import converted, type_hints
 from .formats.export import Export
 from .formats.files import LARGEST_TOML, parse_toml, read_limited
 from .settings import Settings, names_file
@@ -25,15 +25,8 @@ FOLDER_FILE = "kinefilter.toml"
 
 _Part = CleanConfig | Export
 _PARTS: dict[str, type[_Part]] = {"config": CleanConfig, "export": Export}
-_OWN = {k: hint for k, hint in get_type_hints(Settings).items() if k not in _PARTS}
-_HINTS = get_type_hints(CleanConfig) | get_type_hints(Export) | _OWN
-_WORDS = {
-    Path: "the path of a file",
-    str: "text",
-    bool: "true or false",
-    float: "a number",
-    int: "a whole number",
-}
+_OWN = {k: hint for k, hint in type_hints(Settings).items() if k not in _PARTS}
+_HINTS = type_hints(CleanConfig) | type_hints(Export) | _OWN
 
 
 class SettingsFile(NamedTuple):
@@ -88,30 +81,14 @@ def overlaid(
 
 
 def _converted(value: object, field: str, where: str, folder: Path | None) -> Any:
-    hint = _HINTS[field]
-    union = get_origin(hint) in (Union, types.UnionType)
-    # A file leaves out what is None.
-    kinds = [k for k in (get_args(hint) if union else (hint,)) if k is not type(None)]
-    for kind in kinds:
-        if get_origin(kind) is Literal:
-            if isinstance(value, str) and value in get_args(kind):
-                return value
-        elif kind is float and type(value) in (int, float):
-            return float(value)  # type: ignore[arg-type]  # checked in this line
-        elif kind is Path and isinstance(value, str):
-            return _placed(value, where, folder)
-        elif get_origin(kind) is tuple and isinstance(value, list):
-            if all(isinstance(name, str) for name in value):
-                return tuple(_placed(name, where, folder) for name in value)
-        elif type(value) is kind:
-            if isinstance(value, str) and names_file(value):
-                return str(_placed(value, where, folder))
-            return value
-    allowed = " or ".join(
-        ", ".join(f'"{word}"' for word in get_args(kind)) or _WORDS[kind]
-        for kind in kinds
-    )
-    raise InputError(f"{where} = {value!r}: expected {allowed}")
+    found = converted(value, _HINTS[field], where)
+    if isinstance(found, tuple):
+        return tuple(_placed(str(name), where, folder) for name in found)
+    if isinstance(found, Path):
+        return _placed(str(found), where, folder)
+    if isinstance(found, str) and names_file(found):
+        return str(_placed(found, where, folder))
+    return found
 
 
 def _placed(path: str, where: str, folder: Path | None) -> Path:

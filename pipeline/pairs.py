@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, SKELETONS, InputError, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Lengths, check_arrays, check_kind
 
 from .formats.npz import read_arrays
 
@@ -26,6 +26,17 @@ class PairedTake:
     """Joint positions of the mocap [m], the take's frame, NaN where none, (T, J, 3)."""
     subject: str
     clip: str
+
+    def __post_init__(self) -> None:
+        check_kind(self.take, Take, "the take of a pair")
+        for name in ("subject", "clip"):
+            check_kind(getattr(self, name), str, f"the {name} of a pair")
+        shapes: dict[str, Lengths] = {"truth": self.take.positions.shape}
+        check_arrays(self, self.take.source, shapes)
+        if np.isinf(self.truth).any():
+            raise InputError(
+                f"{self.take.source}: truth is inf; give NaN where none is"
+            )
 
 
 def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:

@@ -98,7 +98,7 @@ def test_in_a_scene_the_person_begins_at_its_origin() -> None:
 
 def test_wrong_frames_are_refused() -> None:
     avatar = Avatar(BODY)
-    with pytest.raises(InputError, match=r"shape \(20, 3\)"):
+    with pytest.raises(InputError, match=r"expected \(20, 3\)"):
         avatar.step(np.zeros((25, 3)), 0.0)
     avatar.step(BODY.rest_positions, 1.0)
     with pytest.raises(InputError, match="comes after"):

@@ -167,7 +167,7 @@ def test_another_correction_takes_the_place_of_the_named_one(take: Take) -> None
     ],
 )
 def test_a_stage_that_is_not_there_is_refused_by_name(changed: Any) -> None:
-    with pytest.raises(InputError, match=r"no stage 'raised'; .*physics"):
+    with pytest.raises(InputError, match=r"unknown stage 'raised'; .*physics"):
         changed(Cleaner())
 
 

@@ -7,6 +7,7 @@ import io
 import os
 import subprocess
 import sys
+import time
 import zipfile
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -203,16 +204,23 @@ def test_bone_lengths_in_csv_vary_less_than_one_in_ten_million(
 
 @pytest.mark.parametrize("extension", [*EXTENSIONS, ".USDA", ".NPZ", ".Bvh"])
 def test_the_same_clip_gives_the_same_bytes_and_one_file(
-    make_clip: MakeClip, tmp_path: Path, extension: str
+    make_clip: MakeClip,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    extension: str,
 ) -> None:
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        write_clip(make_clip(5), tmp_path / folder / f"clip{extension}")
-        assert names_in(tmp_path / folder) == [f"clip{extension}"]
-    first, second = (
-        (tmp_path / folder / f"clip{extension}").read_bytes() for folder in ("a", "b")
-    )
-    assert first == second
+    found = []
+    for name, zone in (("a", "UTC0"), ("b", "XXX11")):
+        (tmp_path / name).mkdir()
+        monkeypatch.setenv("TZ", zone)
+        time.tzset()
+        path = tmp_path / name / f"{name}{extension}"
+        write_clip(make_clip(5), path)
+        assert names_in(tmp_path / name) == [path.name]
+        found.append(path.read_bytes())
+    monkeypatch.undo()
+    time.tzset()
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS)

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, skeleton_named
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import (
+    Array,
+    Indices,
+    Lengths,
+    check_arrays,
+    check_kind,
+)
+from kinefilter.characters.skeleton import check_skeleton
 from kinefilter.pipeline.formats.npz import read_arrays
 
 Singles = NDArray[np.float32]
@@ -45,9 +52,22 @@ class PostureDatabase:
     """The postures are of recorded people, so their variation is that of people."""
 
     def __post_init__(self) -> None:
+        check_skeleton(self.skeleton, self.source)
+        check_kind(self.labels, np.ndarray, f"{self.source}: its labels")
+        shape = (self.labels.size, len(self.skeleton))
+        shapes: dict[str, Lengths] = {
+            "positions": (*shape, 3),
+            "rotations": (*shape, 4),
+        }
+        check_arrays(self, self.source, shapes, keep=shapes)
+        if shape[0] < 2:
+            raise InputError(f"{self.source}: has no two postures; build one of more")
         # As a file holds them: a database is the same before and after.
-        for name in ("positions", "rotations"):
-            rounded = np.asarray(getattr(self, name), dtype=np.float32)
+        for name in shapes:
+            with np.errstate(over="ignore"):
+                rounded = np.asarray(getattr(self, name), dtype=np.float32)
+            if not np.isfinite(rounded).all():
+                raise InputError(f"{self.source}: {name} are not finite numbers")
             object.__setattr__(self, name, rounded)
 
     def __len__(self) -> int:

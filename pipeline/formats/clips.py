@@ -20,7 +20,7 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, check_kind
 from kinefilter.characters.rotations import wxyz_from_matrix
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
@@ -44,11 +44,11 @@ _MOST_JOINTS = 1000  # as in BVH
 
 def check_writable(path: AnyPath, export: Export | None = None) -> None:
     """Raise, before any work is done, the InputError that write_clip would raise."""
+    check_folder(path)
     suffix = Path(path).suffix
     if suffix.lower() not in _EXTENSIONS:
         known = ", ".join(_EXTENSIONS)
         raise InputError(f"{path}: unknown extension {suffix!r}; known: {known}")
-    check_folder(path)
     if export is None:
         return
     export.check(suffix.lower())
@@ -71,7 +71,9 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     the extension is unknown, an option does not go with it, nothing can be written, or
     as ``even_frames``.
     """
-    export = export or Export()
+    check_kind(clip, Clip, "the clip")
+    export = Export() if export is None else export
+    check_kind(export, Export, "the export")
     check_writable(path, export)
     path = Path(path)
     suffix = path.suffix.lower()

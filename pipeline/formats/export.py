@@ -13,6 +13,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import LONG_GAP, long_gaps, told_gaps
 from kinefilter.characters.motion import frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
+from kinefilter.pipeline.field_types import check_fields
 
 from .recording import MOST_FRAMES, chunks
 
@@ -69,6 +70,7 @@ class Export:
     are those of --up and --units all the same."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
             known = f"{_SLOWEST:g} to {_FASTEST:g} frames/s"
             raise InputError(f"--fps {self.fps:g}: expected {known}")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from kinefilter.characters import InputError
+from kinefilter.characters.arrays import shown
 
 AnyPath = str | os.PathLike[str]
 
@@ -33,7 +34,7 @@ _MOST_BLANK = 10_000  # lines in a row
 
 def check_folder(path: AnyPath) -> Path:
     """Return ``path`` if a file may be written there, else raise InputError."""
-    path = Path(path)
+    path = _as_path(path)
     if not path.parent.is_dir():
         raise InputError(f"{path}: folder {path.parent} does not exist; create it")
     if path.is_dir():
@@ -41,6 +42,15 @@ def check_folder(path: AnyPath) -> Path:
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: folder {path.parent} is read-only; write elsewhere")
     return path
+
+
+def _as_path(path: AnyPath) -> Path:
+    try:
+        found = Path(path)
+        found.is_dir()
+    except (TypeError, OSError):  # no name at all, or one too long
+        raise InputError(f"{shown(path)}: not the name of a file") from None
+    return found
 
 
 @contextmanager
@@ -78,7 +88,7 @@ def new_text(path: AnyPath) -> Iterator[TextIO]:
 
 def check_file(path: AnyPath) -> Path:
     """Return ``path`` if there is a file to read, else raise InputError."""
-    path = Path(path)
+    path = _as_path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file")
     if not path.is_file():

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, shown
 from kinefilter.characters.motion import nominal_step
 
 from .files import open_text
@@ -21,7 +21,7 @@ from .files import open_text
 _Path = TypeVar("_Path", bound=PurePath)
 
 MOST_FRAMES = 1_000_000  # of a recording: nine hours at 30 a second
-_FASTEST = 2000.0  # frames a second, of marker mocap
+FASTEST = 2000.0  # frames a second, of marker mocap
 _LONGEST_STEP = 1.0  # s between frames, in the median: less is no motion. A guess
 _SHORTEST_NUMBER = 4.0  # of a step that is not in seconds: ms at 250 frames a second
 _UNITS = {"milliseconds": 10**3, "microseconds": 10**6, "ticks of 100 ns": 10**7}
@@ -62,10 +62,10 @@ class Recording:
         """Return a person's take, from 1, or raise InputError; None: the main one."""
         if body is None:
             return self.takes[self.main]
-        if not 1 <= body <= len(self.takes):
+        if not isinstance(body, int) or not 1 <= body <= len(self.takes):
             raise InputError(
-                f"{self.takes[0].source}: has no body {body}, only {len(self.takes)}; "
-                "'kinefilter info' lists them"
+                f"{self.takes[0].source}: has no body {shown(body)}, only "
+                f"{len(self.takes)}; 'kinefilter info' lists them"
             )
         return self.takes[body - 1]
 
@@ -158,7 +158,7 @@ def check_rate(time: Array, source: str) -> None:
     Or for time stamps [s] too far from 0 to tell frames apart; they may repeat.
     """
     distinct, seconds = 1 + int(np.sum(np.diff(time) > 0)), time[-1] - time[0]
-    if distinct > 1 and distinct > _FASTEST * seconds + 2:
+    if distinct > 1 and distinct > FASTEST * seconds + 2:
         raise InputError(
             f"{source}: {distinct} frames in {seconds:.3g} s are more than any sensor "
             "takes; are the times in seconds?"

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from importlib import import_module
 
 from kinefilter.characters import InputError, Take
+from kinefilter.characters.arrays import check_word
 
-from .files import AnyPath, beginning
+from .files import AnyPath, beginning, check_file
 from .recording import Recording, open_rows
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
@@ -90,9 +91,9 @@ def read_takes(path: AnyPath, *, format: str | None = None) -> tuple[Take, ...]:
 
 def read_recording(path: AnyPath, *, format: str | None = None) -> Recording:
     """Read all that is known about a recorded file; raises InputError as read_take."""
-    source = os.fspath(path)
-    if format is not None and format not in FORMATS:
-        raise InputError(f"unknown take format {format!r}; known: {', '.join(FORMATS)}")
+    source = os.fspath(check_file(path))
+    if format is not None:
+        check_word(format, FORMATS, "take format")
     name = format or _detected(_first_line(source), source)
     module, _, function = FORMATS[name][0].partition(":")
     read: Callable[[str], Recording]

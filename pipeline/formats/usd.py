@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -69,7 +70,9 @@ from .usd_character import (
 )
 
 _RATE_TOLERANCE = 0.005  # stamps jitter; a rate this near to a whole number is one
-_STAMP = 315619200  # s: 2 January 1980, for equal packages; zip knows no earlier year
+_STAMP = (1980, 1, 2, 0, 0, 0, 0, 0, -1)
+"""Time of what a package holds, so that equal clips give equal bytes: local time, which
+zip keeps, wherever this runs; zip knows no earlier year."""
 _CODE_DECIMALS = 6  # of a frame: takes rounding errors off whole frames, nothing else
 _UNMEASURED = -1.0
 
@@ -99,9 +102,9 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
             if suffix == ".usda":
                 Sdf.Layer.FindOrOpen(str(layer)).Export(str(temporary))
             elif suffix == ".usdz":
-                os.utime(layer, (_STAMP, _STAMP))
+                os.utime(layer, (time.mktime(_STAMP),) * 2)
                 package = Sdf.ZipFileWriter.CreateNew(str(temporary))
-                package.AddFile(str(layer), f"{path.stem}.usdc")
+                package.AddFile(str(layer), layer.name)
                 package.Save()
     except Tf.ErrorException as error:
         raise InputError(

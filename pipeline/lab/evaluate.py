@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.table import Column, Table
 
 from kinefilter.characters import InputError, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, check_kind, check_word
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
@@ -88,9 +88,16 @@ def evaluate(
     Raises:
         InputError: An unknown method, too few people or repetitions.
     """
-    unknown = [name for name in methods if name not in METHODS]
-    if unknown:
-        raise InputError(f"unknown method {unknown[0]!r}; known: {', '.join(METHODS)}")
+    check_kind(methods, list | tuple, "methods")
+    for name in methods:
+        check_word(name, METHODS, "method")
+    for pairs, what in ((train, "train"), (test, "test")):
+        check_kind(pairs, list | tuple, what)
+        for pair in pairs:
+            check_kind(pair, PairedTake, f"one of {what}")
+    check_word(protocol, ("people", "repetitions"), "protocol")
+    if not isinstance(database, PostureDatabase | None):
+        check_word(database, ("mocap",), "database")
     if ablation and "local-pca" in methods:
         methods = [*methods, *(m for m in _WITHOUT_PARTS if m not in methods)]
     folds = list(_folds(train, test, protocol))

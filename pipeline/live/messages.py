@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, KinefilterError, Skeleton, State
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import LATEST
 from kinefilter.pipeline.formats.recording import missing_marked
 
 from .config import MOST_BODIES
@@ -53,7 +54,6 @@ LARGEST_MESSAGE = 2**15
 States = NDArray[np.uint8]
 
 _FARTHEST = 100.0  # m: no sensor of people sees that far
-_LATEST = 1e12  # s: clocks count from 1970, in seconds
 _LONGEST_ID = 32
 _LARGEST_ID = 2.0**53  # whole numbers are exact up to it
 _STATES = {float(state) for state in State}
@@ -143,7 +143,7 @@ def parse_frame(
     if set(data) != {"time", "bodies"} or not isinstance(data["bodies"], list):
         raise MalformedError(Reason.NOT_A_FRAME)
     time = data["time"]
-    if type(time) is not float or not abs(time) < _LATEST:
+    if type(time) is not float or not abs(time) < LATEST:
         raise MalformedError(Reason.TIME)
     if len(data["bodies"]) > most_bodies:
         raise MalformedError(Reason.BODIES)

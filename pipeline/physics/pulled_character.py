@@ -11,11 +11,11 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, as_number, as_numbers
 from kinefilter.characters.humanoid import (
     PULLS,
     build_humanoid,
@@ -161,7 +161,7 @@ class PulledCharacter:
         self._pushes.clear()
         self._place(*self._target)
 
-    def push(self, part: str, force: Array, seconds: float) -> None:
+    def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push a part of the body from outside for some time.
 
         Args:
@@ -170,10 +170,14 @@ class PulledCharacter:
             seconds: How long from now on.
 
         Raises:
-            InputError: There is no such joint.
+            InputError: There is no such joint, no such force, or no time.
         """
         body = int(self._bodies[self.body.skeleton.index(part)])
-        self._pushes.append((body, to_mujoco(np.asarray(force, dtype=float)), seconds))
+        pushed = as_numbers(force, "the force of a push [N]", (3,), finite=True)
+        lasting = as_number(seconds, "the time of a push")
+        if not 0.0 <= lasting < np.inf:
+            raise InputError(f"a push takes {lasting:g} s; give 0 or more")
+        self._pushes.append((body, to_mujoco(pushed.astype(float)), lasting))
 
     @property
     def limp(self) -> bool:

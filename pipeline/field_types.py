@@ -1,0 +1,66 @@
+"""Values of settings, each of the type that its field is annotated with."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from numbers import Integral, Real
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from kinefilter.characters import InputError
+from kinefilter.characters.arrays import shown
+
+_WORDS = {
+    Path: "the path of a file",
+    str: "text",
+    bool: "true or false",
+    float: "a number",
+    int: "a whole number",
+}
+
+
+@cache
+def type_hints(kind: type[Any]) -> dict[str, Any]:
+    """Return the type of each field of a class of settings."""
+    return get_type_hints(kind)
+
+
+def check_fields(settings: Any) -> None:
+    """Give each field of a frozen dataclass its type, or raise an InputError."""
+    for name, hint in type_hints(type(settings)).items():
+        value = getattr(settings, name)
+        if value is not None or NoneType not in get_args(hint):
+            where = f"--{name.replace('_', '-')}"
+            object.__setattr__(settings, name, converted(value, hint, where))
+
+
+def converted(value: object, hint: Any, where: str) -> Any:
+    """Return a value as the type that a hint names; raises an InputError."""
+    union = get_origin(hint) in (Union, UnionType)
+    kinds = [k for k in (get_args(hint) if union else (hint,)) if k is not NoneType]
+    for kind in kinds:
+        if get_origin(kind) is Literal:
+            if isinstance(value, str) and value in get_args(kind):
+                return value
+        elif get_origin(kind) is tuple:
+            if isinstance(value, list | tuple):
+                return tuple(converted(one, get_args(kind)[0], where) for one in value)
+        elif kind is Path:
+            if isinstance(value, str | os.PathLike):
+                return Path(value)
+        elif isinstance(value, bool) or kind not in (int, float):
+            if type(value) is kind:
+                return value
+        elif isinstance(value, Integral if kind is int else Real):
+            try:
+                return kind(value)
+            except (OverflowError, ValueError):  # of 400 digits
+                pass
+    allowed = " or ".join(
+        ", ".join(f'"{word}"' for word in get_args(kind) if isinstance(word, str))
+        or _WORDS.get(kind, "paths of files")
+        for kind in kinds
+    )
+    raise InputError(f"{where} = {shown(value)}: expected {allowed}")
