@@ -1,6 +1,13 @@
 """Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, STATURES, Body, random_body, standard_body
+from .anthropometry import (
+    STANDARD_HEIGHT,
+    STATURES,
+    Body,
+    random_body,
+    standard_body,
+    unit_hint,
+)
 from .errors import InputError, KinefilterError
 from .motion import (
     CONTACTS,
@@ -41,4 +48,5 @@ __all__ = [
     "random_body",
     "skeleton_named",
     "standard_body",
+    "unit_hint",
 ]
