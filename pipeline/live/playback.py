@@ -78,7 +78,7 @@ class _Printed:
     async def send(self, line: str) -> bool:
         try:
             await asyncio.to_thread(write_out, f"{line}\n".encode())
-        except BrokenPipeError:
+        except OSError:  # Windows has another one than EPIPE
             raise InputError("-: the program that read the output has ended") from None
         return True
 

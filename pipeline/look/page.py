@@ -113,7 +113,8 @@ def write_report(
         data = data.replace(mark, f"\\u{ord(mark):04x}")
     with atomic_path(path) as temporary:
         whole = head + title + middle + data + end
-        temporary.write_text(whole, encoding="utf-8", errors="replace")
+        data = whole.encode("utf-8", "replace")
+        temporary.write_bytes(data)
 
 
 def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:
