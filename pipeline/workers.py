@@ -12,7 +12,8 @@ import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
@@ -103,7 +104,7 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
         os.environ.update({k: before[k] for k in variables if k in before})
 
 
-def _begin(told: Connection) -> None:
+def _begin(told: Any) -> None:
     """Prepare a worker; Ctrl-C, which reaches all, is for the process that waits."""
     for number in signal.Signals:
         if number.name in ("SIGINT", "SIGBREAK"):  # of these, Windows has both
@@ -111,7 +112,7 @@ def _begin(told: Connection) -> None:
     threading.Thread(target=_watch, args=(told,), daemon=True).start()
 
 
-def _watch(told: Connection) -> None:
+def _watch(told: Any) -> None:
     """Note when nobody waits for the work, and end with the process that did."""
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -16,7 +16,6 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-import psutil
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
@@ -35,6 +34,8 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
     InputError if it refuses the file, fails, or needs too much.
     """
     command = [sys.executable, "-m", _NAME, reader, path]
+    import psutil  # only here is it needed
+
     own = {"OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
     pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, env=os.environ | own, **pipes) as reading:
