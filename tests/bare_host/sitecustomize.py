@@ -30,6 +30,7 @@ for name in ("add_signal_handler", "connect_read_pipe", "connect_write_pipe"):
     setattr(asyncio.BaseEventLoop, name, _missing)
 
 # There a text without an encoding is in the code page of the country.
+warnings.filterwarnings("ignore", category=EncodingWarning)  # of libraries
 warnings.filterwarnings("error", category=EncodingWarning, module="kinefilter")
 # There is no such warning there: a native lock always is.
 warnings.filterwarnings("ignore", message=re.escape("only soft file lock"))
