@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -56,6 +58,9 @@ _UNREAD = 141  # and of one whose output nobody reads any more
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code, see ``kinefilter --help``."""
     words = sys.argv[1:] if arguments is None else list(arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Not every console and code page has the letters of every name.
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         return _run(words)
     except InputError as error:
@@ -64,7 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as ended:  # its words are what the user should know
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
         return _INTERRUPTED
-    except BrokenPipeError:
+    except OSError as error:
+        windows = sys.platform == "win32" and error.errno == errno.EINVAL
+        if not (windows or isinstance(error, BrokenPipeError)):
+            raise
         # Whoever reads has seen enough; nor may the flush at the end fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _UNREAD

@@ -6,18 +6,21 @@ import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 _ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
+_MOST_WAITED_FOR = 61  # processes: what Windows waits for at a time
 _GRACE = 5.0  # s to finish a file in, once nobody waits for it
 
 _given_up = threading.Event()
@@ -40,9 +43,10 @@ def give_back_memory() -> None:
 
     Over a thousand takes a process otherwise grows by a third; it takes 2 to 6 ms.
     """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:  # other C libraries have no such call
-        trim(0)
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:  # other C libraries have no such call
+            trim(0)
 
 
 @contextmanager
@@ -69,9 +73,12 @@ def workers(
     # Not forked: threads of the engine and of linear algebra do not survive it.
     context = multiprocessing.get_context("spawn")
     heard, told = context.Pipe(duplex=False)
+    count = count or cores()
+    if sys.platform == "win32":
+        count = min(count, _MOST_WAITED_FOR)
     with one_thread(), _environment(environment or {}):
         pool = ProcessPoolExecutor(
-            count or cores(), mp_context=context, initializer=_begin, initargs=(heard,)
+            count, mp_context=context, initializer=_begin, initargs=(heard,)
         )
         try:
             yield pool
@@ -97,13 +104,15 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
         os.environ.update({k: before[k] for k in variables if k in before})
 
 
-def _begin(told: Connection) -> None:
+def _begin(told: Any) -> None:
     """Prepare a worker; Ctrl-C, which reaches all, is for the process that waits."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in signal.Signals:
+        if number.name in ("SIGINT", "SIGBREAK"):  # of these, Windows has both
+            signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_watch, args=(told,), daemon=True).start()
 
 
-def _watch(told: Connection) -> None:
+def _watch(told: Any) -> None:
     """Note when nobody waits for the work, and end with the process that did."""
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 import pkgutil
+import re
 import subprocess
 import sys
 import tarfile
@@ -66,6 +67,21 @@ def test_the_sdist_and_the_wheel_made_of_it_hold_every_file(tmp_path: Path) -> N
     code = {name for name in code if "/examples/" not in name}
     door = "kinefilter/pipeline/api/__init__.py"
     assert (code - {door}) | {"kinefilter/__init__.py"} <= installed
+
+
+def test_every_python_and_system_that_is_promised_is_tested() -> None:
+    yaml = pytest.importorskip("yaml")
+    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    matrix = yaml.safe_load(text)["jobs"]["test"]["strategy"]["matrix"]
+    promised = "\n".join(CONFIG["project"]["classifiers"])
+    assert matrix["python"] == re.findall(r"Python :: (3\.\d+)$", promised, re.M)
+    named = {"ubuntu": "Linux", "windows": "Windows", "macos": "MacOS"}
+    assert [named[system.partition("-")[0]] for system in matrix["os"]] == sorted(
+        re.findall(r"System :: .*?(\w+)$", promised, re.M),
+        key=list(named.values()).index,
+    )
+    quick = (ROOT / ".ci" / "quick").read_text(encoding="utf-8").split()
+    assert all((ROOT / path).is_file() for path in quick)
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))

@@ -11,7 +11,6 @@ not happen, at least lose nothing.
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 import os
@@ -23,12 +22,16 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal
 
+from filelock import FileLock, Timeout
+
 from kinefilter.characters import InputError
 
 from .store import Store, store_at
 
 _LINES, _PARTS = "manifest.jsonl", "manifest"  # a file, at a URL a folder of files
 _CSV = "manifest.csv"
+_LOCK = "manifest.lock"
+_PATIENCE = 0.5  # s: a file system without locks may first have to clear a dead one's
 _FULL = 1000  # rows of a part: under a megabyte
 
 Status = Literal["done", "failed", "no take"]
@@ -132,7 +135,8 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
     path = Path(store.path(_LINES))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+")
+        path.touch()
+        file = path.open("rb+", buffering=0)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror}); write elsewhere"
@@ -140,11 +144,12 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
     with file:
         try:
             # The system releases the lock when the process ends, however it ends.
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            lock = FileLock(path.with_name(_LOCK)).acquire(_PATIENCE)
+        except Timeout:
             wrong = "another run writes there; wait for it, or write elsewhere"
             raise InputError(f"{store.root}: {wrong}") from None
-        yield Manifest(file, path)
+        with lock:
+            yield Manifest(file, path)
 
 
 class _InParts(Manifest):

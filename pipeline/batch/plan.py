@@ -64,9 +64,9 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
     labels: Counter[str] = Counter()
     for place in inputs:
         if not is_folder(place):
-            path = place if is_url(place) else str(Path(place).absolute())
+            path = place if is_url(place) else Path(place).absolute().as_posix()
             folder, _, name = path.rpartition("/")
-            store = store_at(folder or "/")
+            store = store_at(f"{folder}/")
             file = store.find(name)
             if file is None:
                 raise InputError(f"{place}: there is no such file; check the name")
@@ -75,7 +75,7 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
             continue
         prefix = ""
         if len(inputs) > 1:
-            label = PurePosixPath(place).name
+            label = Path(place).name
             if label in ("", ".."):
                 label = PurePosixPath(canonical(place)).name
             labels[label] += 1

@@ -21,6 +21,8 @@ from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.settings import hash_of
 
+# A scheme has two letters or more: C: is a drive.
+_URL = re.compile(r"[A-Za-z][\w+.:-]+://")
 # Names that ``atomic_path`` gives to temporary files: a dot and a random UUID.
 _TEMPORARY = re.compile(r"\.[0-9a-f]{12}4[0-9a-f]{3}[89ab][0-9a-f]{15}(\..*)?")
 _WHOLE_PUTS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"})
@@ -78,7 +80,7 @@ class Store:
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
         """Yield a path of this machine to write a whole file to; folders are made."""
-        path = Path(self.root, name)
+        path = Path(self.path(name))  # also where Windows sees a drive in the name
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -169,7 +171,7 @@ def store_at(place: str) -> Store:
 
 def is_url(place: str) -> bool:
     """Tell a URL such as ``s3://bucket/folder`` from a path."""
-    return "://" in place
+    return _URL.match(place) is not None
 
 
 def is_folder(place: str) -> bool:
@@ -188,8 +190,8 @@ def is_folder(place: str) -> bool:
 
 
 def canonical(place: str) -> str:
-    """Return a path without links, or a URL as it is, without a slash at the end."""
-    return place.rstrip("/") if is_url(place) else str(Path(place).resolve())
+    """Return a path without links, split by /, or a URL without / at its end."""
+    return place.rstrip("/") if is_url(place) else Path(place).resolve().as_posix()
 
 
 def _raise_unreadable(error: OSError) -> None:

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, standard_body
 from kinefilter.pipeline.config import TakeFormat
-from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.formats.files import new_text
 
 from .terminal import Skeletons, check_output, out
 
@@ -64,8 +64,8 @@ class Character:
         skeleton = SKELETONS[self.skeleton]
         body = standard_body(skeleton, height=self.height, mass=self.mass)
         text = scene_xml(self.scene, body)
-        with atomic_path(self.out) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        with new_text(self.out) as file:
+            file.write(text)
         size = f"{body.height:.2f} m, {body.mass:.0f} kg"
         out.print(f"wrote {self.out}: {self.skeleton}, {size}")
         return 0

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.formats import atomic_path, check_folder
+from kinefilter.pipeline.formats import check_folder
+from kinefilter.pipeline.formats.files import new_text
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over
 
@@ -28,7 +29,9 @@ err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=
 
 Skeletons = Literal["kinect_v1", "kinect_v2"]
 
-_ENDS = [s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP")]
+# Windows' SIGBREAK is Ctrl-Break, and a console that is closed.
+_REQUESTS = ("SIGTERM", "SIGBREAK")  # to end; no system has all of them
+_ENDS = (*_REQUESTS, "SIGINT", "SIGHUP")
 
 
 def check_output(path: Path | None, *others: Path | None, suffix: str = "") -> None:
@@ -99,9 +102,8 @@ def in_folders(paths: Sequence[Path], suffixes: tuple[str, ...]) -> list[Path]:
 def write_json(figures: object, path: Path | None) -> None:
     """Write figures as JSON, whole or not at all, if a file for them is given."""
     if path is not None:
-        with atomic_path(path) as temporary:
-            text = json.dumps(figures, indent=2, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
+        with new_text(path) as file:
+            file.write(json.dumps(figures, indent=2, allow_nan=False) + "\n")
 
 
 @contextmanager
@@ -110,11 +112,8 @@ def ended_gently() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread may say what a signal does
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
+    with _handling(_REQUESTS, signal.default_int_handler):
         yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
@@ -127,9 +126,17 @@ def stopped_by_signals(stop: asyncio.Event) -> Iterator[None]:
     def asked(*_: object) -> None:
         loop.call_soon_threadsafe(stop.set)
 
-    before = {number: signal.signal(number, asked) for number in _ENDS}
+    with _handling(_ENDS, asked):
+        yield
+
+
+@contextmanager
+def _handling(names: Collection[str], handler: Callable[..., Any]) -> Iterator[None]:
+    """Handle those of the signals that this system has."""
+    numbers = [number for number in signal.Signals if number.name in names]
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, earlier in before.items():
+            signal.signal(number, earlier)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import gzip
 import io
 import os
+import re
+import sys
 import tomllib
 import uuid
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -30,11 +32,19 @@ _ANY_RATIO = 2**25
 _LONGEST_LINE = 1_000_000  # characters; a binary file may have no line end at all
 _BEGINNING = 2**16  # bytes in which a text begins
 _MOST_BLANK = 10_000  # lines in a row
+_WINDOWS = sys.platform == "win32"
+_UNUSABLE = re.compile(
+    r'(con|prn|aux|nul|(com|lpt)\d)(\..*)?|.*[<>:"|?*].*|.*[ .]', re.IGNORECASE
+)
+"""Names of files that Windows takes for devices, for something else, or not at all."""
+_LONGEST_PATH = 259  # characters, on Windows unless long paths are switched on
 
 
 def check_folder(path: AnyPath) -> Path:
     """Return ``path`` if a file may be written there, else raise InputError."""
     path = _as_path(path)
+    if _WINDOWS and _UNUSABLE.fullmatch(path.name):
+        raise InputError(f"{path}: Windows keeps such names to itself; give another")
     if not path.parent.is_dir():
         raise InputError(f"{path}: folder {path.parent} does not exist; create it")
     if path.is_dir():
@@ -68,12 +78,15 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
             os.fsync(file.fileno())
         temporary.replace(target)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(
-            f"{target}: cannot be written ({reason}); write elsewhere or make room"
-        ) from error
+        reason, hint = error.strerror or str(error), "write elsewhere or make room"
+        if isinstance(error, PermissionError):  # Windows replaces no file that is open
+            hint = "close it in other programs, or write elsewhere"
+        elif _WINDOWS and len(str(temporary.absolute())) > _LONGEST_PATH:
+            hint = "its path is too long; write elsewhere"
+        raise InputError(f"{target}: cannot be written ({reason}); {hint}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # not there, or still open after another error
+            temporary.unlink()
 
 
 @contextmanager

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError
 
 _SECONDS = 120.0
-_MEMORY = 2 * 2**30  # bytes of address space, libraries included
+_LOOK = 0.1  # s between looks at its memory
+_MEMORY = 2 * 2**30  # bytes, libraries included
 _NAME = "kinefilter.pipeline.formats.guarded"
 _REFUSED = 3  # exit code: the message is on the standard error
 
@@ -33,27 +34,37 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
     InputError if it refuses the file, fails, or needs too much.
     """
     command = [sys.executable, "-m", _NAME, reader, path]
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(
-            command, capture_output=True, timeout=_SECONDS, env=environment, check=False
-        )
-    except subprocess.TimeoutExpired:
+    import psutil  # only here is it needed
+
+    own = {"OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, env=os.environ | own, **pipes) as reading:
+        for _ in range(round(_SECONDS / _LOOK)):
+            with suppress(subprocess.TimeoutExpired):
+                output, said = reading.communicate(timeout=_LOOK)
+                break
+            with suppress(psutil.Error):
+                if psutil.Process(reading.pid).memory_info().rss > _MEMORY:
+                    reading.kill()
+        else:
+            reading.kill()
+            raise InputError(
+                f"{path}: takes over {_SECONDS:.0f} s to read; it is damaged or too "
+                "long"
+            )
+    if reading.returncode == _REFUSED:
+        raise InputError(said.decode("utf-8", "replace").splitlines()[-1])
+    if reading.returncode != 0:
         raise InputError(
-            f"{path}: takes over {_SECONDS:.0f} s to read; it is damaged or too long"
-        ) from None
-    if done.returncode == _REFUSED:
-        raise InputError(done.stderr.decode("utf-8", "replace").splitlines()[-1])
-    if done.returncode != 0:
-        raise InputError(
-            f"{path}: the reader failed (code {done.returncode}); damaged or too large?"
+            f"{path}: the reader failed (code {reading.returncode}); damaged or too "
+            "large?"
         )
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as file:
+    with np.load(io.BytesIO(output), allow_pickle=False) as file:
         return {key: file[key] for key in file.files}
 
 
 def _main(reader: str, path: str) -> int:
-    with suppress(ImportError):  # Windows has no such limit; that of time still holds
+    if sys.platform == "linux":  # elsewhere who waits looks at the memory
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))

@@ -70,7 +70,7 @@ def learn_misplaced(sessions: Sequence[Session], path: Path) -> None:
     lines = [f"# bias, then: {', '.join(FEATURES)}"]
     for part, (features, wrong, _) in lessons(sessions).items():
         lines.append(f"{part} = {fit(features, wrong)}")
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

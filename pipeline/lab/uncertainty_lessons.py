@@ -184,7 +184,7 @@ def main(out: Path, files: Sequence[str]) -> None:
     for table, names in (("seen", SEEN), ("hidden", HIDDEN)):
         lines += ["", f"[{table}] # {', '.join(names)}"]
         lines += [f"{part} = {numbers}" for part, numbers in weights[table].items()]
-    out.write_text("\n".join(lines) + "\n", "utf-8")
+    out.write_text("\n".join(lines) + "\n", "utf-8", newline="\n")
 
 
 if __name__ == "__main__":

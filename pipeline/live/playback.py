@@ -46,7 +46,7 @@ async def open_sender(
         async def send(line: str) -> bool:
             try:
                 await write_out(f"{line}\n")
-            except BrokenPipeError:
+            except OSError:  # Windows has another one than EPIPE
                 ended = "-: the program that read the output has ended"
                 raise InputError(ended) from None
             return True

@@ -108,7 +108,7 @@ def write_report(
         data = data.replace(mark, f"\\u{ord(mark):04x}")
     with atomic_path(path) as temporary:
         whole = head + title + middle + data + end
-        temporary.write_text(whole, encoding="utf-8", errors="replace")
+        temporary.write_bytes(whole.encode("utf-8", "replace"))
 
 
 def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:

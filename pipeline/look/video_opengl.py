@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 from kinefilter.characters import InputError
 
-_NAMES = {"egl": "EGL", "osmesa": "OSMesa"}  # in the order in which they are tried
+_NAMES = {"win32": {"wgl": "WGL"}, "darwin": {"cgl": "CGL"}}.get(
+    sys.platform, {"egl": "EGL", "osmesa": "OSMesa"}
+)  # in the order in which they are tried
 _LONGEST = 60.0  # s that a driver may take to start, a guess
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software")
 _PROBE = """
@@ -54,9 +56,10 @@ class Backend:
 
 
 def find_backend() -> Backend:
-    """Return the first OpenGL that draws: MUJOCO_GL's if it is set, else EGL or OSMesa.
+    """Return the first OpenGL that draws: MUJOCO_GL's if it is set, else the system's.
 
-    If none does, an InputError names what to install.
+    That is EGL or OSMesa, WGL on Windows, CGL on macOS. If none does, an InputError
+    names what to install.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     reasons = []
@@ -66,8 +69,8 @@ def find_backend() -> Backend:
         reasons.append(f"{_NAMES.get(name, name)}: {found}")
     raise InputError(
         f"no OpenGL that draws without a screen ({'; '.join(reasons)}); install one: "
-        "Debian's libosmesa6 draws on any machine, libegl1 with the GPU's driver is "
-        "faster" + (", or unset MUJOCO_GL" if wanted else "")
+        "the GPU's driver brings one; on Debian libosmesa6 draws on any machine, "
+        "libegl1 is faster" + (", or unset MUJOCO_GL" if wanted else "")
     )
 
 
@@ -77,7 +80,8 @@ def _try(name: str) -> Backend | str:
             [sys.executable, "-c", _PROBE],
             env={**os.environ, "MUJOCO_GL": name},
             capture_output=True,
-            text=True,
+            encoding="utf-8",
+            errors="replace",
             timeout=_LONGEST,
         )
     except subprocess.TimeoutExpired:

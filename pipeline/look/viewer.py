@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import queue
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -35,6 +36,7 @@ _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 _BESIDE = "raw beside"  # checkbox: the raw take stands beside the character
 _SHADOWS = "shadows"  # checkbox: they are half of the work where no GPU draws
 _PROGRESS_EVERY = 0.1  # s between two reports of progress
+_LOOK = 1.0  # s between looks for Ctrl-C, which on Windows wakes nobody who waits
 _SHORTEST = 1.0 / 60.0  # s between two pictures: screens show no more
 
 
@@ -126,6 +128,8 @@ class Viewer:
             self._show()
             try:
                 wait = self._playback.until_next(perf_counter())
+                if sys.platform == "win32":
+                    wait = min(wait or _LOOK, _LOOK)
                 asked = self._asked.get(timeout=wait)
                 while asked is not None:
                     action, value = asked

@@ -42,7 +42,7 @@ def main(take: Path, clip: Path) -> None:
     result = kinefilter.clean(kinefilter.read_take(take))
     with tempfile.TemporaryDirectory() as folder:
         rig = Path(folder) / "stick.toml"
-        rig.write_text("".join([MAP, *limbs]), encoding="utf-8")
+        rig.write_text("".join([MAP, *limbs]), encoding="utf-8", newline="\n")
         export = kinefilter.Export(rig=str(rig), units="cm")
         kinefilter.write_clip(result.clip, clip, export)
     print(f"wrote {clip}")

@@ -101,4 +101,4 @@ def is_made(name: str, folder: Path, stamp: str) -> bool:
 def note_made(name: str, folder: Path, stamp: str) -> None:
     """Write down which fingerprint a study's table has."""
     with atomic_path(folder / f"{name}.made") as temporary:
-        temporary.write_text(stamp, encoding="utf-8")
+        temporary.write_text(stamp, encoding="utf-8", newline="\n")

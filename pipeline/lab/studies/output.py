@@ -226,7 +226,9 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
         place = there * (1.0 - 4.2 / np.hypot(root[0], root[2]))
         place[1] = 1.1
         camera.write_text(
-            f"position = {place.tolist()}\ntarget = {there.tolist()}\nfov = 36.0\n"
+            f"position = {place.tolist()}\ntarget = {there.tolist()}\nfov = 36.0\n",
+            encoding="utf-8",
+            newline="\n",
         )
         look = Look(
             size="200x240",
