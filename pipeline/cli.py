@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
 from importlib import import_module
+from io import TextIOWrapper
 from operator import or_
 from typing import Annotated, Any
 
@@ -56,6 +57,9 @@ _UNREAD = 141  # and of one whose output nobody reads any more
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code, see ``kinefilter --help``."""
     words = sys.argv[1:] if arguments is None else list(arguments)
+    for stream in (sys.stdout, sys.stderr):  # whatever the terminal cannot show
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         return _run(words)
     except InputError as error:

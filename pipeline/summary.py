@@ -13,7 +13,8 @@ from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
 from .contents import failures_as_json
-from .failures import Failure
+from .failures import told
+from .formats.plain import finite
 
 _ROWS = (
     ("bone-length variation", "bone_length_cv", "{:.2g}"),
@@ -39,7 +40,7 @@ def as_json(result: CleanResult) -> dict[str, Any]:
         "fps": clip.fps,
         "body": {"height_m": clip.body.height, "mass_kg": clip.body.mass},
         "reliability": dict(zip(clip.skeleton.joints, rates.tolist(), strict=True)),
-        "share_outside_database": _finite(result.share_outside),
+        "share_outside_database": result.share_outside,
         **{
             f"share_{origin.name.lower()}": float(np.mean(clip.origin == origin))
             for origin in Origin
@@ -48,19 +49,15 @@ def as_json(result: CleanResult) -> dict[str, Any]:
         "notes": list(result.notes),
     }
     for stage, quality in result.stages.items():
-        figures[stage] = {k: _finite(v) for k, v in asdict(quality).items()}
+        figures[stage] = asdict(quality)
     if result.trace is not None:
         figures["physics"] |= {
             "tracking_error_mm": float(result.trace.tracking_error.mean() * 1e3),
             "external_force_body_weights": float(result.trace.external_force.mean()),
             "frames_reset": int(result.trace.reset.sum()),
         }
-    return figures
-
-
-def _finite(value: float) -> float | None:
-    """Return the value, or None (JSON has no NaN) where nothing could be measured."""
-    return value if np.isfinite(value) else None
+    finished: dict[str, Any] = finite(figures)
+    return finished
 
 
 def as_tables(result: CleanResult) -> RenderableType:
@@ -92,10 +89,5 @@ def as_tables(result: CleanResult) -> RenderableType:
     if np.isfinite(result.share_outside):
         share = f"{result.share_outside:.0%}"
         lines.append(f"postures that the method knows too little: {share}")
-    kinds: dict[tuple[str, str], list[Failure]] = {}
-    for failure in result.failures:
-        kinds.setdefault((failure.part, failure.kind), []).append(failure)
-    for same in kinds.values():
-        later = f", and {len(same) - 1} times later" if len(same) > 1 else ""
-        lines.append(f"tracker failure: {same[0]}{later}")
+    lines += [f"tracker failure: {sentence}" for sentence in told(result.failures)]
     return Group(head, stages, joints, *lines, *result.notes)

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path, check_folder
+from kinefilter.pipeline.formats.plain import finite
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over
 
@@ -100,7 +101,7 @@ def write_json(figures: object, path: Path | None) -> None:
     """Write figures as JSON, whole or not at all, if a file for them is given."""
     if path is not None:
         with atomic_path(path) as temporary:
-            text = json.dumps(figures, indent=2, allow_nan=False)
+            text = json.dumps(finite(figures), indent=2, allow_nan=False)
             temporary.write_text(text + "\n", encoding="utf-8")
 
 

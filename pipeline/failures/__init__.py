@@ -8,7 +8,7 @@ plausible but wrong shows in the end, as cleaning moves it far.
 """
 
 from .displaced import find_displaced
-from .gross import Failure, FailureKind, distrust, find_failures, unmirrored
+from .gross import Failure, FailureKind, distrust, find_failures, told, unmirrored
 
 __all__ = [
     "Failure",
@@ -16,5 +16,6 @@ __all__ = [
     "distrust",
     "find_displaced",
     "find_failures",
+    "told",
     "unmirrored",
 ]

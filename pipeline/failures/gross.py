@@ -70,6 +70,17 @@ class Failure:
         return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
 
 
+def told(failures: Iterable[Failure]) -> tuple[str, ...]:
+    """Return a sentence for each kind of failure and part: when first, how often."""
+    alike: dict[tuple[str, str], list[Failure]] = {}
+    for failure in failures:
+        alike.setdefault((failure.part, failure.kind), []).append(failure)
+    return tuple(
+        f"{first}, and {len(later)} times later" if later else str(first)
+        for first, *later in alike.values()
+    )
+
+
 def find_failures(take: Take) -> tuple[Failure, ...]:
     """Return the gross failures in a take, time stamps strictly increasing."""
     kind = FailureKind

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import CONTACTS, InputError, Origin, Term
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.files import atomic_path, check_folder, read_toml
+from kinefilter.pipeline.formats.plain import finite
 from kinefilter.pipeline.metrics import METRICS, even_differences
 
 from .comparison import Comparison
@@ -128,8 +129,8 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         {
             "name": name,
             "meaning": meaning,
-            "raw": _finite(comparison.before[name]),
-            "clean": _finite(comparison.after[name]),
+            "raw": comparison.before[name],
+            "clean": comparison.after[name],
             "limits": [
                 {"text": f"{k.side} {k.number:g}", "fails": k.fails(comparison.after)}
                 for k in limits
@@ -138,42 +139,49 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         }
         for name, meaning in METRICS.items()
     ]
-    return {
-        "source": clip.source,
-        "skeleton": clip.skeleton.name,
-        "fps": clip.fps,
-        "height": clip.body.height,
-        "joints": list(clip.skeleton.joints),
-        "parents": list(clip.skeleton.parents),
-        "terms": [term.words for term in Term],
-        "origins": [origin.name.lower() for origin in Origin],
-        "parts": list(CONTACTS),
-        "colors": {
-            "reliability": RELIABILITY,
-            "origins": ORIGINS,
-            "terms": TERMS,
-            "unknown": UNKNOWN,
-        },
-        "time": _packed(clip.time - clip.time[0], "<f4"),
-        "raw": _packed(_millimeters(comparison.raw), "<i2"),
-        "clean": _packed(_millimeters(clip.positions), "<i2"),
-        "reliability": _packed(rates, "u1"),
-        "term": _packed(clip.deciding_term, "u1"),
-        "origin": _packed(clip.origin, "u1"),
-        "correction": _packed(_millimeters(clip.moved_by_correction), "<i2"),
-        "physics": _packed(_millimeters(clip.moved_by_physics), "<i2"),
-        "uncertainty": _packed(_millimeters(clip.uncertainty), "<i2"),
-        "contacts": _packed(clip.contacts, "u1"),
-        "curves": [
-            {
-                "name": name,
-                "raw": _packed(_derivative(clip.time, comparison.raw, order), "<f4"),
-                "clean": _packed(_derivative(clip.time, clip.positions, order), "<f4"),
-            }
-            for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
-        ],
-        "metrics": metrics,
-    }
+    contents: dict[str, Any] = finite(
+        {
+            "source": clip.source,
+            "skeleton": clip.skeleton.name,
+            "fps": clip.fps,
+            "height": clip.body.height,
+            "joints": list(clip.skeleton.joints),
+            "parents": list(clip.skeleton.parents),
+            "terms": [term.words for term in Term],
+            "origins": [origin.name.lower() for origin in Origin],
+            "parts": list(CONTACTS),
+            "colors": {
+                "reliability": RELIABILITY,
+                "origins": ORIGINS,
+                "terms": TERMS,
+                "unknown": UNKNOWN,
+            },
+            "time": _packed(clip.time - clip.time[0], "<f4"),
+            "raw": _packed(_millimeters(comparison.raw), "<i2"),
+            "clean": _packed(_millimeters(clip.positions), "<i2"),
+            "reliability": _packed(rates, "u1"),
+            "term": _packed(clip.deciding_term, "u1"),
+            "origin": _packed(clip.origin, "u1"),
+            "correction": _packed(_millimeters(clip.moved_by_correction), "<i2"),
+            "physics": _packed(_millimeters(clip.moved_by_physics), "<i2"),
+            "uncertainty": _packed(_millimeters(clip.uncertainty), "<i2"),
+            "contacts": _packed(clip.contacts, "u1"),
+            "curves": [
+                {
+                    "name": name,
+                    "raw": _packed(
+                        _derivative(clip.time, comparison.raw, order), "<f4"
+                    ),
+                    "clean": _packed(
+                        _derivative(clip.time, clip.positions, order), "<f4"
+                    ),
+                }
+                for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
+            ],
+            "metrics": metrics,
+        }
+    )
+    return contents
 
 
 def _template(name: str) -> str:
@@ -202,7 +210,3 @@ def _derivative(time: Array, positions: Array, order: int) -> Array:
     middle = np.flatnonzero(known) + order // 2  # of the frames of each difference
     values[middle] = np.nanmean(size[known], axis=1) / nominal**order
     return values
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
