@@ -122,3 +122,13 @@ def test_a_time_limit_is_more_than_nothing(
     words = ["--take-timeout", seconds, "-o", str(hanging / "out")]
     assert main(["batch", str(hanging), *words]) == 2
     assert "--take-timeout" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no signal reaches one process alone there")
+def test_ctrl_c_does_not_end_a_worker_that_is_still_starting() -> None:
+    worker = Worker()
+    assert worker.process.pid is not None
+    os.kill(worker.process.pid, signal.SIGINT)
+    worker.call(len, "take")
+    assert [worker.calls.recv(), worker.calls.recv()] == [True, 4]
+    worker.end()
