@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import errno
-import io
 import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
 from importlib import import_module
+from io import TextIOWrapper
 from operator import or_
 from typing import Annotated, Any
 
@@ -58,9 +58,9 @@ _UNREAD = 141  # and of one whose output nobody reads any more
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code, see ``kinefilter --help``."""
     words = sys.argv[1:] if arguments is None else list(arguments)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # Not every console and code page has the letters of every name.
-        sys.stdout.reconfigure(errors="backslashreplace")
+    for stream in (sys.stdout, sys.stderr):  # whatever the terminal cannot show
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         return _run(words)
     except InputError as error:

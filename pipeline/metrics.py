@@ -193,11 +193,6 @@ def amplitude(positions: Array, body: Body) -> Array:
     return moves
 
 
-def number_or_none(value: float) -> float | None:
-    """Return a figure; None (JSON has no NaN) where nothing could be measured."""
-    return value if np.isfinite(value) else None
-
-
 def _steps(time: Array) -> Array:
     """Return time steps [s], NaN where stamps repeat and over long gaps, (T - 1,)."""
     steps = np.diff(time)

@@ -13,8 +13,8 @@ from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
 from .contents import failures_as_json, gaps_as_json, origin_shares
-from .failures import Failure, FailureKind
-from .metrics import number_or_none
+from .failures import told
+from .formats.plain import finite
 
 _ROWS = (
     ("bone-length variation", "bone_length_cv", "{:.2g}"),
@@ -40,21 +40,22 @@ def as_json(result: CleanResult) -> dict[str, Any]:
         "fps": clip.fps,
         "body": {"height_m": clip.body.height, "mass_kg": clip.body.mass},
         "reliability": dict(zip(clip.skeleton.joints, rates.tolist(), strict=True)),
-        "share_outside_database": number_or_none(result.share_outside),
+        "share_outside_database": result.share_outside,
         **{f"share_{name}": share for name, share in origin_shares(clip).items()},
         "gaps": gaps_as_json(clip.time),
         "failures": failures_as_json(result.failures),
         "notes": list(result.notes),
     }
     for stage, quality in result.stages.items():
-        figures[stage] = {k: number_or_none(v) for k, v in asdict(quality).items()}
+        figures[stage] = asdict(quality)
     if result.trace is not None:
         figures["physics"] |= {
             "tracking_error_mm": float(result.trace.tracking_error.mean() * 1e3),
             "external_force_body_weights": float(result.trace.external_force.mean()),
             "frames_reset": int(result.trace.reset.sum()),
         }
-    return figures
+    finished: dict[str, Any] = finite(figures)
+    return finished
 
 
 def as_tables(result: CleanResult) -> RenderableType:
@@ -67,8 +68,8 @@ def as_tables(result: CleanResult) -> RenderableType:
     stages = Table("", *result.stages, title="per stage", title_justify="left")
     for label, key, form in _ROWS:
         values = [getattr(quality, key) for quality in result.stages.values()]
-        told = (form.format(v) if np.isfinite(v) else "-" for v in values)
-        stages.add_row(label, *told)
+        cells = (form.format(v) if np.isfinite(v) else "-" for v in values)
+        stages.add_row(label, *cells)
     rates = clip.reliability.mean(axis=0)
     columns = ("joint", "reliability", "decided by", "filled")
     joints = Table(*columns, title="least reliable joints", title_justify="left")
@@ -87,11 +88,5 @@ def as_tables(result: CleanResult) -> RenderableType:
     if np.isfinite(result.share_outside):
         share = f"{result.share_outside:.0%}"
         lines.append(f"postures that the method knows too little: {share}")
-    kinds: dict[tuple[str, FailureKind], list[Failure]] = {}
-    for failure in result.failures:
-        kinds.setdefault((failure.part, failure.kind), []).append(failure)
-    for (part, kind), same in kinds.items():
-        when = ", ".join(f"{f.start:.1f} to {f.end:.1f}" for f in same[:_WORST])
-        more = f" and {len(same) - _WORST} times later" if len(same) > _WORST else ""
-        lines.append(f"tracker failure: {part} {kind} ({when} s{more}): {kind.done}")
+    lines += [f"tracker failure: {sentence}" for sentence in told(result.failures)]
     return Group(head, stages, joints, *lines, *result.notes)

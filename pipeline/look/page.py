@@ -23,7 +23,8 @@ from kinefilter.characters import CONTACTS, InputError, Origin, Term
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.pipeline.formats.files import atomic_path, read_toml
-from kinefilter.pipeline.metrics import METRICS, even_differences, number_or_none
+from kinefilter.pipeline.formats.plain import finite
+from kinefilter.pipeline.metrics import METRICS, even_differences
 
 from .comparison import Comparison
 from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
@@ -123,8 +124,8 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         {
             "name": name,
             "meaning": meaning,
-            "raw": number_or_none(comparison.before[name]),
-            "clean": number_or_none(comparison.after[name]),
+            "raw": comparison.before[name],
+            "clean": comparison.after[name],
             "limits": [
                 {"text": f"{k.side} {k.number:g}", "fails": k.fails(comparison.after)}
                 for k in limits
@@ -168,7 +169,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             }
             for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
         ],
-        "metrics": metrics,
+        "metrics": finite(metrics),
     }
 
 
