@@ -24,7 +24,7 @@ from kinefilter.pipeline.commands.view import View
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.sheets import write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look.comparison import read_drawing
+from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.viewer_server import may_connect, opened_server
 
 QUICK = CleanConfig(method="none", physics=False)
@@ -129,7 +129,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
 ) -> None:
     clip, take = str(clip_path), str(sample_path())
     contacts = tmp_path / "take.contacts.csv"
-    write_contacts(read_drawing(clip_path).clip, contacts)
+    write_contacts(read_finite_clip(clip_path), contacts)
     copied = tmp_path / "take.csv"
     copied.write_bytes(sample_path().read_bytes())
     for arguments, words in (

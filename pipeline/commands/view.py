@@ -13,7 +13,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.look.drawing import Drawing, cleaned
+from kinefilter.pipeline.look.drawing import Drawing, cleaned, read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.progress import Progress
 
@@ -113,9 +113,11 @@ class View:
     def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
         """Return what is looked at, and how it is cleaned again."""
         if self._is_clip:
-            from kinefilter.pipeline.look.comparison import read_drawing
+            from kinefilter.pipeline.look.comparison import read_comparison
 
-            return read_drawing(self.motion, self.take, body=self.body), None
+            if self.take is None:
+                return Drawing(read_finite_clip(self.motion)), None
+            return read_comparison(self.motion, self.take, body=self.body), None
         recording = read_recording(self.motion, format=self.format)
         take = recording.take(self.body)
         for note in recording.notes:

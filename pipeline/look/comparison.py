@@ -56,15 +56,6 @@ def read_comparison(
         raise InputError(f"{clip_path} with --take {take_path}: {error}") from None
 
 
-def read_drawing(
-    clip_path: Path, take_path: Path | None = None, *, body: int | None = None
-) -> Drawing:
-    """Read a clip and, if it is given, its take, as ``read_comparison`` does."""
-    if take_path is None:
-        return Drawing(read_finite_clip(clip_path))
-    return read_comparison(clip_path, take_path, body=body)
-
-
 def compare(clip: Clip, take: Take) -> Comparison:
     """Put a take where its clip is and measure both.
 

@@ -6,6 +6,7 @@ MuJoCo chooses its OpenGL when it is imported, and a process can hold only one k
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -86,8 +87,8 @@ def _try(name: str) -> Backend | str:
         )
     except subprocess.TimeoutExpired:
         return "does not answer"
-    for line in done.stdout.splitlines():
-        if line.startswith("draws with "):
-            return Backend(name, line.removeprefix("draws with "))
+    found = re.search("^draws with (.*)", done.stdout, re.MULTILINE)
+    if found is not None:
+        return Backend(name, found[1])
     said = done.stderr.strip().splitlines()
     return said[-1].strip()[:120] if said else f"ended with code {done.returncode}"

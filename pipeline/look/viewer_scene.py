@@ -58,10 +58,9 @@ class ViewerScene:
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
         self._layers["contacts"] = _add_contacts(scene, drawing.clip, edits)
-        if drawing.simulated:
-            self._layers["forces"] = _add_force(scene, drawing.clip)
-        if drawing.clip.props:
-            self._layers["things"] = _add_props(scene, drawing.clip)
+        for name, add in (("forces", _add_force), ("things", _add_props)):
+            if name in drawing.layers:
+                self._layers[name] = add(scene, drawing.clip)
         self._shown = set(self._layers)
 
     def choose(self, names: set[str], *, beside: bool, shadows: bool) -> None:
