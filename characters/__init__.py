@@ -1,6 +1,12 @@
 """Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, STATURES, Body, standard_body
+from .anthropometry import (
+    STANDARD_HEIGHT,
+    STATURES,
+    Body,
+    standard_body,
+    unit_hint,
+)
 from .errors import InputError, KinefilterError
 from .motion import (
     CONTACTS,
@@ -40,4 +46,5 @@ __all__ = [
     "positions_from_rotations",
     "skeleton_named",
     "standard_body",
+    "unit_hint",
 ]

@@ -32,6 +32,9 @@ STATURES = (0.3, 3.0)
 _MEASURES = {"height": (*STATURES, "m", "meters"), "mass": (2, 500, "kg", "kilograms")}
 """What a whole body measures: between what, in which unit."""
 _LONGEST = 100.0  # m, of a segment: beyond, a number is damaged
+_UNITS = {"millimeters": 1000.0, "centimeters": 100.0, "inches": 39.37, "feet": 3.281}
+_PEOPLE = (1.2, 2.3)  # m: statures and spans, each in one of these units alone
+
 _UNIT = 1e-3  # by which a direction may be longer than 1: single precision, and room
 _DENSITY = 1050.0  # kg/m^3, whole-body tissue average (Winter 2009, section 4.1.1)
 _BODY_MASS_INDEX = 22.0  # kg/m^2, middle of the WHO's normal range, if no mass is given
@@ -126,6 +129,14 @@ def _check_segments(body: Body) -> None:
                 f"the segment to {skeleton.joints[ends[k]]} {words.format(values[k])}; "
                 "give lengths above 0 and unit directions"
             )
+
+
+def unit_hint(size: float) -> str:
+    """Return what to try where a person measures that many "meters"."""
+    for unit, per_meter in _UNITS.items():
+        if _PEOPLE[0] < size / per_meter < _PEOPLE[1]:
+            return f"they look like {unit}: divide the positions by {per_meter:g}"
+    return "are the positions in meters?"
 
 
 @dataclass(frozen=True, eq=False)

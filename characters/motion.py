@@ -292,6 +292,9 @@ class Clip(Motion):
     floor: float = float("nan")
     """Height [m] of the floor in the take so leveled, which was then taken off; NaN as
     for ``tilt``."""
+    roll: float = 0.0
+    """Angle [rad] about z by which the take was turned before that, from x to y: half a
+    turn where the sensor was upside down."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -55,7 +55,7 @@ from .stages import (
     Standardize,
 )
 from .target.floor import to_world
-from .target.stages import Bones, Feet, Floor, Level, Orient, Smooth
+from .target.stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
 from .uncertainty import uncertainty
 
 _FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
@@ -114,6 +114,7 @@ class Cleaner:
         for given, kind in ((tracking, Tracking), (corrector, Corrector)):
             check_kind(given, kind | None, f"the {kind.__name__.lower()}")
         self.stages: tuple[Stage, ...] = (
+            Upright(config),  # where the sensor was upside down, or tilted far
             Failures(),  # gross failures: sides put back, impossible limbs distrusted
             MeasureBody(config),  # how long the person's segments are
             Score(config),  # reliability of every joint
@@ -266,7 +267,8 @@ class Cleaner:
         )
         failures = sorted((*draft.failures, *late), key=lambda found: found.first)
         del mended
-        raw = to_world(recorded.positions, draft.tilt, draft.floor)
+        turn, tilt = draft.turn, draft.turn.tilt + draft.tilt
+        raw = to_world(recorded.positions, tilt, draft.floor, turn.roll)
         motions = {"raw": raw, "corrected": draft.posed}
         force = np.full(len(recorded), np.nan)
         after = draft.posed
@@ -295,8 +297,9 @@ class Cleaner:
             external_force=force[frames],
             props=tuple(prop.at(frames) for prop in draft.props),
             source=take.source,
-            tilt=draft.tilt,
+            tilt=tilt,
             floor=draft.floor,
+            roll=turn.roll,
         )
         return CleanResult(
             clip,
@@ -338,8 +341,18 @@ def _notes(draft: Draft) -> Iterable[str]:
             "no T-pose or standing frames with every joint tracked: segment lengths "
             "are measured over the whole take"
         )
-    if draft.tilt != 0.0:
-        yield f"the sensor was tilted by {np.degrees(draft.tilt):+.1f} degrees"
+    turn, tilt = draft.turn, np.degrees(draft.turn.tilt + draft.tilt)
+    if turn.roll:
+        what = "upside down" if abs(turn.roll) > np.pi / 2.0 else "tilted"
+        yield (
+            f"the sensor was {what}, going by how the person stands: the take was "
+            f"turned by {np.degrees(turn.roll):+.1f} degrees about z, then by "
+            f"{tilt:+.1f} about x; --tilt 0 leaves it as it is"
+        )
+    elif tilt != 0.0:
+        yield f"the sensor was tilted by {tilt:+.1f} degrees"
+    if turn.doubt:
+        yield turn.doubt
     if draft.trace is not None and draft.trace.reset.any():
         yield f"physics: {draft.trace.status}"
 

@@ -208,8 +208,10 @@ def contents_of_take(take: Take) -> dict[str, Any]:
 
 def failures_as_json(failures: Iterable[Failure]) -> list[dict[str, Any]]:
     """Return what failed and when [s], ready for ``json.dump``."""
-    rows = [(f.kind.name.lower(), f.part, f.start, f.end) for f in failures]
-    names = ("kind", "part", "start_s", "end_s")
+    rows = [
+        (f.kind.name.lower(), f.part, f.start, f.end, f.kind.done) for f in failures
+    ]
+    names = ("kind", "part", "start_s", "end_s", "done")
     return [dict(zip(names, row, strict=True)) for row in rows]
 
 

@@ -18,6 +18,7 @@ from kinefilter.retarget import HeadingFrame
 from .failures import Failure
 from .physics import PhysicsTrace
 from .reliability import Reference
+from .target.upright import Turn
 
 
 @dataclass(eq=False)
@@ -34,7 +35,7 @@ class Draft:
     """Time stamps [s], strictly increasing, shape (T,); of a frame a number."""
     measured: Array
     """Joint positions [m], sensor frame with y up, NaN where missing, shape (J, 3);
-    where the tracker exchanged left and right, as the failures stage put them back."""
+    turned upright, and without the gross failures that were mended or taken out."""
     state: NDArray[np.uint8]
     """Tracking states (State), shape (J,), exchanged as the positions are."""
     source: str = "take"
@@ -81,8 +82,10 @@ class Draft:
     """Whether each foot (left, right) stands, shape (2,)."""
     contacts: NDArray[np.bool_] = field(init=False)
     """Which parts of the feet stand (CONTACTS), shape (4,); takes only."""
+    turn: Turn = Turn()
+    """How the sensor's frame was turned upright, ``measured`` with it."""
     tilt: float = 0.0
-    """Angle [rad] about x by which the sensor's frame was leveled."""
+    """Angle [rad] about x by which the frame was leveled after that."""
     floor: float = 0.0
     """Height of the floor in the leveled sensor's frame [m]."""
     bone_weights: Array = field(init=False)

@@ -26,7 +26,7 @@ from .config import CleanConfig
 from .correct import Corrector, Hold, Observation
 from .draft import Draft
 from .factory import make_corrector, make_scorer
-from .failures import distrust, find_failures, unmirrored
+from .failures import distrust, find_failures, unmirrored, without_nobody
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
@@ -83,7 +83,10 @@ class Stage(ABC):
 
 
 class Failures(Stage):
-    """Finds gross failures of the tracker and puts exchanged sides back."""
+    """Finds gross failures of the tracker, and mends what it can.
+
+    Exchanged sides are put back; frames in which nobody can be so are taken out.
+    """
 
     name = "failures"
 
@@ -94,7 +97,7 @@ class Failures(Stage):
         """Find the failures of a take."""
         take = draft.take()
         draft.failures = find_failures(take)
-        mended = unmirrored(take, draft.failures)
+        mended = unmirrored(without_nobody(take, draft.failures), draft.failures)
         draft.measured, draft.state = mended.positions, mended.state
 
 

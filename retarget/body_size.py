@@ -18,6 +18,7 @@ from kinefilter.characters import (
     InputError,
     Skeleton,
     standard_body,
+    unit_hint,
 )
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import between, matrix_from_wxyz
@@ -51,20 +52,20 @@ def measured_body(
     average = standard_body(skeleton).lengths
     known = np.where(lengths > 0, lengths, np.nan)
     known = _mean_of_sides(known, known[skeleton.mirror])
-    if height is None:
-        stack = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
-        joint = skeleton.index("Head")
-        while joint != skeleton.root:
-            stack.append(joint)
-            joint = skeleton.parents[joint]
-        upright = [j for j in stack if np.isfinite(known[j])]
-        share = known[upright].sum() / average[upright].sum() if upright else 1.0
-        height = STANDARD_HEIGHT * float(share)
-        if not STATURES[0] < height < STATURES[1]:
-            raise InputError(
-                f"{source}: the segments measure a stature of {height:.3g} m, expected "
-                f"{STATURES[0]:g} to {STATURES[1]:g} m; are the positions in meters?"
-            )
+    stack = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
+    joint = skeleton.index("Head")
+    while joint != skeleton.root:
+        stack.append(joint)
+        joint = skeleton.parents[joint]
+    upright = [j for j in stack if np.isfinite(known[j])]
+    share = known[upright].sum() / average[upright].sum() if upright else 1.0
+    stature = STANDARD_HEIGHT * float(share)
+    if not STATURES[0] < stature < STATURES[1]:
+        raise InputError(
+            f"{source}: the segments measure a stature of {stature:.3g} m, expected "
+            f"{STATURES[0]:g} to {STATURES[1]:g} m; {unit_hint(stature)}"
+        )
+    height = stature if height is None else height
     body = standard_body(skeleton, height=height, mass=mass)
     trunk = skeleton.mirror == np.arange(len(skeleton))
     beside = np.where(trunk[list(skeleton.parents)], _ODDEST_SHOULDER, _ODDEST_LIMB)

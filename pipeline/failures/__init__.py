@@ -2,13 +2,21 @@
 
 Sensors now and then take a person for one who faces the other way, and exchange left
 and right from one frame to the next; they bend a leg the way no knee bends, put an arm
-through the head, or let a limb leap to somewhere else and back. Most of it goes on for
+through the head, or let a limb leap to somewhere else and back. They put the whole body
+where nobody gets so fast, or give it the size of a house. Most of it goes on for
 many frames, so that nothing which looks at single frames or lengths minds it. What is
 plausible but wrong shows in the end, as cleaning moves it far.
 """
 
 from .displaced import find_displaced
-from .gross import Failure, FailureKind, distrust, find_failures, unmirrored
+from .gross import (
+    Failure,
+    FailureKind,
+    distrust,
+    find_failures,
+    unmirrored,
+    without_nobody,
+)
 
 __all__ = [
     "Failure",
@@ -17,4 +25,5 @@ __all__ = [
     "find_displaced",
     "find_failures",
     "unmirrored",
+    "without_nobody",
 ]

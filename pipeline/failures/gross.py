@@ -9,10 +9,11 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Skeleton, Take, Term
+from kinefilter.characters import Skeleton, State, Take, Term
 from kinefilter.pipeline.reliability import Scores
 from kinefilter.retarget.runs import runs
 
+from .bodies import elsewhere, of_another_size
 from .limbs import bent_backwards, leaps, leftward, out_of_range, through_head
 
 _SPIN = np.radians(120.0)
@@ -35,8 +36,28 @@ class FailureKind(StrEnum):
     OUT_OF_RANGE = "beyond the shoulder's range"
     LEAPING = "leaping faster than limbs move"
     DISPLACED = "displaced by 9 cm or more"
+    ELSEWHERE = "where it cannot have been"
+    ODD_SIZE = "far larger or smaller than it is"
+    JUMPING = "jumping faster than people move"
+
+    @property
+    def done(self) -> str:
+        """What cleaning does about it, for users."""
+        return _DONE.get(self, "left as measured, check it")
 
 
+_DONE = {
+    FailureKind.MIRRORED: "exchanged back if that makes it go on smoothly",
+    FailureKind.BENT_BACKWARDS: "not trusted, made up from the rest of the body",
+    FailureKind.THROUGH_HEAD: "not trusted, made up from the rest of the body",
+    FailureKind.DISPLACED: "moved to where the rest says it was, check it",
+    FailureKind.ELSEWHERE: "taken out and filled in from before and after",
+    FailureKind.ODD_SIZE: "taken out and filled in from before and after",
+    FailureKind.JUMPING: "left as measured; if it is somebody else, cut the take there",
+}
+
+_NOBODY = (FailureKind.ELSEWHERE, FailureKind.ODD_SIZE)
+"""Failures whose frames hold nothing of the person."""
 _DOUBTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
 """Failures whose limbs get reliability 0. An arm beyond its range is closer to the
 truth than what correction invents for it: 27 against 39 cm in 14 recorded clips. A limb
@@ -79,7 +100,13 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
     if len(take) < 2:
         return ()
     kind = FailureKind
-    found = list(_lasting(take, kind.MIRRORED, "body", _mirrored(take)))
+    found = list(_lasting(take, kind.ODD_SIZE, "body", of_another_size(take)))
+    take = without_nobody(take, found)
+    wrong, jumps = elsewhere(take)
+    found += _lasting(take, kind.ELSEWHERE, "body", wrong)
+    found += _lasting(take, kind.JUMPING, "body", jumps)
+    take = without_nobody(take, found)
+    found += _lasting(take, kind.MIRRORED, "body", _mirrored(take))
     take = unmirrored(take, found)  # sides are named as they are once exchanged back
     for side in ("Left", "Right"):
         for limb, what, frames, shortest in (
@@ -118,6 +145,8 @@ def distrust(
     reliability, geometry = scores.reliability.copy(), scores.geometry.copy()
     term = scores.term.copy()
     for failure in failures:
+        if failure.kind in _NOBODY:
+            term[failure.frames] = Term.FAILURE
         if failure.kind in _DOUBTED:
             side, limb = failure.part.split()
             top = {"arm": "Shoulder", "leg": "Hip"}[limb] + side.capitalize()
@@ -144,6 +173,21 @@ def _mirrored(take: Take) -> NDArray[np.bool_]:
         end = turns[k + 1] if k + 1 < len(turns) else len(take)
         frames[turn:end] = k % 2 == 0
     return frames if frames.mean() <= 0.5 else ~frames
+
+
+def without_nobody(take: Take, failures: Iterable[Failure]) -> Take:
+    """Return a take in which every joint is missing where the person cannot have been.
+
+    That is in frames with the body elsewhere or of another size.
+    """
+    frames = np.zeros(len(take), dtype=bool)
+    for failure in failures:
+        frames[failure.frames] |= failure.kind in _NOBODY
+    if not frames.any():
+        return take
+    positions = np.where(frames[:, None, None], np.nan, take.positions)
+    state = np.where(frames[:, None], State.NOT_TRACKED, take.state)
+    return replace(take, positions=positions, state=state.astype(np.uint8))
 
 
 def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:

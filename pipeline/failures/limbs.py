@@ -21,6 +21,13 @@ arms that mocap agrees with keep 16 cm, lost ones come nearer than 11."""
 _FOREARM = 0.75
 """Share of the forearm, from the elbow, that is judged: the hand may be anywhere on
 the head or behind it, and the sensor places wrists no better than to some cm."""
+_OVER_HEAD = 0.17
+"""Height of a wrist over the middle of the head [m] from which a forearm that begins no
+lower than its clearance is over the crown and not in the head. In recorded failures
+13 cm at most."""
+_RAISED = np.cos(np.radians(40.0))
+"""Cosine of the angle to straight up within which arms are over the trunk, where elbows
+may meet. Arms recorded out of range have 0.74 at most."""
 _ADDUCTION = np.radians(135.0)
 """How far an arm goes across the chest [rad], 0 to the side, a quarter turn to the
 front: horizontal adduction, for which textbooks give 130 to 135 degrees."""
@@ -70,7 +77,10 @@ def through_head(take: Take, side: str) -> NDArray[np.bool_]:
     elbow, wrist = _joint(take, "Elbow", side), _joint(take, "Wrist", side)
     neck, head = take.positions[:, take.skeleton.girdle], _joint(take, "Head")
     apart = _distances(elbow, _FOREARM * (wrist - elbow), neck, head)
-    apart = np.nan_to_num(apart, nan=np.inf)
+    up = unit(_upward(take))
+    elbow, wrist = (np.sum((end - head) * up, axis=1) for end in (elbow, wrist))
+    over = (wrist > _OVER_HEAD) & (elbow > -_CLEARANCE)
+    apart = np.nan_to_num(np.where(over, np.inf, apart), nan=np.inf)
     return np.asarray(_steady(take, apart) < _CLEARANCE)
 
 
@@ -81,12 +91,14 @@ def out_of_range(take: Take, side: str) -> NDArray[np.bool_]:
     farther than straight back. What lies between is shut by two half planes that meet
     in the trunk's axis; counted is the angle to the nearer one.
     """
-    left, _, front = trunk_axes(take)
+    left, up, front = trunk_axes(take)
     arm = unit(_joint(take, "Elbow", side) - _joint(take, "Shoulder", side))
     inward = np.sum(arm * left, axis=1) * (-1.0 if side == "Left" else 1.0)
     ahead = np.sum(arm * front, axis=1)
     across = -np.cos(_ADDUCTION) * ahead - np.sin(_ADDUCTION) * inward
-    beyond = np.nan_to_num(np.minimum(-across, inward), nan=-1.0)
+    beyond = np.minimum(-across, inward)
+    beyond = np.where(np.sum(arm * up, axis=1) < _RAISED, beyond, -1.0)
+    beyond = np.nan_to_num(beyond, nan=-1.0)
     return np.asarray(_steady(take, beyond) > np.sin(_TOLERANCE))
 
 

@@ -27,8 +27,9 @@ _LONGEST_HEADER = 10_000  # bytes, numpy's own limit for files from elsewhere
 
 _FRAME = ("tilt", "floor")  # archives of older versions lack them,
 _SINCE_0_2 = "uncertainty"  # and this
+_ROLL = "roll"  # only where there is one
 _FIRST = ("time", "positions", "rotations")
-_OTHERS = (*_FIRST, *_FRAME, "root", "body", "source", "props")
+_OTHERS = (*_FIRST, *_FRAME, _ROLL, "root", "body", "source", "props")
 _ARRAYS = (*_FIRST, *(f.name for f in fields(Clip) if f.name not in _OTHERS))
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
@@ -113,6 +114,7 @@ def write_npz(clip: Clip, path: AnyPath) -> None:
         "skeleton": np.array(clip.skeleton.name),
         "joints": np.array(clip.skeleton.joints),
         "source": np.array(clip.source),
+        **({_ROLL: np.array(clip.roll)} if clip.roll else {}),
     }
     # An open file, as numpy adds .npz to a name that ends in .NPZ.
     with atomic_path(path) as temporary, temporary.open("wb") as file:
@@ -140,6 +142,7 @@ def _clip(archive: dict[str, Any]) -> Clip:
     unknown = np.full(np.shape(arrays["reliability"]), np.nan)
     arrays[_SINCE_0_2] = archive.get(_SINCE_0_2, unknown)
     frame = {name: archive.get(name, np.nan) for name in _FRAME}
+    frame[_ROLL] = archive.get(_ROLL, 0.0)
     for name, array in (*arrays.items(), *measures.items(), *frame.items()):
         kinds = "f" if name == "time" else "biuf"
         if np.asarray(array).dtype.kind not in kinds:
@@ -154,8 +157,7 @@ def _clip(archive: dict[str, Any]) -> Clip:
         body=Body(skeleton=skeleton, **(measures | numbers)),
         source=str(archive["source"]),
         props=tuple(props_from_arrays(archive)),
-        tilt=np.asarray(frame["tilt"]).item(),
-        floor=np.asarray(frame["floor"]).item(),
+        **{name: np.asarray(number).item() for name, number in frame.items()},
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import InputError, Skeleton, State, Take
+from kinefilter.characters import InputError, Skeleton, State, Take, unit_hint
 from kinefilter.characters.arrays import Array, shown
 from kinefilter.characters.motion import nominal_step
 
@@ -203,10 +203,9 @@ def check_extent(positions: Array, source: str) -> None:
         spans = np.fmax.reduce(some, axis=1) - np.fmin.reduce(some, axis=1)
     span = float(np.median(spans.max(axis=-1)))
     if span > _LARGEST_PERSON:
-        unit, factor = ("milli", 1000) if span > 600 else ("centi", 100)
         raise InputError(
             f"{source}: the skeleton spans {span:.0f} m in a typical frame, expected a "
-            f"person in meters; if it is in {unit}meters, divide positions by {factor}"
+            f"person in meters; {unit_hint(span)}"
         )
     distance = np.fmax.reduce(np.abs(positions[seen]).reshape(len(seen), -1), axis=1)
     far = seen[distance > _FARTHEST]

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 
 from kinefilter.characters import InputError, Take
@@ -98,7 +99,18 @@ def read_recording(path: AnyPath, *, format: str | None = None) -> Recording:
     module, _, function = FORMATS[name][0].partition(":")
     read: Callable[[str], Recording]
     read = getattr(import_module(f".{module}", __package__), function)
-    return read(source)
+    return _with_y_up(read(source))
+
+
+def _with_y_up(recording: Recording) -> Recording:
+    """Return a recording whose y axis pointed down with y up, and a note that says so."""
+    from kinefilter.pipeline.target.upright import with_y_up
+
+    takes = tuple(map(with_y_up, recording.takes))
+    if takes == recording.takes:
+        return recording
+    note = "y pointed down, going by feet and toes: it was negated"
+    return replace(recording, takes=takes, notes=(*recording.notes, note))
 
 
 def claims_take(path: AnyPath) -> bool:

@@ -25,6 +25,8 @@ What cleaning did to the whole take is written once, unless it is unknown:
 - ``sensorTilt``: angle in radians by which the take was turned about the sensor's x
   axis, positive where the floor rose away from the sensor: ``y cos - z sin`` is up
 - ``floorHeight``: height of the floor in the take so leveled, which was then taken off
+- ``sensorRoll``: angle in radians by which the take was turned about z before that, from
+  x to y; not there if it was not
 
 pxr is imported where it is used: loading it takes longer than most commands run.
 """
@@ -259,7 +261,9 @@ def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
 
     for name, values in name_tables(clip.skeleton).items():
         attribute(name, types.TokenArray).default = Vt.TokenArray(values)
-    for name, number in (("sensorTilt", clip.tilt), ("floorHeight", clip.floor)):
+    frame = {"sensorTilt": clip.tilt, "floorHeight": clip.floor}
+    frame |= {"sensorRoll": clip.roll} if clip.roll else {}
+    for name, number in frame.items():
         if np.isfinite(number):
             attribute(name, types.Double).default = number
     for name, field in PER_FRAME.items():

@@ -108,8 +108,7 @@ def read_usd_clip(path: AnyPath) -> Clip:
             motion,
             **known,
             external_force=arrays["external_force"],
-            tilt=arrays["tilt"].item(),
-            floor=arrays["floor"].item(),
+            **{name: arrays[name].item() for name in ("tilt", "floor", "roll")},
             props=tuple(props_from_arrays(arrays)),
         )
     except (KeyError, *_BROKEN):
@@ -246,9 +245,13 @@ def _provenance(
     arrays["external_force"] = np.array(
         [force.Get(code) if code in simulated else np.nan for code in codes]
     )
-    for name, field in (("sensorTilt", "tilt"), ("floorHeight", "floor")):
+    for name, field, default in (
+        ("sensorTilt", "tilt", np.nan),
+        ("floorHeight", "floor", np.nan),
+        ("sensorRoll", "roll", 0.0),
+    ):
         number = character.GetAttribute(f"kinefilter:{name}").Get()
-        arrays[field] = np.array(np.nan if number is None else float(number))
+        arrays[field] = np.array(default if number is None else float(number))
     return arrays
 
 

@@ -157,8 +157,9 @@ def _test(
         result = cleaner.clean(pair.take)
         clip = result.clip
         # A clip is level; take and truth are in the sensor's frame.
-        take = replace(pair.take, positions=leveled(pair.take.positions, clip.tilt))
-        level = replace(pair, take=take, truth=leveled(pair.truth, clip.tilt))
+        turn = clip.tilt, clip.roll
+        take = replace(pair.take, positions=leveled(pair.take.positions, *turn))
+        level = replace(pair, take=take, truth=leveled(pair.truth, *turn))
         told = any(f.kind == FailureKind.DISPLACED for f in result.failures)
         seconds, sure = correct.seconds[-1], clip.uncertainty
         tally.add(level, clip.positions, seconds, sure, told=told)

@@ -15,7 +15,8 @@ from kinefilter.characters.arrays import Array, Indices
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.metrics import METRICS, measure
 from kinefilter.pipeline.target.feet import feet_of
-from kinefilter.pipeline.target.floor import leveled, to_world
+from kinefilter.pipeline.target.floor import in_world, leveled, to_world
+from kinefilter.pipeline.target.upright import find_turn
 
 from .drawing import Drawing, read_finite_clip
 
@@ -194,7 +195,7 @@ def in_clip_frame(take: Take, clip: Clip) -> Array:
             "the clip does not say where its floor was (older versions of kinefilter "
             "did not keep it); clean the take again"
         )
-    positions = to_world(take.positions, clip.tilt, clip.floor)
+    positions = in_world(take, clip)
     if same_stamps(clip, take):
         _check_made_from(clip, positions)
     return positions
@@ -207,11 +208,13 @@ def leveled_to_clip(take: Take, clip: Clip) -> Array:
     the heights of the joints. Raises an InputError if the take has none at their time.
     """
     frames = nearest_frames(take.time, clip.time)
-    raw, clean = take.positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)
+    turn = find_turn(take.positions, take.skeleton)
+    positions = leveled(take.positions, turn.tilt, turn.roll)
+    raw, clean = positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)
     known = np.isfinite(raw).all(axis=1)
     if not known.any():
         raise InputError("the take holds no joint in the time of the clip")
-    return to_world(take.positions, *_tilt_and_floor(raw[known], clean[known]))
+    return to_world(positions, *_tilt_and_floor(raw[known], clean[known]))
 
 
 def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:

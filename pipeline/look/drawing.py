@@ -157,12 +157,12 @@ def left_of(motion: Motion) -> Array:
 def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> Drawing:
     """Clean a take (``clean``) and keep its motion before correction and physics."""
     from kinefilter.pipeline.cleaner import clean
-    from kinefilter.pipeline.target.floor import to_world
+    from kinefilter.pipeline.target.floor import in_world
 
     result = clean(take, config, progress=progress)
     target = result.target if config.physics else None
     clip = result.clip
-    return Drawing(clip, to_world(take.positions, clip.tilt, clip.floor), target)
+    return Drawing(clip, in_world(take, clip), target)
 
 
 def read_finite_clip(path: Path) -> Clip:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, Skeleton
+from kinefilter.characters import Body, Clip, Skeleton, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.runs import runs
@@ -78,8 +78,17 @@ def sensor_tilt(
     return float(np.arctan(line.slope)) if sure else 0.0
 
 
-def leveled(positions: Array, tilt: float) -> Array:
-    """Return positions (..., 3) turned about the sensor so that the floor is level."""
+def leveled(positions: Array, tilt: float, roll: float = 0.0) -> Array:
+    """Return positions (..., 3) turned about the sensor so that the floor is level.
+
+    First by the roll [rad] about z, from x to y, then by the tilt about x, from y to z.
+    """
+    if roll != 0.0:
+        rolled = positions.copy()
+        x, y = positions[..., 0], positions[..., 1]
+        rolled[..., 0] = np.cos(roll) * x - np.sin(roll) * y
+        rolled[..., 1] = np.sin(roll) * x + np.cos(roll) * y
+        positions = rolled
     if tilt == 0.0:
         return positions
     turned = positions.copy()
@@ -89,12 +98,17 @@ def leveled(positions: Array, tilt: float) -> Array:
     return turned
 
 
-def to_world(positions: Array, tilt: float, floor: float) -> Array:
+def to_world(positions: Array, tilt: float, floor: float, roll: float = 0.0) -> Array:
     """Return what a sensor measured [m] in the world frame, level, the floor at y = 0.
 
     The floor is the floor's height [m] once positions (..., 3) are leveled.
     """
-    return leveled(positions, tilt) - [0.0, floor, 0.0]
+    return leveled(positions, tilt, roll) - [0.0, floor, 0.0]
+
+
+def in_world(take: Take, clip: Clip) -> Array:
+    """Return the joint positions [m] of a clip's take in its world frame, (T, J, 3)."""
+    return to_world(take.positions, clip.tilt, clip.floor, clip.roll)
 
 
 def put_on_floor(positions: Array, body: Body) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from .feet import (
 )
 from .floor import floor_height, leveled, put_on_floor, sensor_tilt
 from .smooth import smooth, smooth_by_speed
+from .upright import Turn, find_turn
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother, against a measured one's 1
 _LEAST_BONE_WEIGHT = 0.3  # of an invented joint where bones ask for a move: the same
@@ -38,7 +40,53 @@ _BONES_CUTOFF = 3.0  # Hz; lengths are wrong for longer than joints tremble
 _LANDINGS = 8  # times that joints are put over the floor and back on their segments
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _LET_GO = 0.05  # s in which a foot that steps joins its measured path
+_SHOWN = 64  # frames, two seconds, that show which way is up
+_EARLY = (1, 2, 4, 8, 16, 32)  # frames after which that is judged before
+_WATCHED = 20 * _SHOWN  # frames after which nothing changes it any more
+_FEW = 1  # frames in which somebody has to stand, to begin with
+_FLOOR_TIME = 2.0  # s in which most frames say where the floor about is
+_FLOOR_NEAR = 0.5  # m: feet are off it by less, but for those of jumpers. A guess.
 _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share a frame: feet sink rarely, lift often
+
+
+class Upright(Stage):
+    """Turns the frame of a sensor that was upside down or tilted far upright.
+
+    Frame by frame, what the last seconds show is judged until it is sure.
+    """
+
+    name = "upright"
+
+    def __init__(self, config: CleanConfig) -> None:
+        self._given = config.tilt is not None
+
+    def start(self, body: Body) -> None:  # noqa: ARG002
+        """Forget all frames."""
+        self._seen: deque[Array] = deque(maxlen=_SHOWN)
+        self._frames, self._turn = 0, Turn()
+
+    def step(self, draft: Draft) -> None:
+        """Turn the next frame, as far as those before it show how."""
+        if not self._given and self._frames < _WATCHED:
+            self._seen.append(draft.measured)
+            self._frames += 1
+            # A while apart, as it takes as long as some stages do.
+            if self._frames in _EARLY or self._frames % _SHOWN == 0:
+                turn = find_turn(np.array(self._seen), draft.skeleton, _FEW)
+                # Who leans in the first frames may be running.
+                if abs(turn.roll) > np.pi / 2.0 or self._frames >= _SHOWN:
+                    self._turn = turn
+        self._apply(draft)
+
+    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+        """Turn a take."""
+        if not self._given:
+            self._turn = find_turn(draft.measured, draft.skeleton)
+            self._apply(draft)
+
+    def _apply(self, draft: Draft) -> None:
+        turn = draft.turn = self._turn
+        draft.measured = leveled(draft.measured, turn.tilt, turn.roll)
 
 
 class Level(Stage):
@@ -114,15 +162,27 @@ class Floor(Stage):
         self._ankles, toes = ankles_and_toes(body.skeleton)
         self._flat = flat_height(body, toes[0])
         self._height = self._given
+        self._soles: deque[tuple[float, float]] = deque()
 
     def step(self, draft: Draft) -> None:
-        """Follow the floor under the lower foot, unless it is known."""
+        """Follow the floor under the lower foot, unless it is known.
+
+        Near to where that foot mostly was lately: a burst of absurd frames says nothing.
+        """
         if self._given is None:
             sole = float(draft.positions[self._ankles, 1].min() - self._flat)
-            if self._height is None:
-                self._height = sole
-            away = sole - self._height
-            self._height += away * (_FLOOR_FALLS if away < 0.0 else _FLOOR_RISES)
+            soles, now = self._soles, float(draft.time)
+            soles.append((now, sole))
+            while soles[0][0] < now - _FLOOR_TIME:
+                soles.popleft()
+            mostly = float(np.median([height for _, height in soles]))
+            height = sole if self._height is None else self._height
+            if abs(height - mostly) > _FLOOR_NEAR:
+                height = mostly
+            if abs(sole - mostly) <= _FLOOR_NEAR:
+                away = sole - height
+                height += away * (_FLOOR_FALLS if away < 0.0 else _FLOOR_RISES)
+            self._height = height
         draft.floor = self._height or 0.0
         draft.positions = draft.positions - [0.0, draft.floor, 0.0]
 
