@@ -82,7 +82,7 @@ class Draft:
     """Whether each foot (left, right) stands, shape (2,)."""
     contacts: NDArray[np.bool_] = field(init=False)
     """Which parts of the feet stand (CONTACTS), shape (4,); takes only."""
-    turn: Turn = Turn()
+    turn: Turn = field(default_factory=Turn)
     """How the sensor's frame was turned upright, ``measured`` with it."""
     tilt: float = 0.0
     """Angle [rad] about x by which the frame was leveled after that."""

@@ -103,7 +103,7 @@ def read_recording(path: AnyPath, *, format: str | None = None) -> Recording:
 
 
 def _with_y_up(recording: Recording) -> Recording:
-    """Return a recording whose y axis pointed down with y up, and a note that says so."""
+    """Return a recording with y up where it pointed down, and a note that says so."""
     from kinefilter.pipeline.target.upright import with_y_up
 
     takes = tuple(map(with_y_up, recording.takes))

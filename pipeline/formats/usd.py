@@ -25,8 +25,8 @@ What cleaning did to the whole take is written once, unless it is unknown:
 - ``sensorTilt``: angle in radians by which the take was turned about the sensor's x
   axis, positive where the floor rose away from the sensor: ``y cos - z sin`` is up
 - ``floorHeight``: height of the floor in the take so leveled, which was then taken off
-- ``sensorRoll``: angle in radians by which the take was turned about z before that, from
-  x to y; not there if it was not
+- ``sensorRoll``: angle in radians by which the take was turned about z before that,
+  from x to y; not there if it was not
 
 pxr is imported where it is used: loading it takes longer than most commands run.
 """

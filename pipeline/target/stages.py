@@ -163,19 +163,24 @@ class Floor(Stage):
         self._flat = flat_height(body, toes[0])
         self._height = self._given
         self._soles: deque[tuple[float, float]] = deque()
+        self._turn = Turn()
 
     def step(self, draft: Draft) -> None:
         """Follow the floor under the lower foot, unless it is known.
 
-        Near to where that foot mostly was lately: a burst of absurd frames says nothing.
+        Only near to where that foot mostly was lately, whatever a burst of frames says.
         """
+        if draft.turn != self._turn:
+            self._turn, self._height = draft.turn, self._given
+            self._soles.clear()
         if self._given is None:
             sole = float(draft.positions[self._ankles, 1].min() - self._flat)
             soles, now = self._soles, float(draft.time)
             soles.append((now, sole))
             while soles[0][0] < now - _FLOOR_TIME:
                 soles.popleft()
-            mostly = float(np.median([height for _, height in soles]))
+            # The newest counts twice: of two, it is to be believed.
+            mostly = float(np.median([sole, *(height for _, height in soles)]))
             height = sole if self._height is None else self._height
             if abs(height - mostly) > _FLOOR_NEAR:
                 height = mostly

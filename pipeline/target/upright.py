@@ -72,15 +72,16 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _LEAST) -> Turn
         return Turn()
     if _mirrored(positions, skeleton):
         return Turn(doubt=_MIRRORED)
-    for stands, ordinary in (
-        (straight.all(axis=1), _ORDINARY["both"]),
-        (straight.any(axis=1), _ORDINARY["either"]),
-    ):
-        if stands.sum() >= max(least, _OFTEN * len(along)):
-            break
-    else:
+    enough = max(least, _OFTEN * len(along))
+    stands, ordinary = straight.all(axis=1), _ORDINARY["both"]
+    if stands.sum() < enough:
+        stands, ordinary = straight.any(axis=1), _ORDINARY["either"]
+    if stands.sum() < enough:
         lean = _from_vertical(np.median(along, axis=0))
-        return Turn(doubt=_DOUBT.format(np.degrees(lean)) if lean > _LEANING else "")
+        if lean <= _OVER:
+            leans = lean > _LEANING
+            return Turn(doubt=_DOUBT.format(np.degrees(lean)) if leans else "")
+        stands[:] = True  # nobody is on the head for most of a take, legs bent or not
     along, down = along[stands], down[stands]
     up = unit(np.median(along, axis=0))
     lean = _from_vertical(up)

@@ -1,0 +1,160 @@
+"""Bodies where nobody gets so fast, of sizes that nobody has; arms over the head."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from skeletons import every_skeleton
+
+from kinefilter import CleanConfig, clean
+from kinefilter.characters import (
+    KINECT_V1,
+    InputError,
+    Skeleton,
+    State,
+    Take,
+    standard_body,
+)
+from kinefilter.pipeline.failures import FailureKind, find_failures
+from kinefilter.pipeline.summary import as_json
+from kinefilter.scenes.library import perform
+
+Array = NDArray[np.float64]
+QUICK = CleanConfig(method="none", physics=False)
+
+
+def act(motion: str, skeleton: Skeleton = KINECT_V1) -> Take:
+    done = perform(motion, standard_body(skeleton), seed=1)
+    state = np.full(done.positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    return Take(done.time, done.positions, state, skeleton, motion)
+
+
+def moved(take: Take, frames: slice, by: float) -> Take:
+    positions = take.positions.copy()
+    positions[frames] += [by, 0.0, 0.0]
+    return replace(take, positions=positions)
+
+
+def scaled(take: Take, frames: slice, factor: float) -> Take:
+    positions = take.positions.copy()
+    roots = positions[frames, :1]
+    positions[frames] = roots + factor * (positions[frames] - roots)
+    return replace(take, positions=positions)
+
+
+def bodies(take: Take) -> list[tuple[FailureKind, int, int]]:
+    return [(f.kind, f.first, f.last) for f in find_failures(take) if f.part == "body"]
+
+
+@pytest.mark.parametrize("motion", ["run", "wave"])
+@pytest.mark.parametrize(
+    "frames", [slice(40, 41), slice(40, 90), slice(0, 3), slice(100, None, None)]
+)
+def test_a_body_kilometers_away_is_taken_out_and_told(
+    motion: str, frames: slice
+) -> None:
+    take = act(motion)
+    if frames.stop is None:
+        frames = slice(len(take) - 20, len(take))
+    wrong = moved(take, frames, 3000.0)
+    kind = FailureKind.ELSEWHERE
+    assert bodies(wrong) == [(kind, frames.start, frames.stop - 1)]
+    positions = clean(wrong, QUICK).clip.positions
+    assert np.ptp(positions[..., 0]) < 20.0
+    if frames.stop - frames.start < 5:
+        usual = clean(take, QUICK).clip.positions
+        assert abs(positions - usual).max() < 0.5
+
+
+def test_frames_that_go_away_and_back_are_all_found() -> None:
+    wrong = act("wave")
+    for k in range(30, 60, 2):
+        wrong = moved(wrong, slice(k, k + 1), 1300.0)
+    assert [first for _, first, _ in bodies(wrong)] == list(range(30, 60, 2))
+
+
+def test_a_person_who_is_somewhere_else_from_now_on_is_kept_and_told() -> None:
+    take = act("wave")
+    wrong = moved(take, slice(60, None), 3.0)
+    assert bodies(wrong) == [(FailureKind.JUMPING, 59, 60)]
+    assert (clean(wrong, QUICK).clip.positions[70:, 0, 0] > 2.0).all()
+
+
+@pytest.mark.parametrize("factor", [23.0, 0.023, 0.5])
+def test_a_body_of_another_size_is_taken_out_and_told(factor: float) -> None:
+    take = act("wave")
+    wrong = scaled(take, slice(40, 60), factor)
+    assert bodies(wrong) == [(FailureKind.ODD_SIZE, 40, 59)]
+    result = clean(wrong, QUICK)
+    usual = clean(take, QUICK).clip.positions
+    assert abs(result.clip.positions[:, 0] - usual[:, 0]).max() < 0.1
+    told = [f for f in as_json(result)["failures"] if f["kind"] == "odd_size"]
+    assert [f["start_s"] for f in told] == [pytest.approx(take.time[40])]
+    assert "filled" in told[0]["done"]
+
+
+def test_gaps_and_missing_joints_are_no_jumps() -> None:
+    take = act("run")
+    kept = np.ones(len(take), dtype=bool)
+    kept[30:50] = False
+    positions = take.positions.copy()
+    positions[60:70] = np.nan
+    take = replace(take, positions=positions)
+    some = Take(take.time[kept], take.positions[kept], take.state[kept], take.skeleton)
+    assert bodies(some) == []
+
+
+@pytest.mark.parametrize(
+    ("per_meter", "unit"), [(1000.0, "millimeters"), (100.0, "centimeters")]
+)
+@pytest.mark.parametrize("height", [None, 1.8])
+def test_takes_in_other_units_are_refused_with_what_to_divide_by(
+    per_meter: float, unit: str, height: float | None
+) -> None:
+    take = act("wave")
+    wrong = replace(take, positions=per_meter * take.positions)
+    with pytest.raises(InputError, match=f"{unit}: divide .* by {per_meter:g}"):
+        clean(wrong, replace(QUICK, height=height))
+
+
+def test_a_body_of_4_centimeters_is_refused() -> None:
+    take = act("wave")
+    with pytest.raises(InputError, match="stature of 0"):
+        clean(
+            replace(take, positions=0.023 * take.positions), replace(QUICK, height=1.8)
+        )
+
+
+def raised(skeleton: Skeleton, inward: float, back: float, apart: float) -> Take:
+    """Return somebody with both arms over the head.
+
+    The upper arms lean in and back by angles [degrees] from straight up, and the wrists
+    are that far from the middle [m].
+    """
+    take, index = act("stand_idle", skeleton), skeleton.index
+    positions = take.positions[:60].copy()
+    lengths = standard_body(skeleton).lengths
+    a, b = np.radians([inward, back])
+    for side, x in (("Left", 1.0), ("Right", -1.0)):
+        elbow, wrist = index("Elbow" + side), index("Wrist" + side)
+        way = [-x * np.sin(a), np.cos(a) * np.cos(b), -np.cos(a) * np.sin(b)]
+        positions[:, elbow] = positions[:, index("Shoulder" + side)]
+        positions[:, elbow] += lengths[elbow] * np.array(way)
+        there = positions[:, index("Head"), 0] + x * apart - positions[:, elbow, 0]
+        most = 0.95 * lengths[wrist]
+        there = np.clip(there, -most, most)
+        up = np.sqrt(lengths[wrist] ** 2 - there**2)
+        positions[:, wrist] = positions[:, elbow]
+        positions[:, wrist, :2] += np.stack([there, up], axis=1)
+    return Take(take.time[:60], positions, take.state[:60], skeleton)
+
+
+@every_skeleton
+@pytest.mark.parametrize("inward", [-15.0, 0.0, 20.0, 25.0])
+def test_arms_over_the_head_are_no_failure(skeleton: Skeleton, inward: float) -> None:
+    for back in (-15.0, 0.0, 20.0):
+        for apart in (0.25, 0.05):
+            assert find_failures(raised(skeleton, inward, back, apart)) == ()
