@@ -344,10 +344,11 @@ def _notes(draft: Draft) -> Iterable[str]:
     turn, tilt = draft.turn, np.degrees(draft.turn.tilt + draft.tilt)
     if turn.roll:
         what = "upside down" if abs(turn.roll) > np.pi / 2.0 else "tilted"
+        then = f", then by {tilt:+.1f} about x" if tilt else ""
         yield (
             f"the sensor was {what}, going by how the person stands: the take was "
-            f"turned by {np.degrees(turn.roll):+.1f} degrees about z, then by "
-            f"{tilt:+.1f} about x; --tilt 0 leaves it as it is"
+            f"turned by {np.degrees(turn.roll):+.1f} degrees about z{then}; --tilt 0 "
+            "leaves it as it is"
         )
     elif tilt != 0.0:
         yield f"the sensor was tilted by {tilt:+.1f} degrees"

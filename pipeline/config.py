@@ -71,7 +71,8 @@ class CleanConfig:
     height in the take [m]."""
     tilt: float | None = None
     """By how much the floor rises away along the sensor's z axis [degrees]; default:
-    found where somebody walks a meter or more."""
+    found where somebody walks a meter or more, or stands 15 degrees or more off the
+    vertical, upside down or not; 0: the take's own y is up."""
     scene: str | None = None
     """What is around the person, who begins at its origin: a scene (an unknown name
     lists them), or an MJCF file (.xml); default: the floor alone."""

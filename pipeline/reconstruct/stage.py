@@ -12,6 +12,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import Stage
+from kinefilter.pipeline.target.floor import leveled
 
 from .hidden_limbs import fill_hidden
 from .limbs import in_limbs
@@ -63,11 +64,15 @@ class Reconstruct(Stage):
             new = np.diff(other.time, prepend=-np.inf) > 0
             before = other.time[new] + time[0] - _BETWEEN - other.time[-1]
             # A take must not teach itself; its root is as it was recorded.
-            roots = other.positions[new, draft.skeleton.root]
-            if np.array_equal(roots, recorded, equal_nan=True):
+            seen = leveled(other.positions[new], draft.turn.tilt, draft.turn.roll)
+            roots = seen[:, draft.skeleton.root]
+            taken_out = np.isnan(recorded[:, 0])
+            if len(roots) == len(recorded) and np.array_equal(
+                roots[~taken_out], recorded[~taken_out]
+            ):
                 continue
             time = np.concatenate([before, time])
-            positions = np.concatenate([other.positions[new], positions])
+            positions = np.concatenate([seen, positions])
             blind = _hidden(other.positions[new], other.state[new], other.skeleton)
             hidden = np.concatenate([blind, hidden])
             first += int(new.sum())

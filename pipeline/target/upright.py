@@ -81,7 +81,8 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _LEAST) -> Turn
         if lean <= _OVER:
             leans = lean > _LEANING
             return Turn(doubt=_DOUBT.format(np.degrees(lean)) if leans else "")
-        stands[:] = True  # nobody is on the head for most of a take, legs bent or not
+        # Nobody is on the head for most of a take, legs bent or not.
+        stands = np.ones(len(along), dtype=np.bool_)
     along, down = along[stands], down[stands]
     up = unit(np.median(along, axis=0))
     lean = _from_vertical(up)
