@@ -130,11 +130,11 @@ def test_a_clip_says_how_its_take_was_turned(tmp_path: Path) -> None:
 
 
 def test_y_that_points_down_in_a_file_is_negated(tmp_path: Path) -> None:
-    take = seen("wave")
+    take = standing("down")
     down = replace(take, positions=take.positions * [1.0, -1.0, 1.0])
     for name, positions in (("up", take.positions), ("down", down.positions)):
-        rows = np.concatenate([positions, np.full((150, 20, 1), 2)], axis=2)
-        table = np.column_stack([take.time, rows.reshape(150, -1)])
+        rows = np.concatenate([positions, np.full((90, 20, 1), 2)], axis=2)
+        table = np.column_stack([take.time, rows.reshape(90, -1)])
         cells = [f"{j}.{c}" for j in KINECT_V1.joints for c in ("x", "y", "z", "state")]
         header = ",".join(["time", *cells])
         np.savetxt(tmp_path / name, table, "%.9g", ",", header=header, comments="")

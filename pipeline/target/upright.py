@@ -107,10 +107,13 @@ def with_y_up(take: Take) -> Take:
     no turn of the sensor undoes.
     """
     some = take.positions[:: 1 + len(take) // _FRAMES]
-    along, _, _ = _bearing(some, take.skeleton)
-    if not len(along) or _from_vertical(np.median(along, axis=0)) < _OVER:
+    along, straight, _ = _bearing(some, take.skeleton)
+    stands = straight.any(axis=1)
+    if stands.sum() < max(_LEAST, _OFTEN * len(along)):
         return take
-    if not _mirrored(some, take.skeleton):
+    up = unit(np.median(along[stands], axis=0))
+    alike = np.mean(along[stands] @ up > _ALIKE) >= _MOST
+    if _from_vertical(up) < _OVER or not alike or not _mirrored(some, take.skeleton):
         return take
     return replace(take, positions=take.positions * [1.0, -1.0, 1.0])
 
