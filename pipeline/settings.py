@@ -13,6 +13,7 @@ from kinefilter.characters import InputError
 
 from .config import CleanConfig, TakeFormat
 from .formats.export import Export
+from .formats.files import check_file
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def fingerprint(settings: Settings, suffix: str) -> str:
 def hash_of(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, or raise an InputError."""
     try:
-        with path.open("rb") as file:
+        with check_file(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         reason = error.strerror or str(error)

@@ -13,7 +13,7 @@ from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
 from .contents import failures_as_json, gaps_as_json, origin_shares
-from .failures import Failure, FailureKind
+from .failures import told
 from .metrics import number_or_none
 
 _ROWS = (
@@ -87,11 +87,5 @@ def as_tables(result: CleanResult) -> RenderableType:
     if np.isfinite(result.share_outside):
         share = f"{result.share_outside:.0%}"
         lines.append(f"postures that the method knows too little: {share}")
-    kinds: dict[tuple[str, FailureKind], list[Failure]] = {}
-    for failure in result.failures:
-        kinds.setdefault((failure.part, failure.kind), []).append(failure)
-    for (part, kind), same in kinds.items():
-        when = ", ".join(f"{f.start:.1f} to {f.end:.1f}" for f in same[:_WORST])
-        more = f" and {len(same) - _WORST} times later" if len(same) > _WORST else ""
-        lines.append(f"tracker failure: {part} {kind} ({when} s{more}): {kind.done}")
+    lines += [f"tracker failure: {sentence}" for sentence in told(result.failures)]
     return Group(head, stages, joints, *lines, *result.notes)

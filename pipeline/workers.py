@@ -9,10 +9,12 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -22,6 +24,7 @@ _ONE_THREAD = dict.fromkeys(
 )
 _MOST_WAITED_FOR = 61  # processes: what Windows waits for at a time
 _GRACE = 5.0  # s to finish a file in, once nobody waits for it
+_PATIENCE = 1.5  # s until a process that should end is ended less gently
 
 _given_up = threading.Event()
 
@@ -31,6 +34,11 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):  # Linux; elsewhere a process may use all
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def at_most(count: int) -> int:
+    """Return how many of so many processes a system lets wait for at a time."""
+    return min(count, _MOST_WAITED_FOR) if sys.platform == "win32" else count
 
 
 def given_up() -> bool:
@@ -73,12 +81,12 @@ def workers(
     # Not forked: threads of the engine and of linear algebra do not survive it.
     context = multiprocessing.get_context("spawn")
     heard, told = context.Pipe(duplex=False)
-    count = count or cores()
-    if sys.platform == "win32":
-        count = min(count, _MOST_WAITED_FOR)
     with one_thread(), _environment(environment or {}):
         pool = ProcessPoolExecutor(
-            count, mp_context=context, initializer=_begin, initargs=(heard,)
+            at_most(count or cores()),
+            mp_context=context,
+            initializer=_begin,
+            initargs=(heard,),
         )
         try:
             yield pool
@@ -121,3 +129,70 @@ def _watch(told: Any) -> None:
         parent.join()
         time.sleep(_GRACE)
         os._exit(1)
+
+
+class Worker:
+    """A process that does one call at a time and can be ended whatever it is doing.
+
+    It has one thread of linear algebra, and ends with the process that began it,
+    however that ends.
+    """
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.calls, theirs = context.Pipe()
+        heard, self._told = context.Pipe(duplex=False)
+        self.process = context.Process(target=_serve, args=(theirs, heard), daemon=True)
+        with _environment(_ONE_THREAD):
+            self.process.start()
+        theirs.close()
+        heard.close()
+
+    def call(self, function: Callable[[Any], object], argument: object) -> None:
+        """Let it call a function of a module; ``calls`` then has True and the result.
+
+        True comes when the call begins. If the process dies, reading raises EOFError or
+        OSError.
+        """
+        with suppress(OSError):  # it died while it rested, as reading will tell
+            self.calls.send((function, argument))
+
+    def end(self) -> None:
+        """End it now."""
+        end_workers([self], 0.0)
+
+
+def end_workers(ended: Sequence[Worker], patience: float = _PATIENCE) -> None:
+    """End processes: each is told that nobody waits, then terminated, then killed.
+
+    Each step has as many seconds, and Ctrl-C ends the waiting.
+    """
+    processes = [worker.process for worker in ended]
+    for worker in ended:
+        worker.calls.close()
+        worker._told.close()
+    try:
+        _join(processes, patience)
+        for process in processes:
+            process.terminate()
+        _join(processes, _PATIENCE)
+    finally:
+        for process in processes:
+            process.kill()
+        _join(processes, _PATIENCE)
+
+
+def _join(processes: Sequence[BaseProcess], seconds: float) -> None:
+    until = time.monotonic() + seconds
+    for process in processes:
+        process.join(max(until - time.monotonic(), 0.0))
+
+
+def _serve(calls: Any, heard: Any) -> None:
+    """Do calls until nobody has any more."""
+    _begin(heard)
+    with suppress(EOFError, OSError):
+        while True:
+            function, argument = calls.recv()
+            calls.send(True)
+            calls.send(function(argument))

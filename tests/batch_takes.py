@@ -10,8 +10,8 @@ import numpy as np
 
 from kinefilter.characters import Take
 from kinefilter.pipeline.batch import Row
+from kinefilter.pipeline.batch.crew import Crew
 from kinefilter.pipeline.batch.plan import Job
-from kinefilter.pipeline.batch.run import Crew
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulate import simulate
@@ -31,7 +31,7 @@ class Here(Crew):
     def __init__(self, *_: object) -> None:
         self.jobs: list[Job] = []
 
-    def __exit__(self, *_: object) -> None:
+    def end(self) -> None:
         pass
 
     def submit(self, job: Job) -> None:

@@ -25,6 +25,7 @@ from typing import Literal
 from filelock import FileLock, Timeout
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.formats.plain import finite
 
 from .store import Store, store_at
 
@@ -32,6 +33,7 @@ _LINES, _PARTS = "manifest.jsonl", "manifest"  # a file, at a URL a folder of fi
 _CSV = "manifest.csv"
 _LOCK = "manifest.lock"
 _PATIENCE = 0.5  # s: a file system without locks may first have to clear a dead one's
+_LISTS = ("notes", "damage")
 _FULL = 1000  # rows of a part: under a megabyte
 
 Status = Literal["done", "failed", "no take"]
@@ -48,13 +50,14 @@ class ClipRow:
     body: int  # which person of the take, counted from 1
     frames: int
     motion_seconds: float
-    jitter_raw: float  # of the take [m/s^3], see Quality
-    jitter: float  # of the clip [m/s^3]
+    jitter_raw: float | None  # of the take [m/s^3], see Quality
+    jitter: float | None  # of the clip [m/s^3]
     skate_mm_per_frame: float | None  # how far feet slide on the floor, mean
     external_force_body_weights: float | None  # beyond what a floor could bear, mean
     share_outside_database: float | None  # of frames; the database lacks their posture
     failures: int  # of the tracker: gross ones, and displaced limbs
     notes: tuple[str, ...]  # what the user should know
+    damage: tuple[str, ...] = ()  # of the take: what and when, a sentence each
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +76,7 @@ class Row:
 
     def as_json(self) -> str:
         """Return the row as a line, without a line end."""
-        return json.dumps(asdict(self), allow_nan=False)
+        return json.dumps(finite(asdict(self)), allow_nan=False)
 
     @classmethod
     def from_json(cls, line: str) -> Row:
@@ -81,12 +84,23 @@ class Row:
         values = json.loads(line)
         try:
             clips = tuple(
-                ClipRow(**{**clip, "notes": tuple(clip["notes"])})
+                # Rows of older versions lack the damage.
+                ClipRow(**clip | {k: tuple(clip.get(k, ())) for k in _LISTS})
                 for clip in values.pop("clips")
             )
             return cls(**values, clips=clips)
         except (TypeError, KeyError, AttributeError) as error:
             raise ValueError(f"not a row of a manifest: {error}") from None
+
+
+def _with_line(row: Row) -> tuple[Row, str]:
+    """Return a row and its line, or those of a failed take if it has none."""
+    try:
+        return row, row.as_json()
+    except (TypeError, ValueError) as error:
+        wrong = f"its figures cannot be written ({error})"
+        failed = Row(row.take, "failed", row.output, row.stamp, error=wrong)
+        return failed, failed.as_json()
 
 
 class Manifest:
@@ -101,10 +115,17 @@ class Manifest:
         self._file, self._path = file, path
         self.rows = {row.take: row for row in rows}
 
-    def append(self, rows: Sequence[Row]) -> None:
-        """Write rows to the disk, or raise InputError if they cannot be written."""
-        self._write([row.as_json() + "\n" for row in rows])
-        self.rows.update((row.take, row) for row in rows)
+    def append(self, rows: Iterable[Row]) -> list[Row]:
+        """Write rows that are not there yet to the disk, and return them.
+
+        One that holds what JSON does not becomes that of a failed take. Raises
+        InputError if they cannot be written.
+        """
+        new = [_with_line(row) for row in rows if row is not self.rows.get(row.take)]
+        if new:
+            self._write([line + "\n" for _, line in new])
+            self.rows.update((row.take, row) for row, _ in new)
+        return [row for row, _ in new]
 
     def _write(self, lines: Sequence[str]) -> None:
         data = memoryview("".join(lines).encode())
@@ -224,4 +245,5 @@ def write_csv(rows: Iterable[Row], store: Store) -> None:
         for cells in clips or [[""] * len(columns)]:
             seconds = f"{row.seconds:.3f}"
             table.writerow((row.take, row.status, *cells, seconds, row.error))
-    store.put(_CSV, text.getvalue().encode())
+    # Rows of older versions may hold names that are not UTF-8.
+    store.put(_CSV, text.getvalue().encode(errors="backslashreplace"))

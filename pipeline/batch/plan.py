@@ -20,6 +20,7 @@ from kinefilter.pipeline.config_files import (
 )
 from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import LARGEST_TOML, read_limited
+from kinefilter.pipeline.formats.plain import printable
 from kinefilter.pipeline.formats.takes import claims_take
 from kinefilter.pipeline.settings import Settings, fingerprint
 
@@ -30,6 +31,10 @@ _TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh")
 """Extensions of files that may be takes, zipped (``.gz``) or not."""
 _CERTAIN = (".skeleton", ".bvh")  # extensions that only takes have
 _ZIPPED = 4  # size of text over that of its gzip file: numbers give 2 to 10
+_LONGEST_NAME = 230  # bytes, of the 255 of a file's name, for numbers and extensions
+_LONGEST_TAKE, _LONGEST_BYTE = 3600.0, 60.0 / 1e6
+"""Time limit [s] of a take, and more for each of its bytes; the default method needs
+3 s for a megabyte of one person. A guess."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +93,7 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
             f"{', '.join(inputs)}: no file with an extension of takes ("
             f"{', '.join(_TAKES)}, or .gz of these); check the name"
         )
-    names = unique_names(source.take for source in sources.values())
+    names = unique_names(printable(source.take) for source in sources.values())
     return [
         replace(source, take=name)
         for source, name in zip(sources.values(), names, strict=True)
@@ -119,8 +124,9 @@ def clip_names(
 
     ``walks/fast.csv.gz`` becomes ``walks/fast.usdc``. Takes that differ only in their
     extension keep it: ``fast.csv.usdc`` and ``fast.bvh.usdc``. So a name depends on
-    which other takes there are, but not on their order. With ``several``, takes may
-    give a clip for each of several people or parts (``numbered``).
+    which other takes there are, but not on their order. Names too long for a file
+    are cut. With ``several``, takes may give a clip for each of several people or parts
+    (``numbered``).
     """
 
     def key(name: str) -> str:
@@ -135,7 +141,14 @@ def clip_names(
             take if counts[key(name)] > 1 else name
             for take, name in zip(takes, names, strict=True)
         ]
-    return [name + suffix for name in unique_names(names, str.casefold)]
+    shortened = (_shortened(name) for name in names)
+    return [name + suffix for name in unique_names(shortened, str.casefold)]
+
+
+def _shortened(name: str) -> str:
+    """Return a path whose last part is no longer than file systems allow."""
+    folder, slash, last = name.rpartition("/")
+    return folder + slash + last.encode()[:_LONGEST_NAME].decode(errors="ignore")
 
 
 def unique_names(names: Iterable[str], key: Callable[[str], str] = str) -> list[str]:
@@ -143,14 +156,15 @@ def unique_names(names: Iterable[str], key: Callable[[str], str] = str) -> list[
 
     The number is put before the last part of a path, which is split by ``/``.
     """
-    taken: set[str] = set()
+    taken: dict[str, int] = {}  # and the number that was given last for it
     unique = []
     for name in names:
-        path, free, number = PurePosixPath(name), name, 1
+        free, known = name, key(name)
         while key(free) in taken:
-            number += 1
-            free = str(path.with_name(f"{number}-{path.name}"))
-        taken.add(key(free))
+            taken[known] += 1
+            folder, slash, last = name.rpartition("/")
+            free = f"{folder}{slash}{taken[known]}-{last}"
+        taken[key(free)] = 1
         unique.append(free)
     return unique
 
@@ -164,6 +178,13 @@ class Job:
     output: str  # the clip's path there, without the number of a person or part
     settings: Settings
     fingerprint: str  # of the settings
+    take_timeout: float | None = None  # s; by default it depends on the size
+
+    @property
+    def limit(self) -> float:
+        """How many seconds the take may need."""
+        longest = _LONGEST_TAKE + _LONGEST_BYTE * self.size
+        return longest if self.take_timeout is None else self.take_timeout
 
     @property
     def size(self) -> int:
@@ -186,15 +207,18 @@ class Job:
         if row.status == "failed" or row.settings != self.fingerprint:
             return False
         source, file = self.source.store, self.source.file
-        same = file.stamp == row.stamp or source.sha256(file.name) == row.sha256
-        return (same and row.output == self.output) and all(
-            (found := written.get(clip.output)) is not None
-            and (
-                found.stamp == clip.stamp
-                or self.store.sha256(found.name) == clip.sha256
+        try:
+            same = file.stamp == row.stamp or source.sha256(file.name) == row.sha256
+            return (same and row.output == self.output) and all(
+                (found := written.get(clip.output)) is not None
+                and (
+                    found.stamp == clip.stamp
+                    or self.store.sha256(found.name) == clip.sha256
+                )
+                for clip in row.clips
             )
-            for clip in row.clips
-        )
+        except InputError:  # cannot be read, as its own job will tell
+            return False
 
 
 def plan_jobs(
@@ -205,6 +229,7 @@ def plan_jobs(
     *,
     files: Sequence[SettingsFile] = (),
     given: Collection[str] = (),
+    take_timeout: float | None = None,
 ) -> list[Job]:
     """Return a job for every file, the longest first.
 
@@ -244,7 +269,7 @@ def plan_jobs(
     several = any(one.body == "all" or one.config.gaps == "split" for one in chosen)
     names = clip_names([source.take for source in sources], suffix, several=several)
     jobs = [
-        Job(source, store, name, one, fingerprints[one])
+        Job(source, store, name, one, fingerprints[one], take_timeout)
         for source, name, one in zip(sources, names, chosen, strict=True)
     ]
     takes, root = {source.place for source in sources}, canonical(store.root)

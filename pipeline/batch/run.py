@@ -1,44 +1,24 @@
-"""Many takes into clips: each is cleaned once, whatever interrupts the run.
-
-Processes of this machine do the jobs, or the workers of a Dask cluster, which may come
-and go. Whoever reaches a Dask scheduler can run code on its workers: keep it in a
-network of your own.
-"""
+"""Many takes into clips: each is cleaned once, whatever interrupts the run."""
 
 from __future__ import annotations
 
-import logging
-from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    CancelledError,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
-from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config_files import read_settings
-from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.settings import Settings
-from kinefilter.pipeline.workers import cores, one_thread, workers
+from kinefilter.pipeline.workers import cores, one_thread
 
+from .crew import Crew, open_crew
 from .manifest import Manifest, Row, open_manifest, write_csv
 from .plan import Job, find_sources, plan_jobs
 from .store import remove_unfinished, store_at
-from .task import clean_file
 
-_SCHEDULED = 1000  # jobs that the scheduler has at a time, for workers without one
-_CONNECTED_IN = "10s"  # in which the scheduler has to answer
-_LOOK = 2.0  # s between looks at whether there are workers
 _DIED = "its process died twice; is memory short? 'kinefilter clean' may tell more"
 
 
@@ -81,6 +61,7 @@ def clean_files(
     given: Collection[str] = (),
     jobs: int | None = None,
     scheduler: str | None = None,
+    take_timeout: float | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> Outcome:
     """Clean takes into a folder that mirrors theirs; go on where a run ended.
@@ -94,6 +75,8 @@ def clean_files(
     override ``settings``, those of ``kinefilter.toml`` in the takes' folders override
     both; no file may change those ``given``, by name. ``jobs`` is the number of
     processes, by default one a core; the workers of a Dask ``scheduler`` clean instead.
+    A take that needs more than ``take_timeout`` seconds fails, by default more than an
+    hour and a minute for each of its megabytes.
     ``on_progress`` is called at the start, after every take, and while there are no
     workers.
 
@@ -105,7 +88,13 @@ def clean_files(
     files = [] if config_file is None else [read_settings(config_file)]
     sources = find_sources(inputs, out)
     planned = plan_jobs(
-        sources, store, settings or Settings(), suffix, files=files, given=given
+        sources,
+        store,
+        settings or Settings(),
+        suffix,
+        files=files,
+        given=given,
+        take_timeout=take_timeout,
     )
     with (
         one_thread(),
@@ -121,15 +110,17 @@ def clean_files(
                 outcome.kept.append(row)
             else:
                 todo.append(job)
-        try:
+
+        def write_table(error: object, *_: object) -> None:
+            with suppress(*[InputError] * (error is not None)):
+                write_csv(manifest.rows.values(), store)
+
+        with ExitStack() as ending:  # does each, even if Ctrl-C ends the one before
+            ending.push(write_table)
+            ending.callback(remove_unfinished, store)
+            ending.callback(crew.end)
             remove_unfinished(store)
             _clean(todo, crew, manifest, outcome, on_progress)
-            remove_unfinished(store)
-        except BaseException:
-            with suppress(InputError):
-                write_csv(manifest.rows.values(), store)
-            raise
-        write_csv(manifest.rows.values(), store)
     return outcome
 
 
@@ -146,9 +137,7 @@ def _clean(
 
     def note(done: Sequence[tuple[Job, Row]]) -> None:
         """Note rows as they come, or none while there are no workers."""
-        rows = [row for _, row in done]
-        if rows:
-            manifest.append(rows)
+        rows = manifest.append([row for _, row in done])
         outcome.rows += rows
         outcome.seconds = perf_counter() - start
         progress.takes_done += len(done)
@@ -162,143 +151,19 @@ def _clean(
     for at_once in (crew.room, 1):
         waiting, died, running = deque(died), [], 0
         done: list[tuple[Job, Row]] = []
-        while waiting or running:
-            while waiting and running < at_once:
-                crew.submit(waiting.popleft())
-                running += 1
-            note(done)  # only now that free workers have their next job
-            finished = crew.finished()
-            running -= len(finished)
-            done = [(job, row) for job, row in finished if row is not None]
-            died += [job for job, row in finished if row is None]
-        if done:
-            note(done)
+        try:
+            while waiting or running:
+                while waiting and running < at_once:
+                    crew.submit(waiting.popleft())
+                    running += 1
+                note(done)  # only now that free workers have their next job
+                done = []
+                finished = crew.finished()
+                running -= len(finished)
+                done = [(job, row) for job, row in finished if row is not None]
+                died += [job for job, row in finished if row is None]
+        finally:
+            if done:
+                note(done)
     for job in died:
         note([(job, job.row("failed", error=_DIED))])
-
-
-class Crew(AbstractContextManager["Crew"]):
-    """Who does the jobs; a context that ends them."""
-
-    room: int  # how many jobs they take at once
-
-    def is_idle(self) -> bool:
-        """Tell whether there are no workers."""
-        return False
-
-    @abstractmethod
-    def submit(self, job: Job) -> None:
-        """Give them a job."""
-
-    @abstractmethod
-    def finished(self) -> list[tuple[Job, Row | None]]:
-        """Wait for jobs; return those done. None: its process died.
-
-        Without workers it does not wait for long.
-        """
-
-
-def open_crew(scheduler: str | None, jobs: int) -> Crew:
-    """Return the workers of a Dask scheduler, or processes of this machine.
-
-    Raises InputError if no scheduler answers there, or Dask is not installed.
-    """
-    return _Processes(jobs) if scheduler is None else _Cluster(scheduler)
-
-
-class _Processes(Crew):
-    """Pools of one process each, which tells whose job killed it."""
-
-    def __init__(self, count: int) -> None:
-        self.room = count
-        self._running: dict[Future[Row], tuple[Job, ProcessPoolExecutor]] = {}
-        self._pools: dict[ProcessPoolExecutor, ExitStack] = {}
-        self._resting: list[ProcessPoolExecutor] = []
-
-    def __exit__(self, *error: Any) -> None:
-        with ThreadPoolExecutor(max(1, len(self._pools))) as ending:
-            # All at once: each finishes its take, or gives it up after an error.
-            for pool in self._pools.values():
-                ending.submit(pool.__exit__, *error)
-
-    def submit(self, job: Job) -> None:
-        if not self._resting:
-            stack = ExitStack()
-            self._resting.append(stack.enter_context(workers(1)))
-            self._pools[self._resting[-1]] = stack
-        pool = self._resting.pop()
-        self._running[pool.submit(clean_file, job)] = job, pool
-
-    def finished(self) -> list[tuple[Job, Row | None]]:
-        results = []
-        for future in wait(self._running, return_when=FIRST_COMPLETED).done:
-            job, pool = self._running.pop(future)
-            row = _row_of(future, job, BrokenProcessPool)
-            if row is None:
-                self._pools.pop(pool).close()
-            else:
-                self._resting.append(pool)
-            results.append((job, row))
-        return results
-
-
-class _Cluster(Crew):
-    """The workers of a Dask scheduler.
-
-    A job whose worker dies goes to another, as often as the cluster's setting
-    ``distributed.scheduler.allowed-failures`` allows.
-    """
-
-    room = _SCHEDULED
-
-    def __init__(self, address: str) -> None:
-        require("distributed", "--scheduler", "cluster")
-        import distributed
-
-        # Its log of a scheduler that goes away is one line of ours, see ``_row_of``.
-        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-        try:
-            client: Any = distributed.Client
-            self._client = client(address, timeout=_CONNECTED_IN)
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"--scheduler {address}: nobody answers ({error}); start one with "
-                "'dask scheduler'"
-            ) from None
-        self._pool = self._client.get_executor(pure=False)
-        self._running: dict[Future[Row], Job] = {}
-
-    def __exit__(self, *_: object) -> None:
-        for future in self._running:
-            future.cancel()
-        self._client.close()
-
-    def is_idle(self) -> bool:
-        try:
-            return not self._client.nthreads()
-        except OSError:  # the scheduler is gone, as its jobs will tell
-            return False
-
-    def submit(self, job: Job) -> None:
-        self._running[self._pool.submit(clean_file, job)] = job
-
-    def finished(self) -> list[tuple[Job, Row | None]]:
-        from distributed.scheduler import KilledWorker
-
-        done = wait(self._running, _LOOK, return_when=FIRST_COMPLETED).done
-        jobs = [(future, self._running.pop(future)) for future in done]
-        return [(job, _row_of(future, job, KilledWorker)) for future, job in jobs]
-
-
-def _row_of(future: Future[Row], job: Job, death: type[BaseException]) -> Row | None:
-    """Return the row of a job that is done; None if it raised that its process died."""
-    try:
-        return future.result()
-    except CancelledError:
-        raise InputError(
-            "the cluster is gone; start it again, and the same command goes on"
-        ) from None
-    except death:
-        return None
-    except Exception as error:  # such as a worker that has another kinefilter
-        return job.row("failed", error=f"no worker could clean it ({error})")

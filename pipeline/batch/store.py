@@ -60,9 +60,10 @@ class Store:
             folders[:] = sorted(name for name in folders if name[0] != ".")
             inside = Path(folder).relative_to(self.root)
             for name in sorted(names):
-                file = self.find((inside / name).as_posix())
-                if name[0] != "." and file is not None:
-                    yield file
+                if name[0] != ".":
+                    path = (inside / name).as_posix()
+                    # A link to a file that is not there is told of as a take.
+                    yield self.find(path) or StoredFile(path, 0, "")
 
     def find(self, name: str) -> StoredFile | None:
         """Return a file if it is there."""
@@ -143,7 +144,8 @@ class _RemoteStore(Store):
                 if self.root.partition("://")[0] in _WHOLE_PUTS:
                     system.put_file(str(copy), f"{parent}/{last}")
                     return
-                temporary = f"{parent}/.{uuid.uuid4().hex}.{last}"
+                suffix = PurePosixPath(last).suffix
+                temporary = f"{parent}/.{uuid.uuid4().hex}{suffix}"
                 system.makedirs(parent, exist_ok=True)
                 try:
                     system.put_file(str(copy), temporary)
@@ -159,7 +161,8 @@ def remove_unfinished(store: Store) -> None:
     for folder, _, names in os.walk(store.root) if store.is_local else ():
         for name in names:
             if _TEMPORARY.fullmatch(name):
-                Path(folder, name).unlink(missing_ok=True)
+                with suppress(OSError):  # somebody else's, or gone
+                    Path(folder, name).unlink()
 
 
 def store_at(place: str) -> Store:

@@ -50,6 +50,11 @@ def _counts(outcome: Outcome) -> str:
     seconds = max(outcome.seconds, 1e-9)
     words = [f"{_counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]
     words += [f"{kept} done before"] * bool(kept)
+    damaged = sum(
+        any(clip.failures or clip.damage for clip in row.clips)
+        for row in [*outcome.kept, *outcome.rows]
+    )
+    words += [f"{damaged} with damage, see manifest.csv"] * bool(damaged)
     words += [f"{_counted(others, 'other file')} skipped"] * bool(others)
     if outcome.rows:
         words.append(
@@ -73,7 +78,9 @@ def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
         "a frame; jitter as a share of raw; failures of the tracker"
     )
     for row, clip in worst:
-        share = clip.jitter / clip.jitter_raw if clip.jitter_raw else None
+        share = None
+        if clip.jitter is not None and clip.jitter_raw:
+            share = clip.jitter / clip.jitter_raw
         figures = (
             (clip.external_force_body_weights, ".2f"),
             (clip.share_outside_database, ".0%"),

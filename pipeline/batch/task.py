@@ -6,7 +6,7 @@ models, for the next take; each starts over with every take.
 
 from __future__ import annotations
 
-import threading
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -16,11 +16,15 @@ from time import perf_counter
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, Take
+from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.failures import told
 from kinefilter.pipeline.formats import Recording, write_clip
+from kinefilter.pipeline.formats.plain import printable
 from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.formats.takes import read_recording
+from kinefilter.pipeline.metrics import number_or_none
 from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
@@ -30,20 +34,13 @@ from .plan import Job
 _KEPT = 4  # correction methods in memory: two skeletons, of two folders at a time
 _LONGEST = 1000  # characters of an error that a row keeps
 
-# Correction methods hold a take's state; a cluster may run tasks on threads.
-_one_at_a_time = threading.Lock()
-
-
-class _GivenUpError(Exception):
-    """Nobody waits for the take any more."""
-
 
 def clean_file(job: Job) -> Row:
     """Clean a take and write its clips; errors are in the row."""
     start = perf_counter()
     status: Status = "done"
     sha256, clips, error = "", tuple[ClipRow, ...](), ""
-    with _one_at_a_time, one_thread():
+    with one_thread():
         try:
             suffix = PurePosixPath(job.output).suffix
             _check_same(job.settings, suffix, job.fingerprint)
@@ -52,15 +49,13 @@ def clean_file(job: Job) -> Row:
                 status = "no take"
             else:
                 clips, error = _write_clips(recording, job)
-        except _GivenUpError:
-            raise
         except InputError as refused:
             error = str(refused)
         except Exception as unforeseen:  # the other takes are still to be cleaned
             error = f"cannot be cleaned ({type(unforeseen).__name__}: {unforeseen})"
     recording = None
     give_back_memory()
-    status, error = "failed" if error else status, error[:_LONGEST]
+    status, error = "failed" if error else status, printable(error)[:_LONGEST]
     seconds = perf_counter() - start
     return job.row(status, sha256=sha256, seconds=seconds, clips=clips, error=error)
 
@@ -113,13 +108,13 @@ def _write_clip(
     result = cleaner.clean(take, progress=_while_awaited)
     paths = part_paths(output, len(result.clips))
     return [
-        _written(result, clip, str(path), body, job)
+        _written(take, result, clip, str(path), body, job)
         for path, clip in zip(paths, result.clips, strict=True)
     ]
 
 
 def _written(
-    result: CleanResult, clip: Clip, name: str, body: int, job: Job
+    take: Take, result: CleanResult, clip: Clip, name: str, body: int, job: Job
 ) -> ClipRow:
     with job.store.writing(name) as path:
         write_clip(clip, path, job.settings.export)
@@ -136,19 +131,15 @@ def _written(
         body=body,
         frames=len(clip),
         motion_seconds=float(clip.time[-1] - clip.time[0]),
-        jitter_raw=result.stages["raw"].jitter,
-        jitter=last.jitter,
-        skate_mm_per_frame=_finite(last.skate_mm_per_frame),
-        external_force_body_weights=_finite(force),
-        share_outside_database=_finite(result.share_outside),
+        jitter_raw=number_or_none(result.stages["raw"].jitter),
+        jitter=number_or_none(last.jitter),
+        skate_mm_per_frame=number_or_none(last.skate_mm_per_frame),
+        external_force_body_weights=number_or_none(force),
+        share_outside_database=number_or_none(result.share_outside),
         failures=len(result.failures),
         notes=result.notes,
+        damage=(*told_gaps(long_gaps(take.time)), *told(result.failures)),
     )
-
-
-def _finite(value: float) -> float | None:
-    """Return the value; None (JSON has no NaN) where nothing could be measured."""
-    return value if np.isfinite(value) else None
 
 
 @lru_cache(maxsize=_KEPT)
@@ -165,5 +156,5 @@ def _while_awaited(_stage: str, count: int) -> Iterator[int]:
     """Yield the steps of a stage as long as somebody waits for it."""
     for step in range(count):
         if given_up():
-            raise _GivenUpError
+            sys.exit()  # a process of its own, which ends with unfinished files gone
         yield step

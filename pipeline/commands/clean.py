@@ -190,6 +190,10 @@ class Batch:
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://HOST:PORT, whose workers clean instead; they
     must reach the same paths and URLs."""
+    take_timeout: float | None = None
+    """Seconds after which a take fails and the batch goes on; default: an hour and a
+    minute for each megabyte of the take. On a cluster such a take ends its Dask worker,
+    which is started again if it has a nanny."""
     config_file: Annotated[Path | None, arg(name="config")] = None
     """TOML file of options for all takes; kinefilter.toml in a folder overrides it."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
@@ -209,6 +213,8 @@ class Batch:
             raise InputError("no takes given; name files or folders of takes")
         if self.jobs is not None and self.jobs < 1:
             raise InputError(f"--jobs {self.jobs}: expected 1 or more")
+        if self.take_timeout is not None and not self.take_timeout > 0:
+            raise InputError(f"--take-timeout {self.take_timeout:g}: expected over 0 s")
         if self.jobs is not None and self.scheduler is not None:
             raise InputError("--jobs is for this machine; leave it or --scheduler out")
         try:
@@ -222,6 +228,7 @@ class Batch:
                     given=self.given,
                     jobs=self.jobs,
                     scheduler=self.scheduler,
+                    take_timeout=self.take_timeout,
                     on_progress=show,
                 )
         except KeyboardInterrupt:

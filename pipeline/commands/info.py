@@ -13,6 +13,7 @@ from tyro.conf import Positional, arg
 from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, standard_body
 from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats.files import new_text
+from kinefilter.pipeline.formats.plain import finite
 
 from .terminal import Skeletons, check_output, out
 
@@ -34,7 +35,7 @@ class Info:
 
         contents = contents_of(self.file, format=self.format)
         if self.json:
-            sys.stdout.write(json.dumps(contents, indent=2) + "\n")
+            sys.stdout.write(json.dumps(finite(contents), indent=2) + "\n")
         else:
             out.print(as_tables(contents))
         return 0

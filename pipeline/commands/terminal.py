@@ -15,6 +15,7 @@ from rich.console import Console
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import check_folder
 from kinefilter.pipeline.formats.files import new_text
+from kinefilter.pipeline.formats.plain import finite
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over
 
@@ -103,7 +104,7 @@ def write_json(figures: object, path: Path | None) -> None:
     """Write figures as JSON, whole or not at all, if a file for them is given."""
     if path is not None:
         with new_text(path) as file:
-            file.write(json.dumps(figures, indent=2, allow_nan=False) + "\n")
+            file.write(json.dumps(finite(figures), indent=2, allow_nan=False) + "\n")
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from .gross import (
     FailureKind,
     distrust,
     find_failures,
+    told,
     unmirrored,
     without_nobody,
 )
@@ -24,6 +25,7 @@ __all__ = [
     "distrust",
     "find_displaced",
     "find_failures",
+    "told",
     "unmirrored",
     "without_nobody",
 ]

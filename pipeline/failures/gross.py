@@ -26,6 +26,8 @@ this share or less. A guess."""
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
 _SHORT = 0.3  # s: an arm in an impossible place for less only brushes by
 
+_TOLD = 5  # stretches of one kind; of more their number says enough
+
 
 class FailureKind(StrEnum):
     """What is wrong with part of a take."""
@@ -93,6 +95,19 @@ class Failure:
 
     def __str__(self) -> str:
         return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
+
+
+def told(failures: Iterable[Failure]) -> tuple[str, ...]:
+    """Return a sentence for each kind of failure and part: when, and what is done."""
+    alike: dict[tuple[str, FailureKind], list[Failure]] = {}
+    for failure in failures:
+        alike.setdefault((failure.part, failure.kind), []).append(failure)
+    sentences = []
+    for (part, kind), same in alike.items():
+        when = ", ".join(f"{f.start:.1f} to {f.end:.1f}" for f in same[:_TOLD])
+        more = f" and {len(same) - _TOLD} times later" if len(same) > _TOLD else ""
+        sentences.append(f"{part} {kind} ({when} s{more}): {kind.done}")
+    return tuple(sentences)
 
 
 def find_failures(take: Take) -> tuple[Failure, ...]:

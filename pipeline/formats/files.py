@@ -105,7 +105,12 @@ def check_file(path: AnyPath) -> Path:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file")
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file; check the name")
+        wrong = "there is no such file; check the name"
+        if path.exists():  # opening it might wait forever
+            wrong = "is a pipe, a socket or a device; give a file"
+        elif path.is_symlink():
+            wrong = "is a link to a file that is not there; restore or remove it"
+        raise InputError(f"{path}: {wrong}")
     return path
 
 
