@@ -28,7 +28,7 @@ from typing import Any
 
 from batch_takes import make_takes
 
-_ALONE = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+_ALONE = {"OPENBLAS_NUM_THREADS": "1"}
 _PATIENCE = 60.0  # s for a scheduler or worker to be there
 
 
@@ -42,7 +42,7 @@ def begin(command: Sequence[str]) -> subprocess.Popen[bytes]:
     """Run a command in a session of its own, so that it can be ended alone."""
     return subprocess.Popen(
         command,
-        env=_ALONE,
+        env={**os.environ, **_ALONE},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
@@ -108,7 +108,10 @@ def scheduler() -> Iterator[str]:
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
     options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show"]
     process = subprocess.Popen(
-        [*command, *options], env=_ALONE | patient, stderr=subprocess.PIPE, text=True
+        [*command, *options],
+        env=os.environ | _ALONE | patient,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         assert process.stderr is not None
@@ -122,10 +125,19 @@ def scheduler() -> Iterator[str]:
         process.wait()
 
 
-def begin_worker(address: str, folder: Path) -> subprocess.Popen[bytes]:
-    """Start a Dask worker of one thread, which nobody but us starts again."""
+def begin_worker(
+    address: str, folder: Path, *, nanny: bool = False
+) -> subprocess.Popen[bytes]:
+    """Start a Dask worker of one thread, which nobody but its nanny starts again."""
     command = [sys.executable, "-m", "distributed.cli.dask_worker", address]
-    options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
+    options = [
+        "--nthreads",
+        "1",
+        f"--{'' if nanny else 'no-'}nanny",
+        "--no-dashboard",
+        "--host",
+        "127.0.0.1",
+    ]
     return begin([*command, *options, "--local-directory", str(folder)])
 
 

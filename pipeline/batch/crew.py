@@ -32,7 +32,7 @@ _CONNECTED_IN = "10s"  # in which the scheduler has to answer
 _CLOSED_IN = "2s"  # in which it is left
 _LOOK = 2.0  # s between looks at whether there are workers
 _LOADED_IN = 600.0  # s until a new process has begun its first take; a guess
-_REPORTED_IN = 5.0  # s until the scheduler has the row of a take that hangs; a guess
+_REPORTED_IN = 2.0  # s until the scheduler has the row of a take that hangs; a guess
 
 _one_at_a_time = Lock()
 
@@ -160,7 +160,7 @@ class _Cluster(Crew):
             return False
 
     def submit(self, job: Job) -> None:
-        future = self._pool.submit(_clean_in_time, job)
+        future = self._pool.submit(_clean_in_time, clean_file, job)
         self._running[future] = job
         future.add_done_callback(self._done.put)
 
@@ -174,7 +174,7 @@ class _Cluster(Crew):
         return [(job, _row_of(future, job)) for future, job in jobs]
 
 
-def _clean_in_time(job: Job) -> Row:
+def _clean_in_time(clean: Callable[[Job], Row], job: Job) -> Row:
     """Clean a take on a cluster's worker; end the worker if the take hangs.
 
     A thread that hangs cannot be ended alone. The worker's nanny starts another one.
@@ -184,7 +184,7 @@ def _clean_in_time(job: Job) -> Row:
     worker, rows = get_worker(), list[Row]()
     # Correction methods hold a take's state; a cluster may run tasks on threads.
     _one_at_a_time.acquire()
-    thread = Thread(target=lambda: rows.append(clean_file(job)), daemon=True)
+    thread = Thread(target=lambda: rows.append(clean(job)), daemon=True)
     thread.start()
     thread.join(job.limit)
     if thread.is_alive():  # and nothing else is begun here

@@ -1,0 +1,124 @@
+"""Batches with takes that hang: they are given up, and Ctrl-C ends the run."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from contextlib import ExitStack
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from batch_faults import begin_worker, scheduler
+from batch_folders import rows_of, table_of
+from hanging import HALF_A_CLIP, done_or_hang
+
+from kinefilter.pipeline.batch import clean_files, crew
+from kinefilter.pipeline.batch.plan import find_sources, plan_jobs
+from kinefilter.pipeline.batch.store import store_at
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.settings import Settings
+from kinefilter.pipeline.workers import Worker, end_workers
+
+QUICK = {"one.csv", "two.csv", "three.csv"}
+
+
+@pytest.fixture
+def hanging(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder of takes, of which the first hangs."""
+    takes = tmp_path / "takes"
+    takes.mkdir()
+    (takes / "hangs.csv").write_text("the longest is begun first")
+    for name in QUICK:
+        (takes / name).write_text("a take")
+    tests = str(Path(__file__).parent)
+    monkeypatch.setattr(crew, "clean_file", done_or_hang)
+    monkeypatch.setattr(sys, "path", [*sys.path, tests])
+    monkeypatch.setenv("PYTHONPATH", tests)
+    return takes
+
+
+def test_a_take_that_hangs_is_given_up_and_the_others_are_done(
+    hanging: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "clips"
+    outcome = clean_files([str(hanging)], str(out), jobs=1, take_timeout=0.5)
+    assert {row.take for row in outcome.rows if row.status == "done"} == QUICK
+    (failed,) = outcome.failed
+    assert failed.take == "hangs.csv"
+    assert "after 0.5 s" in failed.error
+    assert "--take-timeout" in failed.error
+    assert {path.name for path in out.iterdir()} == {"manifest.jsonl", "manifest.csv"}
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a process cannot send itself Ctrl-C there")
+@pytest.mark.parametrize("times", [1, 2])
+def test_ctrl_c_ends_a_batch_whose_worker_hangs(
+    hanging: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, times: int
+) -> None:
+    out = tmp_path / "clips"
+    ending = threading.Event()
+
+    def interrupt() -> None:
+        while not (out / HALF_A_CLIP).exists() or len(rows_of(out)) < len(QUICK):
+            ending.wait(0.01)
+        for _ in range(times):
+            os.kill(os.getpid(), signal.SIGINT)
+            ending.wait(60.0)
+
+    def end(ended: list[Worker]) -> None:
+        if times == 1:
+            return end_workers(ended)
+        ending.set()
+        return end_workers(ended, 3600.0)  # which the second one ends
+
+    monkeypatch.setattr(crew, "end_workers", end)
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        clean_files([str(hanging)], str(out), jobs=2)
+    ending.set()
+    thread.join()
+    assert not multiprocessing.active_children()
+    assert {path.name for path in out.iterdir()} == {"manifest.jsonl", "manifest.csv"}
+    assert {row["take"] for row in table_of(out)} == QUICK
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="Dask is not here")
+def test_a_cluster_gives_a_take_that_hangs_up(hanging: Path, tmp_path: Path) -> None:
+    out = tmp_path / "clips"
+    with scheduler() as address, ExitStack() as ending:
+        worker = begin_worker(address, tmp_path / "worker", nanny=True)
+        ending.callback(worker.wait)
+        ending.callback(os.killpg, worker.pid, signal.SIGKILL)
+        outcome = clean_files(
+            [str(hanging)], str(out), scheduler=address, take_timeout=0.5
+        )
+    expected = dict.fromkeys(QUICK, "done") | {"hangs.csv": "failed"}
+    assert {row.take: row.status for row in rows_of(out)} == expected
+    assert "after 0.5 s" in outcome.failed[0].error
+
+
+def test_a_longer_take_may_need_longer(tmp_path: Path) -> None:
+    out = store_at(str(tmp_path / "clips"))
+    for name, size in (("short.csv", 10), ("long.csv", 2_000_000)):
+        (tmp_path / name).write_bytes(b"1" * size)
+    sources = find_sources([str(tmp_path)], out.root)
+    long, short = plan_jobs(sources, out, Settings(), ".usdc")
+    assert short.limit == pytest.approx(3600.0, abs=0.1)
+    assert long.limit == pytest.approx(3720.0, abs=0.1)
+    long, short = plan_jobs(sources, out, Settings(), ".usdc", take_timeout=9.0)
+    assert long.limit == short.limit == 9.0
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
+def test_a_time_limit_is_more_than_nothing(
+    hanging: Path, seconds: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--take-timeout", seconds, "-o", str(hanging / "out")]
+    assert main(["batch", str(hanging), *words]) == 2
+    assert "--take-timeout" in capsys.readouterr().err
