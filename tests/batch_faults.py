@@ -4,8 +4,9 @@ Usage: python tests/batch_faults.py FOLDER [--takes 60] [--frames 100] [--kills 
 
 First a batch runs undisturbed. Then one is killed (SIGKILL) again and again and begun
 again, until it is done; then one runs on a Dask cluster on loopback whose two workers
-are killed and replaced in turn. Every take must have one row that says done, and
-every clip the bytes of the undisturbed run.
+are killed and replaced in turn. Half of the kills are for each. Before every third the
+disk is full for a while, if this user may mount a small one. Every take must have one
+row that says done, and every clip the bytes of the undisturbed run.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from batch_takes import make_takes
 
 _ALONE = {"OPENBLAS_NUM_THREADS": "1"}
+_DISK = "128m"  # for 60 takes of 100 frames twice
 _PATIENCE = 60.0  # s for a scheduler or worker to be there
 
 
@@ -70,8 +72,43 @@ def clip_hashes(out: Path) -> dict[str, str]:
     }
 
 
+@contextmanager
+def small_disk(folder: Path) -> Iterator[Path | None]:
+    """Yield a folder that is a disk of its own, None where it cannot be mounted."""
+    folder.mkdir(parents=True, exist_ok=True)
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={_DISK}", "tmpfs", str(folder)]
+    try:
+        done = subprocess.run(mount, capture_output=True, check=False).returncode == 0
+    except FileNotFoundError:
+        done = False
+    try:
+        yield folder if done else None
+    finally:
+        if done:
+            subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@contextmanager
+def full(disk: Path) -> Iterator[None]:
+    """Fill a disk for a while."""
+    filler = disk / "filler"
+    with suppress(OSError), filler.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(2**20))
+    try:
+        yield
+    finally:
+        filler.unlink()
+
+
 def killed_until_done(
-    command: Sequence[str], out: Path, count: int, kills: int, seed: int = 0
+    command: Sequence[str],
+    out: Path,
+    count: int,
+    kills: int,
+    seed: int = 0,
+    *,
+    disk: Path | None = None,
 ) -> int:
     """Kill a batch so many times, spread over its takes; return how often it was.
 
@@ -81,6 +118,7 @@ def killed_until_done(
         count: How many takes it has.
         kills: How often it is killed.
         seed: Draws the moments.
+        disk: What is full before every third kill; it holds ``out``.
     """
     rng = random.Random(seed)
     killed = 0
@@ -90,6 +128,9 @@ def killed_until_done(
         while process.poll() is None and len(rows_done(out)) < mark:
             time.sleep(0.005)
         time.sleep(rng.uniform(0.0, 0.5))
+        if disk is not None and k % 3 == 0:
+            with full(disk):
+                time.sleep(rng.uniform(0.5, 3.0))
         if process.poll() is None:
             process.kill()
             killed += 1
@@ -142,7 +183,13 @@ def begin_worker(
 
 
 def killed_workers(
-    takes: Path, out: Path, *options: str, every: float, seed: int = 0
+    takes: Path,
+    out: Path,
+    *options: str,
+    every: float,
+    seed: int = 0,
+    kills: int = 1000,
+    disk: Path | None = None,
 ) -> int:
     """Run a batch on two workers, one of which is killed now and then.
 
@@ -153,27 +200,37 @@ def killed_workers(
         every: Seconds to wait before a kill, once a take is done since the one before:
             on a busy machine workers start slowly, and those killed first do nothing.
         seed: Draws who is killed.
+        kills: How often at most.
+        disk: What is full before every third kill; it holds ``out``. The run is begun
+            again when that ended it.
     """
     rng = random.Random(seed)
     folder = out.with_name(out.name + "-workers")
     killed = 0
     with scheduler() as address:
         workers = [begin_worker(address, folder) for _ in range(2)]
-        run = begin(batch(takes, out, "--scheduler", address, *options))
+        command = batch(takes, out, "--scheduler", address, *options)
+        run = begin(command)
         try:
             done = 0
             while run.poll() is None:
                 while run.poll() is None and len(rows_done(out)) <= done:
                     time.sleep(0.01)
                 time.sleep(every)
-                if run.poll() is None:
+                if disk is not None and killed % 3 == 0 and killed < kills:
+                    with full(disk):
+                        time.sleep(rng.uniform(0.5, 3.0))
+                    time.sleep(every)
+                    if run.poll() not in (None, 0):
+                        run = begin(command)
+                if run.poll() is None and killed < kills:
                     done = len(rows_done(out))
                     victim = rng.randrange(2)
                     workers[victim].kill()
                     workers[victim].wait()
                     workers[victim] = begin_worker(address, folder)
                     killed += 1
-            assert run.returncode == 0
+            assert begin(command).wait() == 0 if disk else run.returncode == 0
         finally:
             for process in (run, *workers):
                 process.send_signal(signal.SIGKILL)
@@ -181,13 +238,15 @@ def killed_workers(
     return killed
 
 
-def check(out: Path, undisturbed: Path, what: str) -> None:
-    """Assert that each take was done once, and came out as it should."""
+def check(out: Path, undisturbed: Path, what: str) -> str:
+    """Assert that each take was done once and came out as it should; return counts."""
     often = Counter(rows_done(out))
     twice = [take for take, count in often.items() if count != 1]
     assert not twice, f"{what}: rows that say done twice: {twice}"
     assert set(often) == set(rows_done(undisturbed)), what
     assert clip_hashes(out) == clip_hashes(undisturbed), what
+    failed = sum(row["status"] == "failed" for row in rows(out))
+    return f"{len(often)} takes done once, the same bytes, {failed} rows of failures"
 
 
 def main() -> None:
@@ -202,15 +261,20 @@ def main() -> None:
     takes, whole = folder / "takes", folder / "undisturbed"
     make_takes(takes, options.takes, options.frames)
     assert begin(batch(takes, whole, "--jobs", "2")).wait() == 0
-    say = sys.stdout.write
+    say, half = sys.stdout.write, options.kills // 2
     say(f"{len(rows_done(whole))} takes undisturbed\n")
-    command = batch(takes, folder / "killed", "--jobs", "2")
-    count = killed_until_done(command, folder / "killed", options.takes, options.kills)
-    check(folder / "killed", whole, "killed")
-    say(f"the run killed {count} times: each take done once, the same bytes\n")
-    count = killed_workers(takes, folder / "cluster", every=options.every)
-    check(folder / "cluster", whole, "cluster")
-    say(f"workers killed {count} times: each take done once, the same bytes\n")
+    with small_disk(folder / "disk") as disk:
+        at = "before every third the disk full" if disk else "no disk filled: not root"
+        out = (disk or folder) / "killed"
+        command = batch(takes, out, "--jobs", "2")
+        count = killed_until_done(
+            command, out, options.takes, options.kills - half, disk=disk
+        )
+        say(f"the run killed {count} times, {at}: {check(out, whole, 'killed')}\n")
+        out = (disk or folder) / "cluster"
+        every = options.every
+        count = killed_workers(takes, out, every=every, kills=half, disk=disk)
+        say(f"workers killed {count} times, {at}: {check(out, whole, 'cluster')}\n")
 
 
 if __name__ == "__main__":
