@@ -143,7 +143,7 @@ class Worker:
         self.calls, theirs = context.Pipe()
         heard, self._told = context.Pipe(duplex=False)
         self.process = context.Process(target=_serve, args=(theirs, heard), daemon=True)
-        with _environment(_ONE_THREAD):
+        with _environment(_ONE_THREAD), _unheard():
             self.process.start()
         theirs.close()
         heard.close()
@@ -160,6 +160,20 @@ class Worker:
     def end(self) -> None:
         """End it now."""
         end_workers([self], 0.0)
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Start processes that never hear Ctrl-C, not even before ``_begin``."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # starting it would let Ctrl-C through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def end_workers(ended: Sequence[Worker], patience: float = _PATIENCE) -> None:

@@ -51,7 +51,7 @@ def test_a_take_that_hangs_is_given_up_and_the_others_are_done(
     assert failed.take == "hangs.csv"
     assert "after 0.5 s" in failed.error
     assert "--take-timeout" in failed.error
-    assert {path.name for path in out.iterdir()} == {"manifest.jsonl", "manifest.csv"}
+    assert {path.stem for path in out.iterdir()} == {"manifest"}
     assert not multiprocessing.active_children()
 
 
@@ -84,7 +84,7 @@ def test_ctrl_c_ends_a_batch_whose_worker_hangs(
     ending.set()
     thread.join()
     assert not multiprocessing.active_children()
-    assert {path.name for path in out.iterdir()} == {"manifest.jsonl", "manifest.csv"}
+    assert {path.stem for path in out.iterdir()} == {"manifest"}
     assert {row["take"] for row in table_of(out)} == QUICK
 
 
@@ -122,3 +122,13 @@ def test_a_time_limit_is_more_than_nothing(
     words = ["--take-timeout", seconds, "-o", str(hanging / "out")]
     assert main(["batch", str(hanging), *words]) == 2
     assert "--take-timeout" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no signal reaches one process alone there")
+def test_ctrl_c_does_not_end_a_worker_that_is_still_starting() -> None:
+    worker = Worker()
+    assert worker.process.pid is not None
+    os.kill(worker.process.pid, signal.SIGINT)
+    worker.call(len, "take")
+    assert [worker.calls.recv(), worker.calls.recv()] == [True, 4]
+    worker.end()

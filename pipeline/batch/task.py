@@ -19,7 +19,7 @@ from kinefilter.characters import Clip, InputError, Take
 from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.failures import told
+from kinefilter.pipeline.failures import told_failures
 from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.plain import printable
 from kinefilter.pipeline.formats.recording import numbered, part_paths
@@ -138,7 +138,7 @@ def _written(
         share_outside_database=number_or_none(result.share_outside),
         failures=len(result.failures),
         notes=result.notes,
-        damage=(*told_gaps(long_gaps(take.time)), *told(result.failures)),
+        damage=(*told_gaps(long_gaps(take.time)), *told_failures(result.failures)),
     )
 
 

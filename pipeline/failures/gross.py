@@ -97,7 +97,7 @@ class Failure:
         return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
 
 
-def told(failures: Iterable[Failure]) -> tuple[str, ...]:
+def told_failures(failures: Iterable[Failure]) -> tuple[str, ...]:
     """Return a sentence for each kind of failure and part: when, and what is done."""
     alike: dict[tuple[str, FailureKind], list[Failure]] = {}
     for failure in failures:
