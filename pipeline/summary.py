@@ -13,7 +13,7 @@ from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
 from .contents import failures_as_json, gaps_as_json, origin_shares
-from .failures import told
+from .failures import told_failures
 from .formats.plain import finite
 
 _ROWS = (
@@ -88,5 +88,7 @@ def as_tables(result: CleanResult) -> RenderableType:
     if np.isfinite(result.share_outside):
         share = f"{result.share_outside:.0%}"
         lines.append(f"postures that the method knows too little: {share}")
-    lines += [f"tracker failure: {sentence}" for sentence in told(result.failures)]
+    lines += [
+        f"tracker failure: {sentence}" for sentence in told_failures(result.failures)
+    ]
     return Group(head, stages, joints, *lines, *result.notes)

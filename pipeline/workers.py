@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -34,6 +34,11 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):  # Linux; elsewhere a process may use all
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def at_most(count: int) -> int:
+    """Return how many of so many processes a system lets wait for at a time."""
+    return min(count, _MOST_WAITED_FOR) if sys.platform == "win32" else count
 
 
 def given_up() -> bool:
@@ -76,12 +81,12 @@ def workers(
     # Not forked: threads of the engine and of linear algebra do not survive it.
     context = multiprocessing.get_context("spawn")
     heard, told = context.Pipe(duplex=False)
-    count = count or cores()
-    if sys.platform == "win32":
-        count = min(count, _MOST_WAITED_FOR)
     with one_thread(), _environment(environment or {}):
         pool = ProcessPoolExecutor(
-            count, mp_context=context, initializer=_begin, initargs=(heard,)
+            at_most(count or cores()),
+            mp_context=context,
+            initializer=_begin,
+            initargs=(heard,),
         )
         try:
             yield pool
@@ -197,7 +202,7 @@ def _join(processes: Sequence[BaseProcess], seconds: float) -> None:
         process.join(max(until - time.monotonic(), 0.0))
 
 
-def _serve(calls: Connection, heard: Connection) -> None:
+def _serve(calls: Any, heard: Any) -> None:
     """Do calls until nobody has any more."""
     _begin(heard)
     with suppress(EOFError, OSError):

@@ -51,7 +51,7 @@ def test_a_take_that_hangs_is_given_up_and_the_others_are_done(
     assert failed.take == "hangs.csv"
     assert "after 0.5 s" in failed.error
     assert "--take-timeout" in failed.error
-    assert {path.name for path in out.iterdir()} == {"manifest.jsonl", "manifest.csv"}
+    assert {path.stem for path in out.iterdir()} == {"manifest"}
     assert not multiprocessing.active_children()
 
 
@@ -84,7 +84,7 @@ def test_ctrl_c_ends_a_batch_whose_worker_hangs(
     ending.set()
     thread.join()
     assert not multiprocessing.active_children()
-    assert {path.name for path in out.iterdir()} == {"manifest.jsonl", "manifest.csv"}
+    assert {path.stem for path in out.iterdir()} == {"manifest"}
     assert {row["take"] for row in table_of(out)} == QUICK
 
 

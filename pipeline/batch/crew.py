@@ -21,7 +21,7 @@ from typing import Any
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.extras import require
-from kinefilter.pipeline.workers import Worker, end_workers
+from kinefilter.pipeline.workers import Worker, at_most, end_workers
 
 from .manifest import Row
 from .plan import Job
@@ -77,7 +77,7 @@ class _Processes(Crew):
     """Processes of this machine, which take one job each."""
 
     def __init__(self, count: int) -> None:
-        self.room = count
+        self.room = at_most(count)
         self._resting: list[Worker] = []
         self._running: dict[Worker, tuple[Job, float]] = {}  # and when it must be done
 

@@ -14,7 +14,7 @@ from .gross import (
     FailureKind,
     distrust,
     find_failures,
-    told,
+    told_failures,
     unmirrored,
     without_nobody,
 )
@@ -25,7 +25,7 @@ __all__ = [
     "distrust",
     "find_displaced",
     "find_failures",
-    "told",
+    "told_failures",
     "unmirrored",
     "without_nobody",
 ]

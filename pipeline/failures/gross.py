@@ -23,9 +23,10 @@ a second: figure skaters reach six, dancers two."""
 _MENDS = 0.7
 """Exchanging the sides has to reduce the jumps into and out of a mirrored stretch to
 this share or less. A guess."""
-_TOLD = 5  # times, of failures alike
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
 _SHORT = 0.3  # s: an arm in an impossible place for less only brushes by
+
+_TOLD = 5  # stretches of one kind; of more their number says enough
 
 
 class FailureKind(StrEnum):
@@ -96,17 +97,17 @@ class Failure:
         return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
 
 
-def told(failures: Iterable[Failure]) -> tuple[str, ...]:
-    """Return for each kind of failure and part what, when, and what is done."""
+def told_failures(failures: Iterable[Failure]) -> tuple[str, ...]:
+    """Return a sentence for each kind of failure and part: when, and what is done."""
     alike: dict[tuple[str, FailureKind], list[Failure]] = {}
     for failure in failures:
         alike.setdefault((failure.part, failure.kind), []).append(failure)
-    lines = []
+    sentences = []
     for (part, kind), same in alike.items():
         when = ", ".join(f"{f.start:.1f} to {f.end:.1f}" for f in same[:_TOLD])
         more = f" and {len(same) - _TOLD} times later" if len(same) > _TOLD else ""
-        lines.append(f"{part} {kind} ({when} s{more}): {kind.done}")
-    return tuple(lines)
+        sentences.append(f"{part} {kind} ({when} s{more}): {kind.done}")
+    return tuple(sentences)
 
 
 def find_failures(take: Take) -> tuple[Failure, ...]:
