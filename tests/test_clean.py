@@ -263,7 +263,7 @@ def test_stature_is_found_from_what_a_kinect_sees() -> None:
 def test_a_take_in_centimeters_is_refused_by_its_name() -> None:
     take = _perfect("stand_idle")
     wrong = replace(take, positions=100.0 * take.positions, source="in_cm.csv")
-    with pytest.raises(InputError, match=r"^in_cm\.csv: .*in meters\?"):
+    with pytest.raises(InputError, match=r"^in_cm\.csv: .* divide .* by 100"):
         Cleaner(corrector=Hold(KINECT_V1)).clean(wrong)
 
 

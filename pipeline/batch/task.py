@@ -87,7 +87,8 @@ def _write_clips(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], s
     for body in bodies:
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            clips += _write_clip(recording.take(body), path, body, job)
+            rows = _write_clip(recording.take(body), path, body, job)
+            clips += [replace(r, notes=(*recording.notes, *r.notes)) for r in rows]
         except InputError as error:
             errors.append(str(error))
     return tuple(clips), "; ".join(errors)
