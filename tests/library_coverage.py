@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
-from kinefilter.pipeline.database.build import _postures_of
 from kinefilter.pipeline.database.posture_database import FILTERED_POSTURES
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
+from kinefilter.pipeline.lab.database_build import _postures_of
 from kinefilter.pipeline.lab.scripted_database import (
     BUILTIN_POSTURES,
     scripted_postures,

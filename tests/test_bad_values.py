@@ -24,11 +24,11 @@ from kinefilter.characters import (
     Shape,
     Skeleton,
     Tracking,
-    random_body,
     skeleton_named,
     standard_body,
 )
 from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.scenes.library import random_body
 
 QUICK = CleanConfig(method="none", physics=False)
 BODY = standard_body(KINECT_V1)

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from kinefilter.characters import KINECT_V1, InputError
-from kinefilter.pipeline import spool
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.database.build import database_from_pairs
+from kinefilter.pipeline.lab import spool
+from kinefilter.pipeline.lab.database_build import database_from_pairs
 from kinefilter.pipeline.lab.methods import lessons as module
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.methods.lessons import Lessons, TrainingSet
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
+from kinefilter.pipeline.lab.spool import Spool
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.spool import Spool
 
 
 @pytest.fixture(scope="module")

@@ -25,8 +25,8 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import inverse, rotate
 from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.database.build import database_from_mocap
 from kinefilter.pipeline.formats import write_clip
+from kinefilter.pipeline.lab.database_build import database_from_mocap
 from kinefilter.pipeline.lab.scripted_database import (
     BUILTIN_POSTURES,
     scripted_database,

@@ -15,7 +15,7 @@ from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.posture_space import NaturalSpaces
 from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.database.build import database_from_pairs
+from kinefilter.pipeline.lab.database_build import database_from_pairs
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.pairs import read_pairs
 

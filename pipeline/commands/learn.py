@@ -101,7 +101,7 @@ class DatabaseBuild:
 
     def run(self) -> int:
         """Build the database and write it."""
-        from kinefilter.pipeline.database import build
+        from kinefilter.pipeline.lab import database_build as build
 
         if self.count < 2:
             raise InputError(f"--count {self.count}: expected 2 postures or more")

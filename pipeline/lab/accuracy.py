@@ -127,12 +127,9 @@ class _Person:
         than their uncertainty, and than 1.96 times as much. ``found``: area under the
         ROC curve of how far a joint was moved, for raw joints that were off.
         """
-        from sklearn.metrics import roc_auc_score
-
         distances = np.concatenate(self.distances)
         within = within_uncertainty(np.concatenate(self.shares or [np.empty(0)]))
         wrong, moved = np.concatenate(self.wrong), np.concatenate(self.moved)
-        both = 0.0 < wrong.mean() < 1.0
         return {
             "E": float(np.nanmean(distances) * 100),
             "E_std": float(np.nanmean(np.concatenate(self.standardized)) * 100),
@@ -141,7 +138,7 @@ class _Person:
             "jitter": float(np.nanmean(self.jitters)),
             "within_68": within[0] if within else None,
             "within_95": within[1] if within else None,
-            "found": float(roc_auc_score(wrong, moved)) if both else None,
+            "found": area_under_roc(wrong, moved),
         }
 
     def per_joint(self) -> Array:
@@ -241,3 +238,10 @@ class Tally:
 
 def _known(people: dict[str, dict[str, float | None]], key: str) -> list[float]:
     return [value for figures in people.values() if (value := figures[key]) is not None]
+
+
+def area_under_roc(wrong: Flags, score: Array) -> float | None:
+    """Return how well a score tells what is wrong; None where all or nothing is."""
+    from sklearn.metrics import roc_auc_score
+
+    return float(roc_auc_score(wrong, score)) if 0.0 < wrong.mean() < 1.0 else None

@@ -18,7 +18,6 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
-from kinefilter.pipeline.database.build import database_from_pairs
 from kinefilter.pipeline.factory import make_scorer
 from kinefilter.pipeline.failures import FailureKind
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
@@ -30,8 +29,9 @@ from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
-from .accuracy import FAR, Accuracy, Tally
+from .accuracy import FAR, Accuracy, Tally, area_under_roc
 from .bench import Timed
+from .database_build import database_from_pairs
 from .teach import teach
 from .training import training_set
 
@@ -254,8 +254,6 @@ def reliability_auc(
     Area under the ROC curve of 1 - reliability, for joints over 10 cm off, and for
     joints over 7 cm off without their constant offset; None where there are none.
     """
-    from sklearn.metrics import roc_auc_score
-
     far: dict[str, list[NDArray[np.bool_]]] = {
         "over_10_cm": [],
         "varying_over_7_cm": [],
@@ -279,8 +277,7 @@ def reliability_auc(
         areas[name] = {}
         for key, labels in far.items():
             wrong, score = np.concatenate(labels), np.concatenate(scores)
-            found = float(roc_auc_score(wrong, score)) if 0 < wrong.mean() < 1 else None
-            areas[name][key] = found
+            areas[name][key] = area_under_roc(wrong, score)
     return areas
 
 

@@ -13,13 +13,14 @@ import numpy as np
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.build import (
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.scenes.library import MOTIONS, perform, random_body
+
+from .database_build import (
     POSTURES_PER_SECOND,
     filtered_database,
     standard_postures,
 )
-from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 BUILTIN_POSTURES = 5000
 """About how many the built-in database holds: twice Shum's, so that half of the real

@@ -11,10 +11,10 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.spool import Spool
 from kinefilter.retarget import Standardizer
 
 from .methods.lessons import TrainingSet
+from .spool import Spool
 
 
 def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:

@@ -31,6 +31,7 @@ from kinefilter.pipeline.target.smooth import smooth
 from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame, find_yaw
 
+from .accuracy import area_under_roc
 from .hidden_limbs import check_methods
 from .methods.lessons import TrainingSet
 from .misplaced import misplaced
@@ -353,15 +354,11 @@ def _mean(values: Any) -> float | None:
 
 def _areas(found: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
     """Return the area under ROC of wrong joints, and where the front is sure."""
-    from sklearn.metrics import roc_auc_score
-
     wrong, doubt, sure = (np.concatenate(one) for one in zip(*found, strict=True))
     areas: dict[str, float | None] = {}
     for name, some in (("all", np.ones_like(sure)), ("sure", sure)):
-        mixed = 0 < wrong[some].mean() < 1
         for k, measure in enumerate(("", "misplaced_")):
-            area = roc_auc_score(wrong[some], doubt[some, k]) if mixed else None
-            areas[measure + name] = area if area is None else float(area)
+            areas[measure + name] = area_under_roc(wrong[some], doubt[some, k])
     return areas
 
 

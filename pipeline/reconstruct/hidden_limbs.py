@@ -210,6 +210,7 @@ def _between_ends(seen: Seen, hidden: Flags, limb: tuple[int, int, int]) -> None
     _, middle, end = limb
     frames = hidden[:, middle] & ~hidden[:, end]
     if frames.any() and np.isfinite(seen.lengths[[middle, end]]).all():
-        joints = np.moveaxis(seen.positions[frames][:, limb], 1, 0)
         lengths = (seen.lengths[middle], seen.lengths[end])
-        seen.positions[frames, middle] = between_ends(*joints, lengths)[0]
+        first, inner, last = np.moveaxis(seen.positions[frames][:, limb], 1, 0)
+        found, _ = between_ends(first, inner, last, lengths)
+        seen.positions[frames, middle] = found

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton, standard_body
+from kinefilter.characters.arrays import check_kind
 
 _SHORTEST, _TALLEST = 1.5, 2.0  # m, of random bodies: about 99 % of adults
 # Mean and standard deviation of stature [m], men and women, in ANSUR II (Gordon et al.
@@ -26,6 +27,7 @@ def random_body(skeleton: Skeleton, rng: np.random.Generator) -> Body:
 
     Left and right are alike. The same draws give the same person on every skeleton.
     """
+    check_kind(rng, np.random.Generator, "rng")
     mean, deviation = _STATURES[int(rng.integers(2))]
     height = float(np.clip(rng.normal(mean, deviation), _SHORTEST, _TALLEST))
     index = float(np.clip(rng.normal(*_MASS_INDEX), 18.5, 30.0))

@@ -19,6 +19,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
 from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.retarget.body_size import chain_matrix
 
 from .gaussian_process import Kernel, fit_kernel
 from .lessons import Learner, Lessons, TrainingSet
@@ -44,11 +45,7 @@ class BoneWalk:
         self._rest = rest.directions[self._ends]
         self.lengths = rest.lengths[self._ends]
         """Of the standard body [m], shape (S,)."""
-        # The sum of bones from the root on, as one product.
-        self._chain = np.zeros((len(skeleton), len(self._ends)))
-        for s, (j, p) in enumerate(zip(self._ends, self._starts, strict=True)):
-            self._chain[j] = self._chain[p]
-            self._chain[j, s] = 1.0
+        self._chain = chain_matrix(skeleton)[:, self._ends].copy("C")
 
     def measure(self, postures: Array) -> tuple[Array, Array]:
         """Return the bones' directions (..., S, 3) and lengths [m] (..., S).

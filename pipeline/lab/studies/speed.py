@@ -14,8 +14,8 @@ from kinefilter.pipeline.database.posture_database import PostureIndex
 from kinefilter.pipeline.lab.bench import bench
 from kinefilter.pipeline.lab.scripted_database import scripted_postures
 from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.spool import Spool
 from kinefilter.pipeline.progress import Progress, over
-from kinefilter.pipeline.spool import Spool
 
 from .corrected import StandardizedTake
 from .study import Options, Panel, Study, series_of

@@ -11,6 +11,11 @@ import numpy as np
 from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
+from kinefilter.pipeline.database.posture_database import (
+    FILTERED_POSTURES,
+    PostureDatabase,
+)
+from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import (
     RIGS,
     kinect_motion,
@@ -25,13 +30,11 @@ from kinefilter.pipeline.reliability import (
     measure_body,
     segment_lengths,
 )
-from kinefilter.pipeline.spool import Spool
 from kinefilter.retarget.body_size import Standardizer
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
 
-from .posture_database import FILTERED_POSTURES, PostureDatabase
-from .threshold_rule import filter_to_count
+from .spool import Spool
 
 POSTURES_PER_SECOND = 30.0
 """Rate [1/s] at which postures are taken from motions."""
