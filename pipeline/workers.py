@@ -165,7 +165,7 @@ class Worker:
 @contextmanager
 def _unheard() -> Iterator[None]:
     """Start processes that never hear Ctrl-C, not even before ``_begin``."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
+    if sys.platform == "win32":  # it has no such call
         yield
         return
     resource_tracker.ensure_running()  # starting it would let Ctrl-C through

@@ -17,7 +17,7 @@ import os
 import time
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal
@@ -170,7 +170,11 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
             wrong = "another run writes there; wait for it, or write elsewhere"
             raise InputError(f"{store.root}: {wrong}") from None
         with lock:
-            yield Manifest(file, path)
+            try:
+                yield Manifest(file, path)
+            finally:
+                with suppress(OSError):  # Windows removes no file that is open
+                    path.with_name(_LOCK).unlink()
 
 
 class _InParts(Manifest):

@@ -10,15 +10,17 @@ import subprocess
 import sys
 import warnings
 from asyncio import unix_events
+from multiprocessing import popen_fork
 from typing import Any, NoReturn
 
 for module in ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog"):
     sys.modules[module] = None  # type: ignore[assignment]  # so it cannot be imported
 for name in ("fork", "forkpty", "killpg", "getuid", "geteuid", "getpgid", "setsid"):
     delattr(os, name)
-for name in ("SIGKILL", "SIGHUP", "SIGALRM", "SIGUSR1", "pthread_sigmask"):
+for name in ("SIGKILL", "SIGHUP", "SIGALRM", "SIGUSR1"):
     delattr(signal, name)
-subprocess.Popen.kill = subprocess.Popen.terminate  # type: ignore[method-assign]
+for process in (subprocess.Popen, popen_fork.Popen):
+    process.kill = process.terminate  # type: ignore[method-assign]
 
 
 def _missing(*_: Any, **__: Any) -> NoReturn:
