@@ -182,10 +182,10 @@ def end_workers(ended: Sequence[Worker], patience: float = _PATIENCE) -> None:
     Each step has as many seconds, and Ctrl-C ends the waiting.
     """
     processes = [worker.process for worker in ended]
-    for worker in ended:
-        worker.calls.close()
-        worker._told.close()
     try:
+        for worker in ended:
+            worker.calls.close()
+            worker._told.close()
         _join(processes, patience)
         for process in processes:
             process.terminate()

@@ -71,7 +71,7 @@ def test_ctrl_c_ends_a_batch_whose_worker_hangs(
             ending.wait(60.0)
 
     def end(ended: list[Worker]) -> None:
-        if times == 1:
+        if times == 1 or ending.is_set():
             return end_workers(ended)
         ending.set()
         return end_workers(ended, 3600.0)  # which the second one ends

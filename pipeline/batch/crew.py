@@ -82,9 +82,8 @@ class _Processes(Crew):
         self._running: dict[Worker, tuple[Job, float]] = {}  # and when it must be done
 
     def end(self) -> None:
-        workers = [*self._resting, *self._running]
+        end_workers([*self._resting, *self._running])
         self._resting, self._running = [], {}
-        end_workers(workers)
 
     def submit(self, job: Job) -> None:
         worker = self._resting.pop() if self._resting else Worker()
