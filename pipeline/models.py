@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import InputError, Skeleton, skeleton_named
+from kinefilter.characters import InputError, Skeleton, skeleton_named, standard_body
 
-from .correct import LearnedCorrector
-from .formats.files import atomic_path
+from .correct import LearnedCorrector, Observation
+from .formats.files import as_path, atomic_path
 from .formats.npz import read_arrays
 from .methods import LEARNED
 
 _VERSION = 1
+_FARTHEST = 1.0  # m: no sensor misplaces a joint of a T-pose by more
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,32 @@ def save_model(model: Model, path: Path) -> None:
         np.savez_compressed(file, **arrays)
 
 
+def _try_out(corrector: LearnedCorrector) -> None:
+    """Raise a ValueError, or whatever damaged arrays lead to, if a T-pose gets lost."""
+    body = standard_body(corrector.skeleton)
+    posture = np.tile(body.rest_positions, (3, 1, 1))
+    posture -= posture[:, body.skeleton.root, None]
+    sure, beside = np.ones(posture.shape[:2]), np.tile([2.0, 0.0, 1.0], (3, 1))
+    seen = Observation(posture, sure, sure, np.arange(3) / 30, body.lengths, beside)
+    for person in (None, *getattr(corrector, "people_", np.array([])).tolist()):
+        corrector.know(person)
+        for tried in (seen, seen.frame(0)):
+            whole = tried is seen
+            found = (corrector.whole if whole else corrector.step)(tried).positions
+            away = np.abs(found - tried.positions).max()
+            if not away < _FARTHEST:
+                raise ValueError(f"it moves a T-pose by {away:.3g} m")
+    corrector.know(None)
+    corrector.start()
+
+
 def load_model(path: Path) -> Model:
     """Read a model that ``save_model`` wrote.
 
     Raises:
         InputError: The file is missing, not a model, or of a newer kinefilter.
     """
-    if not path.is_file():
+    if not as_path(path).is_file():
         raise InputError(f"{path}: no such model; make one with 'kinefilter train'")
     arrays = read_arrays(path, "a model of 'kinefilter train'")
     try:
@@ -78,10 +98,15 @@ def load_model(path: Path) -> Model:
     }
     try:
         corrector = LEARNED[method].load().from_arrays(skeleton, fitted)
+        with np.errstate(all="ignore"):
+            _try_out(corrector)
     except KeyError as error:
         raise InputError(
             f"{path}: a damaged model: no array {error}; train again"
         ) from None
-    except (ValueError, TypeError, IndexError, AttributeError, OverflowError) as error:
+    except (
+        *(ArithmeticError, AttributeError, IndexError, MemoryError, TypeError),
+        ValueError,
+    ) as error:
         raise InputError(f"{path}: a damaged model ({error}); train again") from None
     return Model(corrector, method, skeleton, source)

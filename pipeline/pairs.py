@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1, SKELETONS, InputError, State, Take
 from kinefilter.characters.arrays import Array, Lengths, check_arrays, check_kind
 
+from .formats.files import check_file
 from .formats.npz import read_arrays
 
 
@@ -46,9 +47,7 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
     in meters, ``clip`` names with their rows ``start`` to ``stop``; optionally
     ``state`` (N, J). NaN is a joint that the recording does not have.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file; check the name")
+    path = check_file(path)
     arrays = read_arrays(path, "a pairs file (npz of arrays)")
     needed = ("joints", "fps", "subject", "kinect", "mocap", "clip", "start", "stop")
     lacking = [key for key in needed if key not in arrays]

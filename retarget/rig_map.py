@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters.arrays import shown
 
 _HERE = Path(__file__).parent
 RIGS = tuple(sorted(path.stem for path in (_HERE / "rigs").glob("*.toml")))
@@ -117,7 +118,7 @@ def _embedded_text(folder: str, name: str) -> str:
 def _parsed(text: str, source: str) -> RigMap:
     try:
         table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also of numbers of 5000 digits
         raise InputError(f"{source}: is not TOML ({error}); correct it") from None
     rows, prefix = table.get("bones"), table.get("prefix", "")
     if not isinstance(rows, dict) or not isinstance(prefix, str):
@@ -134,22 +135,23 @@ def _parsed(text: str, source: str) -> RigMap:
 
 
 def _bone(name: str, row: Any, source: str) -> MapBone:
-    where = f"{source}: bone {name!r}"
+    where = f"{source}: bone {shown(name)}"
     if not isinstance(row, dict) or not _FIELDS.issuperset(row):
         raise InputError(f"{where}: expected fields {', '.join(sorted(_FIELDS))}")
     part, parent, offset = (row.get(k) for k in ("turned_by", "parent", "offset"))
     if part is not None and part not in PARTS:
         raise InputError(
-            f"{where}: unknown turned_by {part!r}; expected one of {', '.join(PARTS)}"
+            f"{where}: unknown turned_by {shown(part)}; expected one of "
+            f"{', '.join(PARTS)}"
         )
     if parent is not None and not isinstance(parent, str):
-        raise InputError(f"{where}: parent is {parent!r}, expected a bone's name")
+        raise InputError(f"{where}: parent is {shown(parent)}, expected a bone's name")
     if offset is None:
         return MapBone(name, parent, part, None)
     numbers = offset if isinstance(offset, list) else []
-    known = [n for n in numbers if isinstance(n, int | float) and abs(n) < 100.0]
+    known = [n for n in numbers if type(n) in (int, float) and abs(n) < 100.0]
     if len(numbers) != 3 or len(known) != 3:
-        raise InputError(f"{where}: offset is {offset!r}, expected three shares")
+        raise InputError(f"{where}: offset is {shown(offset)}, expected three shares")
     x, y, z = (float(n) for n in known)
     return MapBone(name, parent, part, (x, y, z))
 
@@ -159,8 +161,8 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
     for bone in bones:
         if bone.parent is not None and bone.parent not in seen:
             raise InputError(
-                f"{source}: bone {bone.name!r}: its parent {bone.parent!r} is not "
-                "before it; list every parent before its children"
+                f"{source}: bone {shown(bone.name)}: its parent "
+                f"{shown(bone.parent)} is not before it; list every parent before its children"
             )
         seen.add(bone.name)
     for part in PARTS:

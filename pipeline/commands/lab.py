@@ -230,6 +230,7 @@ class Reproduce:
 
         if self.all is not None and (self.studies or self.out is not None):
             raise InputError("give --all FOLDER alone, or studies and -o FOLDER")
+        _check_seed(self.seed)
         folder = self.out if self.all is None else self.all
         if folder is None or (self.all is None and not self.studies):
             raise InputError("give studies and -o FOLDER, or --all FOLDER")
@@ -292,6 +293,7 @@ class Simulate:
         """Simulate the take and write it."""
         from kinefilter.pipeline.lab import simulate as lab
 
+        _check_seed(self.seed)
         check_output(self.out, self.truth, self.pairs, suffix=".csv")
         check_output(self.truth, suffix=".csv")
         check_output(self.pairs, suffix=".npz")
@@ -332,3 +334,8 @@ class Bench:
         write_json(figures, self.json)
         out.print(as_table(figures))
         return 0
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise InputError(f"--seed {seed}: expected 0 or more")

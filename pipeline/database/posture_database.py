@@ -19,6 +19,7 @@ from kinefilter.characters.arrays import (
     check_kind,
 )
 from kinefilter.characters.skeleton import check_skeleton
+from kinefilter.pipeline.formats.files import as_path
 from kinefilter.pipeline.formats.npz import read_arrays
 
 Singles = NDArray[np.float32]
@@ -26,6 +27,7 @@ Singles = NDArray[np.float32]
 FILTERED_POSTURES = 2574
 """Postures that the threshold rule leaves (Shum 2013, table V)."""
 
+_LARGEST = 10.0  # of coordinates [m] and of quaternions: beyond, one is damaged
 _BLOCK = 128  # postures: fewer fit tighter boxes, more cost fewer calls. Timed.
 _AT_ONCE = 30_000  # postures: below, looking at all is faster than choosing. Timed.
 _FIRST, _MOST = 8, 128  # blocks looked at before their distances are compared
@@ -62,12 +64,17 @@ class PostureDatabase:
         check_arrays(self, self.source, shapes, keep=shapes)
         if shape[0] < 2:
             raise InputError(f"{self.source}: has no two postures; build one of more")
+        if not np.any(self.positions[1:] != self.positions[0]):
+            raise InputError(f"{self.source}: its postures are all one; build it again")
         # As a file holds them: a database is the same before and after.
         for name in shapes:
             with np.errstate(over="ignore"):
                 rounded = np.asarray(getattr(self, name), dtype=np.float32)
-            if not np.isfinite(rounded).all():
-                raise InputError(f"{self.source}: {name} are not finite numbers")
+            # NaN is neither.
+            if not (rounded.min() > -_LARGEST and rounded.max() < _LARGEST):
+                raise InputError(
+                    f"{self.source}: {name} are beyond {_LARGEST:g}; build it again"
+                )
             object.__setattr__(self, name, rounded)
 
     def __len__(self) -> int:
@@ -130,7 +137,7 @@ class PostureDatabase:
     @classmethod
     def load(cls, path: Path) -> PostureDatabase:
         """Read a database that ``save`` wrote; an InputError if the file is none."""
-        if not Path(path).is_file():
+        if not as_path(path).is_file():
             raise InputError(
                 f"{path}: no such database; make one with 'kinefilter database build'"
             )

@@ -42,7 +42,7 @@ _LONGEST_PATH = 259  # characters, on Windows unless long paths are switched on
 
 def check_folder(path: AnyPath) -> Path:
     """Return ``path`` if a file may be written there, else raise InputError."""
-    path = _as_path(path)
+    path = as_path(path)
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
         raise InputError(f"{path}: Windows keeps such names to itself; give another")
     if not path.parent.is_dir():
@@ -54,7 +54,8 @@ def check_folder(path: AnyPath) -> Path:
     return path
 
 
-def _as_path(path: AnyPath) -> Path:
+def as_path(path: AnyPath) -> Path:
+    """Return a path that the system takes, or raise an InputError."""
     try:
         found = Path(path)
         found.is_dir()
@@ -101,7 +102,7 @@ def new_text(path: AnyPath) -> Iterator[TextIO]:
 
 def check_file(path: AnyPath) -> Path:
     """Return ``path`` if there is a file to read, else raise InputError."""
-    path = _as_path(path)
+    path = as_path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file")
     if not path.is_file():

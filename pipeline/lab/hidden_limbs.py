@@ -131,7 +131,8 @@ def check_methods(methods: Sequence[str]) -> None:
 def _frames(gap: str, count: int, fps: float) -> int:
     """Return how many frames of a clip of ``count`` a gap takes."""
     share, number = gap.endswith("%"), gap.removesuffix("%")
-    if not re.fullmatch(r"\d*\.?\d+", number) or (share and float(number) >= 100):
+    known = re.fullmatch(r"\d{0,4}\.?\d{1,9}", number)
+    if not known or (share and float(number) >= 100):
         raise InputError(f"gap {gap!r}: expected seconds, such as 0.3, or 55%")
     return round(count * float(number) / 100 if share else float(number) * fps)
 

@@ -25,6 +25,7 @@ from .messages import Frame, SeenBody, format_frame
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
 
+_SLOWEST = 0.001  # times as fast as recorded: slower, nothing seems to happen
 _SOONEST, _LATEST = 0.2, 5.0  # s between attempts to connect, doubled every time
 _PATIENCE = 5.0  # s for a connection
 
@@ -169,8 +170,8 @@ async def replay(
 
     Returns how many were sent. Raises InputError if the speed is not over 0.
     """
-    if not 0.0 < speed < np.inf:
-        raise InputError(f"--speed {speed:g}: expected a number over 0, such as 2")
+    if not _SLOWEST <= speed < np.inf:
+        raise InputError(f"--speed {speed:g}: expected {_SLOWEST:g} or more, such as 2")
     clock = asyncio.get_running_loop()
     began, first, sent = clock.time(), None, 0
     for frame in frames_of(takes, loop=loop):
