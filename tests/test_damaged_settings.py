@@ -28,7 +28,7 @@ def still_take(frames: int = 10) -> Take:
     return Take(np.arange(frames) / 30, places, states, KINECT_V1)
 
 
-@pytest.mark.parametrize("seed", [4, 9, 13, 33])
+@pytest.mark.parametrize("seed", [4, 9, 13, 42])
 def test_a_damaged_model_of_the_default_method_is_refused(
     tmp_path: Path, seed: int
 ) -> None:
