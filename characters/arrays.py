@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import fields
 from types import UnionType
 from typing import Any, TypeVar
@@ -20,6 +20,8 @@ Indices = NDArray[np.intp]
 """Truths, and indices of joints, frames or points."""
 
 Lengths = tuple[int | None, ...]
+"""The shape of an array; None where any length will do."""
+
 Number = TypeVar("Number", bound=np.generic)
 
 
@@ -62,7 +64,7 @@ def as_numbers(
     """
     try:
         if isinstance(value, np.ma.MaskedArray):
-            value = value.astype(float).filled(np.nan)
+            value = np.ma.filled(value.astype(float), np.nan)
         array = np.asarray(value)
         if array.dtype.kind == "O":
             array = array.astype(float)
@@ -89,7 +91,7 @@ def as_number(value: Any, what: str) -> float:
 def check_arrays(
     value: Any,
     what: str,
-    expected: dict[str, Lengths],
+    expected: Mapping[str, Lengths],
     of: str = "",
     *,
     finite: bool = False,

@@ -163,7 +163,7 @@ class Take:
     def __post_init__(self) -> None:
         _check(self, state=State)
         known = np.isfinite(self.positions)
-        lost = ~known.all(axis=-1)
+        lost = np.asarray(~known.all(axis=-1))
         if (known.any(axis=-1) & lost).any() or np.isinf(self.positions).any():
             whole = np.where(lost[..., None], np.nan, self.positions)
             object.__setattr__(self, "positions", whole)
@@ -312,7 +312,7 @@ class Clip(Motion):
         contacts = self.contacts
         _refuse(self, "contacts", contacts, np.isin(contacts, (0, 1)))
         object.__setattr__(self, "contacts", read_only(contacts.astype(np.bool_)))
-        for name in ("tilt", "floor"):
+        for name in ("tilt", "floor", "roll"):
             what = f"{self.source}: {name}"
             object.__setattr__(self, name, as_number(getattr(self, name), what))
 

@@ -22,14 +22,15 @@ _WORDS = {
 
 
 @cache
-def type_hints(kind: type[Any]) -> dict[str, Any]:
+def type_hints(kind: Any) -> dict[str, Any]:
     """Return the type of each field of a class of settings."""
     return get_type_hints(kind)
 
 
 def check_fields(settings: Any) -> None:
     """Give each field of a frozen dataclass its type, or raise an InputError."""
-    for name, hint in type_hints(type(settings)).items():
+    kind: Any = type(settings)
+    for name, hint in type_hints(kind).items():
         value = getattr(settings, name)
         if value is not None or NoneType not in get_args(hint):
             where = f"--{name.replace('_', '-')}"

@@ -161,8 +161,8 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
     for bone in bones:
         if bone.parent is not None and bone.parent not in seen:
             raise InputError(
-                f"{source}: bone {shown(bone.name)}: its parent "
-                f"{shown(bone.parent)} is not before it; list every parent before its children"
+                f"{source}: bone {shown(bone.name)}: its parent {shown(bone.parent)} "
+                "is not before it; list every parent before its children"
             )
         seen.add(bone.name)
     for part in PARTS:

