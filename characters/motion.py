@@ -27,7 +27,8 @@ from .rotations import rotate
 from .skeleton import Skeleton, check_skeleton
 
 LATEST = 1e12
-"""Time stamps [s] are earlier: clocks count from 1970, in seconds."""
+"""Frames of live motion [s] are earlier: clocks count from 1970, in seconds."""
+_NO_TIME = 1e19  # s: a damaged number; less may be in another unit, see check_rate
 _MOST = np.finfo(float).max
 _MEASURES = {"reliability": 1.0} | dict.fromkeys(
     ("moved_by_correction", "moved_by_physics", "uncertainty"), _MOST
@@ -89,7 +90,7 @@ def _check(motion: Take | Motion, **codes: type[IntEnum]) -> None:
         _refuse(motion, name, values, np.isin(values, list(known)))
         object.__setattr__(motion, name, values.astype(np.uint8, copy=False))
     time = motion.time
-    wrong = np.flatnonzero(~(np.abs(time) < LATEST))
+    wrong = np.flatnonzero(~(np.abs(time) < _NO_TIME))
     if len(wrong):
         raise InputError(
             f"{motion.source}: frame {wrong[0] + 1} has no time stamp "

@@ -166,7 +166,7 @@ def cell(row: int, old: str, new: str) -> tuple[str, ...]:
         ((HEADER, "\n", ROWS[1], ROWS[0]), ["row 4", "backwards"]),
         ((HEADER, *["0,0,0,0,2,0,0,0\n"] * 3), ["no joint", "3 frames"]),
         ((HEADER, *["0,,,,,,,\n"] * 3), ["no joint is tracked"]),
-        ((HEADER, *["0,0,160,2,2,40,80,2\n"] * 3), ["centimeters", "100"]),
+        ((HEADER, *["0,0,250,2,2,40,80,2\n"] * 3), ["centimeters", "100"]),
         ((HEADER, *["0,0,1600,2,2,40,80,2\n"] * 3), ["millimeters", "1000"]),
         (
             ("time,Tail.x,Tail.y,Tail.z\n", "0,1,2,3\n"),
