@@ -56,9 +56,9 @@ def test_a_take_that_hangs_is_given_up_and_the_others_are_done(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a process cannot send itself Ctrl-C there")
-@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("second", ["never", "before the end", "within the end"])
 def test_ctrl_c_ends_a_batch_whose_worker_hangs(
-    hanging: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, times: int
+    hanging: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second: str
 ) -> None:
     out = tmp_path / "clips"
     ending = threading.Event()
@@ -66,15 +66,17 @@ def test_ctrl_c_ends_a_batch_whose_worker_hangs(
     def interrupt() -> None:
         while not (out / HALF_A_CLIP).exists() or len(rows_of(out)) < len(QUICK):
             ending.wait(0.01)
-        for _ in range(times):
+        os.kill(os.getpid(), signal.SIGINT)
+        if second == "within the end" and ending.wait(60.0):
             os.kill(os.getpid(), signal.SIGINT)
-            ending.wait(60.0)
 
     def end(ended: list[Worker]) -> None:
-        if times == 1 or ending.is_set():
+        if second == "never" or ending.is_set():
             return end_workers(ended)
         ending.set()
-        return end_workers(ended, 3600.0)  # which the second one ends
+        if second == "before the end":
+            raise KeyboardInterrupt
+        return end_workers(ended, 30.0)  # which the second one ends
 
     monkeypatch.setattr(crew, "end_workers", end)
     thread = threading.Thread(target=interrupt)

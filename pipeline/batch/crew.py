@@ -30,7 +30,7 @@ from .task import clean_file
 _SCHEDULED = 1000  # jobs that the scheduler has at a time, for workers without one
 _CONNECTED_IN = "10s"  # in which the scheduler has to answer
 _CLOSED_IN = "2s"  # in which it is left
-_LOOK = 2.0  # s between looks at whether there are workers
+_LOOK = 1.0  # s between looks at whether there are workers, or Ctrl-C came unnoticed
 _LOADED_IN = 600.0  # s until a new process has begun its first take; a guess
 _REPORTED_IN = 2.0  # s until the scheduler has the row of a take that hangs; a guess
 
@@ -96,7 +96,7 @@ class _Processes(Crew):
             first = min(until for _, until in self._running.values())
             ready = wait(
                 [worker.calls for worker in self._running],
-                min(max(first - monotonic(), 0.0), _LOADED_IN),
+                min(max(first - monotonic(), 0.0), _LOOK),
             )
             for worker, (job, until) in [*self._running.items()]:
                 message = None
