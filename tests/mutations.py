@@ -18,12 +18,31 @@ NO_NUMBERS = [
     *(b"null", b"[]", b"{}", b'"1"', "\u0663".encode()),
 ]
 
+INNER_NUMBER = re.compile(rb"(?<=[,; ])(?:-?\d+\.\d+|\d)(?![\d.])")
+POSSIBLE = b"0.0 1.0 -1.5 0.5 3.7 -2.25 12.0 0.001 40.0".split()
+
 
 def mutated(data: bytes, rng: random.Random) -> bytes:
     """Return a file's bytes with one to four things wrong."""
     for _ in range(rng.randint(1, 4)):
         data = rng.choice(MUTATIONS)(data, rng)
     return data
+
+
+def gently_mutated(data: bytes, rng: random.Random) -> bytes:
+    """Return a text with some thirty numbers at most changed, each to one of its kind.
+
+    Those at the beginning of a line, which may be times and counts, stay.
+    """
+    count = len(INNER_NUMBER.findall(data))
+    share = rng.randint(1, 30) / max(count, 1)
+
+    def other(hit: re.Match[bytes]) -> bytes:
+        if rng.random() > share:
+            return hit[0]
+        return rng.choice(POSSIBLE if b"." in hit[0] else [b"0", b"1", b"2"])
+
+    return INNER_NUMBER.sub(other, data)
 
 
 def _flip(data: bytes, rng: random.Random) -> bytes:

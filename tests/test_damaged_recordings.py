@@ -13,7 +13,7 @@ from published_layouts import azure_json, msr_action3d_text, msrc_12_text, ntu_t
 from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, Clip
-from kinefilter.pipeline.formats import write_clip
+from kinefilter.pipeline.formats import read_recording, write_clip, write_take_csv
 
 MakeClip = Callable[..., Clip]
 
@@ -128,3 +128,14 @@ def test_bvh_of_unknown_joints_is_refused_naming_what_is_missing(
     message = complaint(write_text(tmp_path / "a.bvh", text))
     for word in ("'ElbowLeft'", "2 missing", "kinect_v1", "found HipCenter"):
         assert word in message
+
+
+def test_a_last_row_that_is_torn_is_left_out_and_a_note_says_so(tmp_path: Path) -> None:
+    write_take_csv(made_up(3), tmp_path / "whole.csv")
+    text = (tmp_path / "whole.csv").read_text()
+    torn = write_text(tmp_path / "torn.csv", text[:-30])
+    recording = read_recording(torn)
+    assert len(recording.takes[0]) == 2
+    assert recording.notes == ("row 4 is torn off: it is left out",)
+    assert "row 4 has" in complaint(write_text(torn, text[:-30], "\n"))
+    assert len(read_recording(write_text(torn, text[:-1])).takes[0]) == 3

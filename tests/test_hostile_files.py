@@ -13,177 +13,38 @@ import random
 import struct
 import warnings
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
+from conftest import MakeClip
+from hostile_files import READERS, as_mocap, damaged, small_take, write_valid
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from mutations import mutated, mutated_arrays
-from published_layouts import azure_json, msr_action3d_text, msrc_12_text, ntu_text
-from test_mocap_files import ARM, ARM_MOTION, standing, write_c3d
 
-from kinefilter.characters import (
-    CONTACTS,
-    KINECT_V1,
-    KINECT_V2,
-    Clip,
-    InputError,
-    State,
-    Take,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.formats import (
-    read_bvh,
-    read_clip,
-    read_contacts,
-    read_recording,
-    write_clip,
-    write_take_csv,
-)
-from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
-from kinefilter.pipeline.lab.methods.joint_offsets import JointOffsets
-from kinefilter.pipeline.models import Model, load_model, save_model
+from kinefilter.pipeline.formats import read_bvh, read_clip, read_recording
+from kinefilter.pipeline.models import load_model
 from kinefilter.pipeline.pairs import read_pairs
 
-MakeClip = Callable[..., Clip]
-Reader = Callable[[Path], object]
-
 EXAMPLES = int(os.environ.get("KINEFILTER_FUZZ", "100"))
-
-# The valid files
-
-
-def small_take(skeleton: Any, frames: int = 3) -> Take:
-    rng = np.random.default_rng(0)
-    positions = 2.0 + rng.uniform(-0.5, 0.5, (frames, len(skeleton), 3)).round(3)
-    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
-    return Take(np.arange(frames) / 30, positions, state, skeleton)
-
-
-def _kinect_v1_text(take: Take) -> str:
-    rows = [
-        ";".join(" ".join(map(str, place)) for place in frame)
-        for frame in take.positions.tolist()
-    ]
-    return "\n".join([";".join(KINECT_V1.joints), *rows]) + "\n"
-
-
-def _kinect_v2_text(take: Take) -> str:
-    return "".join(
-        f"{t * 333_333}," + "".join(f"{x},{y},{z},2," for x, y, z in frame) + "\n"
-        for t, frame in enumerate(take.positions.tolist())
-    )
-
-
-def write_valid(folder: Path, make_clip: MakeClip) -> dict[str, Path]:
-    """Write a small valid file for every reader."""
-    v1, v2 = small_take(KINECT_V1), small_take(KINECT_V2)
-    two = Take(v2.time, v2.positions + np.array([2, 0, 0]), v2.state, KINECT_V2)
-    texts = {
-        "kinect-v1.csv": _kinect_v1_text(v1),
-        "kinect-v2.csv": _kinect_v2_text(v2),
-        "msrc-12.csv": msrc_12_text(v1),
-        "msr-action3d.txt": msr_action3d_text(v1),
-        "ntu.skeleton": ntu_text([v2, two]),
-        "azure.json": azure_json([v2, two], levels=True),
-        "arm.amc": ARM_MOTION,
-        "arm.asf": ARM,
-    }
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    write_take_csv(v1, folder / "kinefilter.csv")
-    packed = gzip.compress((folder / "kinefilter.csv").read_bytes(), mtime=0)
-    (folder / "zipped.csv").write_bytes(packed)
-    clip = make_clip(3)
-    for suffix in ("bvh", "npz", "usda", "usdc"):
-        write_clip(clip, folder / f"clip.{suffix}")
-    header, rows = ",".join(("time", *CONTACTS)), "0,1,1,0,0\n0.1,0,0,1,1\n"
-    (folder / "contacts.csv").write_text(f"{header}\n{rows}", encoding="utf-8")
-    write_c3d(folder / "points.c3d", standing(KINECT_V1, "plug_in_gait"))
-    _write_arrays(folder)
-    return {path.name: path for path in sorted(folder.iterdir())}
-
-
-def _write_arrays(folder: Path) -> None:
-    rng = np.random.default_rng(0)
-    PostureDatabase(
-        rng.normal(size=(4, 20, 3)),
-        rng.normal(size=(4, 20, 4)),
-        np.array(["a", "b", "c", "d"]),
-        KINECT_V1,
-    ).save(folder / "database.npz")
-    joints = rng.normal(size=(5, 20, 3))
-    np.savez_compressed(
-        folder / "pairs.npz",
-        joints=np.array(KINECT_V1.joints),
-        fps=np.float32(30),
-        subject=np.array("s1"),
-        kinect=joints,
-        mocap=joints,
-        clip=np.array(["m01_s01_e01", "m01_s01_e02"]),
-        start=np.array([0, 3]),
-        stop=np.array([3, 5]),
-    )
-    learner = JointOffsets.from_arrays(
-        KINECT_V1, {key: np.array(a) for key, a in _offsets().items()}
-    )
-    model = Model(learner, "joint-offsets", KINECT_V1, "made up")
-    save_model(model, folder / "model.npz")
-
-
-def _offsets() -> dict[str, Any]:
-    """Return the fitted arrays of joint offsets."""
-    return {"joints": np.arange(20), "shares": np.full((20, 6), 0.01)}
-
-
-# How they are read
-
-TIME = np.linspace(0.0, 0.1, 4)
-
-
-def _motion(path: Path) -> object:
-    """Read mocap and look for a Kinect's joints in it, as databases do."""
-    mocap = read_mocap(path, [path.with_name("arm.asf")])
-    return kinect_motion(mocap, KINECT_V1, RIGS)
-
-
-TAKES = (
-    *("kinefilter.csv", "zipped.csv", "kinect-v1.csv", "kinect-v2.csv"),
-    *("msrc-12.csv", "msr-action3d.txt", "ntu.skeleton", "azure.json"),
-)
-READERS: dict[str, list[Reader]] = {
-    **{name: [read_recording, contents_of] for name in TAKES},
-    "clip.bvh": [read_bvh, read_clip, read_recording, contents_of, _motion],
-    "arm.amc": [_motion, contents_of],
-    "arm.asf": [lambda path: read_mocap(path.with_name("arm.amc"), [path])],
-    "points.c3d": [_motion],
-    "contacts.csv": [lambda path: read_contacts(path, TIME)],
-    "clip.npz": [read_clip, contents_of, lambda path: read_contacts(path, TIME)],
-    "database.npz": [PostureDatabase.load, contents_of],
-    "model.npz": [load_model, contents_of],
-    "pairs.npz": [read_pairs, contents_of],
-    "clip.usda": [contents_of, read_clip],
-    "clip.usdc": [contents_of, read_clip],
-}
 
 
 @pytest.fixture(scope="module")
 def valid(
     tmp_path_factory: pytest.TempPathFactory, make_clip: MakeClip
 ) -> dict[str, Path]:
-    return write_valid(tmp_path_factory.mktemp("valid"), make_clip)
+    folder, takes = tmp_path_factory.mktemp("valid"), (KINECT_V1, KINECT_V2)
+    return write_valid(folder, make_clip(3), *map(small_take, takes))
 
 
 def test_the_unharmed_files_are_read(valid: dict[str, Path]) -> None:
     assert set(READERS) == set(valid)
     for name, readers in READERS.items():
         for reader in readers:
-            if reader is not _motion or name == "clip.bvh":
+            if reader is not as_mocap or name == "clip.bvh":
                 assert reader(valid[name]) is not None
 
 
@@ -240,14 +101,8 @@ def test_what_long_runs_have_found_stays_mended(
 def try_damaged(valid: dict[str, Path], folder: Path, name: str, seed: int) -> None:
     """Read a file with something wrong in it, which is the same for the same seed."""
     rng = random.Random(seed)
-    data = valid[name].read_bytes()
-    whole = name.endswith(".npz") and rng.random() < 0.7
-    if name == "zipped.csv" and rng.random() < 0.7:
-        data = gzip.compress(mutated(gzip.decompress(data), rng), 1, mtime=0)
-    else:
-        data = mutated_arrays(data, rng) if whole else mutated(data, rng)
     path = folder / name
-    path.write_bytes(data)
+    path.write_bytes(damaged(name, valid[name].read_bytes(), rng))
     if name.startswith("arm."):
         other = "arm.asf" if name == "arm.amc" else "arm.amc"
         (folder / other).write_bytes(valid[other].read_bytes())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -181,7 +181,9 @@ def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
             lines = chain([line], lines)
         reader = RowReader(source, layout.columns, layout.normalize)
         blocks, count = [], 0
-        for block in reader.blocks(lines, row + layout.has_header):
+        notes: list[str] = []
+        whole = _untorn(lines, row + layout.has_header, layout, notes)
+        for block in reader.blocks(whole, row + layout.has_header):
             blocks.append(_frames(block, layout, reader))
             count += len(block.rows)
             if count > MOST_FRAMES:
@@ -197,7 +199,25 @@ def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
     if layout.weighted and state.max() == State.INFERRED:
         # The w of a homogeneous point, which is 1 wherever there is one.
         state = np.where(state > 0, State.TRACKED, State.NOT_TRACKED).astype(np.uint8)
-    return recording_of(time, positions, state, layout.skeleton, source, layout.name)
+    return recording_of(
+        *(time, positions, state, layout.skeleton, source, layout.name),
+        notes=tuple(notes),
+    )
+
+
+def _untorn(
+    lines: Iterable[str], first_row: int, layout: _Layout, notes: list[str]
+) -> Iterator[str]:
+    """Yield lines without a last one of our own CSV that ends before its last column.
+
+    A recording of ``live`` that was killed may end so; then a note says it.
+    """
+    for row, line in enumerate(lines, start=first_row):
+        torn = not line.endswith("\n") and line.count(",") < len(layout.columns) - 1
+        if torn and line.strip() and layout.name == "kinefilter":
+            notes.append(f"row {row} is torn off: it is left out")
+        else:
+            yield line
 
 
 read_kinefilter = partial(_read, _kinefilter)
