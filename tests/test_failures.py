@@ -94,6 +94,16 @@ def test_exchanged_sides_are_found_and_put_back(skeleton: object) -> None:
     np.testing.assert_array_equal(again.positions, take.positions)
 
 
+@pytest.mark.filterwarnings("error")
+def test_sides_are_put_back_also_where_the_frame_before_has_no_root() -> None:
+    take = _take("squat")
+    positions = _mirrored(take, slice(40, 71)).positions.copy()
+    for frame, put_back in ((39, True), (71, False)):
+        positions[frame, take.skeleton.root] = np.nan
+        wrong = replace(take, positions=positions)
+        assert (unmirrored(wrong, find_failures(wrong)) is not wrong) is put_back
+
+
 def test_two_stretches_and_one_that_reaches_the_end_are_found() -> None:
     take = _take("wave")
     wrong = _mirrored(_mirrored(take, slice(20, 40)), slice(len(take) - 15, None))

@@ -229,11 +229,16 @@ def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
 
 
 def _jump(take: Take, inside: int, outside: int, *, mirror: bool) -> float:
-    """Return how far joints move relative to the root between two frames, mean [m]."""
+    """Return how far joints move relative to the root between two frames, mean [m].
+
+    0 if no joint, or not the root, is seen in both.
+    """
     root = take.skeleton.root
     frame, other = (
         take.positions[k] - take.positions[k, root] for k in (inside, outside)
     )
     if mirror:
         frame = frame[take.skeleton.mirror]
-    return float(np.nanmean(np.linalg.norm(frame - other, axis=1)))
+    away = np.linalg.norm(frame - other, axis=1)
+    known = away[np.isfinite(away)]
+    return float(known.mean()) if len(known) else 0.0
