@@ -54,6 +54,18 @@ def test_a_torn_last_line_is_dropped_and_its_take_done_again(
     assert len(rows_of(tmp_path / "clips")) == 6
 
 
+def test_rows_of_a_later_run_count_in_a_store_though_the_clock_went_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    store = store_at("memory://clock")
+    for nanoseconds, status in ((2 * 10**18, "failed"), (10**18, "done")):
+        monkeypatch.setattr(manifest.time, "time_ns", lambda n=nanoseconds: n)
+        with open_manifest(store) as lines:
+            lines.append([Row("a", status, "a.bvh", "1", "", "", 1.0)])
+    with open_manifest(store) as lines:
+        assert lines.rows["a"].status == "done"
+
+
 def test_a_damaged_line_that_is_not_the_last_is_refused() -> None:
     row = Row("a", "done", "a.bvh", "1", "", "", 1.0).as_json() + "\n"
     with pytest.raises(InputError, match=r"m\.jsonl: line 2 is damaged"):

@@ -130,12 +130,15 @@ def test_bvh_of_unknown_joints_is_refused_naming_what_is_missing(
         assert word in message
 
 
-def test_a_last_row_that_is_torn_is_left_out_and_a_note_says_so(tmp_path: Path) -> None:
+def test_a_torn_last_row_of_a_killed_recording_is_left_out_and_a_note_says_so(
+    tmp_path: Path,
+) -> None:
     write_take_csv(made_up(3), tmp_path / "whole.csv")
     text = (tmp_path / "whole.csv").read_text()
-    torn = write_text(tmp_path / "torn.csv", text[:-30])
+    torn = write_text(tmp_path / "take.1.part.csv", text[:-30])
     recording = read_recording(torn)
     assert len(recording.takes[0]) == 2
-    assert recording.notes == ("row 4 is torn off: it is left out",)
+    assert recording.notes == ("row 4 was not written to its end: it is left out",)
     assert "row 4 has" in complaint(write_text(torn, text[:-30], "\n"))
     assert len(read_recording(write_text(torn, text[:-1])).takes[0]) == 3
+    assert "row 4 has" in complaint(write_text(tmp_path / "take.csv", text[:-30]))

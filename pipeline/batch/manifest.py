@@ -184,10 +184,13 @@ class _InParts(Manifest):
         self._store = store_at(f"{store.root}/{_PARTS}")
         self._lines: list[str] = []
         self._full = 0
-        # Parts are read in the order of their names: a later run's rows count.
-        self._run = f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
+        # Parts are read in the order of their names: a later run's rows count, also
+        # where the clock has gone back.
+        parts = sorted(file.name for file in self._store.files())
+        before = int(parts[-1].partition("-")[0]) if parts else 0
+        self._run = f"{max(time.time_ns(), before + 1):020d}-{uuid.uuid4().hex[:8]}"
         self.rows = {}
-        for name in sorted(file.name for file in self._store.files()):
+        for name in parts:
             with self._store.reading(name) as path:
                 rows, _ = parse_rows(path.read_bytes(), self._store.path(name))
             self.rows |= {row.take: row for row in rows}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -40,6 +40,8 @@ from .recording import (
 )
 from .rows import Block, RowReader
 
+PART = ".part.csv"
+"""End of the name of what ``live`` records; if it is killed, the last row is torn."""
 _LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
 _AXES = ("x", "y", "z")
 _CONTACT_HEADER = ("time", *CONTACTS)
@@ -182,8 +184,9 @@ def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
         reader = RowReader(source, layout.columns, layout.normalize)
         blocks, count = [], 0
         notes: list[str] = []
-        whole = _untorn(lines, row + layout.has_header, layout, notes)
-        for block in reader.blocks(whole, row + layout.has_header):
+        if source.endswith(PART):
+            lines = _untorn(lines, row + layout.has_header, layout.columns, notes)
+        for block in reader.blocks(lines, row + layout.has_header):
             blocks.append(_frames(block, layout, reader))
             count += len(block.rows)
             if count > MOST_FRAMES:
@@ -206,18 +209,14 @@ def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
 
 
 def _untorn(
-    lines: Iterable[str], first_row: int, layout: _Layout, notes: list[str]
+    lines: Iterable[str], first_row: int, columns: Sequence[str], notes: list[str]
 ) -> Iterator[str]:
-    """Yield lines without a last one of our own CSV that ends before its last column.
-
-    A recording of ``live`` that was killed may end so; then a note says it.
-    """
+    """Yield lines without a last one that ends before its last column; note that."""
     for row, line in enumerate(lines, start=first_row):
-        torn = not line.endswith("\n") and line.count(",") < len(layout.columns) - 1
-        if torn and line.strip() and layout.name == "kinefilter":
-            notes.append(f"row {row} is torn off: it is left out")
-        else:
+        if line.endswith("\n") or line.count(",") >= len(columns) - 1:
             yield line
+        else:
+            notes.append(f"row {row} was not written to its end: it is left out")
 
 
 read_kinefilter = partial(_read, _kinefilter)

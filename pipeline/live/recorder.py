@@ -13,7 +13,7 @@ from typing import BinaryIO
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.pipeline.formats.files import check_folder
 from kinefilter.pipeline.formats.recording import numbered
-from kinefilter.pipeline.formats.sheets import take_header, take_rows
+from kinefilter.pipeline.formats.sheets import PART, take_header, take_rows
 
 from .messages import SeenBody, stacked
 from .tally import Event, Tally
@@ -34,8 +34,8 @@ class _Part:
 class Recorder:
     """Writes frames into parts beside the file, which get their final names at the end.
 
-    Parts are called ``take.1.part.csv``. They hold whole rows only, so that the part of
-    a session that was killed is a take that lacks its last second. At the end they
+    Parts are called ``take.1.part.csv``. That of a session that was killed is a take
+    that lacks its last second; a last row that is torn is not read. At the end they
     become ``take.csv``, or for several bodies ``take.1.csv``, ``take.2.csv`` and so on
     in order of appearance. Raises InputError if it cannot be written there, or a
     recording of that name exists.
@@ -111,7 +111,7 @@ class Recorder:
             return part
         if number > _MOST_FILES or self.failure is not None:
             return None
-        path = self._path.with_name(f"{self._path.stem}.{number}.part.csv")
+        path = self._path.with_name(f"{self._path.stem}.{number}{PART}")
         try:
             part = _Part(path, path.open("xb", buffering=0), time)
             self._parts.append(part)
