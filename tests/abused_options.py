@@ -134,12 +134,17 @@ def abuse_options(attempt: Attempt) -> None:
     if name == "batch":
         for take in rng.sample(_TAKES[:9], 3):
             shutil.copy(attempt.files[take[1:-1]], here)
-    if name == "live":
-        os.dup2(os.open(attempt.files["frames.jsonl"], os.O_RDONLY), 0)
     words = [*name.split(), *_words(name, rng)]
     words = ["".join(attempt.command(word, valid=here)) for word in words]
-    with mock.patch("kinefilter.pipeline.batch.run.open_crew", Here):
-        attempt.run(words)
+    before = os.dup(0)
+    with attempt.files["frames.jsonl"].open("rb") as frames:  # for live
+        os.dup2(frames.fileno(), 0)
+    try:
+        with mock.patch("kinefilter.pipeline.batch.run.open_crew", Here):
+            attempt.run(words)
+    finally:
+        os.dup2(before, 0)
+        os.close(before)
 
 
 def _words(name: str, rng: random.Random) -> Iterator[str]:
