@@ -344,3 +344,20 @@ def test_files_without_an_animated_skeleton_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.usda").write_text("#usda 1.0\n")
     with pytest.raises(InputError, match="no animated skeleton"):
         read_usd_positions(tmp_path / "empty.usda")
+
+
+def test_a_package_for_which_there_is_no_room_is_refused_and_not_left(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    resource = pytest.importorskip("resource")
+    clip = make_clip(5)
+    write_clip(clip, tmp_path / "clip.usdc")
+    room = (tmp_path / "clip.usdc").stat().st_size + 10  # what a package adds is more
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+    try:
+        with pytest.raises(InputError, match=r"clip\.usdz: cannot be written"):
+            write_clip(clip, tmp_path / "clip.usdz")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [path.name for path in tmp_path.iterdir()] == ["clip.usdc"]

@@ -38,8 +38,10 @@ import tempfile
 import time
 from contextlib import ExitStack
 from dataclasses import replace
+from errno import ENOSPC
 from pathlib import Path
 from typing import Any
+from zipfile import is_zipfile
 
 import numpy as np
 
@@ -108,6 +110,10 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
                 package = Sdf.ZipFileWriter.CreateNew(str(temporary))
                 package.AddFile(str(layer), layer.name)
                 package.Save()
+                if not is_zipfile(
+                    temporary
+                ):  # where a disk was full, it does not say so
+                    raise OSError(ENOSPC, os.strerror(ENOSPC))
     except Tf.ErrorException as error:
         raise InputError(
             f"{path}: cannot be written ({error.args[0].commentary}); write elsewhere"
