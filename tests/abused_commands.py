@@ -32,7 +32,7 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.sheets import contact_table
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
-from kinefilter.pipeline.live import format_frame
+from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import frames_of
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
 from kinefilter.retarget.rig_map import RIGS

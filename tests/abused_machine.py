@@ -31,7 +31,7 @@ from kinefilter import read_take
 from kinefilter.characters import InputError, State, Take
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.live import format_frame
+from kinefilter.pipeline.live.messages import format_frame
 
 _CLEAN = "clean {take.csv} -o {out}/o.%s --json {out}/o.json --save-contacts {out}/c"
 _SHOWN = {
