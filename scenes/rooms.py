@@ -48,8 +48,9 @@ def load_scene(
             spec = _merged(build_humanoid(body, tracking), spec)
         spec.copy().compile()
     except (ValueError, mujoco.FatalError) as error:
+        why = " ".join(str(error).split())
         raise InputError(
-            f"{path}: MuJoCo cannot load this scene: {error}; check that it is MJCF, "
+            f"{path}: MuJoCo cannot load this scene: {why}; check that it is MJCF, "
             "that its files are beside it, and that no name is one of the character's"
         ) from error
     return spec

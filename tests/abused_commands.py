@@ -39,7 +39,9 @@ from kinefilter.retarget.rig_map import RIGS
 
 DEEPEST = 0.05  # m under the floor: README has 6 mm; takes of noise may be worse
 _UNEVEN = 0.02  # share by which segments of a written clip may vary, rounding included
-_RIG_MAP = Path(__file__).parents[1] / "retarget" / "rigs" / f"{RIGS[0]}.toml"
+_ROOT = Path(__file__).parents[1]
+_RIG_MAP = _ROOT / "retarget" / "rigs" / f"{RIGS[0]}.toml"
+_ROOM = _ROOT / "scenes" / "basic.xml"
 
 
 @dataclass
@@ -109,6 +111,8 @@ def run(words: Sequence[str]) -> Ran:
         raise LostError(text)
     if code == 2 and not ran.said.strip():
         raise LostError("exit code 2 without a word")
+    if ran.said.startswith("kinefilter: ") and code == 2 and ran.said.count("\n") > 1:
+        raise LostError(f"a refusal of several lines: {ran.said}")
     return ran
 
 
@@ -208,14 +212,14 @@ def prepare(folder: Path) -> dict[str, Path]:
         packed = gzip.compress(files[name].read_bytes(), mtime=0)
         stem, _, suffix = name.partition(".")
         (folder / f"{stem}-gz.{suffix}.gz").write_bytes(packed)
-    short = replace(pair, take=v2, truth=pair.truth[60:80])
-    write_pairs([short, replace(short, clip="m02_s01_e01")], folder / "people.npz")
+    half = replace(pair, take=part(pair.take, 40, 60), truth=pair.truth[40:100])
+    write_pairs([half, replace(half, clip="m02_s01_e01")], folder / "people.npz")
     texts = {
         "rig.toml": _RIG_MAP.read_text(encoding="utf-8"),
         "options.toml": 'cutoff = 4.0\nmethod = "none"\nheight = 1.8\nfps = 24\n',
         "camera.toml": "position = [0.0, 1.5, 4.0]\ntarget = [0, 1, 0]\nfov = 40\n",
         "limits.toml": 'fail_on = ["skate > 0.003", "jitter > 100"]\n',
-        "own.xml": _OWN_SCENE,
+        "own.xml": _ROOM.read_text(encoding="utf-8").replace("</worldbody>", _CRATE),
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -223,21 +227,21 @@ def prepare(folder: Path) -> dict[str, Path]:
         lines.writelines(
             format_frame(f) + "\n" for f in frames_of([part(sample, 0, 99)])
         )
-    run(["clean", str(folder / "take.csv"), "-o", str(folder / "layered.usda")])
+    for name in ("layered.usda", "mixamo.bvh", "mixamo.usda"):
+        rig = ["--rig", "mixamo"] * ("mixamo" in name)
+        run(["clean", str(folder / "take.csv"), "-o", str(folder / name), *rig])
     return {path.name: path for path in sorted(folder.iterdir())}
 
 
-_OWN_SCENE = """<mujoco><include file="basic.xml"/><worldbody>
-<body name="crate" pos="1 0 .2"><freejoint/><geom type="box" size=".2 .2 .2" mass="3"/>
-</body></worldbody></mujoco>
-"""
+_CRATE = """<body name="crate" pos="1 0 .2"><freejoint/>
+<geom type="box" size=".2 .2 .2" mass="3"/></body></worldbody>"""
 
 
 def part(take: Take, first: int, frames: int) -> Take:
     """Return some frames of a take."""
     kept = slice(first, first + frames)
     time, positions, state = take.time[kept], take.positions[kept], take.state[kept]
-    return Take(time, positions, state, take.skeleton, take.source)
+    return Take(time - time[0], positions, state, take.skeleton, take.source)
 
 
 _TAKEN = (
@@ -254,39 +258,37 @@ _TAKEN = (
     "replay {} --out udp://127.0.0.1:9 --speed 1000",
 )
 _MOCAP = ("info {}", "database build {} -o {out}/o.npz --count 20")
-_CLIP = (
-    "info {}",
-    "report {} --take {take.csv} -o {out}/o.html",
-    "clean {take.csv} -o {out}/o.usda --rig mixamo --target {}",
-)
+_CLIP = ("info {}", "report {} --take {take.csv} -o {out}/o.html")
+_TARGET = ("clean {take.csv} -o {out}/o.usda --rig mixamo --target {}",)
 COMMANDS: dict[str, tuple[str, ...]] = {
     ".csv": _TAKEN,
     ".skeleton": _TAKEN,
     ".json": _TAKEN,
     ".txt": _TAKEN,
-    ".gz": (*_TAKEN, *_MOCAP),
+    ".gz": _TAKEN,
+    "clip-gz.bvh.gz": _MOCAP,
+    "arm-gz.amc.gz": ("info {}",),
     ".bvh": (*_TAKEN, *_MOCAP, *_CLIP),
-    ".amc": _MOCAP,
-    ".asf": ("database build {arm.amc} {} -o {out}/o.npz",),
+    ".amc": ("info {}",),
+    "mixamo.bvh": _TARGET,
+    "mixamo.usda": _TARGET,
     ".c3d": _MOCAP,
     ".usda": (*_CLIP, "clean {take.csv} -o {out}/o.usda --character {}"),
     **dict.fromkeys((".usd", ".usdc", ".usdz"), _CLIP),
     "contacts.csv": ("info {}", "clean {take.csv} -o {out}/o.npz --contacts {}"),
-    "clip.npz": (*_CLIP[:2], "clean {take.csv} -o {out}/o.bvh --contacts {}"),
+    "clip.npz": (*_CLIP, "clean {take.csv} -o {out}/o.bvh --contacts {}"),
     "database.npz": (
         "database info {}",
         "clean {take.csv} -o {out}/o.bvh --method local-pca --database {}",
         "clean {take.csv} -o {out}/o.npz --database {}",
     ),
     "model.npz": ("info {}", "clean {take.csv} -o {out}/o.bvh --model {}"),
-    **dict.fromkeys(
-        ("pairs.npz", "people.npz"),
-        (
-            "info {}",
-            "train {} -o {out}/o.npz --method joint-offsets",
-            "database build {} -o {out}/o.npz --count 20",
-            "evaluate --test {} --methods none --json {out}/o.json --no-physics",
-        ),
+    "pairs.npz": ("info {}",),
+    "people.npz": (
+        "info {}",
+        "train {} -o {out}/o.npz --method joint-offsets",
+        "database build {} -o {out}/o.npz --count 20 --skeleton kinect_v2",
+        "evaluate --test {} --methods none --json {out}/o.json --no-physics",
     ),
     "rig.toml": ("clean {take.csv} -o {out}/o.bvh --rig {}",),
     "options.toml": ("clean {take.csv} -o {out}/o.npz --config {}",),
@@ -317,8 +319,12 @@ def abuse_file(attempt: Attempt) -> None:
     if name.startswith("arm"):
         shutil.copy(files["arm.asf"], path.parent)
     data = files[name].read_bytes()
-    gentle = rng.random() < 0.5 and b"\0" not in data
-    path.write_bytes(gently_mutated(data, rng) if gentle else damaged(name, data, rng))
+    packed = data.startswith(b"\x1f\x8b")
+    if rng.random() < 0.5 and (packed or b"\0" not in data):
+        data = gently_mutated(gzip.decompress(data) if packed else data, rng)
+        path.write_bytes(gzip.compress(data, mtime=0) if packed else data)
+    else:
+        path.write_bytes(damaged(name, data, rng))
     readers = READERS.get(name, [])
     if readers and rng.random() < 0.7:
         attempt.what = f"read {name}"

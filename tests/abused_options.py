@@ -71,7 +71,7 @@ _USED = {
     "thresholds": ("{limits.toml}",),
     "character": ("{out}/layer.usda", "{layered.usda}"),
     "rig": (*RIGS, "{rig.toml}"),
-    "target": ("{clip.bvh}", "{clip.usda}", "{clip.usdz}"),
+    "target": ("{mixamo.bvh}", "{mixamo.usda}", "{clip.usdz}"),
     "camera": ("front", "side", "orbit", "follow", "{camera.toml}"),
     "size": ("64x36", "32x32", "1x1", "2x2", "64", "0x0", "99999999x1"),
     "fail_on": ("skate>0.003", "jitter > 100", "nothing>1", "skate"),

@@ -308,6 +308,7 @@ def test_a_users_scene_takes_the_character_in(
     [
         ("<mujoco><worldbody>", "MuJoCo cannot load this scene"),
         ("no XML at all", "MuJoCo cannot load this scene"),
+        ('<mujoco>\n<include file="a.xml"/></mujoco>', r"^[^\n]*a\.xml[^\n]*$"),
         ("<mujoco><worldbody><geom/></worldbody></mujoco>", "size"),
         ('<mujoco><worldbody><geom type="mesh" mesh="x"/></worldbody></mujoco>', "x"),
     ],
