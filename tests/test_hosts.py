@@ -94,14 +94,11 @@ def test_a_batch_goes_on_after_workers_that_died(folder: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("system", ["bare", "this"])
-def test_one_run_at_a_time_until_it_is_ended_or_killed(
-    folder: Path, system: str
-) -> None:
-    out, environment = folder / "clips", BARE if system == "bare" else None
+def test_one_run_at_a_time_until_it_is_ended_or_killed(folder: Path) -> None:
+    out = folder / "clips"
     first = subprocess.Popen(
         [sys.executable, "-c", HOLDING, str(out)],
-        env=environment,
+        env=BARE,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
@@ -110,11 +107,11 @@ def test_one_run_at_a_time_until_it_is_ended_or_killed(
         assert first.stdout is not None
         first.stdout.readline()
         batch = [*KINEFILTER, "batch", str(folder / "takes"), "-o", str(out), *QUICK]
-        second = subprocess.run(batch, env=environment, capture_output=True, text=True)
+        second = bare(*batch)
         assert second.returncode == 2
         assert "another run writes there" in second.stderr
         assert rows_of(out) == []
-    third = subprocess.run(batch, env=environment, capture_output=True, text=True)
+    third = bare(*batch)
     assert third.returncode == 0, third.stderr
     assert {row.status for row in rows_of(out)} == {"done"}
 
