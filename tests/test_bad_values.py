@@ -16,7 +16,7 @@ import pytest
 from known_motions import standing
 
 import kinefilter
-from kinefilter import Avatar, CleanConfig, Cleaner, Clip, Export, PostureDatabase, Take
+from kinefilter import Avatar, CleanConfig, Cleaner, Clip, Export, Take
 from kinefilter.characters import (
     KINECT_V1,
     InputError,
@@ -390,21 +390,3 @@ def test_evaluate_refuses_what_are_no_pairs() -> None:
             given = {"train": two, "test": [], "methods": ["none"], "physics": False}
             named = iter([(next(iter(wrong)), wrong)])
             refused(lambda w, g=given: evaluate(**g | w), named)
-
-
-def test_databases_of_no_postures_are_refused() -> None:
-    rng = np.random.default_rng(0)
-    given: dict[str, Any] = {
-        "positions": rng.normal(size=(4, 20, 3)),
-        "rotations": rng.normal(size=(4, 20, 4)),
-        "labels": np.array(["a", "b", "c", "d"]),
-        "skeleton": KINECT_V1,
-    }
-    for name in ("positions", "rotations"):
-        array = given[name]
-        refused(lambda v, n=name: PostureDatabase(**given | {n: v}), misfits(array))
-        wrong = ((str(v), with_one(array, v)) for v in (np.nan, np.inf, 1e300))
-        refused(lambda v, n=name: PostureDatabase(**given | {n: v}), wrong)
-    for name in ("labels", "skeleton"):
-        values = iter(NO_VALUES.items())
-        refused(lambda v, n=name: PostureDatabase(**given | {n: v}), values)

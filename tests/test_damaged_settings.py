@@ -6,10 +6,12 @@ import random
 import re
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mutations import mutated_arrays
+from test_bad_values import NO_VALUES, misfits, refused, with_one
 
 import kinefilter
 from kinefilter.characters import KINECT_V1, InputError, Take, standard_body
@@ -93,3 +95,21 @@ def test_numbers_and_names_that_mean_nothing_end_with_code_2(
     write_take_csv(still_take(), take)
     assert main(line.format(out=tmp_path / "out.bvh", take=take).split()) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["take.csv"]
+
+
+def test_databases_of_no_postures_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    given: dict[str, Any] = {
+        "positions": rng.normal(size=(4, 20, 3)),
+        "rotations": rng.normal(size=(4, 20, 4)),
+        "labels": np.array(["a", "b", "c", "d"]),
+        "skeleton": KINECT_V1,
+    }
+    for name in ("positions", "rotations"):
+        array = given[name]
+        refused(lambda v, n=name: PostureDatabase(**given | {n: v}), misfits(array))
+        wrong = ((str(v), with_one(array, v)) for v in (np.nan, np.inf, 1e300))
+        refused(lambda v, n=name: PostureDatabase(**given | {n: v}), wrong)
+    for name in ("labels", "skeleton"):
+        values = iter(NO_VALUES.items())
+        refused(lambda v, n=name: PostureDatabase(**given | {n: v}), values)

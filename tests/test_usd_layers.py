@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mutations import mutated
 from pxr import Usd, UsdGeom
 
 from kinefilter.characters import KINECT_V2, Clip, InputError
@@ -67,6 +69,17 @@ def test_a_character_that_does_not_fit_is_refused_and_left(
         write_clip(make_clip(2), tmp_path / "b.usda", text)
     assert not (tmp_path / "b.usda").exists()
     assert sam.read_bytes() == before
+
+
+@pytest.mark.parametrize("seed", [37, 161])
+def test_a_damaged_character_is_refused_by_its_name(
+    make_clip: MakeClip, tmp_path: Path, seed: int
+) -> None:
+    sam = tmp_path / "sam.usdc"
+    write_clip(make_clip(2), tmp_path / "a.usda", Export(character=sam))
+    sam.write_bytes(mutated(sam.read_bytes(), random.Random(seed)))
+    with pytest.raises(InputError, match=r"sam\.usdc: (cannot be read|.*joints)"):
+        write_clip(make_clip(2), tmp_path / "b.usda", Export(character=sam))
 
 
 # Props

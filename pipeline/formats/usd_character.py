@@ -98,13 +98,13 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
 
     try:
         stage = Usd.Stage.Open(str(path))
+        skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(SKELETON))
+        joints = skeleton.GetJointsAttr().Get() if skeleton else None
     except Tf.ErrorException:
         raise InputError(
             f"{path}: cannot be read as USD; give --character a layer of "
             "'kinefilter clean --character', or a name that is free"
         ) from None
-    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(SKELETON))
-    joints = skeleton.GetJointsAttr().Get() if skeleton else None
     if joints is None or list(joints) != joint_paths(rig):
         raise InputError(
             f"{path}: {SKELETON} does not have this take's joints; give --character "
