@@ -38,7 +38,7 @@ from kinefilter.characters.motion import LATEST
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft
-from .failures import Failure, find_displaced
+from .failures import Failure, find_displaced, told_failures
 from .formats.recording import FASTEST, check_extent, check_rate
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
@@ -85,6 +85,12 @@ class CleanResult:
     """What the user should know about this take."""
     clips: tuple[Clip, ...]
     """What is to be written: the clip, or the parts that ``gaps`` splits it into."""
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """What was wrong with the take, when, and what was done: a sentence each."""
+        gaps = told_gaps(long_gaps(self.clip.time))
+        return (*gaps, *told_failures(self.failures))
 
     @property
     def share_outside(self) -> float:

@@ -47,9 +47,10 @@ _DESCRIPTION = f"""Turn noisy Kinect takes into clips that animators ship.
 
 Exit codes: 0 done, also if Ctrl-C or SIGTERM ended live, replay or view; 1 done, but
 some takes or clips were left out, the recording of live ended early, a metric is beyond
---fail-on, or a figure of README did not hold; 2 the input or the command was wrong, or
-a file could not be written; 130 interrupted: the same batch, render or reproduce --all
-command goes on where it ended. Files are written whole or not at all."""
+--fail-on, --fail-on-damage found damage, or a figure of README did not hold; 2 the
+input or the command was wrong, or a file could not be written; 130 interrupted: the
+same batch, render or reproduce --all command goes on where it ended. Files are written
+whole or not at all."""
 
 _INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 _UNREAD = 141  # and of one whose output nobody reads any more

@@ -26,6 +26,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.files import check_file
 from kinefilter.pipeline.formats.plain import printable
+from kinefilter.pipeline.look.comparison import read_comparison
 
 CLIP = ClipRow("a.bvh", "1", "", 1, 9, 0.3, 2.0, 1.0, None, None, None, 0, ())
 
@@ -243,7 +244,7 @@ def test_damage_is_told_with_its_seconds(
     assert main(["batch", str(takes), "-o", str(out), *words]) == 0
     assert "1 with damage" in capsys.readouterr().out
     damaged = str(takes / "damaged.csv")
-    assert main(["clean", damaged, "-o", f"{out}/x.bvh", *words]) == 0
+    assert main(["clean", damaged, "-o", f"{out}/x.npz", *words]) == 0
     told = [
         line.removeprefix("tracker failure: ")
         for line in capsys.readouterr().out.splitlines()
@@ -259,6 +260,12 @@ def test_damage_is_told_with_its_seconds(
     }
     cells = {row["take"]: row["damage"] for row in table_of(out)}
     assert cells["damaged.csv"] == "; ".join(told)
+    shown = read_comparison(out / "x.npz", takes / "damaged.csv").damage
+    assert shown == tuple(told)
+    words.append("--fail-on-damage")
+    assert main(["clean", damaged, "-o", f"{out}/x.bvh", *words]) == 1
+    assert main(["clean", str(takes / "a.csv"), "-o", f"{out}/x.bvh", *words]) == 0
+    assert main(["batch", str(takes), "-o", str(out), *words]) == 1
 
 
 def test_rows_without_damage_are_still_read() -> None:

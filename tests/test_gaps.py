@@ -181,7 +181,7 @@ def test_the_gap_is_told(held: CleanResult, tmp_path: Path) -> None:
     write_take_csv(_with_gap(60.0, _walk()), path)
     assert contents_of(path)["bodies"][0]["gaps"] == [{"start_s": start, "end_s": end}]
     page = page_contents(compare(held.clip, _with_gap(60.0, _walk())), ())
-    assert page["gaps"] == [words]
+    assert list(page["damage"]) == [words]
 
 
 def test_info_and_clean_tell_the_gap(

@@ -47,6 +47,12 @@ class Outcome:
         """Rows of takes that failed."""
         return [row for row in self.rows if row.status == "failed"]
 
+    @property
+    def damaged(self) -> list[Row]:
+        """Rows of takes in which something was wrong, also of earlier runs."""
+        rows = [*self.kept, *self.rows]
+        return [row for row in rows if any(c.failures or c.damage for c in row.clips)]
+
 
 OnProgress = Callable[[JobProgress], None]
 

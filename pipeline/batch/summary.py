@@ -50,10 +50,7 @@ def _counts(outcome: Outcome) -> str:
     seconds = max(outcome.seconds, 1e-9)
     words = [f"{_counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]
     words += [f"{kept} done before"] * bool(kept)
-    damaged = sum(
-        any(clip.failures or clip.damage for clip in row.clips)
-        for row in [*outcome.kept, *outcome.rows]
-    )
+    damaged = len(outcome.damaged)
     words += [f"{damaged} with damage, see manifest.csv"] * bool(damaged)
     words += [f"{_counted(others, 'other file')} skipped"] * bool(others)
     if outcome.rows:

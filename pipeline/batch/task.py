@@ -16,10 +16,8 @@ from time import perf_counter
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, Take
-from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.failures import told_failures
 from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.plain import finite, printable
 from kinefilter.pipeline.formats.recording import numbered, part_paths
@@ -138,10 +136,7 @@ def _written(
         share_outside_database=finite(result.share_outside),
         failures=len(result.failures),
         notes=result.notes,
-        damage=(
-            *told_gaps(long_gaps(result.clip.time)),
-            *told_failures(result.failures),
-        ),
+        damage=result.damage,
     )
 
 

@@ -64,6 +64,8 @@ class Clean:
     """Also write a web page that shows clip and take side by side, .html."""
     json: Path | None = None
     """Also write the printed figures to this file."""
+    fail_on_damage: bool = False
+    """End with exit code 1 if the tracker failed somewhere or a take has a long gap."""
     config_file: Annotated[Path | None, arg(name="config")] = None
     """TOML file of options such as cutoff = 4.0; options given here override it."""
     given: Suppress[frozenset[str]] = frozenset()
@@ -107,7 +109,9 @@ class Clean:
                 f"body {recording.main + 1} of {count}, seen in most frames; --body 1 "
                 f"to {count} cleans another, --body all cleans each"
             )
-        return 1 if several and len(results) < count else 0
+        damaged = any(result.damage for result in results.values())
+        left_out = several and len(results) < count
+        return 1 if left_out or (self.fail_on_damage and damaged) else 0
 
     def _check(self, used: list[Path | None]) -> None:
         """Raise an InputError for files that cannot be written or must be kept."""
@@ -194,6 +198,8 @@ class Batch:
     """Seconds after which a take fails and the batch goes on; default: an hour and a
     minute for each megabyte of the take. On a cluster such a take ends its Dask worker,
     which is started again if it has a nanny."""
+    fail_on_damage: bool = False
+    """End with exit code 1 if a take is damaged, see the manifest."""
     config_file: Annotated[Path | None, arg(name="config")] = None
     """TOML file of options for all takes; kinefilter.toml in a folder overrides it."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
@@ -234,7 +240,8 @@ class Batch:
         except KeyboardInterrupt:
             raise KeyboardInterrupt("the same command again goes on") from None
         out.print(as_tables(outcome))
-        return 1 if outcome.failed else 0
+        damaged = self.fail_on_damage and outcome.damaged
+        return 1 if outcome.failed or damaged else 0
 
 
 @contextmanager

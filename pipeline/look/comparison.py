@@ -11,12 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, State, Take
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.gaps import long_gaps, told_gaps
+from kinefilter.pipeline.failures import (
+    find_displaced,
+    find_failures,
+    told_failures,
+    unmirrored,
+)
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.metrics import METRICS, measure
 from kinefilter.pipeline.target.feet import feet_of
 from kinefilter.pipeline.target.floor import in_world, leveled, to_world
 from kinefilter.pipeline.target.upright import find_turn
+from kinefilter.retarget import find_yaw
 
 from .drawing import Drawing, read_finite_clip
 
@@ -34,10 +42,12 @@ _STEPS = 8  # of Newton's method: each squares the error of the angle
 class Comparison(Drawing):
     """A clip beside its measurement, with the metrics before and after cleaning.
 
-    They are by their name in ``METRICS``, NaN where unknown.
+    They are by their name in ``METRICS``, NaN where unknown. ``damage`` says in
+    sentences what was wrong with the take, when, and what was done about it.
     """
 
     raw: Array
+    damage: tuple[str, ...]
     before: dict[str, float]
     after: dict[str, float]
 
@@ -75,7 +85,19 @@ def compare(clip: Clip, take: Take) -> Comparison:
         return {name: float(found[name]) for name in METRICS}
 
     before, after = figures(raw), figures(clip.positions)
-    return Comparison(clip=clip, raw=raw, before=before, after=after)
+    damage = _damage(clip, raw, distinct)
+    return Comparison(clip=clip, raw=raw, damage=damage, before=before, after=after)
+
+
+def _damage(clip: Clip, raw: Array, distinct: Flags) -> tuple[str, ...]:
+    """Return what was wrong with a take, whose joints [m] are in the clip's frame."""
+    time, state, skeleton = clip.time[distinct], clip.state[distinct], clip.skeleton
+    take = Take(time, raw[distinct], state, skeleton, clip.source)
+    failures, positions = find_failures(take), clip.positions[distinct]
+    mended = unmirrored(take, failures).positions
+    yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
+    late = find_displaced(time, mended, positions, yaw, skeleton)
+    return (*told_gaps(long_gaps(time)), *told_failures([*failures, *late]))
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:

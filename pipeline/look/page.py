@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, InputError, Origin, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.pipeline.formats.files import atomic_path, read_toml
 from kinefilter.pipeline.formats.plain import finite
 from kinefilter.pipeline.metrics import METRICS, even_differences
@@ -139,7 +138,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
         "skeleton": clip.skeleton.name,
         "fps": clip.fps,
         "height": clip.body.height,
-        "gaps": told_gaps(long_gaps(clip.time)),
+        "damage": comparison.damage,
         "joints": list(clip.skeleton.joints),
         "parents": list(clip.skeleton.parents),
         "terms": [term.words for term in Term],

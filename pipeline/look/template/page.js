@@ -113,8 +113,12 @@ window.addEventListener("resize", redraw);
 document.getElementById("source").textContent = report.source;
 document.getElementById("facts").textContent =
   `${report.skeleton}, ${frames} frames, ${duration.toFixed(1)} s, ` +
-  `${report.fps.toFixed(1)} frames a second` +
-  report.gaps.map((gap) => `; ${gap}`).join("");
+  `${report.fps.toFixed(1)} frames a second`;
+for (const sentence of report.damage) {
+  const item = document.createElement("li");
+  item.textContent = sentence;
+  document.getElementById("damage").append(item);
+}
 fillMetrics(document.getElementById("metrics"));
 fillMoved(document.getElementById("moved"));
 redraw();
