@@ -56,6 +56,7 @@ def test_a_take_that_hangs_is_given_up_and_the_others_are_done(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a process cannot send itself Ctrl-C there")
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("second", ["never", "before the end", "within the end"])
 def test_ctrl_c_ends_a_batch_whose_worker_hangs(
     hanging: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second: str
