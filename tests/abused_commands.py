@@ -113,8 +113,10 @@ def run(words: Sequence[str]) -> Ran:
         raise LostError(text)
     if code == 2 and not ran.said.strip():
         raise LostError("exit code 2 without a word")
-    if ran.said.startswith("kinefilter: ") and code == 2 and ran.said.count("\n") > 1:
-        raise LostError(f"a refusal of several lines: {ran.said}")
+    said = ran.said.splitlines()
+    if code == 2 and said[0].startswith("kinefilter: "):
+        if not all(line.startswith("kinefilter: ") for line in said):
+            raise LostError(f"a refusal of several lines: {ran.said}")
     return ran
 
 

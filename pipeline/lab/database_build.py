@@ -165,7 +165,8 @@ def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     lengths = column_medians(segment_lengths(positions, skeleton))
     ends, average = skeleton.segments, standard_body(skeleton)
     # Meters per unit of the file; mocap's own lengths are taken as they are.
-    unit = np.nanmedian(average.lengths[ends] / lengths[ends])
+    with np.errstate(divide="ignore"):  # some rigs have joints at the same place
+        unit = np.nanmedian(average.lengths[ends] / lengths[ends])
     known = unit * lengths > 1e-3
     body = replace(average, lengths=np.where(known, unit * lengths, average.lengths))
     prior = None
