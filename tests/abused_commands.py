@@ -113,10 +113,9 @@ def run(words: Sequence[str]) -> Ran:
         raise LostError(text)
     if code == 2 and not ran.said.strip():
         raise LostError("exit code 2 without a word")
-    said = ran.said.splitlines()
-    if code == 2 and said[0].startswith("kinefilter: "):
-        if not all(line.startswith("kinefilter: ") for line in said):
-            raise LostError(f"a refusal of several lines: {ran.said}")
+    ours = [line.startswith("kinefilter: ") for line in ran.said.splitlines()]
+    if code == 2 and ours[0] and not all(ours):
+        raise LostError(f"a refusal of several lines: {ran.said}")
     return ran
 
 
