@@ -25,6 +25,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from batch_takes import make_takes
@@ -156,11 +157,14 @@ def scheduler() -> Iterator[str]:
     )
     try:
         assert process.stderr is not None
-        yield next(
+        address = next(
             found[1]
             for line in process.stderr
             if (found := re.search(r"Scheduler at: +(tcp://\S+)", line))
         )
+        # A log that nobody reads on would hold it up.
+        Thread(target=process.stderr.read, daemon=True).start()
+        yield address
     finally:
         process.terminate()
         process.wait()
