@@ -25,6 +25,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from batch_takes import make_takes
@@ -156,11 +157,14 @@ def scheduler() -> Iterator[str]:
     )
     try:
         assert process.stderr is not None
-        yield next(
+        address = next(
             found[1]
             for line in process.stderr
             if (found := re.search(r"Scheduler at: +(tcp://\S+)", line))
         )
+        # A log that nobody reads on would hold it up.
+        Thread(target=process.stderr.read, daemon=True).start()
+        yield address
     finally:
         process.terminate()
         process.wait()
@@ -213,16 +217,16 @@ def killed_workers(
         run = begin(command)
         try:
             done = 0
-            while run.poll() is None:
+            while run.poll() != 0:
+                if run.poll() is not None:
+                    assert disk is not None, run.returncode  # it was full
+                    run = begin(command)
                 while run.poll() is None and len(rows_done(out)) <= done:
                     time.sleep(0.01)
                 time.sleep(every)
                 if disk is not None and killed % 3 == 0 and killed < kills:
                     with full(disk):
                         time.sleep(rng.uniform(0.5, 3.0))
-                    time.sleep(every)
-                    if run.poll() not in (None, 0):
-                        run = begin(command)
                 if run.poll() is None and killed < kills:
                     done = len(rows_done(out))
                     victim = rng.randrange(2)
@@ -230,7 +234,6 @@ def killed_workers(
                     workers[victim].wait()
                     workers[victim] = begin_worker(address, folder)
                     killed += 1
-            assert begin(command).wait() == 0 if disk else run.returncode == 0
         finally:
             for process in (run, *workers):
                 process.send_signal(signal.SIGKILL)
