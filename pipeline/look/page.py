@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, InputError, Origin, Term
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, shown
 from kinefilter.pipeline.formats.files import atomic_path, read_toml
 from kinefilter.pipeline.formats.plain import finite
 from kinefilter.pipeline.metrics import METRICS, even_differences
@@ -59,7 +59,7 @@ def parse_limit(text: str) -> Limit:
     form = _FORM.fullmatch(text)
     if form is None or form[1] not in METRICS or math.isinf(float(form[3])):
         raise InputError(
-            f"{text!r}: expected a metric, < or >, and a number, as skate>0.003; "
+            f"{shown(text)}: expected a metric, < or >, and a number, as skate>0.003; "
             f"metrics: {', '.join(METRICS)}"
         )
     return Limit(form[1], ">" if form[2] == ">" else "<", float(form[3]))
