@@ -249,9 +249,10 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     if len(matrices) != len(paths):
         matrices = read(skeleton.GetBindTransformsAttr())
     else:
-        for n, parent in enumerate(parents):
-            if parent >= 0:
-                matrices[n] = matrices[n] @ matrices[parent]
+        with np.errstate(all="ignore"):  # a damaged file is refused below
+            for n, parent in enumerate(parents):
+                if parent >= 0:
+                    matrices[n] = matrices[n] @ matrices[parent]
     if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
         raise InputError(
             f"{source}: has no rest transform for each of its {len(paths)} joints; "
