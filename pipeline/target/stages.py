@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -180,7 +181,7 @@ class Floor(Stage):
             while soles[0][0] < now - _FLOOR_TIME:
                 soles.popleft()
             # The newest counts twice: of two, it is to be believed.
-            mostly = float(np.median([sole, *(height for _, height in soles)]))
+            mostly = median([sole, *(height for _, height in soles)])
             height = sole if self._height is None else self._height
             if abs(height - mostly) > _FLOOR_NEAR:
                 height = mostly
