@@ -15,6 +15,7 @@ from kinefilter.characters.arrays import Array, Lengths, check_arrays, check_kin
 
 from .formats.files import check_file
 from .formats.npz import read_arrays
+from .formats.recording import FARTHEST
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,12 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
 
 def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
     kinect, mocap = arrays["kinect"].astype(float), arrays["mocap"].astype(float)
+    for name, positions in (("kinect", kinect), ("mocap", mocap)):
+        if (far := np.nanmax(np.abs(positions), initial=0.0)) > FARTHEST:
+            raise InputError(
+                f"{path}: {name} has a joint {far:.3g} m away, expected a person "
+                "before a sensor, in meters; correct or delete it"
+            )
     if kinect.shape != mocap.shape:
         raise InputError(
             f"{path}: kinect has shape {kinect.shape} but mocap {mocap.shape}; both "

@@ -112,6 +112,7 @@ def test_pairs_come_back_from_their_file(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"mocap": np.full((5, 20, 3), 1e300)}, "mocap has a joint 1e.300 m away"),
         ({"mocap": np.zeros((5, 20, 3))}, "both sides need the same frames"),
         ({"joints": np.array(["a"] * 20)}, "no known skeleton"),
         ({"stop": np.array([10_000] * 3)}, "clip .* is rows"),

@@ -28,7 +28,7 @@ _UNITS = {"milliseconds": 10**3, "microseconds": 10**6, "ticks of 100 ns": 10**7
 _UNITS["nanoseconds"] = 10**9
 _COARSEST = 1e-4  # s: a hundredth of a frame of 100 a second
 _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
-_FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
+FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
 _FRAMES_AT_ONCE = 1000  # about a megabyte of text
 _AWAY, _NEAR = 2.0, 0.5
@@ -208,7 +208,7 @@ def check_extent(positions: Array, source: str) -> None:
             f"person in meters; {unit_hint(span)}"
         )
     distance = np.fmax.reduce(np.abs(positions[seen]).reshape(len(seen), -1), axis=1)
-    far = seen[distance > _FARTHEST]
+    far = seen[distance > FARTHEST]
     if len(far):
         raise InputError(
             f"{source}: frame {far[0] + 1} has a joint {distance.max():.3g} m away, "
