@@ -70,11 +70,14 @@ class Quality:
 
 
 def bone_length_cv(positions: Array, body: Body) -> float:
-    """Return the mean coefficient of variation of segment lengths over the frames."""
+    """Return the mean coefficient of variation of segment lengths over the frames.
+
+    Segments without a length count for nothing.
+    """
     skeleton, variations = body.skeleton, []
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         lengths = _known(np.linalg.norm(positions[:, j] - positions[:, p], axis=1))
-        if len(lengths) > 1:
+        if len(lengths) > 1 and lengths.any():
             variations.append(lengths.std() / lengths.mean())
     return _mean(np.array(variations))
 

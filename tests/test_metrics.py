@@ -62,6 +62,8 @@ def test_one_varying_bone_counts_as_one_of_nineteen() -> None:
 def test_bone_length_variation_of_nothing_is_unknown() -> None:
     assert np.isnan(bone_length_cv(np.full((9, 20, 3), np.nan), BODY))
     assert np.isnan(bone_length_cv(standing(1), BODY))
+    with np.errstate(all="raise"):
+        assert np.isnan(bone_length_cv(np.zeros((9, 20, 3)), BODY))
 
 
 # Amplitude, distances, all together
