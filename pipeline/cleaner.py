@@ -13,33 +13,29 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kinefilter.characters import (
     Body,
     Clip,
     InputError,
-    Skeleton,
-    State,
     Take,
     Tracking,
 )
 from kinefilter.characters.arrays import (
     Array,
     as_number,
-    as_numbers,
     check_kind,
     check_word,
-    shown,
 )
 from kinefilter.characters.gaps import long_gaps, parts_of, told_gaps
 from kinefilter.characters.motion import LATEST
 
+from .checks import check_take, checked_frame, selected
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft
 from .failures import Failure, find_displaced, told_failures
-from .formats.recording import FASTEST, check_extent, check_rate
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .progress import Progress, silent
@@ -58,7 +54,6 @@ from .target.floor import to_world
 from .target.stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
 from .uncertainty import uncertainty
 
-_FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
 _LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which to move
 
 
@@ -204,7 +199,7 @@ class Cleaner:
         if self._body is None:
             raise InputError("no body to step; call start() with one")
         skeleton, time = self._body.skeleton, as_number(time, "the time of a frame")
-        seen, states = _frame(positions, state, skeleton)
+        seen, states = checked_frame(positions, state, skeleton)
         if not abs(time) < LATEST:
             raise InputError(f"a frame at {time:g} s; give its stamp in seconds")
         if self._time is not None and time <= self._time:
@@ -255,7 +250,7 @@ class Cleaner:
             InputError: The take holds nothing to clean, or a long gap that is not to
                 be, or the database does not fit.
         """
-        _check(take)
+        check_take(take)
         if self._gaps == "refuse" and (gaps := long_gaps(take.time)):
             raise InputError(
                 f"{take.source}: {told_gaps(gaps)[0]}; clean it with --gaps hold or "
@@ -264,7 +259,7 @@ class Cleaner:
         distinct = np.concatenate([[True], np.diff(take.time) > 0])
         # Which distinct frame each of the take's shows; a slice copies nothing.
         frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
-        recorded = take if distinct.all() else _select(take, distinct)
+        recorded = take if distinct.all() else selected(take, distinct)
         draft = self.whole(recorded, progress)
         mended = to_world(draft.measured, draft.tilt, draft.floor)
         moved_by_correction = distances(draft.posed, mended)
@@ -362,50 +357,3 @@ def _notes(draft: Draft) -> Iterable[str]:
         yield turn.doubt
     if draft.trace is not None and draft.trace.reset.any():
         yield f"physics: {draft.trace.status}"
-
-
-def _frame(
-    positions: ArrayLike, state: ArrayLike | None, skeleton: Skeleton
-) -> tuple[Array, NDArray[np.uint8]]:
-    """Return positions (J, 3), NaN where missing or too far, and states (J,)."""
-    what, count = f"a frame of {skeleton.name}", len(skeleton)
-    seen = as_numbers(positions, what, (count, 3), ", the joints in the SDK's order")
-    seen = seen.astype(float)
-    near = (np.abs(seen) < _FARTHEST).all(axis=1)  # False for NaN, too
-    states = np.full(count, State.TRACKED, dtype=np.uint8)
-    if state is not None:
-        known = as_numbers(state, f"the states of {what}", (count,))
-        if not ((known == 0) | (known == 1) | (known == 2)).all():
-            raise InputError(f"the states of {what} are {shown(state)}; give 0, 1 or 2")
-        states = known.astype(np.uint8)
-    return np.where(near[:, None], seen, np.nan), np.where(near, states, np.uint8(0))
-
-
-def _check(take: Take) -> None:
-    check_kind(take, Take, "the take")
-    if np.isnan(take.positions[..., 0]).all():
-        raise InputError(
-            f"{take.source}: every joint is missing in every frame; nothing to clean"
-        )
-    check_extent(take.positions, take.source)
-    check_rate(take.time, take.source)
-    if take.fps > FASTEST:
-        raise InputError(
-            f"{take.source}: {take.fps:.3g} frames a second are more than any sensor "
-            "takes; are the times in seconds?"
-        )
-    if take.time[-1] <= take.time[0]:
-        raise InputError(
-            f"{take.source}: the take has one distinct time stamp; "
-            "a motion needs two frames or more"
-        )
-
-
-def _select(take: Take, kept: NDArray[np.bool_]) -> Take:
-    return Take(
-        take.time[kept],
-        take.positions[kept],
-        take.state[kept],
-        take.skeleton,
-        take.source,
-    )

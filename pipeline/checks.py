@@ -1,0 +1,62 @@
+"""What the cleaner takes in: frames and takes, checked before anything is done."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kinefilter.characters import InputError, Skeleton, State, Take
+from kinefilter.characters.arrays import Array, as_numbers, check_kind, shown
+
+from .formats.recording import FASTEST, check_extent, check_rate
+
+_FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
+
+
+def checked_frame(
+    positions: ArrayLike, state: ArrayLike | None, skeleton: Skeleton
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Return positions (J, 3), NaN where missing or too far, and states (J,)."""
+    what, count = f"a frame of {skeleton.name}", len(skeleton)
+    seen = as_numbers(positions, what, (count, 3), ", the joints in the SDK's order")
+    seen = seen.astype(float)
+    near = (np.abs(seen) < _FARTHEST).all(axis=1)  # False for NaN, too
+    states = np.full(count, State.TRACKED, dtype=np.uint8)
+    if state is not None:
+        known = as_numbers(state, f"the states of {what}", (count,))
+        if not ((known == 0) | (known == 1) | (known == 2)).all():
+            raise InputError(f"the states of {what} are {shown(state)}; give 0, 1 or 2")
+        states = known.astype(np.uint8)
+    return np.where(near[:, None], seen, np.nan), np.where(near, states, np.uint8(0))
+
+
+def check_take(take: Take) -> None:
+    """Raise InputError for what is no take, or one that holds nothing to clean."""
+    check_kind(take, Take, "the take")
+    if np.isnan(take.positions[..., 0]).all():
+        raise InputError(
+            f"{take.source}: every joint is missing in every frame; nothing to clean"
+        )
+    check_extent(take.positions, take.source)
+    check_rate(take.time, take.source)
+    if take.fps > FASTEST:
+        raise InputError(
+            f"{take.source}: {take.fps:.3g} frames a second are more than any sensor "
+            "takes; are the times in seconds?"
+        )
+    if take.time[-1] <= take.time[0]:
+        raise InputError(
+            f"{take.source}: the take has one distinct time stamp; "
+            "a motion needs two frames or more"
+        )
+
+
+def selected(take: Take, kept: NDArray[np.bool_]) -> Take:
+    """Return the frames (T,) of a take that are kept."""
+    return Take(
+        take.time[kept],
+        take.positions[kept],
+        take.state[kept],
+        take.skeleton,
+        take.source,
+    )
