@@ -4,7 +4,8 @@
 
 Noise, jumps of meters, teleports, joints missing for seconds, swapped sides, frozen
 and coinciding joints, pauses, and pushes. Prints frames without a finite pose, resets,
-and the memory of the process at the beginning and at the end.
+how deep the character got into the floor, and the memory of the process at the
+beginning and at the end.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from rich.progress import track
 
 from kinefilter import Avatar
 from kinefilter.characters import KINECT_V1, standard_body
+from kinefilter.pipeline.metrics import lowest_point
 from kinefilter.scenes.library import perform_medley
 
 Array = NDArray[np.float64]
@@ -61,7 +63,7 @@ def main(count: int) -> None:
     parts = [("punch", 5.0), ("kick", 5.0), ("squat", 5.0), ("wave", 5.0)]
     act = perform_medley(parts, BODY, seed=1)
     avatar = Avatar(BODY)
-    time, bad, resets, early = 0.0, 0, 0, 0
+    time, bad, resets, early, lowest = 0.0, 0, 0, 0, 0.0
     for k in track(range(count), "hostile"):
         kind = int(np.random.default_rng(k // EPISODE).integers(10))
         time += 1 / 30 if rng.random() < 0.999 else rng.uniform(0.001, 30.0)
@@ -70,11 +72,13 @@ def main(count: int) -> None:
         pose = avatar.step(troubled(act.positions[k % len(act)], kind, rng), time)
         bad += not np.isfinite(pose.positions).all()
         resets += pose.reset
+        lowest = min(lowest, float(lowest_point(pose.positions[None], BODY)[0]))
         if k == min(20_000, count // 10):
             early = _memory()
     out.print(
         f"{count} frames: {bad} without a finite pose, {resets} put back onto their "
-        f"target; memory at the peak {early} MiB early, {_memory()} MiB at the end"
+        f"target, {-lowest * 1e3:.1f} mm under the floor at most; memory at "
+        f"the peak {early} MiB early, {_memory()} MiB at the end"
     )
 
 

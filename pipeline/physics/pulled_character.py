@@ -24,6 +24,7 @@ from kinefilter.characters.humanoid import (
 )
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
 from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
+from kinefilter.pipeline.target.floor import clearances, sunk
 from kinefilter.scenes import load_scene
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -127,6 +128,7 @@ class PulledCharacter:
         self._weight = float(body.mass * GRAVITY)
         self._masses = joint_masses(body)[:, None]
         self._shares = self._masses[:, 0] / self._masses.sum()
+        self._clearance = clearances(body)
         ankles, toes = ankles_and_toes(body.skeleton)
         self._feet = np.stack([ankles, toes], axis=1)
         self._soles = self._bodies[toes]
@@ -263,6 +265,7 @@ class PulledCharacter:
             mujoco.mj_resetData(self.model, data)
             self._place(after_p, after_q)
             return False
+        self._raise()
         return True
 
     def _holds(self) -> bool:
@@ -332,6 +335,14 @@ class PulledCharacter:
         self.data.qvel[:] = 0.0
         self.data.mocap_quat[self._mocap] = rotations
         mujoco.mj_kinematics(self.model, self.data)
+        self._raise()
+
+    def _raise(self) -> None:
+        """Raise the character as a whole where it was thrown into the floor."""
+        depth = sunk(self.data.site_xpos[self._sites, 2], self._clearance)
+        if depth > 0.0:
+            self.data.qpos[2] += depth
+            mujoco.mj_kinematics(self.model, self.data)
 
     @property
     def rotations(self) -> Array:

@@ -23,6 +23,8 @@ _TIMES_ITS_ERROR = 3.0  # that a slope must be
 _STANDING = 10.0
 """Percentile of the lowest sole that is taken for standing: above the frames in which
 the tracker lets a foot sink."""
+_DEEPEST = 0.01
+"""m under the floor that contact lets soles sink where a take is good."""
 
 
 def floor_height(
@@ -113,12 +115,25 @@ def in_world(take: Take, clip: Clip) -> Array:
 
 def put_on_floor(positions: Array, body: Body) -> Array:
     """Return positions (T, J, 3) with no capsule that ends at a joint under y = 0."""
-    skeleton = body.skeleton
-    clearance = body.radii.copy()
-    np.maximum.at(clearance, skeleton.segment_parents, body.radii[skeleton.segments])
     lifted = positions.copy()
-    np.maximum(lifted[..., 1], clearance, out=lifted[..., 1])
+    np.maximum(lifted[..., 1], clearances(body), out=lifted[..., 1])
     return lifted
+
+
+def clearances(body: Body) -> Array:
+    """Return how high joints are where their capsules rest [m], (J,)."""
+    skeleton, found = body.skeleton, body.radii.copy()
+    np.maximum.at(found, skeleton.segment_parents, body.radii[skeleton.segments])
+    return found
+
+
+def sunk(heights: Array, clearance: Array) -> Array:
+    """Return by how much [m] a body is deeper in the floor than contact lets it, (...).
+
+    Joints at ``heights`` [m], shape (..., J), have their ``clearances``. Leaps of a
+    tracker throw the character into the floor within a single step.
+    """
+    return np.maximum((clearance - heights).max(axis=-1) - _DEEPEST, 0.0)
 
 
 def place_of(positions: Array, skeleton: Skeleton) -> HeadingFrame:

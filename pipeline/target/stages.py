@@ -31,7 +31,14 @@ from .feet import (
     flat_height,
     plant_feet,
 )
-from .floor import floor_height, leveled, put_on_floor, sensor_tilt
+from .floor import (
+    clearances,
+    floor_height,
+    leveled,
+    put_on_floor,
+    sensor_tilt,
+    sunk,
+)
 from .smooth import smooth, smooth_by_speed
 from .upright import Turn, find_turn
 
@@ -345,6 +352,8 @@ class Orient(Stage):
             draft.posed[k] = positions_from_rotations(
                 draft.rotations[k], roots[k], draft.body
             )
+        heights = draft.posed[..., 1]
+        heights += sunk(heights, clearances(draft.body))[:, None]
 
 
 def _without_jumps(time: Array, rotations: NDArray[Any] | None) -> NDArray[Any] | None:
