@@ -17,6 +17,7 @@ from .cleaner import Cleaner
 from .config import CleanConfig
 from .correct import Corrector
 from .stages import Physics
+from .target.upright import Turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,9 @@ class Pose:
     """Force on the body that no muscle and no floor gives [body weights]."""
     reset: bool
     """The simulation diverged and was put back onto its target."""
+    impossible: bool = False
+    """The frame has a body of a size that is not its own, or where nobody gets so fast:
+    the pose goes on without it."""
 
 
 class Avatar:
@@ -69,6 +73,7 @@ class Avatar:
     def start(self) -> None:
         """Begin anew: the next frame is where the character appears."""
         self.cleaner.start(self.body)
+        self.turn = Turn()
         physics = self.cleaner.stages[-1]
         assert isinstance(physics, Physics)
         self.physics = physics.character
@@ -83,7 +88,13 @@ class Avatar:
         Raises an InputError for a wrong shape, or a time that does not go on.
         """
         found = self.cleaner.step(positions, time, state)
+        self.turn = found.turn
         return Pose(**{f.name: getattr(found, f.name) for f in fields(Pose)})
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know: that the sensor was turned, or may have been."""
+        return self.turn.told()
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push a part of the body for some time; see ``PulledCharacter.push``."""

@@ -342,18 +342,8 @@ def _notes(draft: Draft) -> Iterable[str]:
             "no T-pose or standing frames with every joint tracked: segment lengths "
             "are measured over the whole take"
         )
-    turn, tilt = draft.turn, np.degrees(draft.turn.tilt + draft.tilt)
-    if turn.roll:
-        what = "upside down" if abs(turn.roll) > np.pi / 2.0 else "tilted"
-        then = f", then by {tilt:+.1f} about x" if tilt else ""
-        yield (
-            f"the sensor was {what}, going by how the person stands: the take was "
-            f"turned by {np.degrees(turn.roll):+.1f} degrees about z{then}; --tilt 0 "
-            "leaves it as it is"
-        )
-    elif tilt != 0.0:
-        yield f"the sensor was tilted by {tilt:+.1f} degrees"
-    if turn.doubt:
-        yield turn.doubt
+    yield from draft.turn.told(draft.tilt)
+    if draft.turn.roll:
+        yield "--tilt 0 leaves the frames of the sensor as they are"
     if draft.trace is not None and draft.trace.reset.any():
         yield f"physics: {draft.trace.status}"

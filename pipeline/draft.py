@@ -96,6 +96,9 @@ class Draft:
     """Joint positions [m] of the body before physics, shape (J, 3); takes only."""
     external_force: Any = float("nan")
     """Force on the body that no muscle and no floor gives [body weights], shape ()."""
+    impossible: bool = False
+    """The body was of a size or at a place that nobody gets to, and was taken out;
+    frames only."""
     reset: bool = False
     """The simulation diverged and was put back onto its target; frames only."""
     trace: PhysicsTrace | None = None

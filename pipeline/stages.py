@@ -26,7 +26,7 @@ from .config import CleanConfig
 from .correct import Corrector, Hold, Observation
 from .draft import Draft
 from .factory import make_corrector, make_scorer
-from .failures import distrust, find_failures, unmirrored, without_nobody
+from .failures import Presence, distrust, find_failures, unmirrored, without_nobody
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
@@ -90,8 +90,16 @@ class Failures(Stage):
 
     name = "failures"
 
+    def start(self, body: Body) -> None:
+        """Forget all frames."""
+        self._presence = Presence(body)
+
     def step(self, draft: Draft) -> None:
-        """Do nothing: failures show only in what comes before and after."""
+        """Take out the next frame if nobody can be so; all else shows only later."""
+        draft.impossible = self._presence.step(draft.measured, draft.time)
+        if draft.impossible:
+            draft.measured = np.full_like(draft.measured, np.nan)
+            draft.state = np.zeros_like(draft.state)
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Find the failures of a take."""

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
-from kinefilter import CleanConfig, clean
+from kinefilter import Avatar, CleanConfig, Pose, clean
 from kinefilter.characters import (
     KINECT_V1,
     InputError,
@@ -158,3 +158,49 @@ def test_arms_over_the_head_are_no_failure(skeleton: Skeleton, inward: float) ->
     for back in (-15.0, 0.0, 20.0):
         for apart in (0.25, 0.05):
             assert find_failures(raised(skeleton, inward, back, apart)) == ()
+
+
+def followed(take: Take) -> list[Pose]:
+    avatar = Avatar(standard_body(KINECT_V1))
+    frames = zip(take.positions, take.time, strict=True)
+    return [avatar.step(frame, time) for frame, time in frames]
+
+
+@pytest.mark.parametrize("first", [0, 40])
+@pytest.mark.parametrize("what", ["elsewhere", "too large", "too small"])
+def test_an_avatar_goes_on_without_impossible_bodies(first: int, what: str) -> None:
+    take, wrong = act("wave"), slice(first, first + 4)
+    take = Take(take.time[:80], take.positions[:80], take.state[:80], KINECT_V1)
+    if what == "elsewhere":
+        bad = moved(take, wrong, 3000.0)
+    else:
+        bad = scaled(take, wrong, 2.5 if what == "too large" else 0.3)
+    usual, found = followed(take), followed(bad)
+    assert not any(pose.impossible for pose in usual)
+    told = [k for k, pose in enumerate(found) if pose.impossible]
+    away = np.array(
+        [
+            abs(a.positions - b.positions).max()
+            for a, b in zip(usual, found, strict=True)
+        ]
+    )
+    if first or what != "elsewhere":
+        assert told == list(range(first, first + 4))
+        assert away[10:].max() < 0.3
+    assert away[70:].max() < 0.05
+
+
+def test_an_avatar_believes_who_stays_elsewhere_after_half_a_second() -> None:
+    take = act("stand_idle")
+    take = Take(take.time[:90], take.positions[:90], take.state[:90], KINECT_V1)
+    found = followed(moved(take, slice(40, None), 30.0))
+    assert [k for k, pose in enumerate(found) if pose.impossible] == list(range(40, 55))
+    assert abs(found[-1].positions[0, 0] - 30.0) < 1.0
+
+
+def test_an_avatar_of_another_size_than_the_person_follows_all_the_same() -> None:
+    take = act("stand_idle")
+    take = Take(take.time[:30], take.positions[:30], take.state[:30], KINECT_V1)
+    found = followed(scaled(take, slice(None), 0.55))
+    assert sum(pose.impossible for pose in found) < 10
+    assert not found[-1].impossible

@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import json
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from websockets.exceptions import ConnectionClosed
 
 from kinefilter import Avatar, read_take
 from kinefilter.characters import KINECT_V1, standard_body
+from kinefilter.pipeline.commands.live import summary
 from kinefilter.pipeline.live import sinks
 from kinefilter.pipeline.live.endpoints import (
     MOST_CONNECTIONS,
@@ -62,6 +64,27 @@ def test_poses_are_those_of_an_avatar_given_the_same_frames() -> None:
                     assert found["root"] == found["positions"][KINECT_V1.root]
                     assert found["stands"] == wanted.stands.tolist()
                     assert 0.0 < found["latency"] < 1e4
+
+    do(session())
+
+
+def test_a_sensor_upside_down_and_impossible_bodies_are_told() -> None:
+    async def session() -> None:
+        async with running(config()) as (run, (source, out)):
+            sender = Sender(source)
+            async with reading(out) as stream:
+                for row in range(6):
+                    frame = sample_frame(row)
+                    (seen,) = frame.bodies
+                    away = [50.0 * (row == 5), 0.0, 0.0]
+                    over = replace(seen, positions=seen.positions * [-1, -1, 1] + away)
+                    sender.send(replace(frame, bodies=(over,)))
+                    await pose(stream)
+            (note,) = run.tally.as_json()["notes"]
+            assert "upside down" in note
+            assert run.tally.as_json()["impossible"] == 1
+            rows = [str(cell) for cell in summary(run.tally).columns[1].cells]
+            assert note in rows
 
     do(session())
 

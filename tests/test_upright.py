@@ -58,8 +58,11 @@ def told(result: CleanResult, *words: str) -> bool:
     return any(all(word in note for word in words) for note in result.notes)
 
 
-def test_a_take_from_a_sensor_upside_down_is_cleaned_as_one_that_was_not() -> None:
-    take = standing("down")
+@pytest.mark.parametrize("arms", ["down", "front"])
+def test_a_take_from_a_sensor_upside_down_is_cleaned_as_one_that_was_not(
+    arms: str,
+) -> None:
+    take = standing(arms)
     level, over = clean(take, QUICK), clean(turned(take, "z", 180.0), QUICK)
     np.testing.assert_allclose(over.clip.positions, level.clip.positions, atol=1e-6)
     assert told(over, "upside down")
@@ -163,6 +166,28 @@ def test_an_avatar_stands_upright_before_a_sensor_upside_down() -> None:
 def test_an_avatar_stands_upright_after_two_seconds_before_a_tilted_sensor() -> None:
     found = heads(turned(standing("down"), "z", 40.0), of=slice(90))
     assert abs(found[80:] - 1.6).max() < 0.1
+
+
+def test_an_avatar_tells_how_the_sensor_was_turned() -> None:
+    for degrees, frames, words in (
+        (180.0, 3, "upside down"),
+        (40.0, 70, "tilted"),
+        (0.0, 70, ""),
+    ):
+        avatar, take = Avatar(BODY), turned(standing("down"), "z", degrees)
+        assert avatar.notes == ()
+        for frame, time in zip(take.positions[:frames], take.time, strict=False):
+            avatar.step(frame, time)
+        assert [words in note for note in avatar.notes] == [True] * bool(words)
+
+
+def test_who_no_longer_stands_before_a_tilted_sensor_stays_turned() -> None:
+    stands, squats = standing("down"), standing("front")
+    positions = np.concatenate([stands.positions, *[squats.positions] * 2])
+    time = np.arange(len(positions)) / 30.0
+    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    take = turned(Take(time, positions, state, KINECT_V1), "x", 40.0)
+    assert abs(heads(take)[80:] - 1.6).max() < 0.2
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 0), (40, 40), (40, 55)])

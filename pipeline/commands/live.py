@@ -38,8 +38,9 @@ class Live:
     receiver on the next port; --out ws://127.0.0.1:9001 sends poses to pages of this
     machine, which read them by new WebSocket("ws://127.0.0.1:9001").onmessage = e =>
     JSON.parse(e.data). Each person is measured in the first second, unless --height is
-    given. The newest frame wins; late, missing, malformed and dropped frames are
-    counted. Needs pip install "kinefilter[live]".
+    given. A sensor that is upside down or tilted far is told and put right. The newest
+    frame wins; late, missing, malformed and dropped frames are counted, and those with
+    an impossible body. Needs pip install "kinefilter[live]".
     """
 
     config: OmitArgPrefixes[LiveConfig]
@@ -88,15 +89,27 @@ async def _show(session: Session) -> None:
     from rich.live import Live as Display
     from rich.text import Text
 
+    notes: list[str] = []
     if not err.is_terminal:
         while True:
             await asyncio.sleep(_LOGGED)
             err.print(status(session))
+            notes = _print_notes(session, notes)
     with Display(console=err, auto_refresh=False, transient=True) as display:
         while True:
             line = Text(status(session), overflow="ellipsis")
             display.update(line, refresh=True)
+            notes = _print_notes(session, notes)
             await asyncio.sleep(_REFRESH)
+
+
+def _print_notes(session: Session, known: list[str]) -> list[str]:
+    """Print what the user should know and is not known yet; return all of it."""
+    notes = session.tally.told()
+    for note in notes:
+        if note not in known:
+            err.print(note)
+    return notes
 
 
 def status(session: Session) -> str:
@@ -113,7 +126,14 @@ def status(session: Session) -> str:
     if poses:
         half, most = tally.latency.recent(0.5), tally.latency.recent(0.99)
         parts.append(f"{half * 1e3:.1f} ms (99 %: {most * 1e3:.1f})")
-    noted = (Event.DROPPED, Event.LATE, Event.REPEATED, Event.MISSING, Event.SLOW)
+    noted = (
+        Event.IMPOSSIBLE,
+        Event.DROPPED,
+        Event.LATE,
+        Event.REPEATED,
+        Event.MISSING,
+        Event.SLOW,
+    )
     parts += [f"{events[event]} {event}" for event in noted if events[event]]
     if tally.malformed:
         parts.append(f"{tally.malformed.total()} malformed")
@@ -132,6 +152,8 @@ def summary(tally: Tally) -> Table:
             table.add_row(str(event), str(tally.events[event]))
     for reason, count in sorted(tally.malformed.items()):
         table.add_row(f"malformed: {reason}", str(count))
+    for note in tally.told():
+        table.add_row("note", note)
     if tally.events[Event.POSES]:
         latency = tally.latency
         values = (latency.quantile(0.5), latency.quantile(0.99), latency.most)

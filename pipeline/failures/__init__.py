@@ -8,6 +8,7 @@ many frames, so that nothing which looks at single frames or lengths minds it. W
 plausible but wrong shows in the end, as cleaning moves it far.
 """
 
+from .bodies import Presence
 from .displaced import find_displaced
 from .gross import (
     Failure,
@@ -22,6 +23,7 @@ from .gross import (
 __all__ = [
     "Failure",
     "FailureKind",
+    "Presence",
     "distrust",
     "find_displaced",
     "find_failures",

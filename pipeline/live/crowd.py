@@ -13,6 +13,7 @@ import numpy as np
 from kinefilter.characters import Body, State, Take, skeleton_named, standard_body
 from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.reliability import measure_body
+from kinefilter.pipeline.target.upright import Turn
 
 from .config import LiveConfig
 from .messages import Frame, SeenBody, stacked
@@ -52,6 +53,11 @@ class Person:
     def body(self) -> Body | None:
         """The person's body, None before it is measured."""
         return None if self._avatar is None else self._avatar.body
+
+    @property
+    def turn(self) -> Turn | None:
+        """How the sensor's frame is turned for this person; None: nobody knows yet."""
+        return None if self._avatar is None else self._avatar.turn
 
     def start(self) -> None:
         """Start over, as the sender's clock does."""

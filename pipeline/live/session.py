@@ -132,7 +132,7 @@ class Session:
         """Make a person's pose and send it."""
         if presence.person is None:
             presence.person = Person(self._config)
-        person = presence.person
+        person, turn = presence.person, presence.person.turn
         if waiting.restarted:
             person.start()
         try:
@@ -145,6 +145,8 @@ class Session:
             return
         if pose is None or person.body is None:
             return
+        if person.turn is not None and person.turn is not turn:
+            self.tally.notes[presence.slot] = person.turn.told()
         latency = time.perf_counter() - waiting.arrived
         named = presence.id, presence.slot, waiting.time
         live = LivePose(*named, person.body, pose, latency)
@@ -152,6 +154,7 @@ class Session:
             sink.send(live)
         self.tally.count(Event.POSES)
         self.tally.count(Event.DIVERGED, int(pose.reset))
+        self.tally.count(Event.IMPOSSIBLE, int(pose.impossible))
         self.tally.latency.add(time.perf_counter() - waiting.arrived)
 
     async def _tick(self) -> None:

@@ -34,6 +34,7 @@ class Event(StrEnum):
     UNSENT = "not sent"
     FAILED = "people started over"
     DIVERGED = "simulations reset"
+    IMPOSSIBLE = "impossible bodies"
     UNRECORDED = "not recorded"
 
 
@@ -72,10 +73,16 @@ class Tally:
         self.malformed: Counter[Reason] = Counter()
         self.latency = Latency()
         """From a frame's coming in to its pose's going out."""
+        self.notes: dict[int, tuple[str, ...]] = {}
+        """What the user should know of the frames of the person in each slot."""
 
     def count(self, event: Event, times: int = 1) -> None:
         """Count that something happened."""
         self.events[event] += times
+
+    def told(self) -> list[str]:
+        """Return all notes, each once."""
+        return list(dict.fromkeys(n for notes in self.notes.values() for n in notes))
 
     def as_json(self) -> dict[str, Any]:
         """Return all counts, and latencies in ms."""
@@ -83,6 +90,7 @@ class Tally:
         known = {"p50": quantile(0.5), "p99": quantile(0.99), "max": most}
         return {
             **{event.name.lower(): self.events[event] for event in Event},
+            "notes": self.told(),
             "malformed": {r.name.lower(): self.malformed[r] for r in Reason},
             "latency_ms": {k: v * 1e3 if most else None for k, v in known.items()},
         }

@@ -133,7 +133,8 @@ def sunk(heights: Array, clearance: Array) -> Array:
     Joints at ``heights`` [m], shape (..., J), have their ``clearances``. Leaps of a
     tracker throw the character into the floor within a single step.
     """
-    return np.maximum((clearance - heights).max(axis=-1) - _DEEPEST, 0.0)
+    depth = (clearance - heights).max(axis=-1)
+    return np.asarray(np.maximum(depth - _DEEPEST, 0.0))
 
 
 def place_of(positions: Array, skeleton: Skeleton) -> HeadingFrame:

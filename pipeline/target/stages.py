@@ -82,7 +82,9 @@ class Upright(Stage):
             if self._frames in _EARLY or self._frames % _SHOWN == 0:
                 turn = find_turn(np.array(self._seen), draft.skeleton, _FEW)
                 # Who leans in the first frames may be running.
-                if abs(turn.roll) > np.pi / 2.0 or self._frames >= _SHOWN:
+                shows = abs(turn.roll) > np.pi / 2.0 or self._frames >= _SHOWN
+                # What they do by now makes nothing of how they stood before.
+                if shows and not (turn.doubt and self._turn.roll):
                     self._turn = turn
         self._apply(draft)
 

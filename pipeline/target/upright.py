@@ -34,6 +34,9 @@ _LEAST = 15  # frames in which they do: half a second
 _ALIKE, _MOST = np.cos(np.radians(20.0)), 0.8
 """In this share of them the body is within 20 degrees of their median. Guesses."""
 _HANGS = 0.1  # share of them in which an arm hangs: 1,000 of the clips above have more
+_CARRYING = -0.3
+"""The same share of arms in a handstand or headstand is lower: hands on the floor are
+as far from the shoulders as the head. A guess."""
 _LEANING = np.radians(30.0)  # of all frames, whatever people do; there 25 at most
 _BACKWARDS = -0.25  # median cosine between toes and front; in the clips above 0.26 up
 _MIRRORED = (
@@ -42,8 +45,8 @@ _MIRRORED = (
 )
 _DOUBT = (
     "the person is {:.0f} degrees off the vertical in most frames, and nothing tells "
-    "whether that is what they do or the sensor was turned; if it was, give --tilt, or "
-    "turn the take so that y points up"
+    "whether that is what they do or the sensor was turned; if it was, turn the frames "
+    "so that y points up, or give clean --tilt"
 )
 _FRAMES = 5000  # that are looked at: enough for medians
 
@@ -59,6 +62,20 @@ class Turn:
     doubt: str = ""
     """What the user should know where the frame may be wrong, but was left as it is."""
 
+    def told(self, leveled: float = 0.0) -> tuple[str, ...]:
+        """Return what the user should know, leveled by that angle [rad] besides."""
+        tilt, notes = np.degrees(self.tilt + leveled), []
+        if self.roll:
+            what = "upside down" if abs(self.roll) > np.pi / 2.0 else "tilted"
+            then = f", then by {tilt:+.1f} about x" if tilt else ""
+            notes.append(
+                f"the sensor was {what}, going by how the person stands: frames were "
+                f"turned by {np.degrees(self.roll):+.1f} degrees about z{then}"
+            )
+        elif tilt:
+            notes.append(f"the sensor was tilted by {tilt:+.1f} degrees")
+        return (*notes, *([self.doubt] if self.doubt else []))
+
 
 def find_turn(positions: Array, skeleton: Skeleton, least: int = _LEAST) -> Turn:
     """Return the turn of a take, none where it is ordinary or not sure.
@@ -72,6 +89,11 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _LEAST) -> Turn
         return Turn()
     if _mirrored(positions, skeleton):
         return Turn(doubt=_MIRRORED)
+    return _judged(along, straight, down, least)
+
+
+def _judged(along: Array, straight: Flags, down: Array, least: int) -> Turn:
+    """Return the turn for people who bear themselves so; see ``_bearing``."""
     enough = max(least, _OFTEN * len(along))
     stands, ordinary = straight.all(axis=1), _ORDINARY["both"]
     if stands.sum() < enough:
@@ -88,10 +110,13 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _LEAST) -> Turn
     lean = _from_vertical(up)
     if lean <= ordinary:
         return Turn()
-    # Arms over the head carry nobody either, unless it is a handstand.
-    down = down if lean > _TILTED else np.abs(down)
     sure = np.mean(along @ up > _ALIKE) >= _MOST
-    sure &= np.mean(down.max(axis=1) > _HANGING) >= _HANGS
+    if lean < _OVER:
+        # Arms over the head carry nobody either.
+        down = down if lean > _TILTED else np.abs(down)
+        sure &= np.mean(down.max(axis=1) > _HANGING) >= _HANGS
+    else:
+        sure &= np.mean(down.max(axis=1) > _CARRYING) > 1.0 - _MOST
     if not sure or _TILTED < lean < _OVER:
         return Turn(doubt=_DOUBT.format(np.degrees(lean)))
     if lean >= np.pi - ordinary:
