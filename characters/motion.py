@@ -153,7 +153,8 @@ class Take:
     time: Array
     """Time stamps [s], shape (T,), never decreasing; repeats and gaps are normal."""
     positions: Array
-    """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN: missing."""
+    """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN: missing, as
+    are joints that are not tracked."""
     state: NDArray[np.uint8]
     """Tracking state per joint (State), shape (T, J)."""
     skeleton: Skeleton
@@ -164,7 +165,7 @@ class Take:
     def __post_init__(self) -> None:
         _check(self, state=State)
         known = np.isfinite(self.positions)
-        lost = np.asarray(~known.all(axis=-1))
+        lost = ~known.all(axis=-1) | (self.state == State.NOT_TRACKED)
         if (known.any(axis=-1) & lost).any() or np.isinf(self.positions).any():
             whole = np.where(lost[..., None], np.nan, self.positions)
             object.__setattr__(self, "positions", whole)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, as_numbers, check_kind, shown
 
-from .formats.recording import FASTEST, check_extent, check_rate
+from .formats.recording import check_extent, check_rate
 
 _FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
 
@@ -16,7 +16,7 @@ _FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
 def checked_frame(
     positions: ArrayLike, state: ArrayLike | None, skeleton: Skeleton
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Return positions (J, 3), NaN where missing or too far, and states (J,)."""
+    """Return positions (J, 3), NaN if missing, not tracked or too far, states (J,)."""
     what, count = f"a frame of {skeleton.name}", len(skeleton)
     seen = as_numbers(positions, what, (count, 3), ", the joints in the SDK's order")
     seen = seen.astype(float)
@@ -27,23 +27,15 @@ def checked_frame(
         if not ((known == 0) | (known == 1) | (known == 2)).all():
             raise InputError(f"the states of {what} are {shown(state)}; give 0, 1 or 2")
         states = known.astype(np.uint8)
+        near &= states > State.NOT_TRACKED
     return np.where(near[:, None], seen, np.nan), np.where(near, states, np.uint8(0))
 
 
 def check_take(take: Take) -> None:
     """Raise InputError for what is no take, or one that holds nothing to clean."""
     check_kind(take, Take, "the take")
-    if np.isnan(take.positions[..., 0]).all():
-        raise InputError(
-            f"{take.source}: every joint is missing in every frame; nothing to clean"
-        )
     check_extent(take.positions, take.source)
     check_rate(take.time, take.source)
-    if take.fps > FASTEST:
-        raise InputError(
-            f"{take.source}: {take.fps:.3g} frames a second are more than any sensor "
-            "takes; are the times in seconds?"
-        )
     if take.time[-1] <= take.time[0]:
         raise InputError(
             f"{take.source}: the take has one distinct time stamp; "

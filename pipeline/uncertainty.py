@@ -16,7 +16,6 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.characters.motion import nominal_step
 from kinefilter.retarget.runs import runs
 
 from .draft import Draft
@@ -93,22 +92,20 @@ def describe(draft: Draft) -> tuple[Array, Array, Flags]:
     ]
     gone = np.full((*speed.shape, len(HIDDEN)), np.nan)
     gone[..., -1] = strange
-    step = nominal_step(time)
     for k in np.flatnonzero(hidden.any(axis=0) & ~hidden.all(axis=0)):
         for gap in runs(hidden[:, k]):
-            gone[gap, k, :-1] = _gap(speed[:, k], gap, step)
+            gone[gap, k, :-1] = _gap(speed[:, k], gap, time)
     return np.stack(seen, axis=2), gone, hidden
 
 
-def _gap(speed: Array, gap: slice, step: float) -> Array:
+def _gap(speed: Array, gap: slice, time: Array) -> Array:
     """Return all but the last of HIDDEN in the frames of a gap, shape (N, 2)."""
-    frames = np.arange(1, gap.stop - gap.start + 1)
-    before = frames if gap.start else np.inf
-    after = frames[::-1] if gap.stop < len(speed) else np.inf
+    before = time[gap] - time[gap.start - 1] if gap.start else np.inf
+    after = time[gap.stop] - time[gap] if gap.stop < len(speed) else np.inf
     ends = speed[max(gap.start - _ENDS, 0) : gap.start]
     ends = np.append(ends, speed[gap.stop : gap.stop + _ENDS])
-    nearest = np.log(np.minimum(before, after) * step + 0.05)
-    return np.stack([nearest, np.full(len(frames), np.log(ends.mean() + 0.05))], axis=1)
+    nearest, fast = np.minimum(before, after), np.full(len(time[gap]), ends.mean())
+    return np.stack([np.log(nearest + 0.05), np.log(fast + 0.05)], axis=1)
 
 
 def judged(skeleton: Skeleton) -> list[int]:

@@ -153,6 +153,21 @@ def test_what_is_no_coordinate_is_a_missing_joint() -> None:
     assert np.isnan(taken(positions=masked).positions[3, 5]).all()
 
 
+def test_a_joint_that_is_not_tracked_is_missing_wherever_it_is() -> None:
+    state, positions = STATES.copy(), PLACES
+    state[6:10, 7] = 0
+    missing = np.where(state[..., None] == 0, np.nan, positions)
+    positions = np.where(np.isnan(missing), 5.0, positions)
+    given, known = (Take(TIME, p, state, KINECT_V1) for p in (positions, missing))
+    np.testing.assert_array_equal(given.positions, known.positions)
+    one, other = Avatar(BODY), Avatar(BODY)
+    for k in range(COUNT):
+        np.testing.assert_array_equal(
+            one.step(positions[k], TIME[k], state[k]).positions,
+            other.step(missing[k], TIME[k], state[k]).positions,
+        )
+
+
 def test_takes_that_are_no_recording_are_refused() -> None:
     other = Skeleton("own", ("HipCenter", "Spine"), (-1, 0))
     half = {"positions": PLACES[:, :2], "state": STATES[:, :2]}

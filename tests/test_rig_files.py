@@ -19,11 +19,15 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import (
     Export,
     check_writable,
+    clips,
     read_bvh,
     read_usd_positions,
     write_clip,
 )
 from kinefilter.pipeline.formats.clips import target_rig
+from kinefilter.pipeline.formats.rig import rig_of
+from kinefilter.pipeline.formats.usd_character import check_character
+from kinefilter.pipeline.formats.usd_reader import rest_arrays
 from kinefilter.retarget import rig_map as rig_map_module
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
@@ -263,6 +267,23 @@ def test_a_usd_target_without_a_skeleton_is_refused(
         target_rig("mixamo", target, performed("stand_idle", skeleton=KINECT_V1).body)
 
 
+def test_no_usd_that_is_given_is_opened_in_this_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motion = performed("stand_idle", skeleton=KINECT_V1)
+    clip = Clip.of(motion)
+    write_clip(clip, tmp_path / "rest.usda")
+    write_clip(clip, tmp_path / "a.usda", Export(character=tmp_path / "body.usda"))
+
+    def opened(path: object) -> None:
+        raise AssertionError(path)
+
+    monkeypatch.setattr(Usd.Stage, "Open", opened)
+    with pytest.raises(InputError, match="rest"):
+        target_rig("mixamo", tmp_path / "rest.usda", clip.body)
+    check_character(tmp_path / "body.usda", rig_of(clip.body), Export())
+
+
 def test_a_usd_target_without_rest_transforms_is_refused(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "rest.usda"))
     UsdSkel.Skeleton.Define(stage, "/Rig").CreateJointsAttr(["Hips", "Hips/Spine"])
@@ -322,7 +343,9 @@ def test_a_damaged_map_or_target_is_followed_or_refused(
     path.write_bytes(data)
     name, target = (str(path), None) if suffix == ".toml" else ("mixamo", path)
     try:
-        rig = target_rig(name, target, clip.body)
+        with pytest.MonkeyPatch.context() as here:  # a process for each takes long
+            here.setattr(clips, "read_guarded", lambda _, file: rest_arrays(file))
+            rig = target_rig(name, target, clip.body)
     except InputError:
         return
     motion = retarget(clip.at(slice(3)), rig)

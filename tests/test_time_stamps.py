@@ -53,6 +53,22 @@ def test_stamps_in_other_units_are_refused_with_the_factor(
         clean(replace(take, time=(take.time + shift) * factor), QUICK)
 
 
+def test_takes_given_and_read_are_refused_in_the_same_words(tmp_path: Path) -> None:
+    take, path = _first(30), tmp_path / "take.csv"
+    stamps = np.append(np.arange(29) * 1e-5, 9.0)
+    for other in (
+        replace(take, positions=np.full_like(take.positions, np.nan)),
+        replace(take, time=stamps),
+    ):
+        write_take_csv(other, path)
+        with pytest.raises(InputError) as read:
+            read_take(path)
+        with pytest.raises(InputError) as given:
+            clean(other)
+        words = [str(e.value).partition(": ")[2] for e in (read, given)]
+        assert words[0] == words[1]
+
+
 def test_frames_seconds_apart_are_no_motion(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"2\.99\d* s apart.*record more frames"):
         read_take(_write(90.0, 0.0, tmp_path / "slow.csv"))

@@ -57,6 +57,15 @@ def test_every_joint_that_was_ever_seen_may_be_off_by_a_little() -> None:
         assert uncertainty.max() <= 0.5
 
 
+def test_a_limb_hidden_across_a_long_gap_was_not_seen_for_as_many_seconds() -> None:
+    take, wrist = sample_take(), KINECT_V1.index("WristLeft")
+    late = replace(take, time=take.time + np.where(np.arange(len(take)) < 125, 0, 60))
+    clip = clean(hide(late, arm(), GAP, "none"), CleanConfig(physics=False)).clip
+    found, usual = clip.uncertainty[:, wrist], cleaned(blind=True).uncertainty[:, wrist]
+    # Seen 5 frames before the gap, but 50 frames after this one.
+    assert found[130] / usual[130] > 1.1 * found[124] / usual[124]
+
+
 def test_a_hidden_limb_is_less_certain_the_longer_it_was_not_seen() -> None:
     wrist = KINECT_V1.index("WristLeft")
     seen, blind = (cleaned(blind=b).uncertainty for b in (False, True))

@@ -6,7 +6,8 @@ Recordings are turned by known angles. Told is by how many degrees the vertical 
 off what it was in the recording: where nothing is done, where every take is turned by
 what is measured in it, with the limits as chosen on half of the people, and with those
 in ``pipeline/target/upright.py``. Chosen is what leaves the fewest degrees without
-turning any take as it was recorded. For pairs also E of the clip [cm], against mocap.
+turning any take as it was recorded; but arms that hang are asked for whatever it costs,
+as nobody in the recordings is on their hands. For pairs also E of the clip [cm], against mocap.
 """
 
 from __future__ import annotations
@@ -50,7 +51,6 @@ GRID = {
     "_OFTEN": [0.1, 0.2, 0.25, 0.3, 0.5],
     "_ALIKE": np.cos(np.radians([10.0, 15.0, 20.0, 30.0])),
     "_MOST": [0.5, 0.6, 0.7, 0.8, 0.9],
-    "_HANGS": [0.0, 0.02, 0.05, 0.1, 0.2, 0.4],
 }
 LIMITS = ("both", "either", *GRID)
 _MARGIN = 1.5  # times the largest lean of the people that are chosen on

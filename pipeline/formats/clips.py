@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +19,7 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.characters.arrays import Array, check_kind
-from kinefilter.characters.rotations import wxyz_from_matrix
+from kinefilter.characters.arrays import check_kind
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
 from kinefilter.retarget.retargeting import retarget
@@ -31,6 +29,7 @@ from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, match
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, paced, resampled, with_y_up
 from .files import AnyPath, check_file, check_folder
+from .guarded import read_guarded
 from .npz import read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
 from .sheets import write_take_csv
@@ -39,7 +38,6 @@ from .usd import write_usd
 from .usd_reader import check_usd, read_usd_clip
 
 _EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
-_MOST_JOINTS = 1000  # as in BVH
 
 
 def check_writable(path: AnyPath, export: Export | None = None) -> None:
@@ -199,63 +197,7 @@ def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
 
 def _usd_rest(path: Path) -> RestPose:
     """Return the first skeleton of a USD file at rest, y up, in meters."""
-    from pxr import Tf, Usd, UsdGeom, UsdSkel
-
-    source = str(path)
-    check_usd(source)
-    try:
-        stage = Usd.Stage.Open(source)
-        prims = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton)]
-        if not prims:
-            raise InputError(f"{path}: has no skeleton; expected a UsdSkel skeleton")
-        place = UsdGeom.Imageable(prims[0]).ComputeLocalToWorldTransform
-        world = np.array(place(Usd.TimeCode.EarliestTime()))
-        names, parents, matrices = _joints(UsdSkel.Skeleton(prims[0]), source)
-    except Tf.ErrorException:
-        raise InputError(f"{path}: not USD; expected a UsdSkel skeleton") from None
-    matrices = matrices @ world
-    places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
-    turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
-    sizes = np.linalg.norm(turned, axis=1, keepdims=True)
-    if not (np.linalg.det(turned) > 0.0).all() or not np.isfinite(places).all():
-        raise InputError(
-            f"{source}: a joint is mirrored or has no size at rest; apply its scale"
-        )
-    axes = wxyz_from_matrix(turned / sizes)
-    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
-        places, axes = with_y_up(places), with_y_up(axes)
-    return RestPose(tuple(names), tuple(parents), places, axes, source=source)
-
-
-def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
-    """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
-    from pxr import UsdSkel, Vt
-
-    def read(attribute: Any) -> Array:
-        value = attribute.Get()
-        known = isinstance(value, Vt.Matrix4dArray)
-        return np.array(value, dtype=float) if known else np.empty((0, 4, 4))
-
-    joints = skeleton.GetJointsAttr().Get()
-    paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
-    if not 0 < len(paths) <= _MOST_JOINTS:
-        raise InputError(f"{source}: {len(paths)} joints, expected 1 to {_MOST_JOINTS}")
-    topology = UsdSkel.Topology(paths)
-    valid, why = topology.Validate()
-    if not valid:
-        raise InputError(f"{source}: its joints are not a tree ({why}); correct them")
-    parents = [int(parent) for parent in topology.GetParentIndices()]
-    matrices = read(skeleton.GetRestTransformsAttr())
-    if len(matrices) != len(paths):
-        matrices = read(skeleton.GetBindTransformsAttr())
-    else:
-        with np.errstate(all="ignore"):  # a damaged file is refused below
-            for n, parent in enumerate(parents):
-                if parent >= 0:
-                    matrices[n] = matrices[n] @ matrices[parent]
-    if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
-        raise InputError(
-            f"{source}: has no rest transform for each of its {len(paths)} joints; "
-            "export it with rest or bind pose"
-        )
-    return [path.rpartition("/")[2] for path in paths], parents, matrices
+    check_usd(source := str(path))
+    found = read_guarded("usd_reader:rest_arrays", source)
+    names, parents = tuple(found["names"].tolist()), tuple(found["parents"].tolist())
+    return RestPose(names, parents, found["places"], found["axes"], source=source)

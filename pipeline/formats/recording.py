@@ -158,12 +158,12 @@ def check_rate(time: Array, source: str) -> None:
     Or for time stamps [s] too far from 0 to tell frames apart; they may repeat.
     """
     distinct, seconds = 1 + int(np.sum(np.diff(time) > 0)), time[-1] - time[0]
-    if distinct > 1 and distinct > FASTEST * seconds + 2:
-        raise InputError(
-            f"{source}: {distinct} frames in {seconds:.3g} s are more than any sensor "
-            "takes; are the times in seconds?"
-        )
     step = nominal_step(time)
+    if distinct > 1 and (distinct > FASTEST * seconds + 2 or step * FASTEST < 1.0):
+        raise InputError(
+            f"{source}: {distinct} frames in {seconds:.3g} s, most {step:.2g} s apart, "
+            "are more than any sensor takes; are the times in seconds?"
+        )
     if step > _LONGEST_STEP:
         unit, factor = min(_UNITS.items(), key=lambda u: abs(np.log(30 * step / u[1])))
         hint = f"the time stamps look like {unit}: divide them by {factor}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
 
 from .export import Export
+from .guarded import read_guarded
 from .rig import Rig, rig_of
 
 CHARACTER = "/Character"
@@ -94,10 +96,32 @@ def joint_paths(rig: Rig) -> list[str]:
 
 def check_character(path: Path, rig: Rig, export: Export) -> None:
     """Raise an InputError if clips of a rig cannot go over a character's layer."""
+    found = _character(str(path), path.stat().st_mtime_ns)
+    if found["joints"].tolist() != joint_paths(rig):
+        raise InputError(
+            f"{path}: {SKELETON} does not have this take's joints; give --character "
+            "another name for this kind of sensor"
+        )
+    up, unit = str(found["up"]), found["unit"].item()
+    if up != export.up or not np.isclose(unit, export.meters_per_unit):
+        raise InputError(
+            f"{path}: the character has {up} up and units of {unit:g} m, the clip "
+            f"{export.up} up and {export.meters_per_unit:g} m; set --up and --units"
+        )
+
+
+@lru_cache(maxsize=4)
+def _character(path: str, _changed: int) -> dict[str, NDArray[Any]]:
+    """Return ``character_arrays``, read once for the clips of a batch."""
+    return read_guarded("usd_character:character_arrays", path)
+
+
+def character_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """Return joints, axis and unit of a character's layer, or raise InputError."""
     from pxr import Tf, Usd, UsdGeom, UsdSkel
 
     try:
-        stage = Usd.Stage.Open(str(path))
+        stage = Usd.Stage.Open(path)
         skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(SKELETON))
         joints = skeleton.GetJointsAttr().Get() if skeleton else None
     except Tf.ErrorException:
@@ -105,18 +129,11 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
             f"{path}: cannot be read as USD; give --character a layer of "
             "'kinefilter clean --character', or a name that is free"
         ) from None
-    if joints is None or list(joints) != joint_paths(rig):
-        raise InputError(
-            f"{path}: {SKELETON} does not have this take's joints; give --character "
-            "another name for this kind of sensor"
-        )
-    up = UsdGeom.GetStageUpAxis(stage).lower()
-    unit = UsdGeom.GetStageMetersPerUnit(stage)
-    if up != export.up or not np.isclose(unit, export.meters_per_unit):
-        raise InputError(
-            f"{path}: the character has {up} up and units of {unit:g} m, the clip "
-            f"{export.up} up and {export.meters_per_unit:g} m; set --up and --units"
-        )
+    return {
+        "joints": np.array([str(joint) for joint in joints or ()]),
+        "up": np.array(UsdGeom.GetStageUpAxis(stage).lower()),
+        "unit": np.array(UsdGeom.GetStageMetersPerUnit(stage)),
+    }
 
 
 def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:

@@ -26,7 +26,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import normalize
+from kinefilter.characters.rotations import normalize, wxyz_from_matrix
 
 from .export import with_y_up
 from .files import AnyPath, check_file
@@ -36,6 +36,7 @@ from .rig import motion_of_rig, own_skeleton, rig_of
 from .usd_character import CHARACTER, LINEAR, PER_FRAME, name_tables
 
 _LARGEST = 2**31  # bytes
+_MOST_JOINTS = 1000  # as in BVH
 _BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
 _MOVED = {"moved_by_correction", "moved_by_physics", "reliability", "uncertainty"}
 _KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # others have the same name
@@ -183,6 +184,69 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
             **_provenance(stage.GetPrimAtPath(CHARACTER), codes, skeleton, path),
             **props_as_arrays(props),
         }
+
+
+def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """Return the first skeleton at rest, y up, in meters, or raise InputError."""
+    from pxr import Tf, Usd, UsdGeom, UsdSkel
+
+    try:
+        stage = Usd.Stage.Open(path)
+        prims = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton)]
+        if not prims:
+            raise InputError(f"{path}: has no skeleton; expected a UsdSkel skeleton")
+        place = UsdGeom.Imageable(prims[0]).ComputeLocalToWorldTransform
+        world = np.array(place(Usd.TimeCode.EarliestTime()))
+        names, parents, matrices = _joints(UsdSkel.Skeleton(prims[0]), path)
+    except Tf.ErrorException:
+        raise InputError(f"{path}: not USD; expected a UsdSkel skeleton") from None
+    matrices = matrices @ world
+    places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
+    turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
+    sizes = np.linalg.norm(turned, axis=1, keepdims=True)
+    if not (np.linalg.det(turned) > 0.0).all() or not np.isfinite(places).all():
+        raise InputError(
+            f"{path}: a joint is mirrored or has no size at rest; apply its scale"
+        )
+    axes = wxyz_from_matrix(turned / sizes)
+    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
+        places, axes = with_y_up(places), with_y_up(axes)
+    known = {"names": names, "parents": parents, "places": places, "axes": axes}
+    return {key: np.array(value) for key, value in known.items()}
+
+
+def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
+    """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
+    from pxr import UsdSkel, Vt
+
+    def read(attribute: Any) -> Array:
+        value = attribute.Get()
+        known = isinstance(value, Vt.Matrix4dArray)
+        return np.array(value, dtype=float) if known else np.empty((0, 4, 4))
+
+    joints = skeleton.GetJointsAttr().Get()
+    paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
+    if not 0 < len(paths) <= _MOST_JOINTS:
+        raise InputError(f"{source}: {len(paths)} joints, expected 1 to {_MOST_JOINTS}")
+    topology = UsdSkel.Topology(paths)
+    valid, why = topology.Validate()
+    if not valid:
+        raise InputError(f"{source}: its joints are not a tree ({why}); correct them")
+    parents = [int(parent) for parent in topology.GetParentIndices()]
+    matrices = read(skeleton.GetRestTransformsAttr())
+    if len(matrices) != len(paths):
+        matrices = read(skeleton.GetBindTransformsAttr())
+    else:
+        with np.errstate(all="ignore"):  # a damaged file is refused below
+            for n, parent in enumerate(parents):
+                if parent >= 0:
+                    matrices[n] = matrices[n] @ matrices[parent]
+    if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
+        raise InputError(
+            f"{source}: has no rest transform for each of its {len(paths)} joints; "
+            "export it with rest or bind pose"
+        )
+    return [path.rpartition("/")[2] for path in paths], parents, matrices
 
 
 @contextmanager
