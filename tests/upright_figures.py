@@ -7,7 +7,8 @@ off what it was in the recording: where nothing is done, where every take is tur
 what is measured in it, with the limits as chosen on half of the people, and with those
 in ``pipeline/target/upright.py``. Chosen is what leaves the fewest degrees without
 turning any take as it was recorded; but arms that hang are asked for whatever it costs,
-as nobody in the recordings is on their hands. For pairs also E of the clip [cm], against mocap.
+as nobody in the recordings is on their hands. For pairs also E of the clip [cm],
+against mocap.
 """
 
 from __future__ import annotations
