@@ -174,12 +174,9 @@ def test_a_segment_never_measured_has_no_say() -> None:
 # Tracking state and reliability, eq. 7-8
 
 
-@pytest.mark.parametrize("state", [State.INFERRED, State.NOT_TRACKED])
-def test_a_joint_not_tracked_scores_zero_and_recovers_over_six_frames(
-    state: State,
-) -> None:
+def test_a_joint_that_is_inferred_scores_zero_and_recovers_over_six_frames() -> None:
     bad = slice(10, 20)
-    take = with_state(still_take(40), bad, HAND, state)
+    take = with_state(still_take(40), bad, HAND, State.INFERRED)
     result = score(take, average())
     reliability = result.reliability[:, HAND]
     np.testing.assert_allclose(reliability[:10], 1.0)
@@ -194,6 +191,13 @@ def test_a_joint_not_tracked_scores_zero_and_recovers_over_six_frames(
     assert (result.term[bad, HAND] == Term.TRACKING_STATE).all()
     np.testing.assert_allclose(result.geometry, 1.0)
     np.testing.assert_allclose(np.delete(result.reliability, HAND, axis=1), 1.0)
+
+
+def test_a_joint_that_is_not_tracked_scores_as_one_that_is_missing() -> None:
+    take = with_state(still_take(40), slice(10, 20), HAND, State.NOT_TRACKED)
+    assert np.isnan(take.positions[10:20, HAND]).all()
+    reliability = score(take, average()).reliability[:, HAND]
+    np.testing.assert_allclose(reliability[15:20], 0.0, atol=1e-12)
 
 
 def test_the_first_frames_are_averages_over_the_frames_there_are() -> None:
