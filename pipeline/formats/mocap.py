@@ -236,11 +236,11 @@ def kinect_motion(
     if np.abs(up).argmax() == 2 and up[2] > 0.0:
         positions = rotate(_Z_TO_Y_UP, positions)
         turns = None if turns is None else multiply(_Z_TO_Y_UP, turns)
-    unit, meters = _unit(positions, skeleton, mocap.source)
+    unit, meters = find_unit(positions, skeleton, mocap.source)
     return KinectMotion(positions, turns, unit, meters, rig.name)
 
 
-def _unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float]:
+def find_unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float]:
     """Return name and length [m] of the unit in which these are a person's bones."""
     ends = skeleton.segments
     bones = positions[:, ends] - positions[:, skeleton.segment_parents]

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
-from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array
@@ -35,6 +34,7 @@ from .accuracy import area_under_roc
 from .hidden_limbs import check_methods
 from .methods.lessons import TrainingSet
 from .misplaced import misplaced
+from .rigid import placement
 from .teach import teach
 from .training import training_set
 
@@ -48,7 +48,6 @@ FAR = 0.12
 """Joints farther than this [m] from where the front sensor sees them are wrong."""
 
 _CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
-_SIGMA, _ROUNDS = 0.05, 20  # m; of the robust placement, whose outliers count little
 _LENGTH, _SPEED = 0.25, 6.0  # share of the median, m/s: beyond, the front is in doubt
 _BESIDE = 10.0  # degrees by which people turn away more from B, where B is beside them
 _FOLDS = 4  # of people: each learns from all others
@@ -325,18 +324,8 @@ def _placed(positions: Array, onto: Array, skeleton: Skeleton) -> Array:
     trunk = [skeleton.girdle, *ends, *skeleton.hips]
     while (joint := skeleton.parents[trunk[0]]) != -1:
         trunk.insert(0, joint)
-    seen, there = (points[:, trunk].reshape(-1, 3) for points in (positions, onto))
-    known = ~np.isnan(seen + there).any(axis=1)
-    seen, there = seen[known], there[known]
-    weights = np.ones(len(seen))
-    for _ in range(_ROUNDS):
-        middles = [np.average(p, axis=0, weights=weights) for p in (seen, there)]
-        turn, _ = Rotation.align_vectors(there - middles[1], seen - middles[0], weights)
-        placed = turn.apply(seen - middles[0]) + middles[1]
-        squares = np.sum((placed - there) ** 2, axis=1)
-        weights = 1.0 / (1.0 + squares / _SIGMA**2)  # as Cauchy's distribution has it
-    flat = turn.apply((positions - middles[0]).reshape(-1, 3)) + middles[1]
-    return np.asarray(flat.reshape(positions.shape))
+    fit = placement(positions[:, trunk], onto[:, trunk])
+    return fit.apply(positions)
 
 
 def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:

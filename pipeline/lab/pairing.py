@@ -1,0 +1,405 @@
+"""Makes training pairs: Kinect takes, and the mocap of the same movement beside them.
+
+A take and its mocap agree in nothing but the movement: clocks, frames and axes are each
+their own. The lag is found first (``lag``), then one rigid transform that lays the
+mocap's joints onto the take's. Takes of a session share that transform, as neither
+sensor nor mocap moved, and the offset of the clocks where their lags say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.table import Table
+
+from kinefilter.characters import InputError, Skeleton, State, Take
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import nominal_step
+from kinefilter.pipeline.formats.files import atomic_path
+from kinefilter.pipeline.formats.recording import Mocap
+from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability import column_medians, segment_lengths
+
+from .lag import SHORTEST_FOR_DRIFT, Clock, Track, correlated, distances, find_drift
+from .lag import refined as refined_lag
+from .marker_sets import MarkerSet, joint_centers
+from .rigid import Placement, placement
+from .studies.output import draw
+from .studies.study import Panel, Series, Study
+
+EXPLAINED = 0.75
+"""Share of a take's movement that its own mocap explains at least; chosen on s02, s03
+and s04 of UI-PRMD, where 94 % of the true pairs have more, and 22 % of those with
+another person's mocap of the same exercise, 1 % with that of another exercise."""
+
+_LIMBS = [
+    joint + side
+    for joint in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+    for side in ("Left", "Right")
+]
+_FEWEST_JOINTS = 6
+_SHORTEST = 1.0  # s that both recordings must have in common
+_SHARE = 0.5  # of the shorter recording that must be in the other
+_ANKLE = 0.06
+"""How far up the shank a Kinect has the ankle [m]; chosen on s02, s03 and s04."""
+_LEAST_MOVED = 0.01  # m: standard deviation of distances; nobody moves who has less
+_SAME_CLOCK = 0.5  # of a frame that lags of one clock offset may differ
+_SAME_PLACE = np.radians(5.0), 0.10
+"""Angle, and distance [m] of the body, by which takes of a session may be placed
+differently: those of a person in UI-PRMD differ by up to 3 degrees. A guess."""
+_STRETCHED = 0.25  # share by which no bone changes its length
+_LOST_FRAME, _LOST_JOINT = 0.20, 0.30
+"""Medians of distances [m] of a frame, and of a joint over a take, that no sensor gives
+that follows the person: 0.16 m and 0.25 m (99.9 %) are the most of s02, s03 and s04."""
+_RATES = 0.05  # share by which frame rates in a file may differ
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """A take, its mocap in the take's time and frame, and how they were found."""
+
+    pair: PairedTake
+    """Take and truth, at an even rate; NaN where there is none or none to trust."""
+    clock: Clock
+    """What the mocap's clock shows at the take's times."""
+    placed: Placement
+    """From the mocap's axes, in meters, to the take's frame."""
+    explained: float
+    """Share of the take's movement that the mocap explains."""
+    notes: tuple[str, ...]
+    """What was left out or could not be told."""
+
+    @property
+    def away(self) -> Array:
+        """Distance of each joint from the mocap [m], shape (T, J)."""
+        return np.asarray(self._norms(self.pair.take.positions - self.pair.truth))
+
+    @property
+    def varying(self) -> Array:
+        """The same without each joint's mean difference over the take."""
+        apart = self.pair.take.positions - self.pair.truth
+        with np.errstate(invalid="ignore"):
+            mean = np.nansum(apart, axis=0) / (~np.isnan(apart)).sum(axis=0)
+        return np.asarray(self._norms(apart - mean))
+
+    @staticmethod
+    def _norms(apart: Array) -> Array:
+        return np.asarray(np.linalg.norm(apart, axis=2))
+
+
+class _Match(NamedTuple):
+    """A take and its mocap's joints, when they lie together, and what was told."""
+
+    take: Take
+    mocap: Track  # all joints, in its own axes
+    clock: Clock
+    notes: tuple[str, ...]
+
+    def seen(self) -> Array:
+        """Return the mocap's joints at the take's frames, in its own axes [m]."""
+        return self.mocap.at(self.clock.at(self.take.time))
+
+
+def pair_session(
+    recordings: Sequence[tuple[Take, Mocap]],
+    *,
+    subject: str,
+    names: Sequence[str] = (),
+    table: MarkerSet | None = None,
+    progress: Progress = silent,
+) -> tuple[list[Pairing], list[str]]:
+    """Return pairs of a person's takes and mocap, and why others are left out.
+
+    Args:
+        recordings: Takes, each with mocap of the same movement; sensor and mocap stood
+            where they stand, all the time.
+        subject: Who moves.
+        names: Of the clips; by default those of the takes' files.
+        table: Where joints lie among markers, see ``joint_centers``.
+        progress: Wraps the loop over takes, for a progress bar.
+
+    Raises:
+        InputError: No take can be paired, or they are of different skeletons or rates.
+    """
+    takes = [take for take, _ in recordings]
+    _check_alike(takes)
+    clips = names or [Path(take.source).name.split(".")[0] for take in takes]
+    matches: list[_Match] = []
+    refused: list[str] = []
+    kept: list[str] = []
+    for k in over(range(len(recordings)), "pair", progress):
+        take, mocap = recordings[k]
+        try:
+            matches.append(_match(take, joint_centers(mocap, take.skeleton, table)))
+            kept.append(clips[k])
+        except InputError as error:
+            refused.append(str(error))
+    if not matches:
+        raise InputError("; ".join(refused))
+    matches = _on_one_clock(matches)
+    shared = _placed(matches)
+    pairings = [
+        _pairing(match, shared, subject, clip)
+        for clip, match in zip(kept, matches, strict=True)
+    ]
+    return pairings, refused
+
+
+def _check_alike(takes: Sequence[Take]) -> None:
+    first = takes[0]
+    for take in takes:
+        if take.skeleton != first.skeleton:
+            raise InputError(
+                f"{take.source}: {take.skeleton.name}, but {first.source} is "
+                f"{first.skeleton.name}; pair them into files of their own"
+            )
+        rates = 1.0 / nominal_step(take.time), 1.0 / nominal_step(first.time)
+        if not abs(rates[0] / rates[1] - 1.0) < _RATES:
+            raise InputError(
+                f"{take.source}: {rates[0]:.3g} frames a second, but {first.source} "
+                f"has {rates[1]:.3g}; pair them into files of their own"
+            )
+
+
+def _match(take: Take, joints: Mocap) -> _Match:
+    """Find lag, drift and transform, or raise InputError where there are none."""
+    both = f"{take.source} and {joints.source}"
+    skeleton, notes = take.skeleton, []
+    time = np.arange(len(joints.positions), dtype=np.float64) * joints.frame_time
+    positions, stretched = _trusted(joints.positions, skeleton)
+    if stretched > 0.0:
+        notes.append(
+            f"{stretched:.1%} of the mocap's joints are left out, as bones changed "
+            f"their lengths by over {_STRETCHED:.0%} there"
+        )
+    common = [
+        j
+        for j in [skeleton.index(joint) for joint in _LIMBS]
+        if not np.isnan(take.positions[:, j]).all()
+        and not np.isnan(positions[:, j]).all()
+    ]
+    if len(common) < _FEWEST_JOINTS:
+        raise InputError(
+            f"{both}: have {len(common)} joints of the limbs in common, expected "
+            f"{_FEWEST_JOINTS} or more"
+        )
+    seen = Track(take.time, take.positions[:, common])
+    there = Track(time, positions[:, common])
+    length = min(float(track.time[-1] - track.time[0]) for track in (seen, there))
+    if length < _SHORTEST:
+        raise InputError(
+            f"{both}: {length:.2g} s are too short; expected {_SHORTEST:g} s or more"
+        )
+    apart = [distances(track.at(track.grid())) for track in (seen, there)]
+    for values, source in zip(apart, (take.source, joints.source), strict=True):
+        if not np.nanstd(values - column_medians(values)) > _LEAST_MOVED:
+            raise InputError(
+                f"{source}: nobody moves, so nothing tells when its frames were "
+                "recorded; pair takes with movement in them"
+            )
+    least = max(_SHORTEST, _SHARE * length)
+    found = correlated(apart[0], apart[1], least)
+    if found is None:
+        raise InputError(
+            f"{both}: at no lag do both know for {least:.2g} s where the joints are; "
+            "give recordings of the same time"
+        )
+    clock = Clock(float(take.time[0]), found.seconds)
+    if length >= SHORTEST_FOR_DRIFT:
+        clock = find_drift(apart[0], apart[1], clock) or clock
+    else:
+        notes.append(f"{length:.1f} s are too short to tell whether the clocks drift")
+    clock = refined_lag(seen, there, clock)
+    match = _Match(take, Track(time, positions), clock, tuple(notes))
+    explained = _explained(match, _placed([match]))
+    if explained < EXPLAINED:
+        raise InputError(
+            f"{both}: at the best lag, {clock.lag:.2f} s, the mocap explains "
+            f"{max(explained, 0.0):.0%} of the movement, expected {EXPLAINED:.0%} or "
+            "more: is it another movement, another person, or another time?"
+        )
+    return match
+
+
+def _trusted(positions: Array, skeleton: Skeleton) -> tuple[Array, float]:
+    """Return mocap without joints whose bones change their lengths, and their share."""
+    lengths = segment_lengths(positions, skeleton)
+    lengths[:, skeleton.root] = 1.0  # has no bone
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wrong = np.abs(lengths / column_medians(lengths) - 1.0) > _STRETCHED
+    return np.where(wrong[..., None], np.nan, positions), float(wrong.mean())
+
+
+def _placed(matches: Sequence[_Match]) -> Placement:
+    """Return the transform that lays the mocap of all matches onto their takes."""
+    skeleton = matches[0].take.skeleton
+    used = [*(skeleton.index(joint) for joint in _LIMBS), skeleton.girdle]
+    seen, there = [], []
+    for match in matches:
+        joints = match.seen()
+        for side in ("Left", "Right"):
+            ankle, knee = (skeleton.index(j + side) for j in ("Ankle", "Knee"))
+            shank = joints[:, knee] - joints[:, ankle]
+            length = np.linalg.norm(shank, axis=1, keepdims=True)
+            joints[:, ankle] += _ANKLE * shank / length
+        seen.append(joints[:, used])
+        there.append(match.take.positions[:, used])
+    return placement(np.concatenate(seen), np.concatenate(there))
+
+
+def _explained(match: _Match, placed: Placement) -> float:
+    """Return the share of the take's movement that its mocap explains.
+
+    Each joint's constant difference is a matter of what is called that joint.
+    """
+    skeleton = match.take.skeleton
+    limbs = [skeleton.index(joint) for joint in _LIMBS]
+    joints = match.take.positions[:, limbs]
+    apart = placed.apply(match.seen()[:, limbs]) - joints
+    joints = np.where(np.isnan(apart), np.nan, joints)
+    flat = [values.reshape(len(values), -1) for values in (apart, joints)]
+    left, moved = (values - column_medians(values) for values in flat)
+    return 1.0 - float(np.nansum(left**2) / np.nansum(moved**2))
+
+
+def _on_one_clock(matches: list[_Match]) -> list[_Match]:
+    """Return matches with one clock offset, if their lags agree and none drifts."""
+    offsets = np.array([m.clock.lag - m.clock.start for m in matches])
+    step = nominal_step(matches[0].take.time)
+    spread = np.ptp(offsets)
+    if len(matches) < 2 or spread > _SAME_CLOCK * step:
+        return matches
+    if any(match.clock.drift for match in matches):
+        return matches
+    offset = float(np.median(offsets))
+    note = (
+        f"the takes share one clock offset; alone they differ by {spread * 1e3:.0f} ms"
+    )
+    return [
+        m._replace(
+            clock=m.clock._replace(lag=offset + m.clock.start), notes=(*m.notes, note)
+        )
+        for m in matches
+    ]
+
+
+def _pairing(match: _Match, shared: Placement, subject: str, clip: str) -> Pairing:
+    """Return a pair at an even rate, without what cannot be trusted."""
+    take, notes = match.take, list(match.notes)
+    skeleton, placed = take.skeleton, shared
+    own, seen = _placed([match]), match.seen()
+    body = seen[:, skeleton.hips].reshape(-1, 3)
+    body = body[~np.isnan(body).any(axis=1)].mean(axis=0)
+    angle = float((own.turn * shared.turn.inv()).magnitude())
+    apart = float(np.linalg.norm(own.apply(body) - shared.apply(body)))
+    if angle > _SAME_PLACE[0] or apart > _SAME_PLACE[1]:
+        placed = own
+        notes.append(
+            f"lies {np.degrees(angle):.1f} degrees and {100 * apart:.0f} cm from where "
+            "the session's transform lays it, so it has its own: did the sensor move?"
+        )
+    truth = placed.apply(seen)
+    away = np.linalg.norm(take.positions - truth, axis=2)
+    lost = column_medians(away.T) > _LOST_FRAME
+    truth[lost] = np.nan
+    far = column_medians(np.where(lost[:, None], np.nan, away)) > _LOST_JOINT
+    truth[:, far] = np.nan
+    if lost.any():
+        notes.append(
+            f"{lost.sum()} frames are left out, as half of the joints are over "
+            f"{100 * _LOST_FRAME:.0f} cm from the mocap"
+        )
+    for j in np.flatnonzero(far):
+        notes.append(
+            f"{skeleton.joints[j]} is left out, as it is mostly over "
+            f"{100 * _LOST_JOINT:.0f} cm from the mocap; are its markers named right?"
+        )
+    rows = np.flatnonzero(~np.isnan(truth).all(axis=(1, 2)))
+    if len(rows) * nominal_step(take.time) < _SHORTEST:
+        raise InputError(
+            f"{take.source}: {len(rows)} frames are left that can be trusted; "
+            + "; ".join(notes)
+        )
+    inside = slice(rows[0], rows[-1] + 1)
+    if len(take) > rows[-1] + 1 - rows[0]:
+        notes.append(
+            f"{len(take) - (rows[-1] + 1 - rows[0])} frames are before or after the "
+            "mocap"
+        )
+    even, truth = _even(take, truth, inside)
+    return Pairing(
+        PairedTake(even, truth, subject, clip),
+        match.clock,
+        placed,
+        _explained(match, placed),
+        tuple(notes),
+    )
+
+
+def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:
+    """Return frames at the take's nominal rate, as pairs files have no time stamps.
+
+    Each is as it was recorded, at most half a step from its place; of frames in one
+    place the first is kept, and a place without any is a frame in which nobody is seen.
+    """
+    step = nominal_step(take.time)
+    time = take.time[rows]
+    places, first = np.unique(
+        np.round((time - time[0]) / step).astype(int), return_index=True
+    )
+    shape = (places[-1] + 1, len(take.skeleton))
+    positions, there = (np.full((*shape, 3), np.nan) for _ in range(2))
+    state = np.full(shape, State.NOT_TRACKED, dtype=np.uint8)
+    positions[places] = take.positions[rows][first]
+    there[places] = truth[rows][first]
+    state[places] = take.state[rows][first]
+    stamps = np.arange(shape[0]) * step
+    return Take(stamps, positions, state, take.skeleton, take.source), there
+
+
+def as_table(pairings: Sequence[Pairing]) -> Table:
+    """Return what was found, for a terminal."""
+    table = Table("clip", title="pairs of Kinect and mocap")
+    for heading in ("frames", "lag, s", "drift, ms a min", "explained, %", "cm"):
+        table.add_column(heading, justify="right")
+    for pairing in pairings:
+        drift = pairing.clock.drift
+        table.add_row(
+            pairing.pair.clip,
+            str(len(pairing.pair.take)),
+            f"{pairing.clock.lag:.3f}",
+            f"{drift * 6e4:.1f}" if drift else "-",
+            f"{100 * pairing.explained:.0f}",
+            f"{100 * np.nanmedian(pairing.away):.1f}",
+        )
+    table.caption = (
+        "lag: what the mocap's clock shows when the take begins; explained: share of "
+        "the take's movement; cm: median distance of joints from the mocap"
+    )
+    return table
+
+
+def draw_residuals(pairings: Sequence[Pairing], path: Path) -> None:
+    """Write a picture (PNG) of how far each joint is from the mocap.
+
+    Raises:
+        InputError: The file cannot be written, or matplotlib is not installed.
+    """
+    skeleton = pairings[0].pair.take.skeleton
+    rows = []
+    for label, name in (("median", "away"), ("median, mean difference off", "varying")):
+        values = np.concatenate([getattr(p, name) for p in pairings])
+        rows.append((label, 100.0 * column_medians(values)))
+    known = ~np.isnan(rows[0][1])
+    joints = [joint for joint, seen in zip(skeleton.joints, known, strict=True) if seen]
+    groups = [Series(label, joints, v[known].tolist(), "bars") for label, v in rows]
+    title = f"{pairings[0].pair.subject}: Kinect beside mocap, {len(pairings)} takes"
+    panels = [Panel("", "distance, cm", groups)]
+    study = Study(title, (), (), panels)
+    with atomic_path(path) as temporary:
+        draw(study, temporary)

@@ -1,0 +1,46 @@
+"""Where one recording's points lie in the frame of another: a turn and a shift."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinefilter.characters.arrays import Array
+
+SIGMA = 0.05
+"""Scale of the residuals [m]: those of several times as much count little. A guess."""
+_ROUNDS = 20
+
+
+class Placement(NamedTuple):
+    """A rigid transform from one frame to another."""
+
+    turn: Rotation
+    shift: Array
+    """Of the origin [m], shape (3,)."""
+
+    def apply(self, points: Array) -> Array:
+        """Return points [m] in the other frame, shape (..., 3)."""
+        flat = self.turn.apply(points.reshape(-1, 3)) + self.shift
+        return np.asarray(flat.reshape(points.shape))
+
+
+def placement(points: Array, onto: Array) -> Placement:
+    """Return the transform that lays points [m] onto others, both (..., 3).
+
+    Least squares, reweighted as Cauchy's distribution has it, so that outliers count
+    little; points that are NaN on either side count nothing. It takes three that are
+    not on one line.
+    """
+    seen, there = points.reshape(-1, 3), onto.reshape(-1, 3)
+    known = ~np.isnan(seen + there).any(axis=1)
+    seen, there = seen[known], there[known]
+    weights = np.ones(len(seen))
+    for _ in range(_ROUNDS):
+        middles = [np.average(p, axis=0, weights=weights) for p in (seen, there)]
+        turn, _ = Rotation.align_vectors(there - middles[1], seen - middles[0], weights)
+        placed = turn.apply(seen - middles[0]) + middles[1]
+        weights = 1.0 / (1.0 + np.sum((placed - there) ** 2, axis=1) / SIGMA**2)
+    return Placement(turn, middles[1] - turn.apply(middles[0]))
