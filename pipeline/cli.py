@@ -24,7 +24,7 @@ from .workers import one_thread
 _GROUPS = {
     "daily": "clean, batch, info, render, report, view, character",
     "live": "live, replay",
-    "learning": "train, database",
+    "learning": "pair, train, database",
     "lab": "evaluate, simulate, reproduce, bench",
 }
 _FILES = {
@@ -32,7 +32,7 @@ _FILES = {
     "info": "info, character",
     "view": "render, report, view",
     "live": "live, replay",
-    "learn": "train, database",
+    "learn": "pair, train, database",
     "lab": "evaluate, simulate, reproduce, bench",
 }
 """Files of ``commands``, with the commands in each."""

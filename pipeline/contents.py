@@ -74,7 +74,7 @@ def contents_of(
         contents = {"kind": "clip", "format": "usd"} | usd_contents(name)
     elif packed:
         contents = _of_npz(name)
-    elif file.name.lower().removesuffix(".gz").endswith((".amc", ".c3d")):
+    elif file.name.lower().removesuffix(".gz").endswith((".amc", ".c3d", ".trc")):
         contents = _of_mocap(read_mocap(file))
     elif claims_contacts(file):
         contents = _of_contacts(file)
@@ -164,7 +164,7 @@ def _of_mocap(mocap: Mocap) -> dict[str, Any]:
     time = np.arange(len(mocap.positions), dtype=np.float64) * mocap.frame_time
     contents = {
         "kind": "mocap",
-        "format": "c3d" if mocap.rotations is None else "amc",
+        "format": Path(mocap.source.removesuffix(".gz")).suffix[1:].lower(),
         "joints": len(mocap.names),
         "names": list(mocap.names),
         **_timing(time),

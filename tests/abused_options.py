@@ -31,6 +31,7 @@ _WEIGHTS = {
     "live": 2,
     "render": 0.2,
     "batch": 2,
+    "pair": 1,
     "train": 1,
     "evaluate": 2,
     "simulate": 2,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from mutations import mutated, mutated_arrays
 from published_layouts import azure_json, msr_action3d_text, msrc_12_text, ntu_text
-from test_mocap_files import ARM, ARM_MOTION, standing, write_c3d
+from test_mocap_files import ARM, ARM_MOTION, standing, write_c3d, write_trc
 
 from kinefilter.characters import (
     CONTACTS,
@@ -84,6 +84,7 @@ def write_valid(folder: Path, clip: Clip, v1: Take, v2: Take) -> dict[str, Path]
     header, rows = ",".join(("time", *CONTACTS)), "0,1,1,0,0\n0.1,0,0,1,1\n"
     (folder / "contacts.csv").write_text(f"{header}\n{rows}", encoding="utf-8")
     write_c3d(folder / "points.c3d", standing(KINECT_V1, "plug_in_gait"))
+    write_trc(folder / "points.trc", standing(KINECT_V1, "plug_in_gait"))
     _write_arrays(folder)
     return {path.name: path for path in sorted(folder.iterdir())}
 
@@ -141,6 +142,7 @@ READERS: dict[str, list[Reader]] = {
     "arm.amc": [as_mocap, contents_of],
     "arm.asf": [lambda path: read_mocap(path.with_name("arm.amc"), [path])],
     "points.c3d": [as_mocap],
+    "points.trc": [as_mocap, contents_of],
     "contacts.csv": [lambda path: read_contacts(path, TIME)],
     "clip.npz": [read_clip, contents_of, lambda path: read_contacts(path, TIME)],
     "database.npz": [PostureDatabase.load, contents_of],

@@ -316,7 +316,7 @@ def test_help_has_every_command_in_a_group_with_one_sentence(
     for group in (
         "- daily: clean, batch, info, render, report, view, character\n",
         "- live: live, replay\n",
-        "- learning: train, database\n",
+        "- learning: pair, train, database\n",
         "- lab: evaluate, simulate, reproduce, bench\n",
     ):
         assert group in printed

@@ -223,6 +223,24 @@ def write_c3d(path: Path, mocap: Mocap, prefix: str = "") -> Path:
     return path
 
 
+def write_trc(path: Path, mocap: Mocap) -> Path:
+    """Write positions [cm] as OpenSim does, with empty cells for what is missing."""
+    names = [f"{name}\t\t" for name in mocap.names]
+    rate, count = 1.0 / mocap.frame_time, len(mocap.positions)
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+        f"{rate:g}\t{rate:g}\t{count}\t{len(names)}\tmm",
+        "Frame#\tTime\t" + "\t".join(names),
+        "\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, len(names) + 1)),
+        "",
+    ]
+    for k, frame in enumerate(10.0 * mocap.positions):
+        cells = ["" if np.isnan(value) else f"{value:.6f}" for value in frame.ravel()]
+        lines.append("\t".join([str(k + 1), f"{k * mocap.frame_time:.6f}", *cells]))
+    return write_text(path, "\r\n".join(lines) + "\r\n")
+
+
 @every_skeleton
 @pytest.mark.parametrize("prefix", ["", "Jane:"])
 def test_c3d_joint_centers_become_a_database(
@@ -356,5 +374,5 @@ def test_an_amc_file_without_its_skeleton_is_refused(tmp_path: Path) -> None:
     asf.unlink()
     with pytest.raises(InputError, match=r"07_01\.amc: no ASF file"):
         database_from_mocap([amc], KINECT_V1)
-    with pytest.raises(InputError, match="no BVH, AMC or C3D"):
+    with pytest.raises(InputError, match="no BVH, AMC, C3D or TRC"):
         database_from_mocap([asf], KINECT_V1)

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 def test_every_command_is_in_the_readme() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for command in (
-        *("clean", "info", "database build", "train", "evaluate"),
+        *("clean", "info", "database build", "pair", "train", "evaluate"),
         *("simulate", "reproduce", "bench", "character", "render"),
         *("report", "view", "live", "replay", "batch"),
     ):

@@ -1,4 +1,4 @@
-"""The commands that learn from mocap: ``train`` and ``database``."""
+"""The commands that learn from mocap: ``pair``, ``train`` and ``database``."""
 
 from __future__ import annotations
 
@@ -13,9 +13,95 @@ from kinefilter.characters import SKELETONS, InputError
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.methods import LearnedName
 
-from .terminal import Skeletons, check_output, clips_of, in_folders, out, progress_bars
+from .terminal import (
+    Skeletons,
+    check_output,
+    clips_of,
+    err,
+    in_folders,
+    out,
+    progress_bars,
+    write_json,
+)
 
-_MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".npz")
+_MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".trc", ".npz")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Make training pairs of Kinect takes and mocap of the same movement.
+
+    Clocks and axes may be any. The lag is found from how the movements correlate, then
+    one rigid transform from where the joints are, which all takes share: sensor and
+    mocap have to stand still. What cannot be trusted is left out and told. A take whose
+    mocap explains too little of its movement is left out (exit code 1; 2 if none is
+    left).
+    """
+
+    files: Positional[tuple[Path, ...]]
+    """Takes of one person, and after each its mocap: C3D or TRC of markers, or BVH, AMC
+    (its ASF beside it), C3D or TRC with joints."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Pairs to write (.npz), for train and evaluate."""
+    subject: str | None = None
+    """Who moves; default: the name of the output."""
+    markers: Path | None = None
+    """Where joints lie among the markers (.toml), as in
+    pipeline/lab/embedded/plug_in_gait.toml, which is the default."""
+    least: float = 0.75
+    """Share of a take's movement that its mocap has to explain, 0 to 1."""
+    picture: Path | None = None
+    """Also draw how far each joint is from the mocap (.png)."""
+    json: Path | None = None
+    """Write lags, transforms and what was left out to this file too."""
+
+    def run(self) -> int:
+        """Pair, write, print."""
+        from kinefilter.pipeline.formats.mocap import read_mocap
+        from kinefilter.pipeline.formats.takes import read_take
+        from kinefilter.pipeline.lab import pairing
+        from kinefilter.pipeline.lab.marker_sets import read_marker_set
+        from kinefilter.pipeline.lab.simulate import write_pairs
+        from kinefilter.pipeline.lab.studies import check_drawing
+
+        if len(self.files) < 2 or len(self.files) % 2:
+            raise InputError(
+                f"{len(self.files)} file{'s' * (len(self.files) != 1)} given; give "
+                "takes, and after each its mocap: TAKE MOCAP TAKE MOCAP ..."
+            )
+        if not 0.0 <= self.least <= 1.0:
+            raise InputError(f"--least {self.least:g}: expected a share, 0 to 1")
+        for path, suffix in ((self.out, ".npz"), (self.picture, ".png")):
+            check_output(path, *self.files, suffix=suffix)
+        check_output(self.json, *self.files)
+        if self.picture is not None:
+            check_drawing()
+        table = None if self.markers is None else read_marker_set(self.markers)
+        recordings = [
+            (read_take(take), read_mocap(mocap))
+            for take, mocap in zip(self.files[::2], self.files[1::2], strict=True)
+        ]
+        with progress_bars() as progress:
+            pairings, refused = pairing.pair_session(
+                recordings,
+                subject=self.subject or self.out.stem,
+                table=table,
+                least=self.least,
+                progress=progress,
+            )
+        write_pairs([p.pair for p in pairings], self.out)
+        if self.picture is not None:
+            pairing.draw_residuals(pairings, self.picture)
+        figures = [pairing.figures_of(p) for p in pairings]
+        write_json({"takes": figures, "left_out": refused}, self.json)
+        out.print(pairing.as_table(pairings))
+        for p in pairings:
+            for note in p.notes:
+                out.print(f"{p.pair.clip}: {note}")
+        for reason in refused:
+            err.print(f"left out: {reason}")
+        out.print(f"wrote {self.out}: {len(pairings)} clips")
+        return int(bool(refused))
 
 
 @dataclass(frozen=True)
@@ -89,9 +175,9 @@ class DatabaseBuild:
     out: Annotated[Path, arg(aliases=["-o"])]
     """Database to write (.npz)."""
     files: Positional[tuple[Path, ...]] = ()
-    """Mocap: BVH (.gz too), AMC with its ASF, C3D of joint centers; or pairs files
-    (.npz), whose mocap is used. A folder stands for the files in it and in its folders;
-    they may be larger than memory."""
+    """Mocap: BVH (.gz too), AMC with its ASF, C3D or TRC of joint centers; or pairs
+    files (.npz), whose mocap is used. A folder stands for the files in it and in its
+    folders; they may be larger than memory."""
     skeleton: Skeletons = "kinect_v1"
     """Skeleton of the takes to be cleaned with it."""
     count: int = 2574

@@ -7,7 +7,8 @@ Its unit is the one in which the bones are a person's: m, cm, mm or inches.
 
 C3D has points that marker mocap measured, read by ezc3d (extra ``c3d``). Only points
 that are joints are of use here: named as the Kinect's joints, or as the joint centers
-that Vicon's Plug-in Gait writes. Bare markers have to be solved for a skeleton first.
+that Vicon's Plug-in Gait writes. The same holds of TRC. Where joints lie among bare
+markers, ``pipeline/lab/marker_sets`` knows.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from .files import AnyPath, beginning, check_file
 from .guarded import read_guarded
 from .recording import Mocap, Recording, check_length, recording_of
 from .rows import LARGEST_NUMBER
+from .trc import MAGIC, read_trc
 
 RIGS = ("cmu", "motionbuilder", "acclaim", "plug_in_gait")
 """Skeletons that mocap comes on, besides the Kinects' own."""
@@ -68,12 +70,12 @@ def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     skeletons = [file for file in files if file.suffix.lower() == ".asf"]
     motions = [file for file in files if file not in skeletons]
     if not motions:
-        raise InputError("no BVH, AMC or C3D files given; name one or more")
+        raise InputError("no BVH, AMC, C3D or TRC files given; name one or more")
     return motions, skeletons
 
 
 def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
-    """Read a BVH, AMC or C3D file, told apart by content; BVH and AMC may be gzipped.
+    """Read a BVH, AMC, C3D or TRC file, told apart by content; text may be gzipped.
 
     The ASF file for an AMC is the one of ``skeletons`` whose name the motion's begins
     with, or the only one; without any, one beside the motion. Raises InputError if the
@@ -86,10 +88,12 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
     first = beginning(path)
     if first.startswith("HIERARCHY"):
         return _bvh_mocap(os.fspath(path))
+    if first.startswith(MAGIC):
+        return read_trc(path)
     if first[:1] not in ("#", ":"):
         raise InputError(
-            f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, or "
-            "C3D"
+            f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, "
+            "C3D or TRC"
         )
     given = skeletons or sorted(path.parent.glob("*.asf"))
     fitting = [asf for asf in given if path.name.startswith(asf.stem)]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
-from scipy.signal import correlate
+from scipy.signal import fftconvolve
 from scipy.stats import theilslopes
 
 from kinefilter.characters.arrays import Array
@@ -33,6 +33,7 @@ _FOLLOWED = 0.8  # correlation of a window that tells a lag
 _FEWEST_WINDOWS = 5
 _CONFIDENCE = 0.99  # that there is a drift at all
 _PRECISION = 1e-4  # s
+_CELLS = 2_000_000  # of distances at all lags, at once
 _FRAMES = 1000  # are enough to refine a lag
 
 
@@ -111,28 +112,20 @@ def correlated(first: Array, second: Array, least: float) -> Lag | None:
     The lag is how far into the second the first begins.
     """
     lags = np.arange(1 - len(first), len(second))
-    sums = np.zeros((3, len(lags)))
-    common = np.zeros(len(lags))
-    for a, b in zip(first.T, second.T, strict=True):
-        series, masks = [], []
-        for values in (a, b):
-            known = ~np.isnan(values)
-            centered = values - np.nanmean(values) if known.any() else values
-            series.append(np.where(known, centered, 0.0))
-            masks.append(known.astype(float))
-
-        def over_lags(x: Array, y: Array) -> Array:
-            return np.asarray(correlate(y, x, method="fft"))
-
-        (x, y), (u, v) = series, masks
-        count = np.maximum(np.round(over_lags(u, v)), 1e-9)
-        sum_x, sum_y = over_lags(x, v), over_lags(u, y)
-        sums += [
-            over_lags(x, y) - sum_x * sum_y / count,
-            over_lags(x * x, v) - sum_x**2 / count,
-            over_lags(u, y * y) - sum_y**2 / count,
+    sums, common = np.zeros((3, len(lags))), np.zeros(len(lags))
+    at_once = max(_CELLS // len(lags), 1)
+    for k in range(0, first.shape[1], at_once):
+        x, u = _centered(first[::-1, k : k + at_once])
+        y, v = _centered(second[:, k : k + at_once])
+        count = np.maximum(np.round(fftconvolve(v, u, axes=0)), 1e-9)
+        sum_x, sum_y = fftconvolve(v, x, axes=0), fftconvolve(y, u, axes=0)
+        products = [
+            fftconvolve(y, x, axes=0) - sum_x * sum_y / count,
+            fftconvolve(v, x * x, axes=0) - sum_x**2 / count,
+            fftconvolve(y * y, u, axes=0) - sum_y**2 / count,
         ]
-        common = np.maximum(common, count)
+        sums += np.sum(products, axis=2)
+        common = np.maximum(common, count.max(axis=1))
     fit = common >= least * RATE
     scale = np.sqrt(np.maximum(sums[1], 0.0) * np.maximum(sums[2], 0.0))
     fit &= scale > 1e-9
@@ -146,6 +139,13 @@ def correlated(first: Array, second: Array, least: float) -> Lag | None:
         bend = before - 2.0 * at + after  # of the parabola through the three
         shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     return Lag(float(lags[best] + shift) / RATE, float(found[best]))
+
+
+def _centered(values: Array) -> tuple[Array, Array]:
+    """Return columns without their means, 0 where unknown, and 1 where known."""
+    known = ~np.isnan(values)
+    centered = values - np.nansum(values, axis=0) / np.maximum(known.sum(axis=0), 1)
+    return np.where(known, centered, 0.0), known.astype(float)
 
 
 def refined(take: Track, mocap: Track, clock: Clock) -> Clock:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
@@ -52,10 +52,14 @@ _SAME_CLOCK = 0.5  # of a frame that lags of one clock offset may differ
 _SAME_PLACE = np.radians(5.0), 0.10
 """Angle, and distance [m] of the body, by which takes of a session may be placed
 differently: those of a person in UI-PRMD differ by up to 3 degrees. A guess."""
+_FEW = 0.2  # of the frames may be lost; they say nothing of the others. A guess
 _STRETCHED = 0.25  # share by which no bone changes its length
 _LOST_FRAME, _LOST_JOINT = 0.20, 0.30
 """Medians of distances [m] of a frame, and of a joint over a take, that no sensor gives
 that follows the person: 0.16 m and 0.25 m (99.9 %) are the most of s02, s03 and s04."""
+_SIZES = 0.20
+"""Share by which the bones of one person may differ, in the median: those of s02, s03
+and s04 differ by up to 14 %."""
 _RATES = 0.05  # share by which frame rates in a file may differ
 
 
@@ -68,7 +72,8 @@ class Pairing:
     clock: Clock
     """What the mocap's clock shows at the take's times."""
     placed: Placement
-    """From the mocap's axes, in meters, to the take's frame."""
+    """From the mocap's axes, in meters, to the take's frame; where the mocap has joints
+    and its z is up, from the axes x, z, -y."""
     explained: float
     """Share of the take's movement that the mocap explains."""
     notes: tuple[str, ...]
@@ -111,6 +116,7 @@ def pair_session(
     subject: str,
     names: Sequence[str] = (),
     table: MarkerSet | None = None,
+    least: float = EXPLAINED,
     progress: Progress = silent,
 ) -> tuple[list[Pairing], list[str]]:
     """Return pairs of a person's takes and mocap, and why others are left out.
@@ -121,6 +127,7 @@ def pair_session(
         subject: Who moves.
         names: Of the clips; by default those of the takes' files.
         table: Where joints lie among markers, see ``joint_centers``.
+        least: Share of a take's movement that its mocap has to explain.
         progress: Wraps the loop over takes, for a progress bar.
 
     Raises:
@@ -135,7 +142,8 @@ def pair_session(
     for k in over(range(len(recordings)), "pair", progress):
         take, mocap = recordings[k]
         try:
-            matches.append(_match(take, joint_centers(mocap, take.skeleton, table)))
+            joints = joint_centers(mocap, take.skeleton, table)
+            matches.append(_match(take, joints, least))
             kept.append(clips[k])
         except InputError as error:
             refused.append(str(error))
@@ -166,7 +174,7 @@ def _check_alike(takes: Sequence[Take]) -> None:
             )
 
 
-def _match(take: Take, joints: Mocap) -> _Match:
+def _match(take: Take, joints: Mocap, least: float) -> _Match:
     """Find lag, drift and transform, or raise InputError where there are none."""
     both = f"{take.source} and {joints.source}"
     skeleton, notes = take.skeleton, []
@@ -177,6 +185,7 @@ def _match(take: Take, joints: Mocap) -> _Match:
             f"{stretched:.1%} of the mocap's joints are left out, as bones changed "
             f"their lengths by over {_STRETCHED:.0%} there"
         )
+    _check_size(take, positions, both)
     common = [
         j
         for j in [skeleton.index(joint) for joint in _LIMBS]
@@ -202,12 +211,12 @@ def _match(take: Take, joints: Mocap) -> _Match:
                 f"{source}: nobody moves, so nothing tells when its frames were "
                 "recorded; pair takes with movement in them"
             )
-    least = max(_SHORTEST, _SHARE * length)
-    found = correlated(apart[0], apart[1], least)
+    common_time = max(_SHORTEST, _SHARE * length)
+    found = correlated(apart[0], apart[1], common_time)
     if found is None:
         raise InputError(
-            f"{both}: at no lag do both know for {least:.2g} s where the joints are; "
-            "give recordings of the same time"
+            f"{both}: at no lag do both know for {common_time:.2g} s where the joints "
+            "are; give recordings of the same time"
         )
     clock = Clock(float(take.time[0]), found.seconds)
     if length >= SHORTEST_FOR_DRIFT:
@@ -217,13 +226,30 @@ def _match(take: Take, joints: Mocap) -> _Match:
     clock = refined_lag(seen, there, clock)
     match = _Match(take, Track(time, positions), clock, tuple(notes))
     explained = _explained(match, _placed([match]))
-    if explained < EXPLAINED:
+    if not explained >= least:
         raise InputError(
             f"{both}: at the best lag, {clock.lag:.2f} s, the mocap explains "
-            f"{max(explained, 0.0):.0%} of the movement, expected {EXPLAINED:.0%} or "
-            "more: is it another movement, another person, or another time?"
+            f"{max(explained, 0.0):.0%} of the movement, expected {least:.0%} or more: "
+            "is it another movement, another person, or another time? If it is not, "
+            "lower --least"
         )
     return match
+
+
+def _check_size(take: Take, positions: Array, both: str) -> None:
+    """Raise InputError where the two are of bodies of different size."""
+    lengths = [
+        column_medians(segment_lengths(side, take.skeleton))[take.skeleton.segments]
+        for side in (take.positions, positions)
+    ]
+    ratios = lengths[0] / lengths[1]
+    ratios = ratios[np.isfinite(ratios)]
+    ratio = float(np.median(ratios)) if len(ratios) else 1.0
+    if abs(np.log(ratio)) > _SIZES:
+        raise InputError(
+            f"{both}: the take's bones are {ratio:.2f} times as long as the mocap's; "
+            "they are of two people, or of a table that does not fit the markers"
+        )
 
 
 def _trusted(positions: Array, skeleton: Skeleton) -> tuple[Array, float]:
@@ -261,6 +287,9 @@ def _explained(match: _Match, placed: Placement) -> float:
     limbs = [skeleton.index(joint) for joint in _LIMBS]
     joints = match.take.positions[:, limbs]
     apart = placed.apply(match.seen()[:, limbs]) - joints
+    lost = column_medians(np.linalg.norm(apart, axis=2).T) > _LOST_FRAME
+    if lost.mean() < _FEW:
+        apart[lost] = np.nan
     joints = np.where(np.isnan(apart), np.nan, joints)
     flat = [values.reshape(len(values), -1) for values in (apart, joints)]
     left, moved = (values - column_medians(values) for values in flat)
@@ -360,6 +389,25 @@ def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:
     state[places] = take.state[rows][first]
     stamps = np.arange(shape[0]) * step
     return Take(stamps, positions, state, take.skeleton, take.source), there
+
+
+def figures_of(pairing: Pairing) -> dict[str, Any]:
+    """Return what was found, ready for JSON."""
+    joints, cm = pairing.pair.take.skeleton.joints, 100.0
+    return {
+        "clip": pairing.pair.clip,
+        "frames": len(pairing.pair.take),
+        "lag_s": pairing.clock.lag,
+        "drift_s_per_s": pairing.clock.drift,
+        "rotation_wxyz": pairing.placed.turn.as_quat(scalar_first=True).tolist(),
+        "translation_m": pairing.placed.shift.tolist(),
+        "explained": pairing.explained,
+        "away_cm": dict(zip(joints, cm * column_medians(pairing.away), strict=True)),
+        "varying_cm": dict(
+            zip(joints, cm * column_medians(pairing.varying), strict=True)
+        ),
+        "notes": list(pairing.notes),
+    }
 
 
 def as_table(pairings: Sequence[Pairing]) -> Table:

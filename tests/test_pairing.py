@@ -1,0 +1,482 @@
+"""Training pairs of a Kinect take and mocap that share neither clock nor axes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from real_data import DATA, paired
+from scipy.spatial.transform import Rotation
+from skeletons import every_skeleton
+from test_mocap_files import write_trc
+from text_files import write_text
+
+from kinefilter import read_take
+from kinefilter.characters import (
+    KINECT_V1,
+    InputError,
+    Skeleton,
+    State,
+    Take,
+    standard_body,
+)
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.formats.mocap import read_mocap
+from kinefilter.pipeline.formats.recording import Mocap
+from kinefilter.pipeline.lab.lag import Track
+from kinefilter.pipeline.lab.marker_sets import PLUG_IN_GAIT, read_marker_set
+from kinefilter.pipeline.lab.pairing import Pairing, pair_session
+from kinefilter.pipeline.pairs import read_pairs
+from kinefilter.scenes.library import perform, perform_medley
+
+Array = NDArray[np.float64]
+TURN, SHIFT = Rotation.from_euler("yxz", [70.0, 15.0, -10.0], degrees=True), [1, 2, 3]
+RAW = DATA / "raw-pairs"
+TENTH_OF_A_FRAME = 1.0 / 300.0
+
+
+def joint(name: str, skeleton: Skeleton = KINECT_V1) -> int:
+    return skeleton.index(name)
+
+
+def recordings(
+    positions: Array,
+    *,
+    lag: float = 0.4,
+    drift: float = 0.0,
+    start: float = 0.0,
+    noise: float = 0.006,
+    skeleton: Skeleton = KINECT_V1,
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[Take, Mocap]:
+    """Return a movement (30 frames a second) as a Kinect and as mocap [mm] have it.
+
+    The mocap's clock shows ``lag`` as the take begins at ``start``; the Kinect stands
+    where ``shift`` says.
+    """
+    time = np.arange(len(positions)) / 30
+    rng = np.random.default_rng(0)
+    seen = positions + shift + rng.normal(0.0, noise, positions.shape)
+    for side in ("Left", "Right"):  # a Kinect has the ankle up the shank
+        ankle, knee = joint(f"Ankle{side}", skeleton), joint(f"Knee{side}", skeleton)
+        shank = positions[:, knee] - positions[:, ankle]
+        seen[:, ankle] += 0.06 * shank / np.linalg.norm(shank, axis=1, keepdims=True)
+    # The take is the middle of the movement, the mocap may begin earlier.
+    middle = slice(30, -30)
+    state = np.full(seen[middle].shape[:2], State.TRACKED, dtype=np.uint8)
+    take = Take(
+        start + time[middle] - time[30], seen[middle], state, skeleton, "x/k.csv"
+    )
+    clock = np.arange(0.0, lag + (1 + drift) * (time[-1] - time[30]), 0.01)
+    then = (clock - lag) / (1 + drift) + time[30]
+    assert then[0] >= 0.0
+    there = Track(time, positions).at(then)
+    placed = 1000 * (TURN.apply(there.reshape(-1, 3)) + SHIFT).reshape(there.shape)
+    return take, Mocap(skeleton.joints, placed, None, 0.01, "x/m.c3d")
+
+
+def one(take: Take, mocap: Mocap, **options: Any) -> Pairing:
+    (pairing,), refused = pair_session([(take, mocap)], subject="ann", **options)
+    assert refused == []
+    return pairing
+
+
+@pytest.fixture(scope="module")
+def medley() -> Array:
+    parts = [("tai_chi", 15.0), ("wave", 10.0), ("squat", 15.0), ("punch", 10.0)]
+    body = standard_body(KINECT_V1)
+    return np.array(perform_medley(parts, body, seed=2).positions)
+
+
+def exercise(name: str = "tai_chi", skeleton: Skeleton = KINECT_V1) -> Array:
+    return np.array(perform(name, standard_body(skeleton), seed=1).positions)
+
+
+def check(pairing: Pairing, take: Take, positions: Array) -> None:
+    """Check transform and truth: the Kinect's frame is that of the movement."""
+    turn = pairing.placed.turn * TURN
+    assert np.degrees(turn.magnitude()) < 0.3
+    truth = pairing.pair.truth
+    known = ~np.isnan(truth).any(axis=2)
+    true = positions[30:-30][: len(truth)]
+    assert known[10:-10].all()
+    assert np.linalg.norm(truth - true, axis=2)[known].max() < 0.01
+    assert len(truth) == len(take)
+
+
+@every_skeleton
+@pytest.mark.parametrize(("lag", "start"), [(0.4137, 0.0), (-0.731, 33_000.25)])
+def test_lag_and_transform_are_those_that_were_made(
+    skeleton: Skeleton, lag: float, start: float
+) -> None:
+    positions = exercise(skeleton=skeleton)
+    take, mocap = recordings(positions, lag=lag, start=start, skeleton=skeleton)
+    pairing = one(take, mocap)
+    assert abs(pairing.clock.lag - lag) < TENTH_OF_A_FRAME
+    assert np.degrees((pairing.placed.turn * TURN).magnitude()) < 0.3
+    begin = max(0, int(np.ceil(-lag * 30)))
+    true = positions[30 + begin :][: len(pairing.pair.take)]
+    assert np.nanmax(np.linalg.norm(pairing.pair.truth - true, axis=2)) < 0.01
+    assert pairing.explained > 0.98
+    assert any("too short to tell whether" in note for note in pairing.notes)
+
+
+@pytest.mark.parametrize("drift", [400e-6, -900e-6])
+def test_a_clock_that_drifts_is_told_and_followed(medley: Array, drift: float) -> None:
+    take, mocap = recordings(medley, drift=drift)
+    pairing = one(take, mocap)
+    assert pairing.clock.drift == pytest.approx(drift, abs=60e-6)
+    assert np.abs(
+        pairing.clock.at(take.time) - (0.4 + (1 + drift) * take.time)
+    ).max() < (TENTH_OF_A_FRAME)
+    check(pairing, take, medley)
+
+
+def test_clocks_that_agree_are_told_no_drift(medley: Array) -> None:
+    pairing = one(*recordings(medley))
+    assert pairing.clock.drift == 0.0
+    assert pairing.notes == ()
+
+
+def test_gaps_leaps_and_wrong_labels_are_left_out_and_told() -> None:
+    positions = exercise()
+    take, mocap = recordings(positions)
+    points = mocap.positions.copy()
+    points[100:200, joint("KneeLeft")] = np.nan  # 1 s without the marker
+    points[300:310, joint("WristLeft")] += 400.0  # a marker leaps
+    points[:, joint("FootRight")] = points[:, joint("Head")]  # and one is mistaken
+    seen = take.positions.copy()
+    seen[120:140] += [0.9, 0.0, 0.0]  # the Kinect follows somebody else
+    pairing = one(replace(take, positions=seen), replace(mocap, positions=points))
+    truth, notes = pairing.pair.truth, " ".join(pairing.notes)
+    missing = np.isnan(truth).any(axis=2)
+    frames = np.arange(len(truth)) / 30 + 0.4  # of the mocap's clock
+    assert missing[(frames > 1.02) & (frames < 1.97), joint("KneeLeft")].all()
+    assert missing[(frames > 3.0) & (frames < 3.09), joint("WristLeft")].all()
+    assert "lengths" in notes
+    assert missing[120:140].all()
+    assert "20 frames are left out" in notes
+    assert missing[:, joint("FootRight")].all()
+    assert "FootRight is left out" in notes
+    assert missing[:, joint("WristRight")].mean() < 0.12
+
+
+def test_dropped_and_repeated_frames_get_their_places_at_an_even_rate() -> None:
+    take, mocap = recordings(exercise())
+    kept = np.r_[0:50, 50, 57 : len(take)]
+    time = take.time[kept]
+    time[50] = time[49]
+    ragged = Take(time, take.positions[kept], take.state[kept], KINECT_V1, "k")
+    pair = one(ragged, mocap).pair
+    assert len(pair.take) == len(take)
+    assert np.isnan(pair.take.positions[50:57]).all()
+    assert np.isnan(pair.truth[50:57]).all()
+    np.testing.assert_array_equal(pair.take.positions[57:], take.positions[57:])
+    np.testing.assert_array_equal(pair.take.positions[:50], take.positions[:50])
+
+
+# Sessions
+
+
+def test_takes_of_a_session_share_transform_and_clock_offset() -> None:
+    acts = [exercise(name) for name in ("tai_chi", "squat", "wave")]
+    made = [recordings(act, lag=0.4 + 0.002 * k) for k, act in enumerate(acts)]
+    pairings, refused = pair_session(made, subject="ann", names=("a", "b", "c"))
+    assert refused == []
+    assert [p.pair.clip for p in pairings] == ["a", "b", "c"]
+    assert all(p.placed is pairings[0].placed for p in pairings)
+    assert {p.clock.lag for p in pairings} == {pairings[1].clock.lag}
+    assert pairings[1].clock.lag == pytest.approx(0.402, abs=TENTH_OF_A_FRAME)
+    assert all("share one clock offset" in " ".join(p.notes) for p in pairings)
+
+
+def test_a_take_after_which_the_sensor_was_moved_has_its_own_transform() -> None:
+    acts = [exercise(name) for name in ("tai_chi", "squat", "wave")]
+    shifts = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.4, 0.0, 0.0)]
+    made = [
+        recordings(act, lag=0.4 + 0.1 * k, shift=shift)
+        for k, (act, shift) in enumerate(zip(acts, shifts, strict=True))
+    ]
+    pairings, _ = pair_session(made, subject="ann")
+    assert [("did the sensor move" in " ".join(p.notes)) for p in pairings] == [
+        *(False, False),
+        True,
+    ]
+    for pairing, lag in zip(pairings, (0.4, 0.5, 0.6), strict=True):
+        assert pairing.clock.lag == pytest.approx(lag, abs=TENTH_OF_A_FRAME)
+        assert 100 * np.nanmedian(pairing.away) < 2.0
+
+
+# Refusals
+
+
+def test_what_does_not_belong_together_is_refused_with_the_reason() -> None:
+    take, mocap = recordings(exercise())
+    wave, waved = recordings(exercise("wave"))
+    with pytest.raises(InputError, match=r"m\.c3d.*explains.*another movement"):
+        one(take, waved)
+    child = replace(mocap, positions=0.7 * mocap.positions)
+    with pytest.raises(InputError, match=r"1\.43 times as long.*two people"):
+        one(take, child)
+    still = replace(take, positions=np.tile(take.positions[:1], (len(take), 1, 1)))
+    with pytest.raises(InputError, match="nobody moves"):
+        one(still, mocap)
+    with pytest.raises(InputError, match="too short"):
+        one(take, replace(mocap, positions=mocap.positions[:80]))
+    armless = wave.positions.copy()
+    armless[:, [joint(f"{j}Left") for j in ("Elbow", "Knee", "Hip", "Ankle")]] = np.nan
+    armless[:, [joint(f"{j}Right") for j in ("Elbow", "Knee", "Hip")]] = np.nan
+    with pytest.raises(InputError, match="5 joints of the limbs in common"):
+        one(replace(wave, positions=armless), waved)
+
+
+def test_recordings_without_a_moment_in_common_are_refused(medley: Array) -> None:
+    """The take of the first 20 s, the mocap of the last 20 s."""
+    take, _ = recordings(medley[:600])
+    _, later = recordings(medley[-600:])
+    with pytest.raises(InputError, match="another time"):
+        one(take, later)
+
+
+def test_takes_of_two_skeletons_or_rates_are_refused() -> None:
+    take, mocap = recordings(exercise())
+    slow = replace(take, time=2.0 * take.time)
+    with pytest.raises(InputError, match=r"frames a second.*files of their own"):
+        pair_session([(take, mocap), (slow, mocap)], subject="ann")
+
+
+def test_the_command_leaves_out_what_is_refused_and_writes_nothing_without_any(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = []
+    for name in ("tai_chi", "wave"):
+        take, mocap = recordings(exercise(name))
+        write_take_csv(take, tmp_path / f"{name}.csv")
+        cm = replace(mocap, positions=mocap.positions / 10.0)
+        write_trc(tmp_path / f"{name}.trc", cm)
+        files.append([str(tmp_path / f"{name}.{end}") for end in ("csv", "trc")])
+    (tai_chi, moved), (wave, waved) = files
+    out, figures = tmp_path / "ann.npz", tmp_path / "found.json"
+    wanted = ["-o", str(out), "--json", str(figures)]
+    assert main(["pair", tai_chi, waved, *wanted]) == 2
+    assert "explains" in capsys.readouterr().err
+    assert not out.exists()
+    assert not figures.exists()
+    assert main(["pair", tai_chi, moved, wave, moved, *wanted]) == 1
+    assert "left out" in capsys.readouterr().err
+    (pair,) = read_pairs(out)
+    assert (pair.subject, pair.clip) == ("ann", "tai_chi")
+    found = json.loads(figures.read_text("utf-8"))
+    assert found["takes"][0]["lag_s"] == pytest.approx(0.4, abs=TENTH_OF_A_FRAME)
+    assert "wave.csv" in found["left_out"][0]
+    for wrong in ([tai_chi], [tai_chi, moved, wave]):
+        assert main(["pair", *wrong, *wanted]) == 2
+    assert main(["pair", tai_chi, moved, *wanted, "--least", "7"]) == 2
+    assert main(["pair", tai_chi, moved, "-o", tai_chi]) == 2
+
+
+# Marker sets
+
+
+def test_plug_in_gait_markers_become_joint_centers() -> None:
+    """A body that stands facing +z, and turned in any way."""
+    places = """LASI .13 1 .1 LPSI .05 1 -.1 LKNE .15 .5 .043 LANK .14 .1 0 LTOE .1 0 .1
+        LSHO .18 1.45 0 LELB .25 1.15 0 LWRA .27 .9 .05 LWRB .27 .9 -.03
+        LFHD .07 1.7 .1 LBHD .07 1.7 -.1"""
+    rows = np.array(places.split()).reshape(-1, 4)
+    markers = {str(name): np.array(place, float) for name, *place in rows.tolist()}
+    markers |= {f"R{n[1:]}": p * [-1, 1, 1] for n, p in markers.items()}
+    middle = {"C7": (1.5, -0.1), "CLAV": (1.4, 0.1), "T10": (1.2, -0.1)}
+    middle["STRN"] = (1.1, 0.1)
+    markers |= {name: np.array([0.0, y, z]) for name, (y, z) in middle.items()}
+    turns = Rotation.random(7, rng=np.random.default_rng(3))
+    turned = {n: turns.apply(p) + SHIFT for n, p in markers.items()}
+    found = read_marker_set().centers(turned, KINECT_V1) - SHIFT
+    upright = {
+        "HipLeft": (0.36 * 0.26, 1.0 - 0.30 * 0.26, 0.1 - 0.22 * 0.26),
+        "KneeLeft": None,
+        "ShoulderRight": (-0.18, 1.4, 0.0),
+        "WristLeft": (0.27, 0.9, 0.01),
+        "ElbowRight": (-0.25, 1.15, 0.0),
+        "HipCenter": (0.0, 1.0 - 0.30 * 0.26, 0.1 - 0.22 * 0.26),
+        "Head": (0.0, 1.7, 0.0),
+    }
+    for name, place in upright.items():
+        if place is not None:
+            there = turns.inv().apply(found[:, joint(name)])
+            np.testing.assert_allclose(there, np.tile(place, (7, 1)), atol=1e-9)
+    knee, ankle, hip = (
+        turns.inv().apply(found[:, joint(f"{name}Left")])
+        for name in ("Knee", "Ankle", "Hip")
+    )
+    inward = markers["LKNE"] - knee
+    np.testing.assert_allclose(np.linalg.norm(inward, axis=1), 0.055)
+    np.testing.assert_allclose(
+        np.sum(inward * (hip - markers["LKNE"]), axis=1), 0.0, atol=1e-9
+    )
+    assert (inward[:, 0] > 0.05).all()
+    np.testing.assert_allclose(markers["LANK"] - ankle, inward * 0.042 / 0.055)
+    assert np.isnan(found[:, joint("HandLeft")]).all()
+
+
+TABLE = PLUG_IN_GAIT.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[limbs]", "[arms]", ["expected tables"]),
+        ("[limbs]", "[limbs", ["not TOML"]),
+        ('left = [["RASI"], ["LASI"]]', "", ["'pelvis'", "two of left, up"]),
+        ('[["RASI"], ["LASI"]]', '[["RASI"]]', ["'pelvis'", "from and to"]),
+        ('[["RASI"], ["LASI"]]', "[[1], [2]]", ["'pelvis'", "names"]),
+        ('at = ["LKNE"]', "at = []", ["'KneeLeft'", "list of names"]),
+        ('at = ["LKNE"], ', "", ["'KneeLeft'", "expected at"]),
+        ('"thigh_left"', '"shank"', ["'KneeLeft'", "'shank'", "pelvis"]),
+        ('"thigh_left"', "[1]", ["'KneeLeft'", "unknown frame"]),
+        ("-0.055", "-55.0", ["'KneeLeft'", "under 2"]),
+        ("[-0.055, 0.0, 0.0]", "[-0.055]", ["'KneeLeft'", "three numbers"]),
+        ("-0.055", "nan", ["'KneeLeft'", "three numbers"]),
+        ("KneeLeft =", "KneeMiddle =", ["'KneeMiddle'", "no such joint"]),
+        ('times = ["LASI", "RASI"]', 'times = ["LASI"]', ["two names"]),
+        (', frame = "thigh_left"', "", ["'KneeLeft'", "needs a frame"]),
+    ],
+)
+def test_damaged_tables_are_refused_naming_the_place(
+    tmp_path: Path, old: str, new: str, words: list[str]
+) -> None:
+    assert old in TABLE
+    path = write_text(tmp_path / "own.toml", TABLE.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        read_marker_set(path)
+    for word in (str(path), *words):
+        assert word in str(caught.value)
+
+
+def test_a_table_of_ones_own_names_other_markers(tmp_path: Path) -> None:
+    take, mocap = recordings(exercise())
+    limbs = [j for j in KINECT_V1.joints if not j.startswith(("Hand", "Spine"))]
+    points = mocap.positions[:, [joint(name) for name in limbs]]
+    mine = Mocap(tuple(f"M{k}" for k in range(len(limbs))), points, None, 0.01, "mine")
+    rows = [f'{name} = {{ at = ["M{k}"] }}' for k, name in enumerate(limbs)]
+    table = write_text(tmp_path / "own.toml", "[kinect_v1]\n", "\n".join(rows))
+    with pytest.raises(InputError, match=r"mine: no hips.*M0, M1.*--markers"):
+        one(take, mine)
+    pairing = one(take, mine, table=read_marker_set(table))
+    assert pairing.clock.lag == pytest.approx(0.4, abs=TENTH_OF_A_FRAME)
+    assert np.isnan(pairing.pair.truth[:, joint("Spine")]).all()
+
+
+# Recordings
+
+
+def finished(clip: str) -> tuple[Array, Array]:
+    """Return Kinect and mocap of a clip that was paired by others [m]."""
+    for pair in read_pairs(DATA / "ui-prmd" / f"{clip[4:7]}.npz"):
+        if pair.clip == clip:
+            return pair.take.positions, pair.truth
+    raise AssertionError(clip)
+
+
+def placed_by_wrists(
+    markers: Mocap, truth: Array, after: float
+) -> tuple[float, Rotation, Array]:
+    """Return lag and transform of a finished pair, whose wrists are mean markers.
+
+    They are the same points in both, so the two are exact: to 0.1 mm.
+    """
+    names, points = list(markers.names), markers.positions / 1000.0
+    middle = [
+        np.mean([points[:, names.index(f"{s}WR{k}")] for k in "AB"], axis=0)
+        for s in "LR"
+    ]
+    track = Track(np.arange(len(points)) * 0.01, np.stack(middle, axis=1))
+    wrists = truth[:, [joint("WristLeft"), joint("WristRight")]].reshape(-1, 3)
+    best: tuple[float, Rotation, Array, float] | None = None
+    for lag in np.arange(-50, 51) * 0.01:
+        there = track.at(np.arange(len(truth)) / 30 + after + lag + 1e-6).reshape(-1, 3)
+        known = ~np.isnan(there + wrists).any(axis=1)
+        if known.sum() < 0.9 * len(known):
+            continue
+        one, other = there[known], wrists[known]
+        turn, off = Rotation.align_vectors(other - other.mean(0), one - one.mean(0))
+        if best is None or off < best[3]:
+            best = (lag, turn, other.mean(0) - turn.apply(one.mean(0)), off)
+    assert best is not None
+    assert best[3] < 0.02
+    return best[:3]
+
+
+@paired
+@pytest.mark.parametrize(
+    "clip",
+    [
+        *("m01_s02_e05", "m02_s03_e05", "m04_s04_e05", "m07_s02_e05", "m10_s04_e05"),
+        *("m01_s08_e03", "m05_s06_e05", "m09_s08_e05"),  # of people not chosen on
+    ],
+)
+def test_recorded_pairs_are_those_that_were_made_of_them_before(clip: str) -> None:
+    take = read_take(RAW / f"{clip}.kinect.csv")
+    markers = read_mocap(RAW / f"{clip}.markers.c3d")
+    pairing = one(take, markers)
+    kinect, truth = finished(clip)
+
+    def row_of(frame: Array) -> int:
+        return int(np.nanargmin(np.nansum(np.abs(take.positions - frame), axis=(1, 2))))
+
+    first = row_of(kinect[0])
+    lag, turn, shift = placed_by_wrists(markers, truth, take.time[first])
+    assert abs(pairing.clock.lag - lag) < 0.02
+    assert np.degrees((pairing.placed.turn * turn.inv()).magnitude()) < 1.0
+    # Joints by the finished transform: what is left is what is called a joint.
+    there = pairing.placed.turn.inv().apply(
+        (pairing.pair.truth - pairing.placed.shift).reshape(-1, 3)
+    )
+    again = (turn.apply(there) + shift).reshape(pairing.pair.truth.shape)
+    moved = np.nanmean(again - pairing.pair.truth, axis=(0, 1))
+    assert np.linalg.norm(moved) < 0.01
+    begin = row_of(kinect[0]) - row_of(pairing.pair.take.positions[0])
+    ours = again[max(begin, 0) :]
+    theirs = truth[max(-begin, 0) :]
+    count = min(len(ours), len(theirs))
+    apart = np.linalg.norm(ours[:count] - theirs[:count], axis=2)
+    seen = ~np.isnan(apart).all(axis=0)
+    assert seen.sum() == 17
+    assert np.nanmedian(apart[:, seen], axis=0).max() < 0.015
+
+
+@paired
+def test_a_recording_that_nobody_could_align_is_refused(tmp_path: Path) -> None:
+    clip = RAW / "m08_s06_e07"
+    files = [f"{clip}.kinect.csv", f"{clip}.markers.c3d"]
+    assert main(["pair", *files, "-o", str(tmp_path / "o.npz")]) == 2
+    take = RAW / "m01_s02_e05.kinect.csv"
+    for other in ("m02_s03_e05", "m04_s04_e05", "m07_s02_e05", "m09_s08_e05"):
+        markers = RAW / f"{other}.markers.c3d"
+        assert (
+            main(["pair", str(take), str(markers), "-o", str(tmp_path / "o.npz")]) == 2
+        )
+    assert not list(tmp_path.iterdir())
+
+
+@paired
+def test_evaluate_reads_pairs_of_a_session_and_residuals_are_drawn(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("matplotlib")
+    files = [str(file) for file in sorted(RAW.glob("*s02*"))]
+    out, picture = tmp_path / "s02.npz", tmp_path / "s02.png"
+    assert main(["pair", *files, "-o", str(out), "--picture", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert [pair.clip for pair in read_pairs(out)] == ["m01_s02_e05", "m07_s02_e05"]
+    figures = tmp_path / "figures.json"
+    arguments = ["--methods", "none", "--no-physics", "--json", str(figures)]
+    assert main(["evaluate", "--test", str(out), *arguments]) == 0
+    raw = json.loads(figures.read_text("utf-8"))["methods"]["raw"]
+    assert 4.0 < raw["E"] < 8.0
