@@ -32,7 +32,7 @@ Points = tuple[str, ...]
 """Names of markers or joints, of which the mean is meant."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Joint:
     at: Points
     frame: str | None
