@@ -413,15 +413,12 @@ def placed_by_wrists(
     return best[:3]
 
 
-@paired
-@pytest.mark.parametrize(
-    "clip",
-    [
-        *("m01_s02_e05", "m02_s03_e05", "m04_s04_e05", "m07_s02_e05", "m10_s04_e05"),
-        *("m01_s08_e03", "m05_s06_e05", "m09_s08_e05"),  # of people not chosen on
-    ],
-)
-def test_recorded_pairs_are_those_that_were_made_of_them_before(clip: str) -> None:
+def compared(clip: str) -> tuple[float, float, float, Array]:
+    """Return how far a raw pair is from the finished one.
+
+    Lag [ms], turn [degrees], shift of the body [cm], and each joint's median distance
+    [cm] by the finished transform, so that what is called a joint is what is left.
+    """
     take = read_take(RAW / f"{clip}.kinect.csv")
     markers = read_mocap(RAW / f"{clip}.markers.c3d")
     pairing = one(take, markers)
@@ -432,23 +429,36 @@ def test_recorded_pairs_are_those_that_were_made_of_them_before(clip: str) -> No
 
     first = row_of(kinect[0])
     lag, turn, shift = placed_by_wrists(markers, truth, take.time[first])
-    assert abs(pairing.clock.lag - lag) < 0.02
-    assert np.degrees((pairing.placed.turn * turn.inv()).magnitude()) < 1.0
-    # Joints by the finished transform: what is left is what is called a joint.
     there = pairing.placed.turn.inv().apply(
         (pairing.pair.truth - pairing.placed.shift).reshape(-1, 3)
     )
     again = (turn.apply(there) + shift).reshape(pairing.pair.truth.shape)
-    moved = np.nanmean(again - pairing.pair.truth, axis=(0, 1))
-    assert np.linalg.norm(moved) < 0.01
-    begin = row_of(kinect[0]) - row_of(pairing.pair.take.positions[0])
-    ours = again[max(begin, 0) :]
-    theirs = truth[max(-begin, 0) :]
+    moved = np.linalg.norm(np.nanmean(again - pairing.pair.truth, axis=(0, 1)))
+    begin = first - row_of(pairing.pair.take.positions[0])
+    ours, theirs = again[max(begin, 0) :], truth[max(-begin, 0) :]
     count = min(len(ours), len(theirs))
     apart = np.linalg.norm(ours[:count] - theirs[:count], axis=2)
-    seen = ~np.isnan(apart).all(axis=0)
-    assert seen.sum() == 17
-    assert np.nanmedian(apart[:, seen], axis=0).max() < 0.015
+    apart = apart[:, ~np.isnan(apart).all(axis=0)]
+    degrees = np.degrees((pairing.placed.turn * turn.inv()).magnitude())
+    medians = 100.0 * np.nanmedian(apart, axis=0)
+    return 1000.0 * (pairing.clock.lag - lag), float(degrees), 100.0 * moved, medians
+
+
+@paired
+@pytest.mark.parametrize(
+    "clip",
+    [
+        *("m01_s02_e05", "m02_s03_e05", "m04_s04_e05", "m07_s02_e05", "m10_s04_e05"),
+        *("m01_s08_e03", "m05_s06_e05", "m09_s08_e05"),  # of people not chosen on
+    ],
+)
+def test_recorded_pairs_are_those_that_were_made_of_them_before(clip: str) -> None:
+    ms, degrees, cm, apart = compared(clip)
+    assert abs(ms) < 5.0  # theirs is in steps of 10 ms
+    assert degrees < 1.0
+    assert cm < 1.0
+    assert len(apart) == 17
+    assert apart.max() < 1.5
 
 
 @paired

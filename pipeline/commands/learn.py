@@ -35,7 +35,8 @@ class Pair:
     one rigid transform from where the joints are, which all takes share: sensor and
     mocap have to stand still. What cannot be trusted is left out and told. A take whose
     mocap explains too little of its movement is left out (exit code 1; 2 if none is
-    left).
+    left). That finds other movements and most other people, but not another repetition
+    of the same short movement.
     """
 
     files: Positional[tuple[Path, ...]]

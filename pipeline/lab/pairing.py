@@ -33,9 +33,12 @@ from .studies.output import draw
 from .studies.study import Panel, Series, Study
 
 EXPLAINED = 0.75
-"""Share of a take's movement that its own mocap explains at least; chosen on s02, s03
-and s04 of UI-PRMD, where 94 % of the true pairs have more, and 22 % of those with
-another person's mocap of the same exercise, 1 % with that of another exercise."""
+"""Share of a take's movement that its own mocap explains at least.
+
+Chosen on s02, s03 and s04 of UI-PRMD. On s06, s07 and s08, clips of 2.5 s, it takes
+95 % of the true pairs, 1 % of those with the mocap of another exercise and 11 % with
+that of another person's same exercise, but half of those with another repetition by the
+same person: ``python tests/pairing_figures.py ../shared/data s06 s07 s08``."""
 
 _LIMBS = [
     joint + side
