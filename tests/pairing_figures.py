@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from test_pairing import compared
+from raw_pairs import compared
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.commands.terminal import out

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from real_data import DATA, paired
+from raw_pairs import RAW, compared
+from real_data import paired
 from scipy.spatial.transform import Rotation
 from skeletons import every_skeleton
 from test_mocap_files import write_trc
 from text_files import write_text
 
-from kinefilter import read_take
 from kinefilter.characters import (
     KINECT_V1,
     InputError,
@@ -27,17 +27,15 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.lab.lag import Track
-from kinefilter.pipeline.lab.marker_sets import PLUG_IN_GAIT, read_marker_set
+from kinefilter.pipeline.lab.marker_sets import read_marker_set
 from kinefilter.pipeline.lab.pairing import Pairing, pair_session
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.scenes.library import perform, perform_medley
 
 Array = NDArray[np.float64]
 TURN, SHIFT = Rotation.from_euler("yxz", [70.0, 15.0, -10.0], degrees=True), [1, 2, 3]
-RAW = DATA / "raw-pairs"
 TENTH_OF_A_FRAME = 1.0 / 300.0
 
 
@@ -281,84 +279,6 @@ def test_the_command_leaves_out_what_is_refused_and_writes_nothing_without_any(
     assert main(["pair", tai_chi, moved, "-o", tai_chi]) == 2
 
 
-# Marker sets
-
-
-def test_plug_in_gait_markers_become_joint_centers() -> None:
-    """A body that stands facing +z, and turned in any way."""
-    places = """LASI .13 1 .1 LPSI .05 1 -.1 LKNE .15 .5 .043 LANK .14 .1 0 LTOE .1 0 .1
-        LSHO .18 1.45 0 LELB .25 1.15 0 LWRA .27 .9 .05 LWRB .27 .9 -.03
-        LFHD .07 1.7 .1 LBHD .07 1.7 -.1"""
-    rows = np.array(places.split()).reshape(-1, 4)
-    markers = {str(name): np.array(place, float) for name, *place in rows.tolist()}
-    markers |= {f"R{n[1:]}": p * [-1, 1, 1] for n, p in markers.items()}
-    middle = {"C7": (1.5, -0.1), "CLAV": (1.4, 0.1), "T10": (1.2, -0.1)}
-    middle["STRN"] = (1.1, 0.1)
-    markers |= {name: np.array([0.0, y, z]) for name, (y, z) in middle.items()}
-    turns = Rotation.random(7, rng=np.random.default_rng(3))
-    turned = {n: turns.apply(p) + SHIFT for n, p in markers.items()}
-    found = read_marker_set().centers(turned, KINECT_V1) - SHIFT
-    upright = {
-        "HipLeft": (0.36 * 0.26, 1.0 - 0.30 * 0.26, 0.1 - 0.22 * 0.26),
-        "KneeLeft": None,
-        "ShoulderRight": (-0.18, 1.4, 0.0),
-        "WristLeft": (0.27, 0.9, 0.01),
-        "ElbowRight": (-0.25, 1.15, 0.0),
-        "HipCenter": (0.0, 1.0 - 0.30 * 0.26, 0.1 - 0.22 * 0.26),
-        "Head": (0.0, 1.7, 0.0),
-    }
-    for name, place in upright.items():
-        if place is not None:
-            there = turns.inv().apply(found[:, joint(name)])
-            np.testing.assert_allclose(there, np.tile(place, (7, 1)), atol=1e-9)
-    knee, ankle, hip = (
-        turns.inv().apply(found[:, joint(f"{name}Left")])
-        for name in ("Knee", "Ankle", "Hip")
-    )
-    inward = markers["LKNE"] - knee
-    np.testing.assert_allclose(np.linalg.norm(inward, axis=1), 0.055)
-    np.testing.assert_allclose(
-        np.sum(inward * (hip - markers["LKNE"]), axis=1), 0.0, atol=1e-9
-    )
-    assert (inward[:, 0] > 0.05).all()
-    np.testing.assert_allclose(markers["LANK"] - ankle, inward * 0.042 / 0.055)
-    assert np.isnan(found[:, joint("HandLeft")]).all()
-
-
-TABLE = PLUG_IN_GAIT.read_text("utf-8")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("[limbs]", "[arms]", ["expected tables"]),
-        ("[limbs]", "[limbs", ["not TOML"]),
-        ('left = [["RASI"], ["LASI"]]', "", ["'pelvis'", "two of left, up"]),
-        ('[["RASI"], ["LASI"]]', '[["RASI"]]', ["'pelvis'", "from and to"]),
-        ('[["RASI"], ["LASI"]]', "[[1], [2]]", ["'pelvis'", "names"]),
-        ('at = ["LKNE"]', "at = []", ["'KneeLeft'", "list of names"]),
-        ('at = ["LKNE"], ', "", ["'KneeLeft'", "expected at"]),
-        ('"thigh_left"', '"shank"', ["'KneeLeft'", "'shank'", "pelvis"]),
-        ('"thigh_left"', "[1]", ["'KneeLeft'", "unknown frame"]),
-        ("-0.055", "-55.0", ["'KneeLeft'", "under 2"]),
-        ("[-0.055, 0.0, 0.0]", "[-0.055]", ["'KneeLeft'", "three numbers"]),
-        ("-0.055", "nan", ["'KneeLeft'", "three numbers"]),
-        ("KneeLeft =", "KneeMiddle =", ["'KneeMiddle'", "no such joint"]),
-        ('times = ["LASI", "RASI"]', 'times = ["LASI"]', ["two names"]),
-        (', frame = "thigh_left"', "", ["'KneeLeft'", "needs a frame"]),
-    ],
-)
-def test_damaged_tables_are_refused_naming_the_place(
-    tmp_path: Path, old: str, new: str, words: list[str]
-) -> None:
-    assert old in TABLE
-    path = write_text(tmp_path / "own.toml", TABLE.replace(old, new, 1))
-    with pytest.raises(InputError) as caught:
-        read_marker_set(path)
-    for word in (str(path), *words):
-        assert word in str(caught.value)
-
-
 def test_a_table_of_ones_own_names_other_markers(tmp_path: Path) -> None:
     take, mocap = recordings(exercise())
     limbs = [j for j in KINECT_V1.joints if not j.startswith(("Hand", "Spine"))]
@@ -374,74 +294,6 @@ def test_a_table_of_ones_own_names_other_markers(tmp_path: Path) -> None:
 
 
 # Recordings
-
-
-def finished(clip: str) -> tuple[Array, Array]:
-    """Return Kinect and mocap of a clip that was paired by others [m]."""
-    for pair in read_pairs(DATA / "ui-prmd" / f"{clip[4:7]}.npz"):
-        if pair.clip == clip:
-            return pair.take.positions, pair.truth
-    raise AssertionError(clip)
-
-
-def placed_by_wrists(
-    markers: Mocap, truth: Array, after: float
-) -> tuple[float, Rotation, Array]:
-    """Return lag and transform of a finished pair, whose wrists are mean markers.
-
-    They are the same points in both, so the two are exact: to 0.1 mm.
-    """
-    names, points = list(markers.names), markers.positions / 1000.0
-    middle = [
-        np.mean([points[:, names.index(f"{s}WR{k}")] for k in "AB"], axis=0)
-        for s in "LR"
-    ]
-    track = Track(np.arange(len(points)) * 0.01, np.stack(middle, axis=1))
-    wrists = truth[:, [joint("WristLeft"), joint("WristRight")]].reshape(-1, 3)
-    best: tuple[float, Rotation, Array, float] | None = None
-    for lag in np.arange(-50, 51) * 0.01:
-        there = track.at(np.arange(len(truth)) / 30 + after + lag + 1e-6).reshape(-1, 3)
-        known = ~np.isnan(there + wrists).any(axis=1)
-        if known.sum() < 0.9 * len(known):
-            continue
-        one, other = there[known], wrists[known]
-        turn, off = Rotation.align_vectors(other - other.mean(0), one - one.mean(0))
-        if best is None or off < best[3]:
-            best = (lag, turn, other.mean(0) - turn.apply(one.mean(0)), off)
-    assert best is not None
-    assert best[3] < 0.02
-    return best[:3]
-
-
-def compared(clip: str) -> tuple[float, float, float, Array]:
-    """Return how far a raw pair is from the finished one.
-
-    Lag [ms], turn [degrees], shift of the body [cm], and each joint's median distance
-    [cm] by the finished transform, so that what is called a joint is what is left.
-    """
-    take = read_take(RAW / f"{clip}.kinect.csv")
-    markers = read_mocap(RAW / f"{clip}.markers.c3d")
-    pairing = one(take, markers)
-    kinect, truth = finished(clip)
-
-    def row_of(frame: Array) -> int:
-        return int(np.nanargmin(np.nansum(np.abs(take.positions - frame), axis=(1, 2))))
-
-    first = row_of(kinect[0])
-    lag, turn, shift = placed_by_wrists(markers, truth, take.time[first])
-    there = pairing.placed.turn.inv().apply(
-        (pairing.pair.truth - pairing.placed.shift).reshape(-1, 3)
-    )
-    again = (turn.apply(there) + shift).reshape(pairing.pair.truth.shape)
-    moved = np.linalg.norm(np.nanmean(again - pairing.pair.truth, axis=(0, 1)))
-    begin = first - row_of(pairing.pair.take.positions[0])
-    ours, theirs = again[max(begin, 0) :], truth[max(-begin, 0) :]
-    count = min(len(ours), len(theirs))
-    apart = np.linalg.norm(ours[:count] - theirs[:count], axis=2)
-    apart = apart[:, ~np.isnan(apart).all(axis=0)]
-    degrees = np.degrees((pairing.placed.turn * turn.inv()).magnitude())
-    medians = 100.0 * np.nanmedian(apart, axis=0)
-    return 1000.0 * (pairing.clock.lag - lag), float(degrees), 100.0 * moved, medians
 
 
 @paired

@@ -60,8 +60,9 @@ class Pair:
         """Pair, write, print."""
         from kinefilter.pipeline.formats.mocap import read_mocap
         from kinefilter.pipeline.formats.takes import read_take
-        from kinefilter.pipeline.lab import pairing
+        from kinefilter.pipeline.lab import pairing_report as report
         from kinefilter.pipeline.lab.marker_sets import read_marker_set
+        from kinefilter.pipeline.lab.pairing import pair_session
         from kinefilter.pipeline.lab.simulate import write_pairs
         from kinefilter.pipeline.lab.studies import check_drawing
 
@@ -83,7 +84,7 @@ class Pair:
             for take, mocap in zip(self.files[::2], self.files[1::2], strict=True)
         ]
         with progress_bars() as progress:
-            pairings, refused = pairing.pair_session(
+            pairings, refused = pair_session(
                 recordings,
                 subject=self.subject or self.out.stem,
                 table=table,
@@ -92,10 +93,10 @@ class Pair:
             )
         write_pairs([p.pair for p in pairings], self.out)
         if self.picture is not None:
-            pairing.draw_residuals(pairings, self.picture)
-        figures = [pairing.figures_of(p) for p in pairings]
+            report.draw_residuals(pairings, self.picture)
+        figures = [report.figures_of(p) for p in pairings]
         write_json({"takes": figures, "left_out": refused}, self.json)
-        out.print(pairing.as_table(pairings))
+        out.print(report.as_table(pairings))
         for p in pairings:
             for note in p.notes:
                 out.print(f"{p.pair.clip}: {note}")
