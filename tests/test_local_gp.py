@@ -22,7 +22,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import Ridge
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.lab.methods.local_gp import LocalGP, least_energy
+from kinefilter.pipeline.lab.methods.fused_offsets import least_energy
+from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.lab.methods.local_models import JointFeatures, LinearTrend
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
@@ -123,7 +124,7 @@ def test_the_mean_alone_is_left_without_the_other_terms(
     features = model._features(posture)
     mean, _ = model._models.predict(features * model.kernels.roots, model.blended)
     moved = corrected(model, posture[None])[0].positions - posture
-    expected = model.trend(features) + mean
+    expected = model._line(features) + mean
     np.testing.assert_allclose(moved[model.joints_], expected, atol=1e-12)
 
 

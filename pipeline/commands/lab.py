@@ -60,6 +60,12 @@ class Evaluate:
     """Methods, comma-separated; default: none,butterworth,savgol,one-euro,kalman,
     low-rank,local-pca,default,exemplar,full-gp,local-gp,clustered-gp,learned, and with
     --hide and --views none,default."""
+    presets: str = ""
+    """Papers' systems, comma-separated, or all; they stand beside --methods, if those
+    are given."""
+    set: tuple[str, ...] = ()
+    """Parameters of all methods and presets that have them, such as clusters=50; for
+    one of them, --presets liu-2016,liu-2016:clusters=50."""
     protocol: Literal["people", "repetitions"] = "people"
     """Test on people, or on repetitions of known people, that were not learned from."""
     physics: bool = True
@@ -123,7 +129,9 @@ class Evaluate:
             figures = evaluate(
                 train,
                 test,
-                (self.methods or _METHODS).split(","),
+                _listed(self.methods or ("" if self.presets else _METHODS)),
+                presets=_listed(self.presets),
+                assigned=self.set,
                 protocol=self.protocol,
                 physics=self.physics,
                 ablation=self.ablation,
@@ -188,6 +196,10 @@ class Evaluate:
         write_json(figures, self.json)
         out.print(as_table(figures))
         return 0
+
+
+def _listed(names: str) -> list[str]:
+    return names.split(",") if names else []
 
 
 @dataclass(frozen=True)
