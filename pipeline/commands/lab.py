@@ -95,7 +95,7 @@ class Evaluate:
     by: Literal["movement", "gap", "person"] | None = None
     """With --hide: a row for each movement, gap or person."""
     every: int = 1
-    """With --hide: only every Nth take, to see something sooner."""
+    """Test only on every Nth clip, or take, to see something sooner."""
     views: tuple[Path, ...] = ()
     """Two takes of the same person, with --sync, or folders and patterns of sessions:
     NAME.sync.csv beside NAME_A*.csv* and NAME_B*.csv*."""
@@ -136,6 +136,7 @@ class Evaluate:
                 physics=self.physics,
                 ablation=self.ablation,
                 database=database,
+                every=self.every,
                 progress=progress,
             )
         write_json(figures, self.json)
@@ -151,12 +152,14 @@ class Evaluate:
         options = hidden_limbs.HiddenLimbs(
             self.hide, self.gap, self.guess, self.context, self.live, self.physics
         )
-        methods = (self.methods or "none,default").split(",")
+        usual = "" if self.presets else "none,default"
         with progress_bars() as progress:
             records, skipped = hidden_limbs.measure_hidden(
                 list(clips_of(self.pairs, progress)),
-                methods,
+                _listed(self.methods or usual),
                 options,
+                presets=_listed(self.presets),
+                assigned=self.set,
                 every=self.every,
                 progress=progress,
             )

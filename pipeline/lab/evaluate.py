@@ -31,7 +31,7 @@ from kinefilter.pipeline.workers import workers
 from .accuracy import FAR, Accuracy, Tally, area_under_roc
 from .bench import Timed
 from .database_build import database_from_pairs
-from .systems import School, System, systems_of
+from .systems import School, System, as_step, systems_of
 
 _WITHOUT_PARTS = {
     "local-gp": (
@@ -64,6 +64,7 @@ def evaluate(
     physics: bool = True,
     ablation: bool = False,
     database: PostureDatabase | Literal["mocap"] | None = None,
+    every: int = 1,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Return the accuracy of methods, in cm, and their speed.
@@ -87,6 +88,7 @@ def evaluate(
             methods A and B, ``nearest`` and ``no-reliability``.
         database: Natural postures for methods that need some, but for ``default``;
             ``mocap``: those of the clips to learn from; by default the built-in ones.
+        every: Test on every Nth clip only.
         progress: Wraps the loops, for a progress bar.
 
     Raises:
@@ -106,7 +108,10 @@ def evaluate(
     parts = [p for m in methods for p in _WITHOUT_PARTS.get(m, ()) if ablation]
     methods = [*methods, *(part for part in parts if part not in methods)]
     systems = systems_of(methods, presets, assigned, physics=physics)
-    folds = list(_folds(train, test, protocol))
+    folds = [
+        _Fold(fold.train, fold.test[:: as_step(every)])
+        for fold in _folds(train, test, protocol)
+    ]
     accuracy = Accuracy(folds[0].test[0].take.skeleton)
     tallies: dict[str, Tally] = {"raw": Tally(accuracy)}
     for fold in folds:

@@ -99,6 +99,24 @@ def _config(what: str, name: str, assignment: str) -> CleanConfig | None:
         return None
 
 
+def check_untaught(methods: Sequence[str]) -> None:
+    """Raise an InputError for a method that is not known, or learns from pairs."""
+    for name in methods:
+        if name not in METHODS or name in LEARNED:
+            known = ", ".join(m for m in METHODS if m not in LEARNED)
+            raise InputError(
+                f"method {name!r} cannot be measured so, only those that do not learn "
+                f"from pairs: {known}"
+            )
+
+
+def as_step(every: int) -> int:
+    """Return a step through clips; an InputError unless it is 1 or more."""
+    if every < 1:
+        raise InputError(f"--every {every}: expected 1 or more")
+    return every
+
+
 class School:
     """Makes the correctors of systems, those that learn from the same clips.
 

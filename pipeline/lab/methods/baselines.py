@@ -39,6 +39,8 @@ class FullGP(FusedOffsets):
         temporal: Weight of constant velocity.
         reliability: Weight of staying where a reliable joint was measured.
         likelihood: How the terms of the energy compare.
+        carry: Share of the velocity that the temporal term expects to be left.
+        spared: Share of the temporal weight that a fully reliable joint is spared.
         seed: Draws the frames.
     """
 
@@ -61,6 +63,8 @@ class FullGP(FusedOffsets):
         temporal: float = 0.0,
         reliability: float = 0.0,
         likelihood: Likelihood = "density",
+        carry: float = 1.0,
+        spared: float = 0.0,
         seed: int = 0,
     ) -> None:
         super().__init__(
@@ -70,6 +74,8 @@ class FullGP(FusedOffsets):
             temporal=temporal,
             reliability=reliability,
             likelihood=likelihood,
+            carry=carry,
+            spared=spared,
             seed=seed,
         )
         self.variance = variance

@@ -69,6 +69,9 @@ class FusedOffsets(OffsetCorrector):
         temporal: Weight of constant velocity.
         reliability: Weight of staying where a reliable joint was measured.
         likelihood: How the terms of the energy compare.
+        carry: Share of the velocity that the temporal term expects to be left in the
+            next frame; 1: constant velocity, as printed.
+        spared: Share of the temporal weight that a fully reliable joint is spared.
         seed: Draws the frames.
     """
 
@@ -79,7 +82,7 @@ class FusedOffsets(OffsetCorrector):
     """Mean square [m^2] of a reliable joint's offset, that of the reliability term's
     density, shape (M,)."""
     adjustable: ClassVar[tuple[str, ...]] = (
-        *("spatial", "temporal", "reliability", "likelihood"),
+        *("spatial", "temporal", "reliability", "likelihood", "carry", "spared"),
     )
 
     def __init__(
@@ -91,12 +94,15 @@ class FusedOffsets(OffsetCorrector):
         temporal: float,
         reliability: float,
         likelihood: Likelihood,
+        carry: float,
+        spared: float,
         seed: int,
     ) -> None:
         super().__init__(skeleton, samples=samples, seed=seed)
         self.spatial, self.temporal = spatial, temporal
         self.reliability = reliability
         self.likelihood: Likelihood = likelihood
+        self.carry, self.spared = carry, spared
         self._past: list[Array] = []
 
     def _measure(self, training: TrainingSet) -> None:
@@ -138,13 +144,15 @@ class FusedOffsets(OffsetCorrector):
             seen: Reliability of the joints, shape (J,).
         """
         known_before, moves, misplaced = self._units(prior)
+        reliable = seen[self.joints_]
+        temporal = self.temporal * (1.0 - self.spared * reliable[:, None])
         return least_energy(
             mean,
             known_before / variance,
             self._steady(posture[self.joints_]),
-            seen[self.joints_],
+            reliable,
             spatial=self.spatial,
-            temporal=self.temporal / moves,
+            temporal=temporal / moves,
             reliability=self.reliability / misplaced,
         )
 
@@ -161,7 +169,7 @@ class FusedOffsets(OffsetCorrector):
         if len(self._past) < 2:
             return np.full_like(measured, np.nan)
         before, last = self._past
-        return 2.0 * last - before - measured
+        return last + self.carry * (last - before) - measured
 
 
 def _mean_square(values: Array) -> Array:

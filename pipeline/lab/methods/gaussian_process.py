@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky, qr_delete, solve_triangular
 from scipy.optimize import minimize
 
 from kinefilter.characters.arrays import Array
@@ -162,6 +162,15 @@ def grow_inverse(inverse: Array, factor: Array) -> Array:
     grown = np.outer(lift, lift)
     grown[:size, :size] += inverse
     return grown
+
+
+def without_sample(inverse: Array, factor: Array, k: int) -> tuple[Array, Array]:
+    """Return the inverse and the factor of K without a sample, in O(S^2)."""
+    rest = np.delete(np.arange(len(inverse)), k)
+    lost = inverse[rest, k]
+    smaller = inverse[np.ix_(rest, rest)] - np.outer(lost, lost) / inverse[k, k]
+    triangle = qr_delete(np.eye(len(factor)), factor, k, which="col")[1]
+    return np.asarray(smaller), np.asarray(triangle[:-1])
 
 
 def divergences(inverse: Array, targets: Array, noise: float) -> Array:

@@ -51,6 +51,8 @@ class LocalGP(FusedOffsets):
         votes: What local models are blended by: similarity as in eq. 12, or precision
             as well, so that one without a sample nearby has no say.
         likelihood: How the terms of the energy compare.
+        carry: Share of the velocity that the temporal term expects to be left.
+        spared: Share of the temporal weight that a fully reliable joint is spared.
         spatial: Weight of the predicted offset.
         temporal: Weight of constant velocity.
         reliability: Weight of staying where a reliable joint was measured.
@@ -83,6 +85,8 @@ class LocalGP(FusedOffsets):
         trend: bool = True,
         votes: Votes = "precision",
         likelihood: Likelihood = "relative",
+        carry: float = 1.0,
+        spared: float = 0.0,
         spatial: float = 0.6,
         temporal: float = 0.2,
         reliability: float = 0.2,
@@ -98,6 +102,8 @@ class LocalGP(FusedOffsets):
             temporal=temporal,
             reliability=reliability,
             likelihood=likelihood,
+            carry=carry,
+            spared=spared,
             seed=seed,
         )
         self.clusters = clusters

@@ -22,6 +22,7 @@ from .gaussian_process import (
     fit_kernel,
     grow_factor,
     grow_inverse,
+    without_sample,
 )
 
 Votes = Literal["similarity", "precision"]
@@ -269,10 +270,9 @@ class LocalModels:
             if tells[n] < self._redundancy or (n == most and tells.argmin() == n):
                 return
             if n == most:
-                kept = np.delete(np.arange(n + 1), tells.argmin())
-                rows, offsets = rows[kept], offsets[kept]
-                factor = cholesky(kernel.of_samples(rows))
-                inverse = cho_solve((factor, False), np.eye(n))
+                least = int(tells.argmin())
+                rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
+                inverse, factor = without_sample(inverse, factor, least)
         n = len(rows)
         self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
         self.centers[m, q] += (x - self.centers[m, q]) / n
