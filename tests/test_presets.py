@@ -27,6 +27,7 @@ from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS
 from kinefilter.pipeline.models import Model, save_model
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.presets import PRESETS
+from kinefilter.scenes.sensor import sample_take
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
 
@@ -90,6 +91,13 @@ def test_parameters_reach_method_scorer_and_character() -> None:
     assert made.steps == 20
     physics = Cleaner(config).stages[-1]
     assert vars(physics)["_tracking"].natural_frequency == 30.0
+    forgetful = CleanConfig(preset="shum-2013", set=("rate_frames=1",))
+    take = sample_take()
+    slow, quick = (
+        Cleaner(c).until("reliability").whole(take).reliability
+        for c in (CleanConfig(preset="shum-2013"), forgetful)
+    )
+    assert np.abs(np.diff(quick, axis=0)).max() > np.abs(np.diff(slow, axis=0)).max()
     ours = make_corrector(KINECT_V1, CleanConfig("local-pca", set=("neighbors=9",)))
     assert isinstance(ours, LocalPCA)
     assert ours.neighbors == 9

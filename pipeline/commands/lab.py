@@ -37,6 +37,10 @@ class Evaluate:
     the six people of UI-PRMD and on fourteen before two Kinects, so learned tells what
     it is worth to others. none is clean without any correction.
 
+    Presets are the papers' systems, with no stage that a paper does not have. Methods
+    in turn are joined, as learned+local-pca, and any may have parameters of its own, as
+    local-pca:neighbors=30.
+
     With --hide, a limb is hidden in the middle of each clip of PAIRS, and its joints
     are compared with those of the clip cleaned with nothing hidden, and with mocap.
     Beside the methods stand the clip with nothing hidden (seen), and the limb held

@@ -145,7 +145,8 @@ class FusedOffsets(OffsetCorrector):
         """
         known_before, moves, misplaced = self._units(prior)
         reliable = seen[self.joints_]
-        temporal = self.temporal * (1.0 - self.spared * reliable[:, None])
+        # Squared, as the reliability in eq. 21.
+        temporal = self.temporal * (1.0 - self.spared * reliable[:, None]) ** 2
         return least_energy(
             mean,
             known_before / variance,
