@@ -104,6 +104,8 @@ def load_model(path: Path) -> Model:
         corrector = LEARNED[method].load().from_arrays(skeleton, fitted)
         with np.errstate(all="ignore"):
             _try_out(corrector)
+    except InputError as error:
+        raise InputError(f"{path}: a damaged model: {error}; train again") from None
     except KeyError as error:
         raise InputError(
             f"{path}: a damaged model: no array {error}; train again"

@@ -24,7 +24,7 @@ from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.lab.systems import School, systems_of
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS
-from kinefilter.pipeline.models import Model, save_model
+from kinefilter.pipeline.models import Model, load_model, save_model
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.presets import PRESETS
 from kinefilter.scenes.sensor import sample_take
@@ -62,7 +62,7 @@ def test_the_constants_are_those_of_the_papers() -> None:
     assert shum.weights == EnergyWeights(1.0, 0.5, 1.5, 0.25)
     liu = PRESETS["liu-2016"].settings
     assert (liu["clusters"], liu["samples"], liu["blended"]) == (30, 50, 9)
-    assert (liu["spatial"], liu["temporal"], liu["reliability"]) == (0.6, 0.2, 0.2)
+    assert (liu["spatial"], liu["reliability"]) == (0.6, 0.2)
     chiang = PRESETS["chiang-2017"]
     assert chiang.settings["centroids"] == 800
     assert chiang.settings["smallest_reliability"] == 0.7
@@ -110,10 +110,11 @@ def test_parameters_reach_method_scorer_and_character() -> None:
         ("shum-2013", "neighbors", "expected NAME=VALUE"),
         ("shum-2013", "neighbors=many", "neighbors = 'many': expected a whole number"),
         ("shum-2013", "neighbors=0", "--set neighbors=0: expected 1 to 100000"),
-        ("shum-2013", "style=-1", "expected 0 or more"),
-        ("shum-2013", "style=nan", "expected 0 or more"),
+        ("shum-2013", "style=-1", "expected 0 to 100000"),
+        ("shum-2013", "style=nan", "expected 0 to 100000"),
         ("shum-2013", "search=best", 'expected "solver", "stochastic"'),
         ("shum-2013", "feet=dance", 'expected "auto", "always", "never"'),
+        ("shum-2013", "natural_frequency=0", "finite number above 0"),
         ("shum-2012", "neighbors=3", "a parameter of preset shum-2012: "),
     ],
 )
@@ -123,6 +124,18 @@ def test_what_cannot_be_set_is_refused_by_name(
     with pytest.raises(InputError) as caught:
         Cleaner(CleanConfig(preset=preset, set=(given,)))
     assert words in str(caught.value)
+
+
+def test_what_no_method_can_do_with_is_refused_by_it() -> None:
+    for preset, given, words in (
+        ("shum-2013", "neighbors=1", "needs two or more"),
+        ("wang-low-rank", "growth=0.5", "has to grow"),
+    ):
+        with pytest.raises(InputError, match=words):
+            make_corrector(KINECT_V1, CleanConfig(preset=preset, set=(given,)))
+    for share in ({"carry": 1.1}, {"spared": 2.0}):
+        with pytest.raises(InputError, match="a share, from 0 to 1"):
+            LocalGP(KINECT_V1, **share)
 
 
 def test_what_a_preset_decides_is_not_decided_twice() -> None:
@@ -166,7 +179,7 @@ def test_a_model_keeps_what_it_was_taught_with(
     config = partial(CleanConfig, preset="liu-2016", model=model)
     made = make_corrector(KINECT_V1, config())
     assert isinstance(made, LocalGP)
-    assert (made.clusters, made.trend, made.temporal) == (3, False, 0.2)
+    assert (made.clusters, made.trend, made.temporal) == (3, False, 2.0)
     other = make_corrector(KINECT_V1, config(set=("temporal=0", "clusters=3")))
     assert isinstance(other, LocalGP)
     assert other.temporal == 0.0
@@ -175,6 +188,17 @@ def test_a_model_keeps_what_it_was_taught_with(
     with pytest.raises(InputError, match="not a model of preset zhou-2014"):
         make_corrector(KINECT_V1, CleanConfig(preset="zhou-2014", model=model))
     assert clean(pairs[1].take, config()).trace is None
+
+
+@pytest.mark.parametrize("words", ["[3", "7", '{"carry": "x"}', '{"carry": 9}'])
+def test_damaged_settings_of_a_model_are_refused(
+    model: Path, tmp_path: Path, words: str
+) -> None:
+    with np.load(model) as file:
+        arrays = dict(file)
+    np.savez(tmp_path / "m.npz", **arrays | {"fitted_settings": np.array(words)})
+    with pytest.raises(InputError, match=r"m\.npz: a damaged model"):
+        load_model(tmp_path / "m.npz")
 
 
 def test_a_trend_that_is_off_says_nothing(model: Path) -> None:
@@ -221,7 +245,7 @@ def test_what_learns_is_taught_once_for_its_terms(pairs: list[PairedTake]) -> No
     assert isinstance(part, LocalGP)
     assert len(school._learned) == 1
     np.testing.assert_array_equal(whole.features_, part.features_)
-    assert (whole.temporal, part.temporal) == (0.2, 0.0)
+    assert (whole.temporal, part.temporal) == (2.0, 0.0)
     (both,) = systems_of(["joint-offsets+local-pca"])
     assert isinstance(school.corrector(both), InTurn)
 

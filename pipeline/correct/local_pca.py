@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import standard_body
+from kinefilter.characters import InputError, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
@@ -73,6 +73,10 @@ class LocalPCA(Corrector):
         continuity: float = WEIGHTS.continuity,
         seed: int = 0,
     ) -> None:
+        if neighbors < 2:
+            raise InputError(
+                f"neighbors={neighbors}: a posture space needs two or more"
+            )
         self.database = database
         self.neighbors = neighbors
         self.dimensions = dimensions

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from kinefilter.characters import Skeleton
+from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Correction, Observation
 
@@ -98,6 +98,9 @@ class FusedOffsets(OffsetCorrector):
         spared: float,
         seed: int,
     ) -> None:
+        for name, share in (("carry", carry), ("spared", spared)):
+            if not 0.0 <= share <= 1.0:
+                raise InputError(f"{name}={share:g}: a share, from 0 to 1")
         super().__init__(skeleton, samples=samples, seed=seed)
         self.spatial, self.temporal = spatial, temporal
         self.reliability = reliability

@@ -184,9 +184,18 @@ def divergences(inverse: Array, targets: Array, noise: float) -> Array:
         targets: Their outputs [m], shape (N, P).
         noise: Variance of the noise [m^2].
     """
-    alpha = inverse @ targets
     # Leave-one-out (Rasmussen & Williams 2006, eq. 5.12), noise included.
-    alone = 1.0 / np.diag(inverse)
+    return divergence_of(1.0 / np.diag(inverse), inverse @ targets, noise)
+
+
+def divergence_of(alone: Array, alpha: Array, noise: float) -> Array:
+    """Return what samples tell beyond the others, shape (N,).
+
+    Args:
+        alone: Variance of each by the others alone, noise included [m^2], shape (N,).
+        alpha: How far it is off what they say, over that variance, shape (N, P).
+        noise: Variance of the noise [m^2].
+    """
     within = 2.0 * noise - noise**2 / alone
     apart = alpha * (alone - noise)[:, None]
     ratio = within / alone

@@ -18,6 +18,7 @@ from kinefilter.pipeline.progress import Progress, silent
 
 from .gaussian_process import (
     Kernel,
+    divergence_of,
     divergences,
     fit_kernel,
     grow_factor,
@@ -259,20 +260,24 @@ class LocalModels:
             self.centers[m, q] = x
         n, most = int(self.counts[m, q]), self._rows.shape[2]
         covariance = kernel(self._rows[m, q, :n], x[None])[:, 0]
+        solved = self._inverse[m, q, :n, :n] @ covariance
+        alone = kernel.prior + kernel.noise - float(solved @ covariance)
+        apart = (offset - covariance @ self._alpha[m, q, :n]) / alone
+        news = divergence_of(np.array([alone]), apart[None], kernel.noise)
+        if n and news[0] < self._redundancy:
+            return
         factor = grow_factor(
             self.factors[m, q, :n, :n], covariance, kernel.prior + kernel.noise
         )
         inverse = grow_inverse(self._inverse[m, q, :n, :n], factor)
         rows = np.concatenate([self._rows[m, q, :n], x[None]])
         offsets = np.concatenate([self._offsets[m, q, :n], offset[None]])
-        if n:
-            tells = divergences(inverse, offsets, kernel.noise)
-            if tells[n] < self._redundancy or (n == most and tells.argmin() == n):
+        if n == most:
+            least = int(divergences(inverse, offsets, kernel.noise).argmin())
+            if least == n:
                 return
-            if n == most:
-                least = int(tells.argmin())
-                rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
-                inverse, factor = without_sample(inverse, factor, least)
+            rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
+            inverse, factor = without_sample(inverse, factor, least)
         n = len(rows)
         self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
         self.centers[m, q] += (x - self.centers[m, q]) / n

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinefilter.characters import Skeleton
+from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Observation
 
@@ -116,6 +116,8 @@ class LowRank(WholeTake):
         growth: float = 1.05,
         iterations: int = 1000,
     ) -> None:
+        if growth < 1.0:
+            raise InputError(f"growth={growth:g}: mu has to grow; give 1 or more")
         self.sparsity = sparsity
         self.growth = growth
         self.iterations = iterations
