@@ -273,8 +273,9 @@ def test_presets_train_clean_and_are_evaluated(
     assert "liu-2016, local-gp, learned from" in capsys.readouterr().out
     asked = ["--presets", "liu-2016,liu-2016:temporal=0", "--set", "clusters=4"]
     given = ["--train", str(few), "--test", str(few)]
-    assert main(["evaluate", *given, *asked]) == 0
+    assert main(["evaluate", *given, *asked, "--every", "2"]) == 0
     shown = capsys.readouterr().out
+    assert "2 clips, protocol people" in shown
     assert "liu-2016:temporal=0" in shown
     assert main(["train", str(few), "--preset", "shum-2013", "-o", str(model)]) == 2
     assert "does not learn from pairs" in capsys.readouterr().err
