@@ -114,6 +114,8 @@ class Cleaner:
         check_kind(config, CleanConfig, "the config")
         for given, kind in ((tracking, Tracking), (corrector, Corrector)):
             check_kind(given, kind | None, f"the {kind.__name__.lower()}")
+        if tracking is None and (gains := config.parameters.tracking):
+            tracking = Tracking(**gains)
         self.stages: tuple[Stage, ...] = (
             Upright(config),  # where the sensor was upside down, or tilted far
             Failures(),  # gross failures: sides put back, impossible limbs distrusted
@@ -132,6 +134,7 @@ class Cleaner:
             Physics(config, tracking),  # a simulated character pulled through it all
         )
         left_out = {"physics": config.physics, "reconstruct": config.reconstruct}
+        left_out["failures"] = config.preset is None  # no paper mends what it was given
         self.stages = tuple(s for s in self.stages if left_out.get(s.name, True))
         self._gaps = config.gaps
         self._time: float | None = None

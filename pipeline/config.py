@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Literal
 
 from kinefilter.characters import InputError
 
-from .field_types import check_fields
+from .field_types import check_fields, type_hints
 from .formats.takes import FORMATS
 from .methods import MethodName, ScorerName
+from .presets import PRESETS, Parameters, PresetName, parameters
 
 _FARTHEST = 10_000.0  # m; no sensor sees a floor that far away
 
@@ -82,6 +83,12 @@ class CleanConfig:
     """The person's mass [kg]; default: from the stature."""
     seed: int = 0
     """Seed of the stochastic search: same seed, same bytes."""
+    preset: PresetName | None = None
+    """A paper's system, whole: its reliability, method and constants, and no stage that
+    it does not have. Those that learn need --model, of 'kinefilter train --preset'."""
+    set: tuple[str, ...] = ()
+    """Parameters of --preset or --method, such as neighbors=20 steps=10; an unknown
+    name lists them."""
 
     @property
     def floor_height(self) -> float | None:
@@ -90,8 +97,38 @@ class CleanConfig:
             return None
         return 0.0 if self.floor == "none" else self.floor
 
+    @property
+    def parameters(self) -> Parameters:
+        """What the preset and ``set`` say of the method, the scorer and the gains."""
+        hints = type_hints(CleanConfig)
+        decided = PRESETS[self.preset].stages if self.preset else {}
+        stages = {n: hints[n] for n in decided if n not in ("method", "scoring")}
+        method = decided.get("method", self.method)
+        if self.set and method is None:
+            raise InputError("--set needs --preset or --method, whose parameters it is")
+        return parameters(
+            self.preset, method or "default", self.scoring, self.set, stages
+        )
+
+    def _follow(self, preset: PresetName) -> None:
+        """Take over what a preset decides, or raise an InputError where it cannot."""
+        wanted = PRESETS[preset].stages
+        object.__setattr__(self, "scoring", wanted["scoring"])
+        for name, value in (wanted | self.parameters.stages).items():
+            own, usual = getattr(self, name), vars(CleanConfig)[name]
+            if own not in (usual, value):
+                raise InputError(
+                    f"--preset {preset} decides --{name} ({value}); change it with "
+                    f"--set {name}=..., or leave --preset out"
+                )
+            object.__setattr__(self, name, value)
+
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.preset is not None:
+            self._follow(self.preset)
+        elif self.set:
+            self.parameters  # noqa: B018 - refuses what it does not know
         if self.cutoff != 0.0 and not 0.5 <= self.cutoff < float("inf"):
             raise InputError(
                 f"--cutoff {self.cutoff:g} Hz: expected 0 (no smoothing) or 0.5 and "

@@ -82,7 +82,7 @@ def overlaid(
 
 def _converted(value: object, field: str, where: str, folder: Path | None) -> Any:
     found = converted(value, _HINTS[field], where)
-    if isinstance(found, tuple):
+    if isinstance(found, tuple) and any(isinstance(one, Path) for one in found):
         return tuple(_placed(str(name), where, folder) for name in found)
     if isinstance(found, Path):
         return _placed(str(found), where, folder)

@@ -20,10 +20,10 @@ In simulated takes 0.5 to 0.75 do about as well."""
 
 
 def make_scorer(
-    name: str, skeleton: Skeleton, reference: Reference
+    name: str, skeleton: Skeleton, reference: Reference, **settings: Any
 ) -> ReliabilityScorer:
     """Return a reliability scorer by its name, for one person's segment lengths."""
-    scorer: ReliabilityScorer = load(SCORERS[name])(skeleton, reference)
+    scorer: ReliabilityScorer = load(SCORERS[name])(skeleton, reference, **settings)
     return scorer
 
 
@@ -42,12 +42,13 @@ def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
     name = config.method or "default"
     method = METHODS[name]
     if method.made_of == "pairs":
+        asked = f"--preset {config.preset}" if config.preset else f"--method {name}"
         raise InputError(
-            f"--method {name} learns: give --model with a file of 'kinefilter train'"
+            f"{asked} learns: give --model with a file of 'kinefilter train {asked}'"
         )
     of = skeleton if method.made_of == "skeleton" else _database(skeleton, config)
     options = {option: getattr(config, option) for option in method.options}
-    made: Corrector = method.load()(of, **options)
+    made: Corrector = method.load()(of, **(options | config.parameters.method))
     return made
 
 
@@ -88,6 +89,11 @@ def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Correc
             f"{config.model}: a model for {model.skeleton.name}, but the take is "
             f"{skeleton.name}; train one on pairs of that skeleton"
         )
+    if config.preset is not None and config.preset != model.preset:
+        raise InputError(
+            f"{config.model}: not a model of preset {config.preset}; train one with "
+            f"'kinefilter train --preset {config.preset}'"
+        )
     if config.method not in (None, model.method, "local-pca"):
         raise InputError(
             f"{config.model}: a model of method {model.method}, but --method says "
@@ -95,6 +101,11 @@ def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Correc
             "follow the model"
         )
     corrector: Any = model.corrector
+    if config.parameters.given:
+        try:
+            corrector = corrector.adjusted(**config.parameters.given)
+        except InputError as error:
+            raise InputError(f"{config.model}: {error}") from None
     if config.person is not None:
         people = corrector.people_.tolist() if model.method == "learned" else []
         if config.person not in people:

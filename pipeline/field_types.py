@@ -27,6 +27,15 @@ def type_hints(kind: Any) -> dict[str, Any]:
     return get_type_hints(kind)
 
 
+def keyword_hints(kind: Any) -> dict[str, Any]:
+    """Return the type of each keyword that a constructor takes by its name alone."""
+    made: Any = vars(kind).get("__init__") if isinstance(kind, type) else kind
+    if made is None:  # inherited
+        return keyword_hints(kind.__base__)
+    hints = get_type_hints(made)
+    return {name: hints[name] for name in made.__kwdefaults__ or {}}
+
+
 def check_fields(settings: Any) -> None:
     """Give each field of a frozen dataclass its type, or raise an InputError."""
     kind: Any = type(settings)

@@ -51,8 +51,9 @@ METHODS = {
     "one-euro": Method("correct.one_euro:OneEuro", "skeleton"),
     "kalman": Method("lab.methods.filters:ConstantLengthKalman", "skeleton"),
     "low-rank": Method("lab.methods.low_rank:LowRank", "skeleton"),
-    "nearest": Method("lab.methods.baselines:Nearest", "database"),
-    "no-reliability": Method("lab.methods.baselines:NoReliability", "database"),
+    "nearest": Method("lab.methods.shum:Nearest", "database"),
+    "posture-space": Method("lab.methods.shum:LeastEnergy", "database", ("seed",)),
+    "no-reliability": Method("lab.methods.shum:NoReliability", "database", ("seed",)),
 }
 """Correction methods."""
 

@@ -31,6 +31,8 @@ class Model:
     """The joints it was trained for."""
     source: str
     """What it was trained on, for people."""
+    preset: str | None = None
+    """The preset that it was trained as."""
 
 
 def save_model(model: Model, path: Path) -> None:
@@ -40,6 +42,7 @@ def save_model(model: Model, path: Path) -> None:
         "method": np.array(model.method),
         "skeleton": np.array(model.skeleton.name),
         "trained_on": np.array(model.source),
+        "preset": np.array(model.preset or ""),
     }
     for key, array in model.corrector.arrays().items():
         arrays[f"fitted_{key}"] = array
@@ -79,6 +82,7 @@ def load_model(path: Path) -> Model:
         version, method = int(arrays["version"].item()), str(arrays["method"])
         skeleton = skeleton_named(str(arrays["skeleton"]))
         source = str(arrays["trained_on"])
+        preset = str(arrays.get("preset", "")) or None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (KeyError, ValueError, TypeError):  # other arrays than ours
@@ -100,6 +104,8 @@ def load_model(path: Path) -> Model:
         corrector = LEARNED[method].load().from_arrays(skeleton, fitted)
         with np.errstate(all="ignore"):
             _try_out(corrector)
+    except InputError as error:
+        raise InputError(f"{path}: a damaged model: {error}; train again") from None
     except KeyError as error:
         raise InputError(
             f"{path}: a damaged model: no array {error}; train again"
@@ -109,4 +115,4 @@ def load_model(path: Path) -> Model:
         ValueError,
     ) as error:
         raise InputError(f"{path}: a damaged model ({error}); train again") from None
-    return Model(corrector, method, skeleton, source)
+    return Model(corrector, method, skeleton, source, preset)

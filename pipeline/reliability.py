@@ -15,16 +15,6 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import unit
 from kinefilter.retarget import measured_body
 
-SMALLEST_DISPLACEMENT = 0.03
-"""d_min [m]: a joint that moved less has not turned (eq. 3)."""
-VIBRATION_FRAMES = 3
-"""f_b: angles averaged by the behavior term (eq. 4)."""
-ANGLE_FLOOR, ANGLE_ROOF = np.radians(90.0), np.radians(135.0)
-"""theta_floor, theta_roof [rad]: the behavior term falls from 1 to 0 (eq. 4)."""
-RATE_FRAMES = 6
-"""f_total: frames that the reliability looks back on, 0.2 s at 30 Hz (eq. 8)."""
-
-
 _SIDES = ("Left", "Right")
 
 
@@ -190,9 +180,26 @@ class ReliabilityScorer:
     Args:
         skeleton: The joints.
         reference: The person's segment lengths.
+        smallest_displacement: d_min [m]: who moved less has not turned (eq. 3).
+        vibration_frames: f_b, angles averaged by the behavior term (eq. 4).
+        angle_floor: theta_floor [degrees], from which that term falls from 1 ...
+        angle_roof: ... to 0, at theta_roof [degrees].
+        rate_frames: f_total, frames that the reliability looks back on (eq. 8).
     """
 
-    def __init__(self, skeleton: Skeleton, reference: Reference) -> None:
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        reference: Reference,
+        *,
+        smallest_displacement: float = 0.03,
+        vibration_frames: int = 3,
+        angle_floor: float = 90.0,
+        angle_roof: float = 135.0,
+        rate_frames: int = 6,
+    ) -> None:
+        self._least, self._vibration = smallest_displacement, vibration_frames
+        self._floor, self._roof = np.radians([angle_floor, angle_roof])
         self.skeleton = skeleton
         self.reference = reference
         n, ends = len(skeleton), skeleton.segments
@@ -205,11 +212,11 @@ class ReliabilityScorer:
         counts = touch.sum(axis=1, keepdims=True)
         self._touch = touch / np.where(counts > 0, counts, 1.0)
         self._lengths = np.where(known, reference.lengths[ends], 1.0)
-        age = np.arange(RATE_FRAMES)
+        age = np.arange(rate_frames)
         # The paper leaves the width open: the oldest frame is at two sigma.
-        weights = np.exp(-0.5 * (2.0 * age / (RATE_FRAMES - 1)) ** 2)
+        weights = np.exp(-0.5 * (2.0 * age / max(rate_frames - 1, 1)) ** 2)
         # Row k: over the k + 1 frames that there are.
-        weights = np.tril(np.tile(weights, (RATE_FRAMES, 1)))
+        weights = np.tril(np.tile(weights, (rate_frames, 1)))
         self._weights = weights / weights.sum(axis=1, keepdims=True)
         self.start()
 
@@ -219,8 +226,8 @@ class ReliabilityScorer:
         self._frames = 0
         self._last = np.full((n, 3), np.nan)
         self._moved, self._distance = np.zeros((n, 3)), np.zeros(n)
-        self._angles = np.zeros((VIBRATION_FRAMES, n))
-        self._scores = np.zeros((RATE_FRAMES, 2, n))
+        self._angles = np.zeros((self._vibration, n))
+        self._scores = np.zeros((len(self._weights), 2, n))
 
     def step(
         self,
@@ -248,7 +255,7 @@ class ReliabilityScorer:
         self._scores[1:] = self._scores[:-1]
         self._scores[0] = np.minimum(geometry, tracked), geometry
         # Eq. 8, the weights normalized over the frames there are.
-        weights = self._weights[min(self._frames, RATE_FRAMES - 1)]
+        weights = self._weights[min(self._frames, len(self._weights) - 1)]
         self._frames += 1
         reliability, shape = np.einsum("f,fkj->kj", weights, self._scores)
         return reliability, term, shape
@@ -270,9 +277,7 @@ class ReliabilityScorer:
         moved = positions - self._last
         distance = np.sqrt(np.vecdot(moved, moved))
         # False where a position is missing: no displacement, no angle.
-        turned = (self._distance > SMALLEST_DISPLACEMENT) & (
-            distance > SMALLEST_DISPLACEMENT
-        )
+        turned = np.minimum(self._distance, distance) > self._least
         both = np.where(turned, self._distance * distance, 1.0)
         cosine = np.vecdot(self._moved, moved) / both
         # Eq. 3 prints the cosine; its thresholds are angles.
@@ -280,9 +285,9 @@ class ReliabilityScorer:
         self._angles[:-1] = self._angles[1:]
         self._angles[-1] = np.where(turned, angle, 0.0)
         self._last, self._moved, self._distance = positions.copy(), moved, distance
-        mean = self._angles.sum(axis=0) / VIBRATION_FRAMES
-        excess = np.maximum(np.minimum(mean, ANGLE_ROOF) - ANGLE_FLOOR, 0.0)
-        return np.asarray(1.0 - excess / (ANGLE_ROOF - ANGLE_FLOOR))
+        mean = self._angles.sum(axis=0) / self._vibration
+        excess = np.maximum(np.minimum(mean, self._roof) - self._floor, 0.0)
+        return np.asarray(1.0 - excess / max(self._roof - self._floor, 1e-9))
 
     def _kinematics(self, positions: Array) -> Array:
         """Return the segment-length term (eq. 5-6); a missing end counts as wrong."""

@@ -17,6 +17,7 @@ import numpy as np
 from kinefilter.characters import (
     Body,
     Origin,
+    Skeleton,
     Tracking,
 )
 from kinefilter.characters.arrays import Array
@@ -32,6 +33,7 @@ from .physics.pulled_character import PulledCharacter
 from .progress import Progress
 from .reliability import (
     Reference,
+    ReliabilityScorer,
     measure_body,
     measure_reference,
     rest_reference,
@@ -166,12 +168,12 @@ class Score(Stage):
     adds = ("reliability", "deciding_term", "geometry")
 
     def __init__(self, config: CleanConfig) -> None:
-        self._scoring = config.scoring
+        self._scoring, self._settings = config.scoring, config.parameters.scorer
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
         reference = rest_reference(body)
-        self._scorer = make_scorer(self._scoring, body.skeleton, reference)
+        self._scorer = self._made(body.skeleton, reference)
 
     def step(self, draft: Draft) -> None:
         """Score the next frame."""
@@ -180,11 +182,14 @@ class Score(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Score a take, and distrust limbs where the tracker failed."""
-        scorer = make_scorer(self._scoring, draft.skeleton, draft.reference)
+        scorer = self._made(draft.skeleton, draft.reference)
         found = scorer.score(draft.take())
         found = distrust(found, draft.failures, draft.skeleton)
         draft.reliability, draft.geometry = found.reliability, found.geometry
         draft.deciding_term = found.term
+
+    def _made(self, skeleton: Skeleton, reference: Reference) -> ReliabilityScorer:
+        return make_scorer(self._scoring, skeleton, reference, **self._settings)
 
 
 class Standardize(Stage):

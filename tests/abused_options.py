@@ -84,6 +84,8 @@ _USED = {
     "seed": ("0", "7", "-1", "99999999999999999999"),
     "motion": tuple(MOTIONS),
     "methods": (*METHODS, "none,default", "kalman,butterworth", "nothing"),
+    "set": ("neighbors=7", "steps=2", "style=0", "neighbors=0", "=", "rate_frames=x"),
+    "presets": ("shum-2012", "wang-low-rank,shum-2012", "wang-low-rank:growth=2", "x"),
     "hide": ("left-arm", "arms", "shins", "left-hand", "tail"),
     "gap": ("55%", "0.2", "5%", "200%", "x"),
     "count": ("20", "2", "1", "10000000"),

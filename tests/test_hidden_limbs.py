@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from kinefilter.characters import KINECT_V1, State, Take
+from kinefilter.characters import KINECT_V1, InputError, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab import hidden_limbs
 from kinefilter.pipeline.lab.hidden_limbs import HiddenLimbs, measure_hidden, summarize
@@ -105,6 +106,32 @@ def test_where_nothing_is_hidden_nothing_is_wrong(
     assert right["unhidden"]["hold"] == wrong["unhidden"]["hold"]
 
 
+def test_what_learns_is_taught_by_other_people(
+    pair: PairedTake, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taught: list[list[str]] = []
+
+    class Watched(hidden_limbs.School):
+        def __init__(self, train: list[PairedTake], *of: Any, **rest: Any) -> None:
+            taught.append([one.subject for one in train])
+            super().__init__(train, *of, **rest)
+
+    monkeypatch.setattr(hidden_limbs, "School", Watched)
+    pairs = [pair, *(replace(pair, subject=name) for name in ("s02", "s03"))]
+    options = HiddenLimbs(("left-arm",), guess="drift")
+    presets = ["shen-2012:neighbors=3", "wang-low-rank"]
+    records, _ = measure_hidden(pairs, ["none"], options, presets=presets)
+    assert taught == [["s02", "s03"], ["s01", "s03"], ["s01", "s02"]]
+    found = {(r["person"], r["method"]) for r in records}
+    assert found == {
+        (person, name)
+        for person in ("s01", "s02", "s03")
+        for name in ("none", *presets)
+    }
+    with pytest.raises(InputError, match="learns from other people"):
+        measure_hidden([pair], [], options, presets=presets[:1])
+
+
 def test_every_third_repetition_is_hidden_and_the_others_are_seen(
     pair: PairedTake, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,7 +167,7 @@ def test_every_third_repetition_is_hidden_and_the_others_are_seen(
         (["--hide", "arms", "--gap", "soon"], "gap 'soon'"),
         (["--hide", "arms", "--gap", "120%"], "gap '120%'"),
         (["--hide", "arms", "--gap", "99"], "fits into no clip"),
-        (["--hide", "arms", "--methods", "best"], "method 'best' cannot"),
+        (["--hide", "arms", "--methods", "best"], "unknown method 'best'"),
         (["--hide", "arms", "--every", "0"], "--every 0"),
         (["--hide", "arms", "--context", "repetitions"], "tells no repetition"),
         ([], "PAIRS are for --hide"),

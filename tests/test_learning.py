@@ -323,9 +323,9 @@ def test_ablation_measures_methods_without_their_parts(
         "local-gp",
         "nearest",
         "no-reliability",
-        "local-gp S",
-        "local-gp S+T",
-        "local-gp S+R",
+        "local-gp:temporal=0:reliability=0",
+        "local-gp:reliability=0",
+        "local-gp:temporal=0",
     ]
 
 
@@ -338,7 +338,7 @@ def test_the_temporal_term_calms_and_the_reliability_term_holds_back(
     draft = observed(pairs[12])
     seen = Observation(draft.standard, draft.reliability, draft.geometry, draft.time)
     spatial, calm, held = (
-        local.with_terms(**terms).whole(seen).positions
+        local.adjusted(**terms).whole(seen).positions
         for terms in (
             {"temporal": 0.0, "reliability": 0.0},
             {"reliability": 0.0},

@@ -10,6 +10,7 @@ from kinefilter.pipeline.commands.learn import Train
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.studies import STUDIES
 from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS
+from kinefilter.pipeline.presets import PRESETS
 
 ROOT = Path(__file__).parents[1]
 
@@ -19,6 +20,8 @@ def test_every_method_can_be_chosen() -> None:
     assert {*METHODS} == {*get_args(get_args(chosen["method"])[0])}
     assert {*SCORERS} == {*get_args(chosen["scoring"])}
     assert {*LEARNED} == {*get_args(get_type_hints(Train)["method"])}
+    for command in (chosen, get_type_hints(Train)):
+        assert {*PRESETS} == {*get_args(get_args(command["preset"])[0])}
 
 
 def test_every_method_is_where_the_table_says() -> None:

@@ -22,7 +22,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import Ridge
 
 from kinefilter.characters import KINECT_V1
-from kinefilter.pipeline.lab.methods.local_gp import LocalGP, least_energy
+from kinefilter.pipeline.correct import Observation
+from kinefilter.pipeline.lab.methods.fused_offsets import least_energy
+from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.lab.methods.local_models import JointFeatures, LinearTrend
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
@@ -123,7 +125,7 @@ def test_the_mean_alone_is_left_without_the_other_terms(
     features = model._features(posture)
     mean, _ = model._models.predict(features * model.kernels.roots, model.blended)
     moved = corrected(model, posture[None])[0].positions - posture
-    expected = model.trend(features) + mean
+    expected = model._line(features) + mean
     np.testing.assert_allclose(moved[model.joints_], expected, atol=1e-12)
 
 
@@ -166,3 +168,38 @@ def test_a_joint_that_never_moves_is_learned_too() -> None:
     np.testing.assert_allclose(
         moved[WRIST], lessons.truth[0, WRIST] - lessons.positions[0, WRIST], rtol=0.1
     )
+
+
+def test_doubt_alone_calls_for_the_temporal_term(fitted: LocalGP) -> None:
+    """A reliable joint is spared; an unreliable one goes on as far as it is carried."""
+    model = fitted.adjusted(
+        likelihood="density", temporal=1e9, reliability=0.0, spared=1.0, carry=0.5
+    )
+    still, moved = postures_of(1, seed=5)[0], postures_of(1, seed=5)[0].copy()
+    moved[WRIST] += [0.1, 0.0, 0.0]
+    plain = model.adjusted(temporal=0.0)
+    for reliability in (1.0, 0.0):
+        rate = np.full(len(KINECT_V1), 1.0)
+        path, free = [], []
+        for model_, found in ((model, path), (plain, free)):
+            model_.start()
+            for k, posture in enumerate((still, moved, still)):
+                rate[WRIST] = reliability if k == 2 else 1.0
+                seen = Observation(posture, rate.copy(), rate.copy())
+                found.append(model_.step(seen).positions[WRIST])
+        if reliability == 1.0:
+            np.testing.assert_allclose(path, free, atol=1e-9)
+        else:
+            np.testing.assert_allclose(
+                path[2], path[1] + 0.5 * (path[1] - path[0]), atol=1e-4
+            )
+
+
+def test_the_densities_have_the_variances_of_what_is_learned_from() -> None:
+    lessons = lessons_of(constant)
+    model = local_gp().fit(lessons)
+    steps = np.diff(lessons.truth[:, WRIST], n=2, axis=0)
+    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
+    np.testing.assert_allclose(model.movement_[m], np.mean(steps**2), rtol=1e-9)
+    offsets = (lessons.truth - lessons.positions)[:, WRIST]
+    np.testing.assert_allclose(model.misplaced_[m], np.mean(offsets**2), rtol=1e-9)

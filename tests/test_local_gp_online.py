@@ -20,6 +20,7 @@ from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.lab.methods import gaussian_process as shared
 from kinefilter.pipeline.lab.methods import local_models as module
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
+from kinefilter.pipeline.lab.methods.local_models import LocalModels
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
 
@@ -113,3 +114,49 @@ def test_a_posture_like_no_center_begins_a_local_model(adapting: LocalGP) -> Non
     queries[m] = x
     mean, _ = models.predict(queries, 9)
     assert np.all(mean[m] / BIAS > 0.5)
+
+
+def _full(model: LocalGP, m: int) -> tuple[LocalModels, int]:
+    """Return local models without room, and one of a joint that is full."""
+    models = LocalModels(
+        model.kernels,
+        model.centers_,
+        model.features_,
+        model.offsets_,
+        model.counts_,
+        redundancy=0.01,
+    )
+    (q,) = np.flatnonzero(model.counts_[m] == model.features_.shape[2])[:1]
+    return models, int(q)
+
+
+def test_a_full_model_gives_up_the_sample_that_tells_least() -> None:
+    model = local_gp(samples=12, redundancy=0.0).fit(lessons_of(bent))
+    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
+    models, q = _full(model, m)
+    kernel, x = model.kernels.of_joint(m), models.centers[m, q] + 0.05
+    before = np.vstack([model.features_[m, q] * model.kernels.roots[m], x])
+    offsets = np.vstack([model.offsets_[m, q], BIAS])
+    inverse = np.linalg.inv(kernel.of_samples(before))
+    least = int(shared.divergences(inverse, offsets, kernel.noise).argmin())
+    assert least < len(before) - 1
+    models.learn(m, x, BIAS, np.inf)
+    kept = np.delete(before, least, axis=0)
+    factor = models.factors[m, q]
+    matrix = kernel.of_samples(kept)
+    np.testing.assert_allclose(factor.T @ factor, matrix, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        models._inverse[m, q] @ matrix, np.eye(len(kept)), atol=1e-5
+    )
+    assert models.counts[m, q] == len(kept)
+
+
+def test_what_the_others_predict_is_not_learned() -> None:
+    model = local_gp(samples=12, redundancy=0.0).fit(lessons_of(bent))
+    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
+    models, q = _full(model, m)
+    again = model.features_[m, q, 0] * model.kernels.roots[m]
+    rows = models._rows.copy()
+    mean = model.offsets_[m, q, 0].astype(float)
+    models.learn(m, again, mean, np.inf)
+    np.testing.assert_array_equal(models._rows, rows)

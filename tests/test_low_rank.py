@@ -198,9 +198,8 @@ def test_recovery_scales_with_the_take_and_leaves_it_alone() -> None:
     np.testing.assert_allclose(doubled, 2.0 * result, atol=1e-9)
 
 
-def test_running_out_of_iterations_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinefilter.pipeline.lab.methods.low_rank._MOST_ITERATIONS", 3)
-    corrector = LowRank(sparsity=1.0)
+def test_running_out_of_iterations_is_reported() -> None:
+    corrector = LowRank(sparsity=1.0, iterations=3)
     recovered(corrector, corrupted(movement(50, 3)))
     assert not corrector.converged_
     assert corrector.iterations_ == 3

@@ -37,6 +37,10 @@ class Evaluate:
     the six people of UI-PRMD and on fourteen before two Kinects, so learned tells what
     it is worth to others. none is clean without any correction.
 
+    Presets are the papers' systems, with no stage that a paper does not have. Methods
+    in turn are joined, as learned+local-pca, and any may have parameters of its own, as
+    local-pca:neighbors=30.
+
     With --hide, a limb is hidden in the middle of each clip of PAIRS, and its joints
     are compared with those of the clip cleaned with nothing hidden, and with mocap.
     Beside the methods stand the clip with nothing hidden (seen), and the limb held
@@ -60,6 +64,12 @@ class Evaluate:
     """Methods, comma-separated; default: none,butterworth,savgol,one-euro,kalman,
     low-rank,local-pca,default,exemplar,full-gp,local-gp,clustered-gp,learned, and with
     --hide and --views none,default."""
+    presets: str = ""
+    """Papers' systems, comma-separated, or all; they stand beside --methods, if those
+    are given."""
+    set: tuple[str, ...] = ()
+    """Parameters of all methods and presets that have them, such as clusters=50; for
+    one of them, --presets liu-2016,liu-2016:clusters=50."""
     protocol: Literal["people", "repetitions"] = "people"
     """Test on people, or on repetitions of known people, that were not learned from."""
     physics: bool = True
@@ -89,7 +99,7 @@ class Evaluate:
     by: Literal["movement", "gap", "person"] | None = None
     """With --hide: a row for each movement, gap or person."""
     every: int = 1
-    """With --hide: only every Nth take, to see something sooner."""
+    """Test only on every Nth clip, or take, to see something sooner."""
     views: tuple[Path, ...] = ()
     """Two takes of the same person, with --sync, or folders and patterns of sessions:
     NAME.sync.csv beside NAME_A*.csv* and NAME_B*.csv*."""
@@ -123,11 +133,14 @@ class Evaluate:
             figures = evaluate(
                 train,
                 test,
-                (self.methods or _METHODS).split(","),
+                _listed(self.methods or ("" if self.presets else _METHODS)),
+                presets=_listed(self.presets),
+                assigned=self.set,
                 protocol=self.protocol,
                 physics=self.physics,
                 ablation=self.ablation,
                 database=database,
+                every=self.every,
                 progress=progress,
             )
         write_json(figures, self.json)
@@ -143,12 +156,14 @@ class Evaluate:
         options = hidden_limbs.HiddenLimbs(
             self.hide, self.gap, self.guess, self.context, self.live, self.physics
         )
-        methods = (self.methods or "none,default").split(",")
+        usual = "" if self.presets else "none,default"
         with progress_bars() as progress:
             records, skipped = hidden_limbs.measure_hidden(
                 list(clips_of(self.pairs, progress)),
-                methods,
+                _listed(self.methods or usual),
                 options,
+                presets=_listed(self.presets),
+                assigned=self.set,
                 every=self.every,
                 progress=progress,
             )
@@ -188,6 +203,10 @@ class Evaluate:
         write_json(figures, self.json)
         out.print(as_table(figures))
         return 0
+
+
+def _listed(names: str) -> list[str]:
+    return names.split(",") if names else []
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,10 @@ from typing import Annotated
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from kinefilter.characters import SKELETONS, InputError
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.methods import LearnedName
+from kinefilter.pipeline.methods import LEARNED, LearnedName
+from kinefilter.pipeline.presets import PresetName
 
 from .terminal import (
     Skeletons,
@@ -125,6 +127,12 @@ class Train:
     """Simulate people with things before them and in their hands, not alone."""
     method: LearnedName = "learned"
     """What to teach."""
+    preset: PresetName | None = None
+    """Teach a paper's system instead, with its constants, on the frames that its
+    reliability lets through."""
+    set: tuple[str, ...] = ()
+    """Parameters of --preset or --method, such as clusters=50; an unknown name lists
+    them."""
     views: tuple[Path, ...] = ()
     """Sessions of two sensors, NAME.sync.csv beside NAME_A and NAME_B, or folders of
     them: they teach learned how limbs on the far side of the body move."""
@@ -139,34 +147,47 @@ class Train:
         from kinefilter.pipeline.lab.two_views import find_sessions, view_pairs
         from kinefilter.pipeline.models import Model, save_model
 
+        config = CleanConfig(preset=self.preset, set=self.set)
+        if self.preset is None:
+            config = CleanConfig(method=self.method, set=self.set)
+        method = config.method or self.method
+        if method not in LEARNED:
+            raise InputError(
+                f"--preset {self.preset} does not learn from pairs: 'kinefilter "
+                "database build' makes what it needs"
+            )
         if bool(self.pairs) == (self.simulated is not None):
             raise InputError("give pairs files or --simulated SKELETON, not both")
         if self.furnished and self.simulated is None:
             raise InputError("--furnished needs --simulated SKELETON")
-        if self.method != "learned" and (self.views or self.people):
-            raise InputError(f"--views and --people are for learned, not {self.method}")
+        if method != "learned" and (self.views or self.people):
+            raise InputError(f"--views and --people are for learned, not {method}")
         files = in_folders(self.pairs, (".npz",))
         check_output(self.out, *files, suffix=".npz")
         sessions = find_sessions(self.views, None)
         with progress_bars() as progress:
             if self.simulated is None:
-                lessons = training_set(clips_of(files, progress))
+                lessons = training_set(clips_of(files, progress), config)
             else:
                 simulated = furnished_pairs if self.furnished else simulated_pairs
-                lessons = training_set(simulated(self.simulated, progress=progress))
+                pairs = simulated(self.simulated, progress=progress)
+                lessons = training_set(pairs, config)
             views, source = None, lessons.source
             if sessions:
                 views = training_set(view_pairs(sessions, progress))
                 source += f", and before two sensors {views.source}"
             learner = teach(
-                self.method,
+                method,
                 lessons,
                 views=views,
                 people=self.people,
+                settings=config.parameters.method,
                 progress=progress,
             )
-        save_model(Model(learner, self.method, lessons.skeleton, source), self.out)
-        out.print(f"wrote {self.out}: {self.method}, learned from {source}")
+        model = Model(learner, method, lessons.skeleton, source, self.preset)
+        save_model(model, self.out)
+        asked = f"{self.preset}, " if self.preset else ""
+        out.print(f"wrote {self.out}: {asked}{method}, learned from {source}")
         return 0
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import standard_body
+from kinefilter.characters import InputError, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
@@ -15,6 +15,8 @@ from kinefilter.pipeline.database import PostureDatabase
 from .hold import Blend, measurement_confidence
 from .interface import CORRECTED_CONFIDENCE, Correction, Corrector, Observation
 from .posture_space import (
+    WEIGHTS,
+    EnergyWeights,
     NaturalSpaces,
     PostureEnergy,
     PostureSpace,
@@ -30,7 +32,6 @@ _NEIGHBORS = 5
 """Postures that span a posture space. Shum's 30 leave room for postures that nobody
 takes where few joints are reliable: behind a box or a desk, 10 take 38 % of the error
 of simulated takes, 7 take 40 % and 5 take 41 %."""
-_MEMORY = 0.05  # weight of the last posture in the query, against a reliability of 1
 _AS_MEASURED = 0.001  # m: what a joint may be moved and still count as measured
 _COVERAGE_MEMORY = 0.8  # share of the last frame's coverage: no switching in a frame
 
@@ -48,6 +49,11 @@ class LocalPCA(Corrector):
         search: How the posture of least energy is found.
         steps: Most steps of the stochastic search.
         samples: Samples in each of them.
+        memory: Weight of the last posture in the query, against a reliability of 1.
+        control: Weights of the energy's terms, as ``EnergyWeights`` has them.
+        style: Likewise, as the next two.
+        kinematics: Segment lengths.
+        continuity: Steady movement.
         seed: Seed of the stochastic search.
     """
 
@@ -60,14 +66,25 @@ class LocalPCA(Corrector):
         search: Search = "solver",
         steps: int = 20,
         samples: int = 100,
+        memory: float = 0.05,
+        control: float = WEIGHTS.control,
+        style: float = WEIGHTS.style,
+        kinematics: float = WEIGHTS.kinematics,
+        continuity: float = WEIGHTS.continuity,
         seed: int = 0,
     ) -> None:
+        if neighbors < 2:
+            raise InputError(
+                f"neighbors={neighbors}: a posture space needs two or more"
+            )
         self.database = database
         self.neighbors = neighbors
         self.dimensions = dimensions
         self.search = search
         self.steps = steps
         self.samples = samples
+        self.memory = memory
+        self.weights = EnergyWeights(control, style, kinematics, continuity)
         self.seed = seed
         self._body = standard_body(database.skeleton)
         self._blend = Blend(database.skeleton)
@@ -115,7 +132,7 @@ class LocalPCA(Corrector):
         postures = self.database.flat[nearest].astype(float)
         space = PostureSpace(postures, self.dimensions)
         self.energy = PostureEnergy(
-            space, self._body, measured, reliability, self._steady()
+            space, self._body, measured, reliability, self._steady(), self.weights
         )
         start = space.project(self._last[-1] if self._last else postures[0])
         if self.search == "solver":
@@ -142,8 +159,9 @@ class LocalPCA(Corrector):
             return self.database.neighbors(measured, reliability, self.neighbors)[0]
         last = self._last[-1].reshape(-1, 3)
         seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
-        weights = reliability + _MEMORY
-        query = (reliability[:, None] * seen + _MEMORY * last) / weights[:, None]
+        weights = reliability + self.memory
+        total = reliability[:, None] * seen + self.memory * last
+        query = total / np.maximum(weights, 1e-12)[:, None]
         return self.database.neighbors(query, weights, self.neighbors)[0]
 
     def _steady(self) -> Array | None:

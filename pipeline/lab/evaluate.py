@@ -20,8 +20,7 @@ from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.factory import make_scorer
 from kinefilter.pipeline.failures import FailureKind
-from kinefilter.pipeline.lab.methods.local_gp import LocalGP
-from kinefilter.pipeline.methods import METHODS, SCORERS
+from kinefilter.pipeline.methods import SCORERS
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import measure_reference
@@ -32,15 +31,15 @@ from kinefilter.pipeline.workers import workers
 from .accuracy import FAR, Accuracy, Tally, area_under_roc
 from .bench import Timed
 from .database_build import database_from_pairs
-from .teach import teach
-from .training import training_set
+from .systems import School, System, as_step, systems_of
 
-_LIU_TERMS = {
-    "local-gp S": {"temporal": 0.0, "reliability": 0.0},
-    "local-gp S+T": {"reliability": 0.0},
-    "local-gp S+R": {"temporal": 0.0},
+_WITHOUT_PARTS = {
+    "local-gp": (
+        *("local-gp:temporal=0:reliability=0", "local-gp:reliability=0"),
+        "local-gp:temporal=0",
+    ),
+    "local-pca": ("nearest", "no-reliability"),
 }
-_WITHOUT_PARTS = ("nearest", "no-reliability")
 _WORTH_PROCESSES = 100  # clips to clean, for which processes are started
 LEARNED_REPETITIONS = 7
 """Repetitions e01 to e07 teach, e08 to e10 test."""
@@ -60,9 +59,12 @@ def evaluate(
     methods: Sequence[str],
     *,
     protocol: Literal["people", "repetitions"] = "people",
+    presets: Sequence[str] = (),
+    assigned: Sequence[str] = (),
     physics: bool = True,
     ablation: bool = False,
     database: PostureDatabase | Literal["mocap"] | None = None,
+    every: int = 1,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Return the accuracy of methods, in cm, and their speed.
@@ -73,24 +75,29 @@ def evaluate(
     Args:
         train: Clips to learn from.
         test: Clips to test on; none: one person of ``train`` after the other.
-        methods: Names out of ``METHODS``.
+        methods: Names out of ``METHODS``; ``systems_of`` says how to join them and to
+            set their parameters.
         protocol: ``people`` tests on people that were not learned from;
             ``repetitions`` learns from the repetitions e01 to e07 of all the clips
             given and tests on the others.
+        presets: Names out of ``PRESETS``, likewise.
+        assigned: Parameters of all of them, NAME=VALUE.
         physics: Pull the simulated character through the motions, as ``clean`` does.
         ablation: Measure also what a part of a method is worth: ``local-gp`` without
             terms of its energy (Liu 2016, Table 5), and ``local-pca`` as Shum's
             methods A and B, ``nearest`` and ``no-reliability``.
         database: Natural postures for methods that need some, but for ``default``;
             ``mocap``: those of the clips to learn from; by default the built-in ones.
+        every: Test on every Nth clip only.
         progress: Wraps the loops, for a progress bar.
 
     Raises:
         InputError: An unknown method, too few people or repetitions.
     """
-    check_kind(methods, list | tuple, "methods")
-    for name in methods:
-        check_word(name, METHODS, "method")
+    for asked, what in ((methods, "methods"), (presets, "presets")):
+        check_kind(asked, list | tuple, what)
+        for name in asked:
+            check_kind(name, str, f"one of the {what}")
     for pairs, what in ((train, "train"), (test, "test")):
         check_kind(pairs, list | tuple, what)
         for pair in pairs:
@@ -98,20 +105,21 @@ def evaluate(
     check_word(protocol, ("people", "repetitions"), "protocol")
     if not isinstance(database, PostureDatabase | None):
         check_word(database, ("mocap",), "database")
-    if ablation and "local-pca" in methods:
-        methods = [*methods, *(m for m in _WITHOUT_PARTS if m not in methods)]
-    folds = list(_folds(train, test, protocol))
+    parts = [p for m in methods for p in _WITHOUT_PARTS.get(m, ()) if ablation]
+    methods = [*methods, *(part for part in parts if part not in methods)]
+    systems = systems_of(methods, presets, assigned, physics=physics)
+    folds = [
+        _Fold(fold.train, fold.test[:: as_step(every)])
+        for fold in _folds(train, test, protocol)
+    ]
     accuracy = Accuracy(folds[0].test[0].take.skeleton)
-    config = CleanConfig(physics=physics)
     tallies: dict[str, Tally] = {"raw": Tally(accuracy)}
     for fold in folds:
-        correctors = _correctors(fold, methods, database, progress)
-        if ablation and isinstance(whole := correctors.get("local-gp"), LocalGP):
-            for name, terms in _LIU_TERMS.items():
-                correctors[name] = whole.with_terms(**terms)
+        school = _school(fold, database, progress)
+        taught = [(system, school.corrector(system)) for system in systems]
         for pair in fold.test:
             tallies["raw"].add(pair, pair.take.positions, 0.0)
-        for name, found in _tested(fold.test, correctors, config, progress).items():
+        for name, found in _tested(fold.test, taught, progress).items():
             tallies.setdefault(name, Tally(accuracy)).extend(found)
     tested = [pair for fold in folds for pair in fold.test]
     return {
@@ -125,21 +133,19 @@ def evaluate(
 
 def _tested(
     pairs: Sequence[PairedTake],
-    correctors: dict[str, Corrector],
-    config: CleanConfig,
+    taught: Sequence[tuple[System, Corrector]],
     progress: Progress,
 ) -> dict[str, Tally]:
     """Return what each method does on clips; many clips go to all cores."""
     alone = multiprocessing.parent_process() is None
-    if not alone or len(pairs) * len(correctors) < _WORTH_PROCESSES:
-        return {
-            name: _test(pairs, corrector, config, progress)
-            for name, corrector in correctors.items()
-        }
+    if not alone or len(pairs) * len(taught) < _WORTH_PROCESSES:
+        return {s.label: _test(pairs, c, s.config, progress) for s, c in taught}
     with workers() as pool:
-        jobs = [pool.submit(_test, pairs, c, config) for c in correctors.values()]
-        done = list(zip(correctors, jobs, strict=True))
-        return {name: result.result() for name, result in over(done, "test", progress)}
+        jobs = [
+            (system.label, pool.submit(_test, pairs, corrector, system.config))
+            for system, corrector in taught
+        ]
+        return {name: result.result() for name, result in over(jobs, "test", progress)}
 
 
 def _test(
@@ -166,31 +172,21 @@ def _test(
     return tally
 
 
-def _correctors(
+def _school(
     fold: _Fold,
-    methods: Sequence[str],
     database: PostureDatabase | Literal["mocap"] | None,
     progress: Progress,
-) -> dict[str, Corrector]:
-    """Return the methods, taught by the fold where they learn."""
+) -> School:
+    """Return what teaches by the clips of a fold."""
     skeleton = fold.test[0].take.skeleton
-    correctors: dict[str, Corrector] = {}
-    lessons = None
-    for name in methods:
-        method = METHODS[name]
-        if method.made_of == "skeleton":
-            correctors[name] = method.load()(skeleton)
-        elif name == "default":  # exactly what clean does
-            correctors[name] = method.load()(builtin_database(skeleton))
-        elif method.made_of == "database":
-            database = _postures(fold, skeleton, database, progress)
-            correctors[name] = method.load()(database)
-        else:
-            lessons = lessons or training_set(over(fold.train, "standardize", progress))
-            people = {pair.subject for pair in fold.train}
-            known = any(pair.subject in people for pair in fold.test)
-            correctors[name] = teach(name, lessons, people=known, progress=progress)
-    return correctors
+    people = {pair.subject for pair in fold.train}
+    return School(
+        fold.train,
+        skeleton,
+        people=any(pair.subject in people for pair in fold.test),
+        database=_postures(fold, skeleton, database, progress),
+        progress=progress,
+    )
 
 
 def _postures(

@@ -21,16 +21,18 @@ from rich.table import Table
 from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
-from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.methods import LEARNED, METHODS
+from kinefilter.pipeline.correct import Corrector
+from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import measure_body
+from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
 from .accuracy import LIMBS, within_uncertainty
 from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
+from .systems import School, System, as_step, systems_of
 
 Context = Literal["alone", "repetitions"]
 By = Literal["movement", "gap", "person"]
@@ -39,7 +41,7 @@ Record = dict[str, Any]
 _SEEN = 5  # frames that a limb must be seen for before and after a gap
 _PAUSE = 2.0  # s between the repetitions in a take
 _WORSE = 1.0  # cm by which a clip is worse than the better of hold and slerp
-_CASES_A_JOB = 8  # takes that a process cleans before it reports
+_A_JOB = 8  # takes that a process cleans before it reports
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,8 @@ def measure_hidden(
     methods: Sequence[str],
     options: HiddenLimbs,
     *,
+    presets: Sequence[str] = (),
+    assigned: Sequence[str] = (),
     every: int = 1,
     progress: Progress = silent,
 ) -> tuple[list[Record], int]:
@@ -80,8 +84,11 @@ def measure_hidden(
 
     Args:
         pairs: Clips; people are told apart by ``subject``.
-        methods: Names out of ``METHODS`` that do not learn from pairs.
+        methods: Names as ``systems_of`` has them. Those that learn are taught by the
+            clips of the other people, in which nothing is hidden.
         options: What is hidden.
+        presets: Names out of ``PRESETS``, likewise.
+        assigned: Parameters of all of them, NAME=VALUE.
         every: Clean only every Nth take.
         progress: Wraps the loop over takes, for a progress bar.
 
@@ -95,10 +102,8 @@ def measure_hidden(
     Raises:
         InputError: Unknown methods, or no clip in which the gaps fit.
     """
-    check_methods(methods)
-    if every < 1:
-        raise InputError(f"--every {every}: expected 1 or more")
-    cases = list(join_cases(pairs, options.context))[::every]
+    systems = systems_of(methods, presets, assigned, physics=options.physics)
+    cases = list(join_cases(pairs, options.context))[:: as_step(every)]
     takes = [pair.take for case in cases for pair, _ in case.hidden]
     spans = [middle(take, gap) for take in takes for gap in options.gaps]
     skipped = spans.count(None)
@@ -107,9 +112,13 @@ def measure_hidden(
             f"a gap of {', '.join(options.gaps)} fits into no clip with {_SEEN} frames "
             f"before and after it ({skipped} tried); give a shorter one"
         )
-    batches = [cases[k : k + _CASES_A_JOB] for k in range(0, len(cases), _CASES_A_JOB)]
-    jobs = [(batch, method, options) for batch in batches for method in methods]
-    if len(batches) == 1:
+    jobs = (
+        (some[k : k + _A_JOB], system, corrector, options)
+        for some, corrected in _folds(systems, cases, pairs, progress)
+        for k in range(0, len(some), _A_JOB)
+        for system, corrector in corrected
+    )
+    if len(cases) <= _A_JOB:
         return [record for job in jobs for record in _measure(*job)], skipped
     with workers() as pool:
         waiting = [pool.submit(_measure, *job) for job in jobs]
@@ -117,15 +126,36 @@ def measure_hidden(
     return [record for records in done for record in records], skipped
 
 
-def check_methods(methods: Sequence[str]) -> None:
-    """Raise an InputError for a method that is not known, or learns from pairs."""
-    for name in methods:
-        if name not in METHODS or name in LEARNED:
-            known = ", ".join(m for m in METHODS if m not in LEARNED)
-            raise InputError(
-                f"method {name!r} cannot be measured so, only those that do not learn "
-                f"from pairs: {known}"
-            )
+_Corrected = list[tuple[System, Corrector | None]]
+
+
+def _folds(
+    systems: Sequence[System],
+    cases: list[Case],
+    pairs: Sequence[PairedTake],
+    progress: Progress,
+) -> Iterator[tuple[list[Case], _Corrected]]:
+    """Yield takes, and what corrects them: None is what the config makes."""
+    yield cases, [(system, None) for system in systems if not system.learns]
+    learning = [system for system in systems if system.learns]
+    people = sorted({pair.subject for pair in pairs}) if learning else []
+    if len(people) == 1:
+        raise InputError(
+            f"{learning[0].label} learns from other people; give pairs files of two or "
+            "more"
+        )
+    for person in people:
+        some = [case for case in cases if case.hidden[0][0].subject == person]
+        if not some:
+            continue
+        school = School(
+            [pair for pair in pairs if pair.subject != person],
+            some[0].take.skeleton,
+            people=False,
+            database=builtin_database(some[0].take.skeleton),
+            progress=progress,
+        )
+        yield some, [(system, school.corrector(system)) for system in learning]
 
 
 def _frames(gap: str, count: int, fps: float) -> int:
@@ -174,15 +204,14 @@ def join_cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[Case]:
 
 
 @cache
-def _cleaner(method: str, physics: bool) -> Cleaner:
-    return Cleaner(CleanConfig(method=method, physics=physics))
+def _cleaner(system: System) -> Cleaner:
+    return Cleaner(system.config)
 
 
 def _cleaned(
-    take: Take, unhidden: Take, method: str, options: HiddenLimbs
+    take: Take, unhidden: Take, cleaner: Cleaner, options: HiddenLimbs
 ) -> tuple[Array, Array | None, float]:
     """Return joint positions of the clean clip [m], their uncertainty, and the tilt."""
-    cleaner = _cleaner(method, options.physics)
     if not options.live:
         clip = cleaner.clean(take).clip
         return clip.positions, clip.uncertainty, clip.tilt
@@ -192,12 +221,19 @@ def _cleaned(
     return positions, None, 0.0
 
 
-def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Record]:
-    """Clean takes by a method, once with nothing hidden and once for each limb."""
-    found = []
+def _measure(
+    cases: list[Case],
+    system: System,
+    corrector: Corrector | None,
+    options: HiddenLimbs,
+) -> list[Record]:
+    """Clean takes by a system, once with nothing hidden and once for each limb."""
+    found, method, cleaner = [], system.label, _cleaner(system)
+    if corrector is not None:
+        cleaner = cleaner.replaced(Correct(system.config, corrector))
     for case in cases:
         take, skeleton = case.take, case.take.skeleton
-        seen, sure, tilt = _cleaned(take, take, method, options)
+        seen, sure, tilt = _cleaned(take, take, cleaner, options)
         for gap, limb in product(options.gaps, options.limbs):
             joints = [skeleton.index(j) for j in HIDDEN[limb] if j in skeleton.joints]
             scored = [j for j in joints if skeleton.joints[j] in LIMBS]
@@ -209,7 +245,7 @@ def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Recor
                 blind = hide(blind, joints, rows, options.guess, seed)
             hidden = seen
             if spans:
-                hidden, sure, _ = _cleaned(blind, take, method, options)
+                hidden, sure, _ = _cleaned(blind, take, cleaner, options)
             for pair, start, span in spans:
                 rows = slice(start, start + len(pair.take))
                 motions = simple_guesses(seen[rows], skeleton, joints, span)

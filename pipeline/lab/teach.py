@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
+from typing import Any
 
 from kinefilter.characters import Skeleton
 from kinefilter.pipeline.correct import LearnedCorrector
@@ -23,6 +25,7 @@ def teach(
     *,
     views: TrainingSet | None = None,
     people: bool = False,
+    settings: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> LearnedCorrector:
     """Return a method that learned from pairs.
@@ -34,6 +37,7 @@ def teach(
         lessons: The pairs.
         views: People whom two sensors saw, as ``view_pairs`` gives them.
         people: Learn what each person has alone, too.
+        settings: Keywords of the method's constructor.
         progress: Wraps its loops, for a progress bar.
 
     Raises:
@@ -47,7 +51,7 @@ def teach(
             people=people,
             progress=progress,
         )
-    learner: Learner = LEARNED[method].load()(lessons.skeleton)
+    learner: Learner = LEARNED[method].load()(lessons.skeleton, **(settings or {}))
     return learner.fit(lessons, progress=progress)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget import Standardizer
@@ -17,10 +18,13 @@ from .methods.lessons import TrainingSet
 from .spool import Spool
 
 
-def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
+def training_set(
+    pairs: Iterable[PairedTake], config: CleanConfig | None = None
+) -> TrainingSet:
     """Bring pairs to the standard body, as a corrector will see them.
 
     The frames are put aside on a disk, so that there may be more than memory holds.
+    The config says how they are scored; by default as ``clean`` does.
 
     Raises:
         InputError: No pairs, or pairs of different skeletons.
@@ -37,7 +41,7 @@ def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
                 f"{pair.take.source}: {pair.take.skeleton.name}, but the first pairs "
                 f"are {skeleton.name}; train one model a skeleton"
             )
-        for part, rows in zip(parts, _standardized(pair), strict=True):
+        for part, rows in zip(parts, _standardized(pair, config), strict=True):
             part.add(rows)
         counts.append(len(pair.take))
         people.append(subjects.setdefault(pair.subject, len(subjects)))
@@ -62,12 +66,15 @@ def training_set(pairs: Iterable[PairedTake]) -> TrainingSet:
     )
 
 
-def observed(pair: PairedTake) -> Draft:
+def observed(pair: PairedTake, config: CleanConfig | None = None) -> Draft:
     """Return what correction sees of a take, scored and on the standard body.
 
     Failures stay in: what is to be learned or compared is what the sensor gave.
     """
-    return Cleaner().without("failures").until("standardize").whole(pair.take)
+    cleaner = Cleaner(config)
+    if config is None or config.preset is None:  # a preset has no such stage
+        cleaner = cleaner.without("failures")
+    return cleaner.until("standardize").whole(pair.take)
 
 
 def standard_truth(pair: PairedTake, draft: Draft) -> Array:
@@ -84,9 +91,9 @@ def standard_truth(pair: PairedTake, draft: Draft) -> Array:
     return np.where(np.isnan(truth), np.nan, standard)
 
 
-def _standardized(pair: PairedTake) -> tuple[Array, ...]:
+def _standardized(pair: PairedTake, config: CleanConfig | None) -> tuple[Array, ...]:
     """Return the arrays of a training set for a take, in their order."""
-    draft = observed(pair)
+    draft = observed(pair, config)
     lengths = np.tile(draft.body.lengths, (len(pair.take), 1))
     truth = standard_truth(pair, draft)
     return (

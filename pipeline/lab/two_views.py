@@ -31,10 +31,10 @@ from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .accuracy import area_under_roc
-from .hidden_limbs import check_methods
 from .methods.lessons import TrainingSet
 from .misplaced import misplaced
 from .rigid import placement
+from .systems import check_untaught
 from .teach import teach
 from .training import training_set
 
@@ -121,7 +121,7 @@ def compare_views(
     Raises:
         InputError: Unknown methods, or takes that do not belong together.
     """
-    check_methods([m for m in methods if m != "learned" or not train])
+    check_untaught([m for m in methods if m != "learned" or not train])
     taught: dict[str, LearnedCorrector] = {}
     if "learned" in methods:
         taught = _taught(sessions, training_set(train), progress)

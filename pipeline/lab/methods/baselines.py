@@ -1,8 +1,9 @@
-"""Methods that Shum 2013 and Liu 2016 compare theirs with."""
+"""Methods that Liu 2016 compares its own with."""
 
 from __future__ import annotations
 
-from typing import Any, Self
+from functools import cached_property
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +12,10 @@ from sklearn.neighbors import NearestNeighbors
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct import Correction, Corrector, LocalPCA, Observation
-from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
+from .fused_offsets import FusedOffsets, Likelihood
 from .lessons import Lessons, OffsetCorrector, TrainingSet
 from .local_models import JointFeatures, JointKernels, fit_kernels
 
@@ -22,30 +23,62 @@ _FOR_VARIANCE = 10  # nearest samples the variance is taken from
 _NO_OFFSET = 0.05  # weight of no offset at all, against 1 for the same posture again
 
 
-class FullGP(OffsetCorrector):
+class FullGP(FusedOffsets):
     """Adds to each joint the offset that one Gaussian process over all samples tells.
 
     Zhou, Liu, Leung & Shum 2014, "Posture reconstruction using Kinect with a
-    probabilistic model", VRST: what Liu 2016 starts from and compares with. The
-    variance is an upper bound, from the ten most similar samples: the exact one would
-    cost a product with a matrix of all samples squared, per joint and frame.
+    probabilistic model", VRST: what Liu 2016 starts from and compares with.
 
     Args:
         skeleton: The joints.
         samples: Most training frames that are kept.
-        seed: Draws them.
+        variance: exact costs a product with a matrix of all samples squared, per joint
+            and frame; bound is from the ten most similar samples, and no smaller.
+        spatial: Weight of the predicted offset, as are the next two of eq. 22's terms;
+            by default the prediction alone counts.
+        temporal: Weight of constant velocity.
+        reliability: Weight of staying where a reliable joint was measured.
+        likelihood: How the terms of the energy compare.
+        carry: Share of the velocity that the temporal term expects to be left.
+        spared: Share of the temporal weight that a fully reliable joint is spared.
+        seed: Draws the frames.
     """
 
-    fitted = ("postures", "weights", "kernels", "joints", "seen")
+    fitted = (
+        *("postures", "weights", "kernels", "joints", "seen", "movement", "misplaced"),
+    )
+    adjustable = (*FusedOffsets.adjustable, "variance")
     postures_: NDArray[np.float32]
     weights_: NDArray[np.float32]
     kernels_: Array
     seen_: NDArray[np.bool_]
 
     def __init__(
-        self, skeleton: Skeleton, *, samples: int = 2500, seed: int = 0
+        self,
+        skeleton: Skeleton,
+        *,
+        samples: int = 2500,
+        variance: Literal["exact", "bound"] = "bound",
+        spatial: float = 0.6,
+        temporal: float = 0.0,
+        reliability: float = 0.0,
+        likelihood: Likelihood = "density",
+        carry: float = 1.0,
+        spared: float = 0.0,
+        seed: int = 0,
     ) -> None:
-        super().__init__(skeleton, samples=samples, seed=seed)
+        super().__init__(
+            skeleton,
+            samples=samples,
+            spatial=spatial,
+            temporal=temporal,
+            reliability=reliability,
+            likelihood=likelihood,
+            carry=carry,
+            spared=spared,
+            seed=seed,
+        )
+        self.variance = variance
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Learn offsets from pairs."""
@@ -61,8 +94,19 @@ class FullGP(OffsetCorrector):
             matrix = kernels.of_joint(m).of_samples(rows[:, m] * kernels.roots[m])
             factor = cho_factor(matrix, overwrite_a=True)
             self.weights_[m] = cho_solve(factor, lessons.offsets[:, m])  # eq. 8
+        self._measure(training)
         self._prepare()
         return self
+
+    @cached_property
+    def _inverse(self) -> NDArray[np.float32]:
+        """The inverse of every joint's covariance matrix [1/m^2], (M, N, N)."""
+        count = len(self.postures_)
+        inverse = np.empty((len(self.joints_), count, count), dtype=np.float32)
+        for m in range(len(inverse)):
+            matrix = self.kernels.of_joint(m).of_samples(self._rows[m])
+            inverse[m] = np.linalg.inv(matrix)
+        return inverse
 
     def _prepare(self) -> None:
         self.kernels = JointKernels(self.kernels_)
@@ -75,13 +119,24 @@ class FullGP(OffsetCorrector):
         x = self._features(posture) * self.kernels.roots
         squares = self._squares + np.sum(x * x, axis=1)[:, None]
         squares -= 2.0 * (self._rows @ x[..., None])[..., 0]
-        theta0, theta1 = self.kernels.theta0[:, None], self.kernels.theta1[:, None]
-        gaussian = theta0 * np.exp(-0.5 * np.maximum(squares, 0.0))
-        offsets = ((gaussian + theta1)[:, None] @ self.weights_)[:, 0]
+        theta0, theta1 = self.kernels.theta0, self.kernels.theta1
+        gaussian = theta0[:, None] * np.exp(-0.5 * np.maximum(squares, 0.0))
+        likeness = gaussian + theta1[:, None]
+        mean = (likeness[:, None] @ self.weights_)[:, 0]
+        noise, share = self.kernels.noise, self._explained(gaussian)
+        if self.variance == "exact":
+            single = likeness.astype(np.float32)
+            solved = (self._inverse @ single[..., None])[..., 0]
+            explained = np.vecdot(solved.astype(float), likeness)  # eq. 9
+            left = np.maximum(theta0 + theta1 - explained, 0.0)
+        else:
+            left = theta0 * (1.0 - share)
+        variance, prior = (left + noise)[:, None], theta0 + theta1 + noise
+        offsets = self._fused(mean, variance, prior, posture, seen.reliability)
         # Joints that are hardly ever off say nothing.
-        weights = self.kernels.theta0 * ~np.isnan(seen.positions[self.joints_, 0])
-        share = self._explained(gaussian) @ weights
-        return offsets, float(share / max(float(weights.sum()), 1e-12))
+        weights = theta0 * ~np.isnan(seen.positions[self.joints_, 0])
+        known = float(share @ weights) / max(float(weights.sum()), 1e-12)
+        return offsets, known
 
     def _explained(self, gaussian: Array) -> Array:
         """Return the share of theta0 that the nearest samples explain, at least, (M,).
@@ -163,53 +218,3 @@ class Exemplar(OffsetCorrector):
         total = float(weights.sum()) + _NO_OFFSET
         offsets = np.tensordot(weights / total, self.offsets_[near], axes=1)
         return offsets, float(weights.max())
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the fitted state as named arrays, for a model file."""
-        return super().arrays() | {"neighbors": np.array(self.neighbors)}
-
-    @classmethod
-    def _settings(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-        return {"neighbors": int(arrays["neighbors"].item())}
-
-
-class Nearest(Corrector):
-    """Shum's method A (Shum & Ho 2012): the posture most like what was tracked.
-
-    Shum 2013, section VIII.B, compares with it.
-
-    Args:
-        database: Natural postures.
-    """
-
-    def __init__(self, database: PostureDatabase) -> None:
-        self.database = database
-
-    def step(self, observation: Observation) -> Correction:
-        """Look up the next frame; no frame depends on those before it."""
-        present = 1.0 - np.isnan(observation.positions[:, 0])
-        (k,) = self.database.neighbors(observation.positions, present, 1)[0]
-        return Correction(
-            self.database.positions[k].astype(float),
-            self.database.rotations[k].astype(float),
-            np.zeros(len(present)),
-            float("nan"),
-        )
-
-
-class NoReliability(LocalPCA):
-    """Shum's method B: the posture of least energy, all tracked parts trusted alike.
-
-    Args:
-        database: Natural postures.
-    """
-
-    def __init__(self, database: PostureDatabase) -> None:
-        super().__init__(database, neighbors=30)  # as in table V
-
-    def step(self, observation: Observation) -> Correction:
-        """Synthesize the next frame."""
-        present = 1.0 - np.isnan(observation.positions[:, 0])
-        posture, nearest = self.synthesize(observation.positions, present)
-        rotations = self.orientation(posture, nearest, present)
-        return Correction(posture, rotations, np.zeros(len(present)), float("nan"))

@@ -7,7 +7,7 @@ reliable postures, limb lengths restored, standardization undone.
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,13 +70,17 @@ class BoneWalk:
 class ClusteredGP(Learner):
     """Moves joints to where a process over the whole standardized posture has them.
 
-    The process is on the difference of mocap and Kinect: the prior is the measurement,
-    where the paper's is the origin, so that unknown postures stay as they are.
+    By default the process is on the difference of mocap and Kinect: the prior is the
+    measurement, where the paper's is the origin, so that unknown postures stay as they
+    are.
 
     Args:
         skeleton: The joints.
         centroids: Clusters of training postures, Q.
         smallest_reliability: Rate that every joint of a training posture exceeds.
+        predicts: What the process is on: offsets, or mocap's positions as in eq. 5.
+        lengths: Whose bones joints are put back on: those that mocap has for people
+            of like proportions, or the person's own as Kinect saw them (section 2.2).
         seed: Draws the frames and starts the clusters.
     """
 
@@ -91,11 +95,15 @@ class ClusteredGP(Learner):
         *,
         centroids: int = 800,
         smallest_reliability: float = 0.7,
+        predicts: Literal["offsets", "positions"] = "offsets",
+        lengths: Literal["learned", "own"] = "learned",
         seed: int = 0,
     ) -> None:
         super().__init__(skeleton)
         self.centroids, self.seed = centroids, seed
         self.smallest_reliability = smallest_reliability
+        self.predicts = predicts
+        self.lengths = lengths
         self._walk = BoneWalk(skeleton)
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
@@ -115,14 +123,15 @@ class ClusteredGP(Learner):
             self.bones_ = self._walk.measure(truth[:_PEOPLE])[1].astype(np.float32)
             targets = self._walk.standardized(truth)
             inputs = self._walk.standardized(lessons.postures)
-            offsets = (targets - inputs)[:, self.joints_].reshape(len(inputs), -1)
+            wanted = targets - inputs if self.predicts == "offsets" else targets
+            wanted = wanted[:, self.joints_].reshape(len(inputs), -1)
             count = min(self.centroids, len(inputs))
             # Section 3.3: it is the mocap that is clustered, and Kinect along with it.
             labels = KMeans(count, n_init=1, random_state=self.seed).fit_predict(
                 self._features(targets)
             )
             rows = _averaged(self._features(inputs), labels)
-            outputs = _averaged(offsets, labels)
+            outputs = _averaged(wanted, labels)
         # Rounded as a model file rounds: a model is the same before and after.
         self.rows_ = rows.astype(np.float32)
         for _ in progress("process", 1):
@@ -168,8 +177,10 @@ class ClusteredGP(Learner):
         posture = self._hold.step(observation).positions
         directions = self._walk.measure(posture)[0]
         standard = self._walk.lay(directions, self._walk.lengths)
-        offsets, coverage = self._predict(standard)
-        standard[self.joints_] += offsets
+        found, coverage = self._predict(standard)
+        if self.predicts == "offsets":
+            found = standard[self.joints_] + found
+        standard[self.joints_] = found
         # What has no offset of its own goes along with its parent.
         own = (self._moved & ~missing)[self.skeleton.segments, None]
         directions = np.where(own, self._walk.measure(standard)[0], directions)
@@ -189,14 +200,14 @@ class ClusteredGP(Learner):
         Args:
             seen: The person's own segment lengths, as Kinect has them [m], (J,).
         """
-        if seen is None:
+        if seen is None or self.lengths == "own":
             return self._walk.lengths
         squares = np.sum((self.people_ - seen) ** 2, axis=1)
         weights = np.exp(-0.5 * squares / _LIKE**2) + _UNLIKE
         return np.asarray(weights @ self.bones_ / weights.sum())
 
     def _predict(self, standard: Array) -> tuple[Array, float]:
-        """Return offsets [m] of the learned joints (M, 3), and the coverage."""
+        """Return what is predicted of the learned joints [m] (M, 3), and coverage."""
         likeness = self.kernel(self._features(standard)[None], self._rows)[0]
         offsets = (likeness @ self.weights_).reshape(-1, 3)  # eq. 5
         explained = float(likeness @ (self._inverse @ likeness))

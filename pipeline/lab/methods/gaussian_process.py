@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky, qr_delete, solve_triangular
 from scipy.optimize import minimize
 
 from kinefilter.characters.arrays import Array
@@ -164,15 +164,54 @@ def grow_inverse(inverse: Array, factor: Array) -> Array:
     return grown
 
 
+def without_sample(inverse: Array, factor: Array, k: int) -> tuple[Array, Array]:
+    """Return the inverse and the factor of K without a sample, in O(S^2)."""
+    rest = np.delete(np.arange(len(inverse)), k)
+    lost = inverse[rest, k]
+    smaller = inverse[np.ix_(rest, rest)] - np.outer(lost, lost) / inverse[k, k]
+    triangle = qr_delete(np.eye(len(factor)), factor, k, which="col")[1]
+    return np.asarray(smaller), np.asarray(triangle[:-1])
+
+
+def divergences(inverse: Array, targets: Array, noise: float) -> Array:
+    """Return what each sample tells beyond the others (Liu eq. 1, 2), shape (N,).
+
+    The divergence of what it is predicted to be from itself and the others, from what
+    the others alone say: both follow from the inverse of K.
+
+    Args:
+        inverse: Inverse of the noisy samples' covariance [1/m^2], shape (N, N).
+        targets: Their outputs [m], shape (N, P).
+        noise: Variance of the noise [m^2].
+    """
+    # Leave-one-out (Rasmussen & Williams 2006, eq. 5.12), noise included.
+    return divergence_of(1.0 / np.diag(inverse), inverse @ targets, noise)
+
+
+def divergence_of(alone: Array, alpha: Array, noise: float) -> Array:
+    """Return what samples tell beyond the others, shape (N,).
+
+    Args:
+        alone: Variance of each by the others alone, noise included [m^2], shape (N,).
+        alpha: How far it is off what they say, over that variance, shape (N, P).
+        noise: Variance of the noise [m^2].
+    """
+    within = 2.0 * noise - noise**2 / alone
+    apart = alpha * (alone - noise)[:, None]
+    ratio = within / alone
+    # Per output: the outputs share their variances.
+    square = np.mean(apart * apart, axis=1) / alone
+    return np.asarray(0.5 * (ratio - 1.0 - np.log(ratio) + square))
+
+
 def informative_samples(
     matrix: Array, targets: Array, noise: float, *, most: int, redundancy: float
 ) -> NDArray[np.intp]:
     """Return the samples that posture budgeting keeps, in ascending order.
 
     The sample that its neighbors predict best is dropped, again and again, while there
-    are too many or its divergence (Liu eq. 1, 2) is under ``redundancy``. What it is to
-    be predicted from itself and the others, and from the others alone, both follow
-    from the inverse of K, which loses a sample by a rank-one step.
+    are too many or its divergence (Liu eq. 1, 2) is under ``redundancy``. The inverse
+    of K loses a sample by a rank-one step.
 
     Args:
         matrix: Covariance of the noisy samples [m^2], shape (N, N).
@@ -184,20 +223,14 @@ def informative_samples(
     kept = np.arange(len(matrix))
     inverse = np.linalg.inv(matrix)
     while len(kept) > 1:
-        alpha = inverse @ targets[kept]
-        # Leave-one-out (Rasmussen & Williams 2006, eq. 5.12), noise included.
-        alone = 1.0 / np.diag(inverse)
-        within = 2.0 * noise - noise**2 / alone
-        apart = alpha * (alone - noise)[:, None]
-        ratio = within / alone
-        # Per output: the outputs share their variances.
-        square = np.mean(apart * apart, axis=1) / alone
-        divergence = 0.5 * (ratio - 1.0 - np.log(ratio) + square)
+        divergence = divergences(np.asarray(inverse), targets[kept], noise)
         least = int(np.argmin(divergence))
         if len(kept) <= most and divergence[least] >= redundancy:
             break
         rest = np.delete(np.arange(len(kept)), least)
         lost = inverse[rest, least]
-        inverse = inverse[np.ix_(rest, rest)] - np.outer(lost, lost) * alone[least]
+        inverse = inverse[np.ix_(rest, rest)] - (
+            np.outer(lost, lost) / inverse[least, least]
+        )
         kept = kept[rest]
     return kept

@@ -9,77 +9,34 @@ methods-known-people has it beside one process over all samples (full-gp).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct import Correction, Observation
+from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
+from .fused_offsets import FusedOffsets, Likelihood
 from .gaussian_process import informative_samples
-from .lessons import Lessons, OffsetCorrector, TrainingSet
+from .lessons import Lessons, TrainingSet
 from .local_models import (
     JointFeatures,
     JointKernels,
     LinearTrend,
     LocalModels,
+    Votes,
     fit_kernels,
 )
 
-_SETTINGS: dict[str, Callable[[Any], Any]] = {
-    "spatial": float,
-    "temporal": float,
-    "reliability": float,
-    "blended": int,
-    "adapt": bool,
-    "adapt_reliability": float,
-}
-"""Settings that a model file holds, in this order."""
 _POOL = 4  # samples drawn for each that may be kept: what budgeting chooses from
-_MOST_LEARNED = 20  # samples a local model, and models a joint, may gain online
 _FOR_CERTAIN = 300  # training frames that the usual variance is measured on
 _SURE = 0.25  # share of the prior variance under which a prediction may teach
 
 
-def least_energy(
-    mean: Array,
-    certainty: Array,
-    steady: Array,
-    reliabilities: Array,
-    *,
-    spatial: float,
-    temporal: float,
-    reliability: float,
-) -> Array:
-    """Return the offsets of the least energy (Liu eq. 22), in closed form.
-
-    The spatial term is the negative of eq. 7's log density, which is what there is to
-    minimize, times twice the prior variance: certainty * |y - mean|^2, a squared
-    distance as the other terms (eq. 20, 21) are. Every term is quadratic in y.
-
-    Args:
-        mean: Predicted offsets [m], shape (M, 3).
-        certainty: Prior variance over predicted variance, shape (M, 3): 1 where
-            nothing is known, so that the weights then are those of the paper.
-        steady: Offsets of constant velocity [m], NaN where unknown, shape (M, 3).
-        reliabilities: Of the joints, in [0, 1], shape (M,).
-        spatial: Weight of the spatial term.
-        temporal: Weight of the temporal term.
-        reliability: Weight of the reliability term.
-    """
-    near = spatial * certainty
-    flow = np.where(np.isnan(steady), 0.0, temporal)
-    total = near + flow + reliability * reliabilities[:, None] ** 2
-    pull = near * mean + flow * np.nan_to_num(steady)
-    return np.asarray(pull / np.maximum(total, 1e-12))
-
-
-class LocalGP(OffsetCorrector):
+class LocalGP(FusedOffsets):
     """Adds to each joint the offset of least energy, around local predictions.
 
     Args:
@@ -87,19 +44,33 @@ class LocalGP(OffsetCorrector):
         clusters: Local models of a joint, Q.
         samples: Most samples of a local model, S.
         blended: Nearest local models that are blended, L.
+        frames: Frames drawn to learn from; 0: four for each sample that is kept.
         redundancy: Divergence under which posture budgeting drops a sample; 0: only
             what does not fit is dropped.
+        trend: Let the processes depart from a linear trend, in the place of 0.
+        votes: What local models are blended by: similarity as in eq. 12, or precision
+            as well, so that one without a sample nearby has no say.
+        likelihood: How the terms of the energy compare.
+        carry: Share of the velocity that the temporal term expects to be left.
+        spared: Share of the temporal weight that a fully reliable joint is spared.
         spatial: Weight of the predicted offset.
         temporal: Weight of constant velocity.
         reliability: Weight of staying where a reliable joint was measured.
         adapt: Learn from the frames themselves, until ``start``.
         adapt_reliability: Least reliability of a joint to learn from.
+        spare: Samples a local model, and models a joint, may gain from the frames;
+            then a sample that tells less makes way for one that tells more.
         seed: Draws the frames and starts the clusters.
     """
 
     fitted = (
         *("features", "offsets", "counts", "centers", "reach", "certain"),
-        *("prior", "trend", "bounds", "kernels", "joints", "seen"),
+        *("prior", "slopes", "bounds", "kernels", "joints", "seen"),
+        *("movement", "misplaced"),
+    )
+    adjustable = (
+        *FusedOffsets.adjustable,
+        *("blended", "votes", "adapt", "adapt_reliability", "spare"),
     )
 
     def __init__(
@@ -109,33 +80,54 @@ class LocalGP(OffsetCorrector):
         clusters: int = 50,
         samples: int = 50,
         blended: int = 9,
+        frames: int = 0,
         redundancy: float = 0.01,
+        trend: bool = True,
+        votes: Votes = "precision",
+        likelihood: Likelihood = "relative",
+        carry: float = 1.0,
+        spared: float = 0.0,
         spatial: float = 0.6,
         temporal: float = 0.2,
         reliability: float = 0.2,
         adapt: bool = False,
         adapt_reliability: float = 0.9,
+        spare: int = 20,
         seed: int = 0,
     ) -> None:
-        super().__init__(skeleton, samples=samples, seed=seed)
+        super().__init__(
+            skeleton,
+            samples=samples,
+            spatial=spatial,
+            temporal=temporal,
+            reliability=reliability,
+            likelihood=likelihood,
+            carry=carry,
+            spared=spared,
+            seed=seed,
+        )
         self.clusters = clusters
         self.blended = blended
+        self.frames = frames
+        self.trend = trend
+        self.votes: Votes = votes
+        self.spare = spare
         self.redundancy = redundancy
-        self.spatial, self.temporal = spatial, temporal
-        self.reliability = reliability
         self.adapt = adapt
         self.adapt_reliability = adapt_reliability
-        self._past: list[Array] = []
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Learn offsets from pairs."""
-        pool = _POOL * self.clusters * self.samples
+        pool = self.frames or _POOL * self.clusters * self.samples
         lessons = Lessons.drawn(training, self.skeleton, pool, self.seed)
         self.joints_, self.seen_ = lessons.learned, lessons.seen
         features = JointFeatures(self.skeleton, self.joints_, self.seen_)
         rows = features(lessons.postures)
         trend = LinearTrend.fitted(rows, lessons.offsets)
-        self.trend_, self.bounds_ = trend.table, trend.bounds
+        if not self.trend:
+            trend = LinearTrend(0.0 * trend.table, trend.bounds)
+        self.slopes_, self.bounds_ = trend.table, trend.bounds
+        self._measure(training)
         left = lessons.offsets - trend(rows)
         self.kernels_ = fit_kernels(rows, left, features.sizes, progress)
         kernels = JointKernels(self.kernels_)
@@ -154,7 +146,8 @@ class LocalGP(OffsetCorrector):
         self._prepare()
         # As sure as the method is at the median training frame.
         scaled = rows[:_FOR_CERTAIN] * kernels.roots
-        variances = [self._models.predict(x, self.blended)[1] for x in scaled]
+        blend = self.blended, self.votes
+        variances = [self._models.predict(x, *blend)[1] for x in scaled]
         self.certain_ = np.median(np.mean(variances, axis=2), axis=0)
         return self
 
@@ -186,7 +179,7 @@ class LocalGP(OffsetCorrector):
 
     def _prepare(self) -> None:
         self.kernels = JointKernels(self.kernels_)
-        self.trend = LinearTrend(self.trend_, self.bounds_)
+        self._line = LinearTrend(self.slopes_, self.bounds_)
         self._features = JointFeatures(self.skeleton, self.joints_, self.seen_)
         self._models = self._local_models()
 
@@ -197,47 +190,24 @@ class LocalGP(OffsetCorrector):
             self.features_,
             self.offsets_,
             self.counts_,
-            spare=_MOST_LEARNED if self.adapt else 0,
+            spare=self.spare if self.adapt else 0,
+            redundancy=self.redundancy,
         )
-
-    def with_terms(
-        self, *, temporal: float | None = None, reliability: float | None = None
-    ) -> Self:
-        """Return the same fitted method with other weights of the energy."""
-        other = type(self).from_arrays(self.skeleton, self.arrays())
-        other.temporal = self.temporal if temporal is None else temporal
-        other.reliability = self.reliability if reliability is None else reliability
-        return other
 
     def start(self) -> None:
         """Forget all frames, and what was learned from them."""
         super().start()
-        self._past = []
         if self.adapt:
             self._models = self._local_models()
-
-    def step(self, observation: Observation) -> Correction:
-        """Correct the next frame."""
-        result = super().step(observation)
-        seen = ~np.isnan(observation.positions[self.joints_, :1])
-        ends = np.where(seen, result.positions[self.joints_], np.nan)
-        self._past = [*self._past[-1:], ends]
-        return result
 
     def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:
         joints, kernels = self.joints_, self.kernels
         features = self._features(posture)
-        x, trend = features * kernels.roots, self.trend(features)
-        mean, variance = self._models.predict(x, self.blended)
+        x, trend = features * kernels.roots, self._line(features)
+        mean, variance = self._models.predict(x, self.blended, self.votes)
         unknown = kernels.theta0 + kernels.noise
-        offsets = least_energy(
-            trend + mean,
-            self.prior_[:, None] / variance,
-            self._steady(posture[joints]),
-            seen.reliability[joints],
-            spatial=self.spatial,
-            temporal=self.temporal,
-            reliability=self.reliability,
+        offsets = self._fused(
+            trend + mean, variance, self.prior_, posture, seen.reliability
         )
         known, spread = ~np.isnan(seen.positions[joints, 0]), variance.mean(axis=1)
         if self.adapt:
@@ -250,20 +220,3 @@ class LocalGP(OffsetCorrector):
         most = np.maximum(unknown - self.certain_, 0.0)[known]
         explained = np.clip(unknown[known] - spread[known], 0.0, most)
         return offsets, float(explained.sum() / max(float(most.sum()), 1e-12))
-
-    def _steady(self, measured: Array) -> Array:
-        """Return the offsets that keep the velocity (eq. 20), NaN where unknown."""
-        if len(self._past) < 2:
-            return np.full_like(measured, np.nan)
-        before, last = self._past
-        return 2.0 * last - before - measured
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the fitted state as named arrays, for a model file."""
-        settings = [float(getattr(self, name)) for name in _SETTINGS]
-        return super().arrays() | {"settings": np.array(settings)}
-
-    @classmethod
-    def _settings(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-        values = zip(_SETTINGS.items(), arrays["settings"], strict=True)
-        return {name: kind(value) for (name, kind), value in values}

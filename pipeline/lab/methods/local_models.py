@@ -6,7 +6,7 @@ Liu, Zhou, Leung & Shum 2016: section 4.1 has the features, equations 5 to 17 th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,18 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.progress import Progress, silent
 
-from .gaussian_process import Kernel, fit_kernel, grow_factor, grow_inverse
+from .gaussian_process import (
+    Kernel,
+    divergence_of,
+    divergences,
+    fit_kernel,
+    grow_factor,
+    grow_inverse,
+    without_sample,
+)
+
+Votes = Literal["similarity", "precision"]
+"""What local models are blended by."""
 
 _FOR_KERNEL = 400  # samples the hyper-parameters are learned from
 _SLOPE = 0.1  # of an offset by a joint's place, as far as one would guess (a guess)
@@ -144,6 +155,7 @@ class LocalModels:
         offsets: Of the samples, shape (M, Q, S, 3) [m].
         counts: Samples that there are, shape (M, Q).
         spare: Models a joint, and samples a model, that may be added.
+        redundancy: Divergence under which a sample is not worth adding.
     """
 
     def __init__(
@@ -155,7 +167,9 @@ class LocalModels:
         counts: NDArray[np.int32],
         *,
         spare: int = 0,
+        redundancy: float = 0.0,
     ) -> None:
+        self._redundancy = redundancy
         self._kernels = [kernels.of_joint(m) for m in range(len(centers))]
         self._theta0, self._theta1 = kernels.theta0, kernels.theta1
         self._unknown = kernels.theta0 + kernels.theta1 + kernels.noise
@@ -184,12 +198,15 @@ class LocalModels:
         self._inverse[m, q, :n, :n] = inverse
         self._alpha[m, q, :n] = cho_solve((factor, False), self._offsets[m, q, :n])
 
-    def predict(self, x: Array, blended: int) -> tuple[Array, Array]:
+    def predict(
+        self, x: Array, blended: int, votes: Votes = "precision"
+    ) -> tuple[Array, Array]:
         """Return the mixture's mean [m] and variance [m^2], noise included, (M, 3).
 
         Args:
             x: Features times the roots of W, shape (M, F).
             blended: Nearest models that are blended.
+            votes: What they are blended by.
         """
         joints, models = self.centers.shape[:2]
         blended = min(blended, models)
@@ -211,7 +228,7 @@ class LocalModels:
         variances = self._unknown[:, None] - explained  # eq. 9
         # Eq. 12 by similarity alone lets models vote, with an offset near 0, that
         # hold no sample on this side of their center: precision tells.
-        weights = similarity / variances
+        weights = similarity / (variances if votes == "precision" else 1.0)
         weights /= weights.sum(axis=1, keepdims=True)
         means = means.reshape(joints, blended, 3)
         mean = np.einsum("ml,mlc->mc", weights, means)  # eq. 13
@@ -222,6 +239,9 @@ class LocalModels:
 
     def learn(self, m: int, x: Array, offset: Array, reach: float) -> None:
         """Add a sample to the nearest model, or as a new one (Liu, algorithm 2).
+
+        One that the others predict is left out (posture budgeting, section 3.2). Where
+        a model is full, the one that the others predict best makes way.
 
         Args:
             m: The joint.
@@ -238,16 +258,29 @@ class LocalModels:
                 return
             self._used[m] += 1
             self.centers[m, q] = x
-        n = int(self.counts[m, q])
-        if n == self._rows.shape[2]:
-            return
+        n, most = int(self.counts[m, q]), self._rows.shape[2]
         covariance = kernel(self._rows[m, q, :n], x[None])[:, 0]
+        solved = self._inverse[m, q, :n, :n] @ covariance
+        alone = kernel.prior + kernel.noise - float(solved @ covariance)
+        apart = (offset - covariance @ self._alpha[m, q, :n]) / alone
+        news = divergence_of(np.array([alone]), apart[None], kernel.noise)
+        if n and news[0] < self._redundancy:
+            return
         factor = grow_factor(
             self.factors[m, q, :n, :n], covariance, kernel.prior + kernel.noise
         )
         inverse = grow_inverse(self._inverse[m, q, :n, :n], factor)
-        self._rows[m, q, n], self._offsets[m, q, n] = x, offset
-        self.centers[m, q] += (x - self.centers[m, q]) / (n + 1)
+        rows = np.concatenate([self._rows[m, q, :n], x[None]])
+        offsets = np.concatenate([self._offsets[m, q, :n], offset[None]])
+        if n == most:
+            least = int(divergences(inverse, offsets, kernel.noise).argmin())
+            if least == n:
+                return
+            rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
+            inverse, factor = without_sample(inverse, factor, least)
+        n = len(rows)
+        self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
+        self.centers[m, q] += (x - self.centers[m, q]) / n
         self._set(m, q, factor, inverse)
 
 

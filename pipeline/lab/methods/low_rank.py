@@ -11,15 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinefilter.characters import Skeleton
+from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Observation
 
 from .filters import WholeTake, bridge_gaps
 
 _FIRST_STIFFNESS = 1.25  # mu times the largest singular value, as in Lin et al. 2010
-_GROWTH = 1.05  # rho; the common 1.5 stops short of the minimum
-_MOST_ITERATIONS = 1000
 _TOLERANCE = 1e-7  # of what is left of D - A - E, against D
 
 
@@ -52,7 +50,9 @@ def threshold_singular_values(matrix: Array, threshold: float) -> Array:
     return np.asarray(matrix @ ((right * share) @ right.T))
 
 
-def decompose(matrix: Array, penalty: Array) -> Decomposition:
+def decompose(
+    matrix: Array, penalty: Array, *, growth: float = 1.05, iterations: int = 1000
+) -> Decomposition:
     """Minimize nuclear(A) + sum of penalty |E| with A + E = D (eq. 3).
 
     The inexact augmented Lagrangian of algorithm 1, its multiplier starting at 0.
@@ -61,13 +61,15 @@ def decompose(matrix: Array, penalty: Array) -> Decomposition:
         matrix: D, finite, shape (M, N), tall.
         penalty: Price of the error of each entry, lambda or, where nothing was
             observed, 0, shape (M, N).
+        growth: rho, by which mu grows; the common 1.5 stops short of the minimum.
+        iterations: Most iterations.
     """
     size = float(np.linalg.norm(matrix))
     error, dual = np.zeros_like(matrix), np.zeros_like(matrix)
     if size == 0.0:
         return Decomposition(error, error, dual, 0, True)
     stiffness = _FIRST_STIFFNESS / float(np.linalg.norm(matrix.T @ matrix, 2)) ** 0.5
-    for iteration in range(1, _MOST_ITERATIONS + 1):
+    for iteration in range(1, iterations + 1):
         # Eq. 5 and 6 are printed with A and E swapped; algorithm 1 has them right.
         rest = matrix + dual / stiffness
         clean = threshold_singular_values(rest - error, 1.0 / stiffness)
@@ -81,8 +83,8 @@ def decompose(matrix: Array, penalty: Array) -> Decomposition:
         dual = held
         if left <= _TOLERANCE * size:
             return Decomposition(clean, error, dual, iteration, True)
-        stiffness *= _GROWTH
-    return Decomposition(clean, error, dual, _MOST_ITERATIONS, False)
+        stiffness *= growth
+    return Decomposition(clean, error, dual, iterations, False)
 
 
 class LowRank(WholeTake):
@@ -95,6 +97,8 @@ class LowRank(WholeTake):
         sparsity: C, price of errors: lambda = C / sqrt(max(3 T, J)). The usual 1 is
             for matrices of low rank; 20 joints' movement is not quite, and loses by it
             more than errors.
+        growth: rho, as in ``decompose``, above 1.
+        iterations: Most iterations.
 
     Attributes:
         iterations_: Iterations that the last take took.
@@ -109,8 +113,14 @@ class LowRank(WholeTake):
         skeleton: Skeleton | None = None,  # noqa: ARG002 - any will do
         *,
         sparsity: float = 2.0,
+        growth: float = 1.05,
+        iterations: int = 1000,
     ) -> None:
+        if growth < 1.0:
+            raise InputError(f"growth={growth:g}: mu has to grow; give 1 or more")
         self.sparsity = sparsity
+        self.growth = growth
+        self.iterations = iterations
 
     def _moved(self, take: Observation) -> Array:
         seen = ~np.isnan(take.positions[..., 0])
@@ -120,7 +130,9 @@ class LowRank(WholeTake):
         del rows  # an hour's take is to fit a gigabyte
         price = self.sparsity / np.sqrt(max(len(matrix), seen.shape[1]))
         penalty = price * np.repeat(seen[:, joints], 3, axis=0)
-        result = decompose(matrix, penalty)
+        result = decompose(
+            matrix, penalty, growth=self.growth, iterations=self.iterations
+        )
         self.iterations_, self.converged_ = result.iterations, result.converged
         recovered = np.full_like(take.positions, np.nan)
         clean = result.low_rank.reshape(len(seen), 3, len(joints))

@@ -8,16 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import State
+from kinefilter.characters import Skeleton, State
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.reliability import ReliabilityScorer
-
-LARGEST_DISPLACEMENT = 0.03
-"""T [m]: a joint that moved no farther than this made no error (eq. 10)."""
-STEEPNESS = 4.0
-"""Reliability lost per T of displacement beyond T: none is left at 1.25 T (eq. 10)."""
-NOW, BEFORE = 0.7, 0.3
-"""Weights of the frame itself and of the frame before (eq. 12)."""
+from kinefilter.pipeline.reliability import Reference, ReliabilityScorer
 
 
 class ChiangReliabilityScorer(ReliabilityScorer):
@@ -30,7 +23,22 @@ class ChiangReliabilityScorer(ReliabilityScorer):
     Args:
         skeleton: The joints.
         reference: The person's segment lengths.
+        largest_displacement: T [m]: who moved no farther made no error (eq. 10).
+        steepness: Reliability lost per T beyond T: none is left at 1.25 T (eq. 10).
+        now: Weight of the frame itself; the frame before has the rest (eq. 12).
     """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        reference: Reference,
+        *,
+        largest_displacement: float = 0.03,
+        steepness: float = 4.0,
+        now: float = 0.7,
+    ) -> None:
+        self._largest, self._steepness, self._now = largest_displacement, steepness, now
+        super().__init__(skeleton, reference)
 
     def start(self) -> None:
         """Forget all frames."""
@@ -53,7 +61,9 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         scores = np.stack([terms.min(axis=0), np.minimum(temporal, kinematics)])
         before = scores if self._previous is None else self._previous
         self._previous = scores
-        reliability, geometry = NOW * scores + BEFORE * before  # eq. 12
+        reliability, geometry = (
+            self._now * scores + (1.0 - self._now) * before
+        )  # eq. 12
         return reliability, term, geometry
 
     def _temporal(self, positions: Array) -> Array:
@@ -65,8 +75,8 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         term = np.ones(len(positions))
         if len(self._past) == 2:
             d1, d2 = np.sqrt(np.sum((positions - np.array(self._past)) ** 2, axis=2))
-            moved = (d1 > LARGEST_DISPLACEMENT) & (d2 > LARGEST_DISPLACEMENT)
-            excess = (d2[moved] - LARGEST_DISPLACEMENT) / LARGEST_DISPLACEMENT
-            term[moved] = np.maximum(1.0 - STEEPNESS * excess, 0.0)
+            moved = (d1 > self._largest) & (d2 > self._largest)
+            excess = (d2[moved] - self._largest) / max(self._largest, 1e-9)
+            term[moved] = np.maximum(1.0 - self._steepness * excess, 0.0)
         self._past = [*self._past[-1:], positions.copy()]
         return term

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import State, Term
+from kinefilter.characters import Skeleton, State, Term
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.reliability import ReliabilityScorer
+from kinefilter.pipeline.reliability import Reference, ReliabilityScorer
 
 FRAME_TIME = 1.0 / 30.0
 """Time [s] between a Kinect's frames, where no time stamps are given."""
@@ -55,6 +55,9 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         skeleton: The joints.
         reference: The person's segment lengths.
     """
+
+    def __init__(self, skeleton: Skeleton, reference: Reference) -> None:
+        super().__init__(skeleton, reference)  # of Shum's constants it has none
 
     def start(self) -> None:
         """Forget all frames."""

@@ -102,7 +102,7 @@ def liu_figure_3(options: Options, *, people: int = 8, values: int = 4) -> Study
             redundancy=redundancy,
         )
         method = method.fit(training, progress=options.progress)
-        method = method.with_terms(**_TERMS["S"][0])
+        method = method.adjusted(**_TERMS["S"][0])
         count = float(method.counts_.sum() / len(method.joints_))
         paper = None if rows else _WALKING_SAMPLES
         rows.append((redundancy, count, *experiment.errors(method), paper))
@@ -174,7 +174,7 @@ def liu_table_5(options: Options, *, people: int = 8) -> Study:
     method.fit(experiment.training, progress=options.progress)
     rows: list[tuple[Cell, ...]] = [("raw", *experiment.errors(None), None)]
     for name, (terms, paper) in over([*_TERMS.items()], "terms", options.progress):
-        rows.append((name, *experiment.errors(method.with_terms(**terms)), paper))
+        rows.append((name, *experiment.errors(method.adjusted(**terms)), paper))
     bars = series_of(rows[1:], {_NEW: 1, _KNOWN: 2, "paper": 3}, kind="bars")
     return Study(
         title="Terms of the energy of local-gp (Liu 2016, Table 5)",

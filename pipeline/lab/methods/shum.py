@@ -1,0 +1,112 @@
+"""Shum 2013 as printed, and the methods A and B that it is compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.correct import Correction, Corrector, LocalPCA, Observation
+from kinefilter.pipeline.correct.local_pca import Search
+from kinefilter.pipeline.database import PostureDatabase
+
+
+class LeastEnergy(LocalPCA):
+    """The posture of least energy in the natural posture space, and nothing else.
+
+    Shum, Ho, Jiang & Takagi 2013: what the space holds takes the place of every joint,
+    reliable or not. ``LocalPCA`` keeps reliable joints where they are, and leans on the
+    measurement where the database knows no such posture.
+
+    Args:
+        database: Natural postures.
+        neighbors: K, postures that span the natural posture space (table V).
+        dimensions: Most dimensions of that space.
+        search: How the posture of least energy is found.
+        steps: Most steps of the stochastic search.
+        samples: Samples in each of them.
+        memory: Weight of the last posture in the query, of which the paper has none.
+        control: Weight of the measured joints (section VI.E).
+        style: Weight of the nearest neighbor.
+        kinematics: Weight of the standard body's segment lengths.
+        continuity: Weight of steady movement.
+        seed: Seed of the stochastic search.
+    """
+
+    def __init__(
+        self,
+        database: PostureDatabase,
+        *,
+        neighbors: int = 30,
+        dimensions: int = 20,
+        search: Search = "solver",
+        steps: int = 20,
+        samples: int = 100,
+        memory: float = 0.0,
+        control: float = 1.0,
+        style: float = 0.5,
+        kinematics: float = 1.5,
+        continuity: float = 0.25,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(
+            database,
+            neighbors=neighbors,
+            dimensions=dimensions,
+            search=search,
+            steps=steps,
+            samples=samples,
+            memory=memory,
+            control=control,
+            style=style,
+            kinematics=kinematics,
+            continuity=continuity,
+            seed=seed,
+        )
+
+    def step(self, observation: Observation) -> Correction:
+        """Synthesize the next frame."""
+        weights = self._weights(observation)
+        posture, nearest = self.synthesize(observation.positions, weights)
+        rotations = self.orientation(posture, nearest, weights)
+        nothing = 0.0 * weights
+        return Correction(posture, rotations, nothing, float("nan"))
+
+    def _weights(self, observation: Observation) -> Array:
+        """Return what each joint counts, 0 where it is missing, shape (J,)."""
+        return observation.reliability * present(observation)
+
+
+class NoReliability(LeastEnergy):
+    """Shum's method B: all tracked parts trusted alike; see ``LeastEnergy``."""
+
+    def _weights(self, observation: Observation) -> Array:
+        return present(observation)
+
+
+class Nearest(Corrector):
+    """Shum's method A (Shum & Ho 2012): the posture most like what was tracked.
+
+    Shum 2013, section VIII.B, compares with it.
+
+    Args:
+        database: Natural postures.
+    """
+
+    def __init__(self, database: PostureDatabase) -> None:
+        self.database = database
+
+    def step(self, observation: Observation) -> Correction:
+        """Look up the next frame; no frame depends on those before it."""
+        weights = present(observation)
+        (k,) = self.database.neighbors(observation.positions, weights, 1)[0]
+        return Correction(
+            self.database.positions[k].astype(float),
+            self.database.rotations[k].astype(float),
+            0.0 * weights,
+            float("nan"),
+        )
+
+
+def present(observation: Observation) -> Array:
+    """Return 1 for each joint that was measured, otherwise 0, shape (J,)."""
+    return np.where(np.isnan(observation.positions[:, 0]), 0.0, 1.0)

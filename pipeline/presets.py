@@ -1,0 +1,178 @@
+"""The papers' systems by name, and the parameters that ``--set`` changes.
+
+A preset is data: a method and a scorer with their constants, and what of the stages of
+``clean`` the paper has. ``pipeline/lab/DEPARTURES.md`` says where clean's own default
+departs from them, and what that is worth.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from kinefilter.characters import InputError, Tracking
+
+from .field_types import converted, keyword_hints, type_hints
+from .methods import METHODS, SCORERS, load
+
+_MOST = 100_000  # counted, it would fill the memory; as a weight, nothing else counts
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A paper's system: how joints are scored and corrected, and what comes after."""
+
+    paper: str
+    """Where it is from."""
+    method: str
+    """Its method, out of ``METHODS``."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Constants of the method that the paper prints, or leaves to be chosen."""
+    scoring: str = "shum"
+    """Its reliability, out of ``SCORERS``, which also says what training leaves out."""
+    physics: bool = False
+    """Whether a simulated character follows: otherwise the joints are what it gives."""
+
+    @property
+    def stages(self) -> dict[str, Any]:
+        """Fields of ``CleanConfig`` that it decides.
+
+        No paper smooths or plants feet afterwards, or lets hidden limbs go on before.
+        """
+        after = {"reconstruct": False, "cutoff": 0.0, "feet": "never"}
+        own = {"method": self.method, "scoring": self.scoring, "physics": self.physics}
+        return own | after
+
+
+_TABLE_V = {"neighbors": 30, "dimensions": 20, "steps": 20, "samples": 100}
+_WEIGHTS = {"control": 1.0, "style": 0.5, "kinematics": 1.5, "continuity": 0.25}
+_SHUM = {**_TABLE_V, **_WEIGHTS, "search": "stochastic", "memory": 0.0}
+_EQUATION_22 = {"spatial": 0.6, "temporal": 0.2, "reliability": 0.2}
+
+PRESETS = {
+    "shum-2013": Preset(
+        "Shum, Ho, Jiang & Takagi 2013", "posture-space", _SHUM, physics=True
+    ),
+    "shum-2012": Preset(
+        "Shum & Ho 2012, method A of Shum 2013", "nearest", physics=True
+    ),
+    "shum-no-reliability": Preset(
+        "Method B of Shum 2013", "no-reliability", _SHUM, physics=True
+    ),
+    "liu-2016": Preset(
+        "Liu, Zhou, Leung & Shum 2016",
+        "local-gp",
+        {"clusters": 30, "samples": 50, "blended": 9, **_EQUATION_22}
+        | {"frames": 2501, "trend": False, "votes": "similarity"}
+        # On drifting limbs these were chosen; the paper has 0.2 for every joint alike,
+        # and constant velocity.
+        | {"likelihood": "density", "temporal": 2.0, "carry": 0.7, "spared": 1.0}
+        | {"adapt": True},
+    ),
+    "zhou-2014": Preset(
+        "Zhou, Liu, Leung & Shum 2014, which Liu 2016 starts from",
+        "full-gp",
+        {"samples": 2501, "variance": "exact", **_EQUATION_22}
+        | {"likelihood": "density", "temporal": 2.0, "carry": 0.7, "spared": 1.0},
+    ),
+    "shen-2012": Preset(
+        "Shen, Deng, Bai, Leyvand, Guo & Tu 2012, as Liu 2016 compares with it",
+        "exemplar",
+        {"samples": 16500, "neighbors": 10},
+    ),
+    "chiang-2017": Preset(
+        "Chiang, Chen, Li, Wang & Fu 2017",
+        "clustered-gp",
+        {"centroids": 800, "smallest_reliability": 0.7}
+        | {"predicts": "positions", "lengths": "own"},
+        scoring="chiang",
+    ),
+    "wang-low-rank": Preset(
+        "Wang, Li, Wu, Lai & Yang",
+        "low-rank",
+        {"sparsity": 1.0, "growth": 1.05, "iterations": 1000},
+    ),
+}
+"""Presets by name."""
+
+if TYPE_CHECKING:
+    PresetName = str
+else:
+    PresetName = Literal[tuple(PRESETS)]
+
+
+class Parameters(NamedTuple):
+    """What ``--set`` and a preset say, by whom it is for."""
+
+    method: dict[str, Any]
+    given: dict[str, Any]
+    """Those of the method that ``--set`` says, and not the preset."""
+    scorer: dict[str, Any]
+    tracking: dict[str, Any]
+    stages: dict[str, Any]
+
+
+def parameters(
+    preset: str | None,
+    method: str,
+    scoring: str,
+    assigned: Sequence[str],
+    stages: Mapping[str, Any],
+) -> Parameters:
+    """Return the parameters of a method or preset, those that are assigned changed.
+
+    Args:
+        preset: Name of the preset; None: there is none.
+        method: Name of the method.
+        scoring: Name of the scorer.
+        assigned: Assignments NAME=VALUE, of the constructor's keywords of the method or
+            the scorer, the gains of the simulated character, or the stages.
+        stages: Fields of the config that a preset decides, and their types.
+
+    Raises:
+        InputError: An unknown name, or a value that does not fit.
+    """
+    of_method = dict(PRESETS[preset].settings) if preset else {}
+    found = Parameters(of_method, {}, {}, {}, {})
+    if not assigned:
+        return found
+    hints = (
+        (keyword_hints(METHODS[method].load()), found.given),
+        (keyword_hints(load(SCORERS[scoring])), found.scorer),
+        (type_hints(Tracking), found.tracking),
+        (stages, found.stages),
+    )
+    for assignment in assigned:
+        name, equals, text = assignment.partition("=")
+        own = next((pair for pair in hints if name in pair[0]), None)
+        if own is None or not equals:
+            known = ", ".join(dict.fromkeys(n for names, _ in hints for n in names))
+            what = f"preset {preset}" if preset else f"method {method}"
+            raise InputError(
+                f"--set {assignment}: expected NAME=VALUE, with a parameter of {what}: "
+                f"{known}"
+            )
+        value = converted(_value(text), own[0][name], f"--set {name}")
+        own[1][name] = _checked(value, name)
+    found.method.update(found.given)
+    return found
+
+
+def _value(text: str) -> Any:
+    """Return a number, true or false, or else the text itself."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _checked(value: Any, name: str) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    whole = isinstance(value, int)
+    least = int(whole and name != "seed")
+    if not least <= value <= _MOST:
+        raise InputError(f"--set {name}={value}: expected {least} to {_MOST}")
+    return value
