@@ -60,8 +60,9 @@ class Evaluate:
     """Methods, comma-separated; default: none,butterworth,savgol,one-euro,kalman,
     low-rank,local-pca,default,exemplar,full-gp,local-gp,clustered-gp,learned, and with
     --hide and --views none,default."""
-    protocol: Literal["people", "repetitions"] = "people"
-    """Test on people, or on repetitions of known people, that were not learned from."""
+    protocol: Literal["people", "movements", "repetitions"] = "people"
+    """Test on people that were not learned from, on their movements of which nobody's
+    was either, or on new repetitions of known people."""
     physics: bool = True
     """Pull the simulated character through what the methods give, as clean does."""
     ablation: bool = False

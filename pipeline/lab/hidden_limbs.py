@@ -229,7 +229,7 @@ def _measure(cases: list[Case], method: str, options: HiddenLimbs) -> list[Recor
                 found.append(
                     {
                         "person": pair.subject,
-                        "movement": pair.clip.split("_")[0],
+                        "movement": pair.movement,
                         "clip": pair.clip,
                         "limb": limb,
                         "gap": gap,
