@@ -29,6 +29,11 @@ class PairedTake:
     subject: str
     clip: str
 
+    @property
+    def movement(self) -> str:
+        """What the clip shows, as its name begins: m01 of m01_s02_e05."""
+        return self.clip.split("_")[0]
+
     def __post_init__(self) -> None:
         check_kind(self.take, Take, "the take of a pair")
         for name in ("subject", "clip"):

@@ -80,10 +80,11 @@ def test_products_of_features_are_the_kernel() -> None:
     rng = np.random.default_rng(0)
     x = (0.3 * rng.standard_normal((20, 50))).astype(np.float32)
     mean = x.mean(axis=0)
-    mirror = (np.arange(50)[::-1], np.ones(50))
-    made = RandomFeatures(mean, 40_000, 0, mirror)(x)
-    squares = np.sum((x[:, None] - x) ** 2, axis=2)
-    kernel = np.exp(-0.5 * squares) + 0.8 * (x - mean) @ (x - mean).T
+    weights = rng.uniform(0.1, 1.0, 50).astype(np.float32)
+    made = RandomFeatures(mean, 40_000, 0, weights)(x)
+    squares = np.sum((weights * (x[:, None] - x)) ** 2, axis=2)
+    linear = weights * (x - mean)
+    kernel = np.exp(-0.5 * squares) + 0.8 * linear @ linear.T
     np.testing.assert_allclose(made @ made.T, kernel, atol=0.02)
 
 
@@ -94,7 +95,8 @@ def test_weights_are_what_the_kernel_with_random_effects_says(
     people = list(people_of(_lessons(), learner._WEIGHT, learner._MOST))
     assert len(people) == 6
     count = len(model.weights_) - len(model.mean_)
-    random = RandomFeatures(model.mean_, count, 0, model._described.mirror)
+    arm, first = model._described.parts[0], 3 * len(model._described.parts[0].joints)
+    random = RandomFeatures(model.mean_, count, 0, arm.weights)
     rows = random(np.concatenate([p.features for p in people])).astype(float)
     shared = rows @ rows.T
     covariance = shared.copy()
@@ -104,10 +106,12 @@ def test_weights_are_what_the_kernel_with_random_effects_says(
         same_clip = person.clips[:, None] == person.clips
         covariance[own] += 0.07 * (shared[own] + 1.0 + same_clip)
         covariance[own] += person.noise * np.eye(b - a)
-    offsets = np.concatenate([p.offsets for p in people]) - model.offset_
-    dual = rows.T @ np.linalg.solve(covariance, offsets)
+    offsets = np.concatenate([p.offsets for p in people])
+    offsets = offsets.reshape(len(offsets), -1, 3)[:, arm.joints].reshape(-1, first)
+    dual = rows.T @ np.linalg.solve(covariance, offsets - model.offset_[:first])
     # Half precision, as in the file.
-    np.testing.assert_allclose(rows @ model.weights_, rows @ dual, atol=2e-4)
+    found = rows @ model.weights_[:, :first]
+    np.testing.assert_allclose(found, rows @ dual, atol=2e-4)
     assert np.abs(rows @ dual).max() > 0.005
 
 

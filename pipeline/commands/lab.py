@@ -70,8 +70,9 @@ class Evaluate:
     set: tuple[str, ...] = ()
     """Parameters of all methods and presets that have them, such as clusters=50; for
     one of them, --presets liu-2016,liu-2016:clusters=50."""
-    protocol: Literal["people", "repetitions"] = "people"
-    """Test on people, or on repetitions of known people, that were not learned from."""
+    protocol: Literal["people", "movements", "repetitions"] = "people"
+    """Test on people that were not learned from, on their movements of which nobody's
+    was either, or on new repetitions of known people."""
     physics: bool = True
     """Pull the simulated character through what the methods give, as clean does."""
     ablation: bool = False

@@ -3,6 +3,9 @@
 The kernel k(x, x') = exp(-|x - x'|^2 / 2) + 0.8 x.x' is a product of features:
 Fourier's at random, orthogonal frequencies (Yu et al. 2016, Orthogonal random features,
 NeurIPS) and the linear ones. So a model is a matrix of weights, and nobody's recording.
+Each arm, each leg and the trunk has a kernel of its own, in which the rest of the body
+counts little: what was learned of a limb then holds in movements where the others do
+something else. Right limbs are corrected as mirror images of left ones.
 What is constant in a person or a clip, and what one person alone has with a posture,
 are random effects in the training covariance, k (1 + a p) + a p + a c with p and c one
 for the same person and clip: strangers get what all people share. Mirrored people count
@@ -26,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.retarget.body_size import chain_matrix
 from kinefilter.retarget.hands import Hands
 
@@ -37,10 +40,12 @@ from .random_features import Floats, RandomFeatures, direction_to, likeness_to
 
 # Chosen by leaving one of six people out, and one of their movements.
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
-_KNOWN, _STRANGE = 0.9, 0.65  # likeness at which most, and nothing, that moves is taken
-_MOST_TAKEN = 0.7  # of what moves, for the sake of movements not learned from
+_STRANGE, _KNOWN = 0.5, 0.7  # likeness of a part at which nothing, and all, that moves
+_STRANGE_LEG, _KNOWN_LEG = 0.8, 1.0  # is taken; and of knees, ankles and feet
+_WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned from
 _NEAR, _FAR = 0.8, 0.4  # likeness at which all, and nothing, of the constant is taken
-_CALM, _CONSTANT = 3.0, 10.0  # s over which likeness is averaged, for what moves or not
+_LATELY = 0.5  # s over which likeness is averaged, for what moves,
+_CALM, _CONSTANT = 3.0, 10.0  # s for the far side, and for what stays
 # Of limbs on the far side; chosen by leaving one of fourteen people out.
 _ASIDE, _BESIDE = (
     0.2,
@@ -65,6 +70,7 @@ class FourierRidge(LearnedCorrector):
 
     fitted = (
         *("weights", "live_weights", "mean", "offset", "bones", "centers", "seed"),
+        *("arm_centers", "leg_centers", "trunk_centers"),
         *("far_weights", "live_far_weights", "far_centers"),
         *("people", "own_weights", "live_own_weights"),
     )
@@ -75,6 +81,9 @@ class FourierRidge(LearnedCorrector):
     bones_: Floats
     centers_: Floats
     seed_: NDArray[np.intp]
+    arm_centers_: Floats
+    leg_centers_: Floats
+    trunk_centers_: Floats
     far_weights_: Floats
     live_far_weights_: Floats
     far_centers_: Floats
@@ -91,6 +100,11 @@ class FourierRidge(LearnedCorrector):
         self._chain, self._hands = chain_matrix(skeleton), Hands(skeleton)
         self._body = standard_body(skeleton)
         self._person: int | None = None
+        names = [skeleton.joints[j] for j in self.joints_]
+        leg = np.array([name.startswith(("Knee", "Ankle", "Foot")) for name in names])
+        self._strange = np.where(leg, _STRANGE_LEG, _STRANGE)
+        self._known = np.where(leg, _KNOWN_LEG, _KNOWN)
+        self._wrists = np.array([name.startswith("Wrist") for name in names])
         self.start()
 
     def start(self) -> None:
@@ -101,43 +115,82 @@ class FourierRidge(LearnedCorrector):
 
     def _prepare(self) -> None:
         described = self._described
-        self._features, self._centers = list[RandomFeatures](), list[Any]()
-        for weights, part, mirror in (
-            (self.weights_, slice(None), described.mirror),
-            (self.live_weights_, described.live, described.live_mirror),
+        self._features = list[list[RandomFeatures]]()
+        self._centers = list[list[tuple[Flags, Floats, Floats]]]()
+        everything = np.ones(len(self.mean_), dtype=bool)
+        alike = [
+            (everything, self.centers_),
+            (everything, self.far_centers_),
+            *zip(
+                (part.own for part in described.parts),
+                (self.arm_centers_, self.leg_centers_, self.trunk_centers_),
+                strict=True,
+            ),
+        ]
+        for weights, some in (
+            (self.weights_, np.arange(len(everything))),
+            (self.live_weights_, described.live),
         ):
-            mean, seed = self.mean_[part], int(self.seed_)
+            mean, seed = self.mean_[some], int(self.seed_)
             count = len(weights) - len(mean)
-            self._features.append(RandomFeatures(mean, count, seed, mirror))
-            centers = [c[:, part] for c in (self.centers_, self.far_centers_)]
-            self._centers.append(
-                [(np.ascontiguousarray(c), np.sum(c**2, axis=1)) for c in centers]
+            self._features.append(
+                [
+                    RandomFeatures(mean, count, seed, part.weights[some])
+                    for part in described.parts
+                ]
             )
+            self._centers.append([])
+            for own, centers in alike:
+                kept = np.isin(np.flatnonzero(own), some)
+                near = np.ascontiguousarray(centers[:, kept])
+                self._centers[-1].append((own[some], near, np.sum(near**2, axis=1)))
         self.know(None)
 
     def know(self, person: str | None) -> None:
         """Correct this person, if the model learned from them, or else a stranger."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
-        self._offsets: list[tuple[Floats, Array]] = []
+        self._offsets: list[list[tuple[Floats, Array]]] = []
         for shared, far, own in (
             (self.weights_, self.far_weights_, self.own_weights_),
             (self.live_weights_, self.live_far_weights_, self.live_own_weights_),
         ):
-            here, constant = shared, self.offset_
-            if self._person is not None:
-                here = shared + own[self._person, :-1]
-                constant = constant + own[self._person, -1]
             beside = far if len(far) else np.zeros_like(shared)
-            constants = np.concatenate([constant, np.zeros_like(constant)])
-            self._offsets.append((np.hstack([here, beside]), constants))
+            sides = []
+            for side in range(2):
+                here, constant = shared, self.offset_
+                if self._person is not None:
+                    here = shared + own[self._person, side, :-1]
+                    constant = constant + own[self._person, side, -1]
+                constants = np.stack([constant, np.zeros_like(constant)])
+                sides.append((np.stack([here, beside]), constants))
+            self._offsets.append(sides)
 
-    def _told(self, features: Floats, *, live: bool) -> tuple[Array, Array]:
-        """Return offsets, those of the far side beside them, and both likenesses."""
-        weights, constant = self._offsets[live]
-        found = self._features[live](features) @ weights + constant
-        likeness = [likeness_to(features, *centers) for centers in self._centers[live]]
-        return found, np.stack(likeness, axis=1)
+    def _told(self, features: Floats, *, live: bool) -> tuple[Array, Array, Array]:
+        """Return offsets of frames, those of the far side, and their likenesses.
+
+        Those are of the whole posture to people with markers and to those beside a
+        sensor, shape (T, 2), and of the part of each known joint, shape (T, M).
+        """
+        described = self._described
+        order, signs = described.live_mirror if live else described.mirror
+        sides = (features, features[:, order] * signs.astype(np.float32))
+        whole, by_part = self._centers[live][:2], self._centers[live][2:]
+        found, parts = [], []
+        for side, (weights, constants) in zip(sides, self._offsets[live], strict=True):
+            told, first = [], 0
+            for part, random in zip(described.parts, self._features[live], strict=True):
+                last = first + 3 * len(part.joints)
+                told.append(random(side) @ weights[..., first:last])
+                first = last
+            offsets = np.concatenate(told, axis=2) + constants[:, None]
+            found.append(offsets.reshape(2, len(side), -1, 3))
+            parts.append(
+                [likeness_to(side[:, own], near, size) for own, near, size in by_part]
+            )
+        likeness = [likeness_to(features, near, size) for _, near, size in whole]
+        alike = np.array(parts)[described.mirrored_side.astype(int), described.part_of]
+        return described.joined(*found), np.stack(likeness, axis=1), alike.T
 
     def whole(
         self,
@@ -149,25 +202,33 @@ class FourierRidge(LearnedCorrector):
         posture = self._hold.fill(take.positions)
         points = self._described.points(posture)
         count = len(points)
-        found = np.empty((count, 2 * len(self.offset_)))
-        likeness = np.empty((count, 2))
+        found = np.empty((2, *points.shape))
+        likeness, alike = np.empty((count, 2)), np.empty(points.shape[:2])
         toward = direction_to(take.sensor, count)
         for k in range(0, count, _CHUNK):
             some = slice(k, k + _CHUNK)
             features = self._described(
                 points[some], points, take.time[some], take.time, toward[some]
             )
-            found[some], likeness[some] = self._told(features, live=False)
+            found[:, some], likeness[some], alike[some] = self._told(
+                features, live=False
+            )
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_TURN / step, 1.0))
         toward = uniform_filter1d(toward, window, axis=0, mode="nearest")
-        lately, lasting = (
-            gaussian_filter1d(likeness, over / step, axis=0, mode="nearest")
-            for over in (_CALM, _CONSTANT)
+        near, lately, lasting = (
+            gaussian_filter1d(values, over / step, axis=0, mode="nearest")
+            for values, over in (
+                (alike, _LATELY),
+                (likeness, _CALM),
+                (likeness, _CONSTANT),
+            )
         )
-        found, far = np.split(found, 2, axis=1)
-        constant = np.broadcast_to(found.mean(axis=0), found.shape)
-        offsets = _Offsets(constant, found - constant, far, lately, lasting, toward)
+        here, far = found
+        constant = np.broadcast_to(here.mean(axis=0), here.shape)
+        offsets = _Offsets(
+            constant, here - constant, far, near, lately, lasting, toward
+        )
         return self._moved(take, posture, offsets)
 
     def step(self, observation: Observation) -> Correction:
@@ -182,35 +243,31 @@ class FourierRidge(LearnedCorrector):
         features = self._described(
             points[None], before, np.array([now]), times, toward, live=True
         )
-        told, (likeness,) = self._told(features, live=True)
-        found, far = np.split(told[0], 2)
-        spans = (_CONSTANT, _CALM, _CONSTANT, _TURN / 2.0)
-        latest = (found, likeness, likeness, toward[0])
+        ((found,), (far,)), (likeness,), (alike,) = self._told(features, live=True)
+        spans = (_CONSTANT, _LATELY, _CALM, _CONSTANT, _TURN / 2.0)
+        latest = (found, alike, likeness, likeness, toward[0])
         self._means = tuple(
             mean + min(1.0, elapsed / span) * (value - mean)
             for mean, value, span in zip(
                 self._means or latest, latest, spans, strict=True
             )
         )
-        constant, lately, lasting, turned = self._means
-        offsets = _Offsets(constant, found - constant, far, lately, lasting, turned)
+        constant, *lately = self._means
+        offsets = _Offsets(constant, found - constant, far, *lately)
         return self._moved(observation, posture, offsets)
 
     def _moved(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures, moved as far as their like was learned from."""
-        constant, moving, far = (
-            part.reshape(*part.shape[:-1], -1, 3) for part in found[:3]
-        )
         beside = -found.toward[..., :1] * self._described.sides
         beside = _ramp(beside, _ASIDE, _BESIDE)
         beside = beside * _ramp(found.lately[..., 1:], _FAR, _NEAR)
-        share = _ramp(found.lately[..., :1], _STRANGE, _KNOWN)
+        share = _ramp(found.alike, self._strange, self._known)
         if self._person is None:
-            share = _MOST_TAKEN * share
+            share = np.where(self._wrists, _WRISTS_TAKEN * share, share)
         alike = _ramp(found.lasting[..., :1], _FAR, _NEAR)
-        offsets = alike[..., None] * constant
-        offsets = offsets + (share * (1.0 - beside))[..., None] * moving
-        offsets = offsets + beside[..., None] * far
+        offsets = alike[..., None] * found.constant
+        offsets = offsets + (share * (1.0 - beside))[..., None] * found.moving
+        offsets = offsets + beside[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets[..., self._described.follows, :]
         for j in self.skeleton.order[1:] if missing.any() else ():
@@ -236,11 +293,13 @@ class _Offsets(NamedTuple):
     """What the model says of frames, and how much it knows about them."""
 
     constant: Array
-    """What stays, of all known joints [m], shape (..., 3 M)."""
+    """What stays, of all known joints [m], shape (..., M, 3)."""
     moving: Array
     """What moves, likewise."""
     far: Array
     """What limbs on the far side are off, likewise."""
+    alike: Array
+    """Likeness of the joint's part to what was learned from, just now, (..., M)."""
     lately: Array
     """Likeness to people with markers, and to those beside a sensor, over seconds."""
     lasting: Array
@@ -249,5 +308,5 @@ class _Offsets(NamedTuple):
     """Direction to the sensor, shape (..., 2)."""
 
 
-def _ramp(values: Array, none: float, whole: float) -> Array:
+def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:
     return np.asarray(np.clip((values - none) / (whole - none), 0.0, 1.0))

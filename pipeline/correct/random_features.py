@@ -18,26 +18,18 @@ _LINEAR = 0.8  # variance of the linear part, against 1 of the Gaussian one
 class RandomFeatures:
     """Random features whose products are the kernel of postures' features.
 
-    Each frequency has its mirror image beside it, so that mirror images are alike.
-
     Args:
         mean: Mean of what they are made of, shape (F,).
-        count: How many there are beside the linear ones, a multiple of four.
+        count: How many there are beside the linear ones, a multiple of two.
         seed: Draws their frequencies.
-        mirror: Where a mirror puts what they are made of, and its signs.
+        weights: How much each of what they are made of counts, shape (F,).
     """
 
-    def __init__(
-        self,
-        mean: Floats,
-        count: int,
-        seed: int,
-        mirror: tuple[NDArray[np.intp], Array],
-    ) -> None:
-        half, (order, signs) = _frequencies(len(mean), count // 4, seed), mirror
-        images = half[order] * signs[:, None].astype(np.float32)
-        self._frequencies = np.concatenate([half, images], axis=1)
+    def __init__(self, mean: Floats, count: int, seed: int, weights: Floats) -> None:
+        frequencies = _frequencies(len(mean), count // 2, seed)
+        self._frequencies = np.ascontiguousarray(frequencies * weights[:, None])
         self._mean, self.size = mean, count + len(mean)
+        self._linear = weights * np.float32(np.sqrt(_LINEAR))
 
     def __call__(self, features: Floats) -> Floats:
         """Return the random and the linear features of frames, (T, size)."""
@@ -47,7 +39,7 @@ class RandomFeatures:
         np.cos(angles, out=made[:, :half])
         np.sin(angles, out=made[:, half : 2 * half])
         made[:, : 2 * half] *= np.float32(1.0 / np.sqrt(half))
-        made[:, 2 * half :] = (features - self._mean) * np.float32(np.sqrt(_LINEAR))
+        made[:, 2 * half :] = (features - self._mean) * self._linear
         return made
 
 

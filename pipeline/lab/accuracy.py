@@ -117,6 +117,8 @@ class _Person:
     """Whether a raw joint is over 7 cm off, constant offset aside."""
     moved: list[Array] = field(default_factory=list)
     """How far such a joint was moved [m], likewise."""
+    movements: list[str] = field(default_factory=list)
+    """What each clip shows."""
     told: list[tuple[bool, bool]] = field(default_factory=list)
     """Whether a limb was off by 12 cm for half a second, and whether that was told."""
 
@@ -185,6 +187,7 @@ class Tally:
         person.distances.append(accuracy.distances(positions, truth))
         person.standardized.append(accuracy.standardized(positions, truth))
         person.varying.append(accuracy.varying(positions, truth))
+        person.movements.append(pair.movement)
         person.jitters.append(jitter(pair.take.time, positions[:, accuracy.limbs]))
         off = accuracy.varying(pair.take.positions, truth)
         moved = accuracy.varying(positions, pair.take.positions)
@@ -208,6 +211,16 @@ class Tally:
                 getattr(mine, field_name).extend(values)
         self._seconds += other._seconds
         self._frames += other._frames
+
+    def by_movement(self) -> dict[tuple[str, str], float]:
+        """Return E_var [cm] of each person's clips of each movement."""
+        found = {}
+        for name, person in self._people.items():
+            clips = list(zip(person.movements, person.varying, strict=True))
+            for movement in dict.fromkeys(person.movements):
+                varying = np.concatenate([v for m, v in clips if m == movement])
+                found[name, movement] = float(np.nanmean(varying) * 100)
+        return found
 
     def summary(self) -> dict[str, Any]:
         """Return the figures: means over frames and joints, then over people."""
@@ -233,7 +246,15 @@ class Tally:
             "clips_off_told": sum(off and said for off, said in told),
             "false_alarms": sum(said and not off for off, said in told),
             "people": each,
+            "movements": self._of_movements(),
         }
+
+    def _of_movements(self) -> dict[str, dict[str, float]]:
+        """Return E_var [cm] of each movement, by person."""
+        found: dict[str, dict[str, float]] = {}
+        for (name, movement), varying in self.by_movement().items():
+            found.setdefault(movement, {})[name] = varying
+        return found
 
 
 def _known(people: dict[str, dict[str, float | None]], key: str) -> list[float]:

@@ -6,7 +6,7 @@ import multiprocessing
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ _WITHOUT_PARTS = {
     "local-pca": ("nearest", "no-reliability"),
 }
 _WORTH_PROCESSES = 100  # clips to clean, for which processes are started
+Protocol = Literal["people", "movements", "repetitions"]
 LEARNED_REPETITIONS = 7
 """Repetitions e01 to e07 teach, e08 to e10 test."""
 
@@ -58,7 +59,7 @@ def evaluate(
     test: Sequence[PairedTake],
     methods: Sequence[str],
     *,
-    protocol: Literal["people", "repetitions"] = "people",
+    protocol: Protocol = "people",
     presets: Sequence[str] = (),
     assigned: Sequence[str] = (),
     physics: bool = True,
@@ -77,7 +78,8 @@ def evaluate(
         test: Clips to test on; none: one person of ``train`` after the other.
         methods: Names out of ``METHODS``; ``systems_of`` says how to join them and to
             set their parameters.
-        protocol: ``people`` tests on people that were not learned from;
+        protocol: ``people`` tests on people that were not learned from; ``movements``
+            on people and movements of which neither was learned from;
             ``repetitions`` learns from the repetitions e01 to e07 of all the clips
             given and tests on the others.
         presets: Names out of ``PRESETS``, likewise.
@@ -102,7 +104,7 @@ def evaluate(
         check_kind(pairs, list | tuple, what)
         for pair in pairs:
             check_kind(pair, PairedTake, f"one of {what}")
-    check_word(protocol, ("people", "repetitions"), "protocol")
+    check_word(protocol, get_args(Protocol), "protocol")
     if not isinstance(database, PostureDatabase | None):
         check_word(database, ("mocap",), "database")
     parts = [p for m in methods for p in _WITHOUT_PARTS.get(m, ()) if ablation]
@@ -128,7 +130,21 @@ def evaluate(
         "test_clips": len(tested),
         "reliability_auc": reliability_auc(tested),
         "methods": {name: tally.summary() for name, tally in tallies.items()},
+        "worse_than_none": _worse_than_none(tallies),
     }
+
+
+def _worse_than_none(tallies: dict[str, Tally]) -> dict[str, tuple[int, int]]:
+    """Return in how many movements of a person E_var grew by 1 %, and of how many."""
+    if "none" not in tallies:
+        return {}
+    smoothed = tallies["none"].by_movement()
+    counts = {}
+    for name, tally in tallies.items():
+        cells = tally.by_movement()
+        worse = sum(cells[key] > 1.01 * least for key, least in smoothed.items())
+        counts[name] = (worse, len(smoothed))
+    return {name: counts[name] for name in counts if name not in ("raw", "none")}
 
 
 def _tested(
@@ -215,20 +231,26 @@ def _folds(
                 f"to test on; given are {len(early)} and {len(late)}"
             )
         yield _Fold(early, late)
-    elif test:
+    elif test and protocol == "people":
         yield _Fold(list(train), list(test))
     else:
         people = sorted({pair.subject for pair in train})
         if len(people) < 2:
             raise InputError(
-                "protocol people leaves one person out, and needs two or more; give "
-                "more pairs files, or --test"
+                f"protocol {protocol} leaves one person out, and needs two or more; "
+                "give more pairs files, or --test"
             )
         for person in people:
-            yield _Fold(
-                [p for p in train if p.subject != person],
-                [p for p in train if p.subject == person],
-            )
+            others = [p for p in train if p.subject != person]
+            own = [p for p in train if p.subject == person]
+            if protocol == "people":
+                yield _Fold(others, own)
+                continue
+            for movement in sorted({p.movement for p in own}):
+                yield _Fold(
+                    [p for p in others if p.movement != movement],
+                    [p for p in own if p.movement == movement],
+                )
 
 
 def repetition(pair: PairedTake) -> int:
@@ -324,6 +346,12 @@ def as_table(figures: dict[str, Any]) -> Table:
         "times as much; area under ROC of joints over 7 cm off, offset removed: found, "
         f"by how far they were moved; by reliability: {areas}"
     )
+    if cells := figures["worse_than_none"]:
+        told = [f"{name} {worse} of {count}" for name, (worse, count) in cells.items()]
+        table.caption += (
+            "; people's movements whose E_var is over 1 % above that of none: "
+            f"{', '.join(told)}"
+        )
     return table
 
 

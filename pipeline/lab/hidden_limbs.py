@@ -265,7 +265,7 @@ def _measure(
                 found.append(
                     {
                         "person": pair.subject,
-                        "movement": pair.clip.split("_")[0],
+                        "movement": pair.movement,
                         "clip": pair.clip,
                         "limb": limb,
                         "gap": gap,

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
+from kinefilter.pipeline.correct.posture_features import Part
 from kinefilter.pipeline.correct.random_features import Floats, RandomFeatures
 from kinefilter.pipeline.progress import Progress, silent
 
 from .lessons import Learner, TrainingSet
-from .ridge import own_weights, people_of, ridge_weights
+from .ridge import Person, own_weights, people_of, ridge_weights
 
 # Chosen by leaving one of six people out, and one of their movements.
 _WEIGHT, _SIMULATED_WEIGHT = (
@@ -23,7 +24,7 @@ _WEIGHT, _SIMULATED_WEIGHT = (
     150.0,
 )  # frames without noise that a person is like
 _MOST, _SIMULATED_MOST = 2500, 50  # frames of a person that are learned from
-_CENTERS = 1000  # of the postures that were learned from
+_CENTERS, _PART_CENTERS = 1000, 600  # of the postures that were learned from
 # Of limbs on the far side; chosen by leaving one of fourteen people out.
 _VIEW_WEIGHT, _VIEW_MOST, _VIEW_CENTERS = 700.0, 1500, 300
 _FACING_WEIGHT, _FACING_MOST = 200.0, 800  # of people in front, whom it leaves alone
@@ -35,12 +36,12 @@ class FourierRidgeLearner(FourierRidge, Learner):
 
     Args:
         skeleton: The joints.
-        samples: Random features of whole takes; live motion has half of them.
+        samples: Random features of each part in whole takes; live motion has half.
         seed: Draws their frequencies.
     """
 
     def __init__(
-        self, skeleton: Skeleton, *, samples: int = 4096, seed: int = 0
+        self, skeleton: Skeleton, *, samples: int = 2048, seed: int = 0
     ) -> None:
         super().__init__(skeleton)
         self.samples, self.seed = samples, seed
@@ -85,44 +86,66 @@ class FourierRidgeLearner(FourierRidge, Learner):
                 facing.append(replace(person, offsets=np.zeros_like(person.offsets)))
         means = [person.features.mean(axis=0) for person in recorded]
         self.mean_ = np.mean(means, axis=0).astype(np.float16).astype(np.float32)
+        parts = self._described.parts
+        learned = np.concatenate([part.joints for part in parts])
         means = [person.offsets.mean(axis=0) for person in recorded]
-        self.offset_ = np.mean(means, axis=0).astype(np.float32)
+        offset = np.mean(means, axis=0).reshape(-1, 3)[learned]
+        self.offset_ = offset.ravel().astype(np.float32)
         self.bones_ = self._odd_bones(training).astype(np.float32)
         self.seed_ = np.array(self.seed)
         features = np.concatenate([p.features for p in (*recorded, *others)])
         self.centers_ = _rounded(_centers_of(features, _CENTERS))
+        self.arm_centers_, self.leg_centers_, self.trunk_centers_ = (
+            _rounded(_centers_of(features[:, part.own], _PART_CENTERS))
+            for part in parts
+        )
         self.far_centers_ = np.empty((0, features.shape[1]), dtype=np.float32)
         if beside:
             seen = np.concatenate([person.features for person in beside])
             self.far_centers_ = _rounded(_centers_of(seen, _VIEW_CENTERS))
         self.people_ = np.array(training.people if people else (), dtype=np.str_)
-        parts = [np.arange(features.shape[1]), self._described.live]
-        mirrors = [self._described.mirror, self._described.live_mirror]
         # Frames are alike: half as many features as frames are plenty.
         most = min(self.samples, len(features) // 2) // 4 * 4
-        counts = (most, most // 8 * 4)
-        found = []
-        everybody = [*recorded, *others, *beside, *facing, *self.people_]
-        steps = iter(progress("learn", 2 * len(everybody)))
-        for columns, count, mirror in zip(parts, counts, mirrors, strict=True):
-            random = RandomFeatures(self.mean_[columns], count, self.seed, mirror)
-            shared = ridge_weights(
-                random, columns, recorded, others, self.offset_, steps
+        everybody = [*recorded, *others, *beside, *facing]
+        count = 2 * len(parts) * (len(everybody) + 2 * len(self.people_))
+        steps = iter(progress("learn", count))
+
+        def weights_of(
+            part: Part, columns: NDArray[np.intp], count: int
+        ) -> list[Array]:
+            """Return the weights of a part: shared, of far sides, of each person."""
+            random = RandomFeatures(
+                self.mean_[columns], count, self.seed, part.weights[columns]
             )
-            far, own = shared[:0], []
+            people, simulated, aside = (
+                [_of_part(person, part.joints) for person in some]
+                for some in (recorded, others, beside + facing)
+            )
+            mean = offset[np.isin(learned, part.joints)].ravel().astype(np.float32)
+            shared = ridge_weights(random, columns, people, simulated, mean, steps)
+            far, none = shared[:0], np.zeros_like(mean)
             if beside:
-                none = np.zeros_like(self.offset_)
-                far = ridge_weights(random, columns, beside + facing, [], none, steps)
-            # Recorded people come with their mirror images, which are others.
-            for person in recorded[: 2 * len(self.people_) : 2]:
+                far = ridge_weights(random, columns, aside, [], none, steps)
+            own = []
+            # With the mirror images, whose left limbs are their right ones.
+            for person in people[: 2 * len(self.people_)]:
                 next(steps)
-                own.append(own_weights(random, columns, person, shared, self.offset_))
-            found.append((shared, far, own))
+                own.append(own_weights(random, columns, person, shared, mean))
+            shape = (len(self.people_), 2, len(shared) + 1, len(mean))
+            return [shared, far, np.reshape(own, shape)]
+
+        found = []
+        for columns, count in (
+            (np.arange(features.shape[1]), most),
+            (self._described.live, most // 2),
+        ):
+            told = [weights_of(part, columns, count) for part in parts]
+            found.append(
+                [_rounded(np.concatenate(w, axis=-1)) for w in zip(*told, strict=True)]
+            )
         for _ in steps:
             pass
-        (self.weights_, self.far_weights_, self.own_weights_), live = (
-            tuple(_rounded(np.array(part)) for part in some) for some in found
-        )
+        (self.weights_, self.far_weights_, self.own_weights_), live = found
         self.live_weights_, self.live_far_weights_, self.live_own_weights_ = live
         self._prepare()
         return self
@@ -137,6 +160,12 @@ class FourierRidgeLearner(FourierRidge, Learner):
             for p in people
         ]
         return np.asarray(np.mean(each, axis=0))
+
+
+def _of_part(person: Person, joints: NDArray[np.intp]) -> Person:
+    """Return a person with the offsets of some of the known joints."""
+    offsets = person.offsets.reshape(len(person.offsets), -1, 3)[:, joints]
+    return replace(person, offsets=offsets.reshape(len(offsets), -1))
 
 
 def _centers_of(features: Floats, count: int) -> Floats:
