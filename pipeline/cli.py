@@ -18,7 +18,7 @@ from tyro.conf import subcommand
 
 from kinefilter.characters import InputError
 
-from .commands.terminal import ended_gently, err
+from .commands.terminal import ended_gently, err, on_one_line
 from .workers import one_thread
 
 _GROUPS = {
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _run(words)
     except InputError as error:
-        err.print(f"kinefilter: {error}")
+        err.print(f"kinefilter: {on_one_line(str(error))}")
         return 2
     except KeyboardInterrupt as ended:  # its words are what the user should know
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))

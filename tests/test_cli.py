@@ -250,6 +250,14 @@ def test_names_are_printed_as_they_are(
     assert "a[/c]:cat:" in _refused(["info", "a[/c]:cat:"], tmp_path, capsys)
 
 
+def test_names_cannot_break_lines_or_steer_the_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["info", "a\x1b[31m\nb\x85c\u2028d\u3000é.csv"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "a\\x1b[31m\\nb\\x85c\\u2028d\u3000é.csv" in line
+
+
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
 def test_a_request_to_end_is_answered_in_one_line(
