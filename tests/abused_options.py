@@ -156,6 +156,7 @@ _ALSO_WRITTEN = {
 _READ = {("info", "json"), ("train", "pairs"), ("evaluate", "pairs")}
 # Without these two, a study is measured for minutes, or on recordings.
 _NEEDED = {("reproduce", "quick"), ("reproduce", "data")}
+_EVERY_OTHER = {("batch", "scheduler"), ("train", "simulated"), ("train", "method")}
 _FLAGS = {"start": "from", "config_file": "config", "source": "in"}
 _ENDED_AFTER = 0.5  # s; what would otherwise go on until Ctrl-C
 _ODD = st.characters(exclude_categories=["Cs"], exclude_characters="/\0{}")
@@ -225,6 +226,8 @@ def _words(name: str) -> Strategy:
             placed.append(_values(name, field, hint, least=int(bare)))
         elif bare or (name, field) in _NEEDED:
             needed.append(_option(name, field, hint))
+        elif (name, field) in _EVERY_OTHER:
+            needed.append(st.just([]) | _option(name, field, hint))
         else:
             others.append(_option(name, field, hint))
     if not others:
@@ -360,5 +363,5 @@ def _cluster() -> str:
     """Return the address of a Dask cluster of one worker, which ends with us."""
     from distributed import LocalCluster
 
-    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0")
     return str(cluster.scheduler_address)
