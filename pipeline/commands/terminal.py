@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import signal
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -34,12 +33,6 @@ Skeletons = Literal["kinect_v1", "kinect_v2"]
 # Windows' SIGBREAK is Ctrl-Break, and a console that is closed.
 _REQUESTS = ("SIGTERM", "SIGBREAK")  # to end; no system has all of them
 _ENDS = (*_REQUESTS, "SIGINT", "SIGHUP")
-
-
-def on_one_line(words: str) -> str:
-    """Return words with control characters, as file names may hold, escaped."""
-    control = "[\x00-\x1f\x7f-\x9f\u2028\u2029]"  # these two end lines, too
-    return re.sub(control, lambda found: ascii(found[0])[1:-1], words)
 
 
 def check_output(path: Path | None, *others: Path | None, suffix: str = "") -> None:
