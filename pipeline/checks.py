@@ -10,7 +10,7 @@ from kinefilter.characters.arrays import Array, as_numbers, check_kind, shown
 
 from .formats.recording import check_extent, check_rate
 
-_NEEDED = 400  # bytes that a joint of a frame costs while it is cleaned: 350 to 370
+_NEEDED = 600  # bytes that a joint of a frame costs while it is cleaned, with physics
 _LARGE = 2**29  # bytes that are there without asking
 _FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
 

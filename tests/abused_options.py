@@ -176,6 +176,7 @@ def abuse_options(attempt: Attempt) -> None:
             shutil.copy(attempt.files[take[1:-1]], here)
     places = {"valid": here, "dask": _cluster() if "{dask}" in words else here}
     words = [attempt.filled(word, **places) for word in words]
+    os.chdir(here)
     before = os.dup(0)
     with attempt.files["frames.jsonl"].open("rb") as frames:  # for live
         os.dup2(frames.fileno(), 0)
