@@ -58,7 +58,7 @@ _WEIGHTS = {
     "reproduce": 1,
     "bench": 1,
 }
-_MOST = 5  # options that may be left out
+_MOST = 4  # options that may be left out
 _QUICK = ("reliability", "failures", "shum-table-3", "shum-figure-8", "chiang-figure-5")
 _NUMBERS = ("0", "1", "0.5", "1.8", "6", "24", "30", "-1", "1e-9", "1e9", "nan", "inf")
 _COUNTS = ("1", "2", "3", "0", "-1", "1000000000")
@@ -75,16 +75,18 @@ _CLIPS = tuple(
 _WRONG = ("{valid}", "absent", "{rig.toml}", "")
 _SCENES = ("basic", "box", "chair", "basketball", "flip_chart", "office", "{own.xml}")
 _USED = {
-    "take": _TAKES,  # and what view shows
+    "take": _TAKES,
+    "view motion": _TAKES,
+    "pair files": ("{take.csv}", "{kinect-v2.csv}", "{clip.bvh}", "{points.trc}"),
     "inputs": (*_TAKES, "{valid}"),
     "file": (*_TAKES, *_CLIPS, "{contacts.csv}", "{database.npz}", "{model.npz}"),
     "clip": (*_CLIPS, "{take.csv}"),
     "clips": (*_CLIPS, "{take.csv}"),
     "compare": _TAKES,
     "same_person": _TAKES,
-    "pairs": ("{pairs.npz}", "{people.npz}"),
-    "train": ("{pairs.npz}", "{people.npz}"),
-    "test": ("{pairs.npz}", "{people.npz}"),
+    "pairs": ("{people.npz}", "{people.npz}", "{pairs.npz}"),
+    "train": ("{people.npz}", "{people.npz}", "{pairs.npz}"),
+    "test": ("{people.npz}", "{people.npz}", "{pairs.npz}"),
     "files": ("{pairs.npz}", "{clip.bvh}", "{points.c3d}", "{arm.amc}", "{arm.asf}"),
     "model": ("{model.npz}",),
     "person": ("s1", "nobody"),
@@ -106,7 +108,7 @@ _USED = {
     "floor": ("auto", "none", "0", "-0.8", "100"),
     "seed": ("0", "7", "-1", "99999999999999999999"),
     "motion": tuple(MOTIONS),
-    "methods": (*METHODS, "none,default", "kalman,butterworth", "nothing"),
+    "methods": (*METHODS, "none,default", "kalman,butterworth", "none", "nothing"),
     "set": ("neighbors=7", "steps=2", "style=0", "neighbors=0", "=", "rate_frames=x"),
     "presets": ("shum-2012", "wang-low-rank,shum-2012", "wang-low-rank:growth=2", "x"),
     "hide": ("left-arm", "arms", "shins", "left-hand", "tail"),
@@ -148,15 +150,24 @@ _ALSO_WRITTEN = {
     "all": "{out}/all",
     "json": "{out}/o.json",
     "pairs": "{out}/pairs.npz",  # of simulate
+    "picture": "{out}/o.png",
     "report": "{out}/o.html",
     "save_contacts": "{out}/contacts.csv",
     "record": "{out}/o.csv",
     "truth": "{out}/truth.csv",
 }
 _READ = {("info", "json"), ("train", "pairs"), ("evaluate", "pairs")}
-# Without these two, a study is measured for minutes, or on recordings.
-_NEEDED = {("reproduce", "quick"), ("reproduce", "data")}
-_EVERY_OTHER = {("batch", "scheduler"), ("train", "simulated"), ("train", "method")}
+# Without these, studies and methods that learn take minutes.
+_NEEDED = {("reproduce", "quick"), ("reproduce", "data"), ("evaluate", "methods")}
+_EVERY_OTHER = {("batch", "scheduler"), ("train", "method"), ("evaluate", "test")}
+# Instead of what has a place; evaluate has that with this option alone.
+_INSTEAD = {
+    "train": "--simulated",
+    "database build": "--scripted",
+    "reproduce": "--all",
+    "evaluate": "--hide",
+}
+_OUT_OF_ALL = ("reproduce", "--out")
 _FLAGS = {"start": "from", "config_file": "config", "source": "in"}
 _ENDED_AFTER = 0.5  # s; what would otherwise go on until Ctrl-C
 _ODD = st.characters(exclude_categories=["Cs"], exclude_characters="/\0{}")
@@ -224,7 +235,7 @@ def _words(name: str) -> Strategy:
     placed, needed, others = [], [], []
     for field, hint, bare in _options(kinds.get(name) or _command(name)):
         if _POSITIONAL in getattr(hint, "__metadata__", ()):
-            placed.append(_values(name, field, hint, least=int(bare)))
+            placed.append(_values(name, field, hint))
         elif bare or (name, field) in _NEEDED:
             needed.append(_option(name, field, hint))
         elif (name, field) in _EVERY_OTHER:
@@ -237,12 +248,23 @@ def _words(name: str) -> Strategy:
         which = st.sets(st.integers(0, len(others) - 1), max_size=_MOST)
         some = which.flatmap(lambda them: st.tuples(*(others[k] for k in sorted(them))))
     # Those with a place first: an option may take however many words follow.
-    return st.tuples(st.tuples(*placed), st.tuples(*needed), some).map(
-        lambda parts: [
+    parts = st.tuples(st.tuples(*placed), st.tuples(*needed), some)
+    return st.tuples(st.booleans(), parts).map(
+        lambda drawn: [
             *name.split(),
-            *(word for part in parts for words in part for word in words),
+            *(word for words in _fitting(name, *drawn) for word in words),
         ]
     )
+
+
+def _fitting(name: str, fit: bool, parts: Any) -> list[list[str]]:
+    """Return the options of a command, if asked without those that exclude others."""
+    placed, needed, some = parts
+    given = {words[0] for words in (*needed, *some) if words}
+    if fit and (name in _INSTEAD and _INSTEAD[name] in given) == (name != "evaluate"):
+        placed = ()
+        needed = [words for words in needed if (name, *words[:1]) != _OUT_OF_ALL]
+    return [*placed, *needed, *some]
 
 
 def _option(name: str, field: str, hint: Any) -> Strategy:
@@ -268,8 +290,8 @@ def _options(kind: Any) -> Iterator[tuple[str, Any, bool]]:
             yield field.name, hint, bare
 
 
-def _values(name: str, field: str, hint: Any, *, least: int = 1) -> Strategy:
-    """Return a strategy of the words of an option, so many at least if several may."""
+def _values(name: str, field: str, hint: Any) -> Strategy:
+    """Return a strategy of the words of an option."""
     if field == "out":
         written = _WRITTEN.get(name, ["o.npz"])
         if name in ("live", "replay"):
@@ -290,10 +312,10 @@ def _values(name: str, field: str, hint: Any, *, least: int = 1) -> Strategy:
         first = get_args(kinds[0])
         kinds = [*first] if get_origin(kinds[0]) in (Union, UnionType) else [first[0]]
         kinds = [kind for kind in kinds if kind is not type(None)]
-    used = "take" if (name, field) == ("view", "motion") else field
+    used = f"{name} {field}" if f"{name} {field}" in _USED else field
     word = st.one_of([_word(used, kind) for kind in kinds])
     several &= field not in ("fail_on", "origin")  # which are given again instead
-    return st.lists(word, min_size=least if several else 1, max_size=1 + several)
+    return st.lists(word, min_size=1, max_size=1 + several)
 
 
 def _word(field: str, kind: Any) -> st.SearchStrategy[str]:
