@@ -10,6 +10,8 @@ from kinefilter.characters.arrays import Array, as_numbers, check_kind, shown
 
 from .formats.recording import check_extent, check_rate
 
+_NEEDED = 600  # bytes that a joint of a frame costs while it is cleaned, with physics
+_LARGE = 2**29  # bytes that are there without asking
 _FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
 
 
@@ -40,6 +42,23 @@ def check_take(take: Take) -> None:
         raise InputError(
             f"{take.source}: the take has one distinct time stamp; "
             "a motion needs two frames or more"
+        )
+    _check_memory(take)
+
+
+def _check_memory(take: Take) -> None:
+    """Raise InputError for a take for which the memory does not suffice."""
+    needed = take.state.size * _NEEDED
+    if needed < _LARGE:
+        return
+    import psutil  # only here is it needed
+
+    free = psutil.virtual_memory().available
+    if needed > free:
+        raise InputError(
+            f"{take.source}: cleaning {len(take)} frames needs about "
+            f"{needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free; cut "
+            "the take into parts"
         )
 
 

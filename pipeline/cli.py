@@ -19,6 +19,7 @@ from tyro.conf import subcommand
 from kinefilter.characters import InputError
 
 from .commands.terminal import ended_gently, err
+from .formats.plain import printable
 from .workers import one_thread
 
 _GROUPS = {
@@ -65,7 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _run(words)
     except InputError as error:
-        err.print(f"kinefilter: {error}")
+        err.print(f"kinefilter: {printable(str(error))}")
+        return 2
+    except MemoryError:
+        err.print("kinefilter: not enough memory; cut long takes into parts")
         return 2
     except KeyboardInterrupt as ended:  # its words are what the user should know
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))

@@ -1,12 +1,14 @@
 """A week of abuse: what kinefilter does with what nobody should do to it.
 
     python tests/abuse.py [--minutes 5] [--only files] [--seed 0] [--json out.json]
+    python tests/abuse.py --only files --count 20000
 
 Damaged files of every format, random sets of options, kills, full disks, clocks that
 jump, crowds and floods: each part gets its share of the minutes. Every try must end in
 success or in a refusal that says why, with nothing half-written; any other end is a
-loss, and the exit code 1. The same seed tries the same things:
-``--only files --first 1234 --count 1`` repeats one of them.
+loss, and the exit code 1. With a count there is no limit of time, unless ``--minutes``
+gives one. The same seed tries the same things: ``--only files --first 1234 --count 1``
+repeats one of them.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import argparse
 import faulthandler
 import importlib
 import json
+import math
 import os
 import random
 import resource
@@ -48,7 +51,7 @@ class Part:
     function: str  # module:name, called with an Attempt
     share: float  # of the time
     most: int  # tries
-    patience: float = 20.0  # s of processor time for one try; three times as long waits
+    patience: float = 20.0  # s of processor time for one try; see ``_may_wait``
     workers: int = 2
 
 
@@ -106,7 +109,7 @@ def work(name: str, asked: argparse.Namespace, first: int, step: int) -> None:
         told.write(json.dumps({"begin": n}) + "\n")
         folder = asked.folder / f"{name}-{n}"
         folder.mkdir()
-        faulthandler.dump_traceback_later(3 * part.patience, exit=True)
+        faulthandler.dump_traceback_later(_may_wait(part), exit=True)
         signal.setitimer(signal.ITIMER_PROF, part.patience)
         began = time.perf_counter()
         rng = random.Random(f"{asked.seed} {name} {n}")
@@ -117,6 +120,11 @@ def work(name: str, asked: argparse.Namespace, first: int, step: int) -> None:
         told.write(json.dumps({"part": name, "n": n, "seconds": seconds} | row) + "\n")
         if row["end"] != "lost":
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _may_wait(part: Part) -> float:
+    """Return how long a try may last [s]: longer the more others use the processors."""
+    return 3.0 * part.patience * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 def tried(function: Callable[[Attempt], None], attempt: Attempt) -> dict[str, str]:
@@ -204,7 +212,7 @@ def run_part(name: str, asked: argparse.Namespace) -> Tally:
 def arguments() -> argparse.Namespace:
     """Return what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--minutes", type=float)
     parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0)
@@ -214,7 +222,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--until", type=float, help=argparse.SUPPRESS)
     parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--from", type=int, dest="begin", help=argparse.SUPPRESS)
-    return parser.parse_args()
+    asked = parser.parse_args()
+    if asked.minutes is None:
+        asked.minutes = 5.0 if asked.count is None else math.inf
+    return asked
 
 
 def main() -> int:

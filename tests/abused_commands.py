@@ -35,6 +35,7 @@ from kinefilter.pipeline.lab.simulate import simulate, write_pairs
 from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import frames_of
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget.rig_map import RIGS
 
 _DEEPEST = 0.011
@@ -72,10 +73,14 @@ class Attempt:
         return self.folder / "out"
 
     def command(self, template: str, **others: Path) -> list[str]:
-        """Return a command line: ``{out}`` and names of files in braces as paths."""
+        """Return a command line, its words as of ``filled``."""
+        return [self.filled(word, **others) for word in template.split()]
+
+    def filled(self, word: str, **others: Path | str) -> str:
+        """Return a word with ``{out}`` and names of files in braces as paths."""
         known = {**self.files, "out": self.out, **others}
         pattern = "|".join(re.escape(f"{{{name}}}") for name in known)
-        return re.sub(pattern, lambda hit: str(known[hit[0][1:-1]]), template).split()
+        return re.sub(pattern, lambda hit: str(known[hit[0][1:-1]]), word)
 
     def run(self, words: Sequence[str]) -> Ran:
         """Run a command and check what it leaves; raises InputError if refused."""
@@ -130,12 +135,11 @@ def check_left(ran: Ran, out: Path, words: Sequence[str]) -> None:
     hidden = [path.name for path in files if path.name.startswith(".")]
     if hidden:
         raise LostError(f"left {hidden}")
-    if ran.code == 2 and files and words[0] != "batch":
+    if ran.code == 2 and files and words[0] not in ("batch", "reproduce"):
         raise LostError(f"refused ({ran.said.strip()[-200:]}), but left {files}")
-    if ran.code == 0 and not files and words[0] not in ("info", "replay", "live"):
-        shown = words[0] == "database" or ("--json" not in words and "-o" not in words)
-        if not shown:
-            raise LostError(f"exit code 0, nothing written: {ran.said[-200:]}")
+    written = {"--json", "-o", "--out"} & set(words)
+    if ran.code == 0 and written and not files and words[0] not in _SENT:
+        raise LostError(f"exit code 0, nothing written: {ran.said[-200:]}")
     for path in files:
         check_file(path, words)
 
@@ -158,6 +162,7 @@ def check_file(path: Path, words: Sequence[str]) -> None:
         _check_clip(path, words)
 
 
+_SENT = ("info", "replay", "live")  # out to somebody else, or on the terminal
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -213,7 +218,10 @@ def prepare(folder: Path) -> dict[str, Path]:
         stem, _, suffix = name.partition(".")
         (folder / f"{stem}-gz.{suffix}.gz").write_bytes(packed)
     half = replace(pair, take=part(pair.take, 40, 60), truth=pair.truth[40:100])
-    write_pairs([half, replace(half, clip="m02_s01_e01")], folder / "people.npz")
+    people = [replace(half, clip=f"m0{k}_s01_e01") for k in (1, 2)]
+    people += [replace(clip, subject="another") for clip in people]
+    write_pairs(people, folder / "people.npz")
+    _write_folders(folder, people, v1, v2)
     texts = {
         "rig.toml": _RIG_MAP.read_text(encoding="utf-8"),
         "options.toml": 'cutoff = 4.0\nmethod = "none"\nheight = 1.8\nfps = 24\n',
@@ -231,6 +239,25 @@ def prepare(folder: Path) -> dict[str, Path]:
         rig = ["--rig", "mixamo"] * ("mixamo" in name)
         run(["clean", str(folder / "take.csv"), "-o", str(folder / name), *rig])
     return {path.name: path for path in sorted(folder.iterdir())}
+
+
+def _write_folders(
+    folder: Path, people: Sequence[PairedTake], v1: Take, v2: Take
+) -> None:
+    """Write recordings of the studies, and sessions of two sensors."""
+    recordings, sessions = folder / "recordings", folder / "sessions"
+    for inner in ("takes/day", "ui-prmd"):
+        (recordings / inner).mkdir(parents=True)
+    sessions.mkdir()
+    write_take_csv(v1, recordings / "takes" / "day" / "take.csv")
+    for name in ("s01", "s02"):
+        write_pairs(people[:2], recordings / "ui-prmd" / f"{name}.npz")
+    for name in ("x_90deg_wave", "y_90deg_wave"):
+        for sensor in "AB":
+            write_take_csv(v2, sessions / f"{name}_{sensor}.csv")
+        rows = "".join(f"{1e3 * t:.3f},{t:.6f},{t:.6f}\n" for t in v2.time)
+        text = f"milliseconds,A,B\n{rows}"
+        (sessions / f"{name}.sync.csv").write_text(text, encoding="utf-8")
 
 
 _CRATE = """<body name="crate" pos="1 0 .2"><freejoint/>
@@ -302,7 +329,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 
 
-_LEFT_ALONE = ("take.csv", "camera.toml", "frames.jsonl")
+_LEFT_ALONE = ("take.csv", "camera.toml", "frames.jsonl", "recordings", "sessions")
 
 
 def abuse_file(attempt: Attempt) -> None:

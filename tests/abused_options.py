@@ -2,26 +2,43 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
-import random
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, fields, is_dataclass
+from functools import cache, partial
+from importlib import import_module
+from pkgutil import walk_packages
+from threading import Timer
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 from unittest import mock
 
 from abused_commands import Attempt
 from batch_takes import Here
-from tyro.conf import Positional
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from tyro.conf import Positional, Suppress
 
+import kinefilter
+from kinefilter.pipeline.batch import run as batch_run
 from kinefilter.pipeline.cli import _command
+from kinefilter.pipeline.commands import live
 from kinefilter.pipeline.commands.learn import DatabaseBuild, DatabaseInfo
+from kinefilter.pipeline.lab import bench, scripted_database, simulate, studies, teach
+from kinefilter.pipeline.look.viewer import Viewer
 from kinefilter.pipeline.methods import METHODS
 from kinefilter.retarget.rig_map import RIGS
 from kinefilter.scenes.library import MOTIONS
 
-_POSITIONAL = get_args(Positional[int])[1]
+# Hypothesis also draws constants of the modules that are loaded: always the same ones.
+for module in walk_packages(kinefilter.__path__, "kinefilter."):
+    import_module(module.name)
+
+Strategy = st.SearchStrategy[list[str]]
+
 _WEIGHTS = {
     "clean": 12,
     "info": 3,
@@ -29,18 +46,24 @@ _WEIGHTS = {
     "character": 3,
     "replay": 2,
     "live": 2,
-    "render": 0.2,
-    "batch": 2,
+    "view": 1,
+    "render": 1,
+    "batch": 3,
     "pair": 1,
-    "train": 1,
+    "train": 2,
     "evaluate": 2,
     "simulate": 2,
     "database build": 2,
     "database info": 1,
+    "reproduce": 1,
+    "bench": 1,
 }
-_OFTEN = 0.12  # of the time, an option that may be left out is given
+_MOST = 4  # options that may be left out
+_QUICK = ("reliability", "failures", "shum-table-3", "shum-figure-8", "chiang-figure-5")
 _NUMBERS = ("0", "1", "0.5", "1.8", "6", "24", "30", "-1", "1e-9", "1e9", "nan", "inf")
 _COUNTS = ("1", "2", "3", "0", "-1", "1000000000")
+_POSITIONAL = get_args(Positional[int])[1]
+_SUPPRESSED = get_args(Suppress[int])[1]
 _TAKES = (
     *("{take.csv}", "{kinefilter.csv}", "{kinect-v1.csv}", "{kinect-v2.csv}"),
     *("{msrc-12.csv}", "{msr-action3d.txt}", "{ntu.skeleton}", "{azure.json}"),
@@ -53,15 +76,17 @@ _WRONG = ("{valid}", "absent", "{rig.toml}", "")
 _SCENES = ("basic", "box", "chair", "basketball", "flip_chart", "office", "{own.xml}")
 _USED = {
     "take": _TAKES,
+    "view motion": _TAKES,
+    "pair files": ("{take.csv}", "{kinect-v2.csv}", "{clip.bvh}", "{points.trc}"),
     "inputs": (*_TAKES, "{valid}"),
     "file": (*_TAKES, *_CLIPS, "{contacts.csv}", "{database.npz}", "{model.npz}"),
     "clip": (*_CLIPS, "{take.csv}"),
     "clips": (*_CLIPS, "{take.csv}"),
     "compare": _TAKES,
     "same_person": _TAKES,
-    "pairs": ("{pairs.npz}", "{people.npz}"),
-    "train": ("{pairs.npz}", "{people.npz}"),
-    "test": ("{pairs.npz}", "{people.npz}"),
+    "pairs": ("{people.npz}", "{people.npz}", "{pairs.npz}"),
+    "train": ("{people.npz}", "{people.npz}", "{pairs.npz}"),
+    "test": ("{people.npz}", "{people.npz}", "{pairs.npz}"),
     "files": ("{pairs.npz}", "{clip.bvh}", "{points.c3d}", "{arm.amc}", "{arm.asf}"),
     "model": ("{model.npz}",),
     "person": ("s1", "nobody"),
@@ -83,14 +108,25 @@ _USED = {
     "floor": ("auto", "none", "0", "-0.8", "100"),
     "seed": ("0", "7", "-1", "99999999999999999999"),
     "motion": tuple(MOTIONS),
-    "methods": (*METHODS, "none,default", "kalman,butterworth", "nothing"),
+    "methods": (*METHODS, "none,default", "kalman,butterworth", "none", "nothing"),
     "set": ("neighbors=7", "steps=2", "style=0", "neighbors=0", "=", "rate_frames=x"),
     "presets": ("shum-2012", "wang-low-rank,shum-2012", "wang-low-rank:growth=2", "x"),
     "hide": ("left-arm", "arms", "shins", "left-hand", "tail"),
     "gap": ("55%", "0.2", "5%", "200%", "x"),
     "count": ("20", "2", "1", "10000000"),
     "speed": ("1000", "1e9", "50", "0", "nan", "inf"),
-    "source": ("-", "-", "-", "udp://127.0.0.1:99999", "x"),
+    "source": (
+        *("-", "-", "-", "udp://127.0.0.1:0", "ws://127.0.0.1:0"),
+        *("udp://127.0.0.1:99999", "x"),
+    ),
+    "bind": ("127.0.0.1", "127.0.0.1", "127.0.0.2", "192.0.2.1", "x y"),
+    "port": ("0", "0", "-1", "65536"),
+    "origin": ("https://studio.example", "x"),
+    "scheduler": ("{dask}", "{dask}", "{dask}", "tcp://127.0.0.1:1", "x"),
+    "views": ("{sessions}", "{sessions}/x_90deg_wave", "{valid}"),
+    "sync": ("{sessions}/x_90deg_wave.sync.csv", "{take.csv}"),
+    "studies": (*_QUICK, *_QUICK, "nothing"),
+    "data": ("{recordings}", "{recordings}", "{valid}", "absent"),
     "bodies": ("1", "6", "0", "99"),
     "start": ("0", "0.1", "0.3", "99"),
     "to": ("0.2", "0.4", "0", "99"),
@@ -107,21 +143,34 @@ _WRITTEN = {
     "character": ["o.xml"],
     "simulate": ["o.csv"],
     "live": ["-"],
+    "reproduce": ["figures", "figures/quick"],
     "replay": ["udp://127.0.0.1:9", "-", "ws://127.0.0.1:1", "vmc://127.0.0.1:1"],
 }
 _ALSO_WRITTEN = {
+    "all": "{out}/all",
     "json": "{out}/o.json",
+    "pairs": "{out}/pairs.npz",  # of simulate
+    "picture": "{out}/o.png",
     "report": "{out}/o.html",
     "save_contacts": "{out}/contacts.csv",
     "record": "{out}/o.csv",
     "truth": "{out}/truth.csv",
 }
-# Without end, or for minutes, or on machines that are not there.
-_LEFT_OUT = {
-    *("loop", "simulated", "furnished", "scripted", "scheduler", "given", "views"),
-    *("sync", "bind", "origin", "ablation", "shadows"),
+_READ = {("info", "json"), ("train", "pairs"), ("evaluate", "pairs")}
+# Without these, studies and methods that learn take minutes.
+_NEEDED = {("reproduce", "quick"), ("reproduce", "data"), ("evaluate", "methods")}
+_EVERY_OTHER = {("batch", "scheduler"), ("train", "method"), ("evaluate", "test")}
+# Instead of what has a place; evaluate has that with this option alone.
+_INSTEAD = {
+    "train": "--simulated",
+    "database build": "--scripted",
+    "reproduce": "--all",
+    "evaluate": "--hide",
 }
-_SLOW = {"learned", "full-gp", "local-gp", "clustered-gp"}  # to learn
+_OUT_OF_ALL = ("reproduce", "--out")
+_FLAGS = {"start": "from", "config_file": "config", "source": "in"}
+_ENDED_AFTER = 0.5  # s; what would otherwise go on until Ctrl-C
+_ODD = st.characters(exclude_categories=["Cs"], exclude_characters="/\0{}")
 
 
 def abuse_options(attempt: Attempt) -> None:
@@ -129,51 +178,103 @@ def abuse_options(attempt: Attempt) -> None:
 
     Raises InputError where it is refused, and LostError or whatever went wrong.
     """
-    rng = attempt.rng
-    (name,) = rng.choices(list(_WEIGHTS), list(_WEIGHTS.values()))
+    name, words = drawn(attempt.rng.getrandbits(64))
     attempt.what = name
     here = attempt.folder / "in"
     here.mkdir()
     if name == "batch":
-        for take in rng.sample(_TAKES[:9], 3):
+        for take in attempt.rng.sample(_TAKES[:9], 3):
             shutil.copy(attempt.files[take[1:-1]], here)
-    words = [*name.split(), *_words(name, rng)]
-    words = ["".join(attempt.command(word, valid=here)) for word in words]
+    places = {"valid": here, "dask": _cluster() if "{dask}" in words else here}
+    words = [attempt.filled(word, **places) for word in words]
+    os.chdir(here)
     before = os.dup(0)
     with attempt.files["frames.jsonl"].open("rb") as frames:  # for live
         os.dup2(frames.fileno(), 0)
     try:
-        with mock.patch("kinefilter.pipeline.batch.run.open_crew", Here):
+        with _small_and_ended(alone="--scheduler" not in words):
             attempt.run(words)
     finally:
         os.dup2(before, 0)
         os.close(before)
 
 
-def _words(name: str, rng: random.Random) -> Iterator[str]:
-    """Yield positional arguments and options of a command."""
+def drawn(number: int) -> tuple[str, list[str]]:
+    """Return a command and its words, the same for the same number."""
+    found = []
+
+    # The first is always the simplest there is.
+    @seed(number)
+    @settings(
+        max_examples=2,
+        phases=[Phase.generate],
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(commands())
+    def draw(command: tuple[str, list[str]]) -> None:
+        found.append(command)
+
+    draw()
+    return found[-1]
+
+
+def commands() -> st.SearchStrategy[tuple[str, list[str]]]:
+    """Return a strategy of commands: the name and the words of the command line."""
+    names = [name for name, weight in _WEIGHTS.items() for _ in range(weight)]
+    return st.sampled_from(names).flatmap(
+        lambda name: st.tuples(st.just(name), _words(name))
+    )
+
+
+@cache
+def _words(name: str) -> Strategy:
+    """Return a strategy of command lines of a command."""
     kinds = {"database build": DatabaseBuild, "database info": DatabaseInfo}
-    placed: list[str] = []
-    for field, hint, needed in _options(kinds.get(name) or _command(name)):
-        needed |= (name, field) == ("train", "method")  # its default takes minutes
-        positional = _POSITIONAL in getattr(hint, "__metadata__", ())
-        if (
-            field.startswith("_")
-            or field in _LEFT_OUT
-            or not (needed or rng.random() < (0.95 if positional else _OFTEN))
-        ):
-            continue
-        values = _values(name, field, hint, rng)
-        if positional:
-            placed += values
-        elif values:
-            flag = {"start": "from", "config_file": "config", "source": "in"}
-            yield f"--{flag.get(field, field).replace('_', '-')}"
-            yield from values
+    placed, needed, others = [], [], []
+    for field, hint, bare in _options(kinds.get(name) or _command(name)):
+        if _POSITIONAL in getattr(hint, "__metadata__", ()):
+            placed.append(_values(name, field, hint))
+        elif bare or (name, field) in _NEEDED:
+            needed.append(_option(name, field, hint))
+        elif (name, field) in _EVERY_OTHER:
+            needed.append(st.just([]) | _option(name, field, hint))
         else:
-            on = field in ("physics", "reconstruct")
-            yield f"--{'no-' if on else ''}{field.replace('_', '-')}"
-    yield from placed
+            others.append(_option(name, field, hint))
+    if not others:
+        some = st.just([])
+    else:
+        which = st.sets(st.integers(0, len(others) - 1), max_size=_MOST)
+        some = which.flatmap(lambda them: st.tuples(*(others[k] for k in sorted(them))))
+    # Those with a place first: an option may take however many words follow.
+    parts = st.tuples(st.tuples(*placed), st.tuples(*needed), some)
+    return st.tuples(st.booleans(), parts).map(
+        lambda drawn: [
+            *name.split(),
+            *(word for words in _fitting(name, *drawn) for word in words),
+        ]
+    )
+
+
+def _fitting(name: str, fit: bool, parts: Any) -> list[list[str]]:
+    """Return the options of a command, if asked without those that exclude others."""
+    placed, needed, some = parts
+    given = {words[0] for words in (*needed, *some) if words}
+    if fit and (name in _INSTEAD and _INSTEAD[name] in given) == (name != "evaluate"):
+        placed = ()
+        needed = [words for words in needed if (name, *words[:1]) != _OUT_OF_ALL]
+    return [*placed, *needed, *some]
+
+
+def _option(name: str, field: str, hint: Any) -> Strategy:
+    """Return a strategy of an option and the words after it."""
+    flag = _FLAGS.get(field, field).replace("_", "-")
+    if (name, field) == ("reproduce", "quick"):
+        return st.just(["--quick"])
+    if hint is bool:
+        return st.sampled_from([[f"--{flag}"], [f"--{flag}"], [f"--no-{flag}"]])
+    return _values(name, field, hint).map(lambda words: [f"--{flag}", *words])
 
 
 def _options(kind: Any) -> Iterator[tuple[str, Any, bool]]:
@@ -184,45 +285,107 @@ def _options(kind: Any) -> Iterator[tuple[str, Any, bool]]:
         inner = get_args(hint)[0] if get_origin(hint) is Annotated else hint
         if is_dataclass(inner):
             yield from _options(inner)
-        else:
+        elif _SUPPRESSED not in getattr(hint, "__metadata__", ()):
             bare = field.default is MISSING and field.default_factory is MISSING
             yield field.name, hint, bare
 
 
-def _values(name: str, field: str, hint: Any, rng: random.Random) -> list[str]:
-    """Return the words after an option, none for a switch."""
+def _values(name: str, field: str, hint: Any) -> Strategy:
+    """Return a strategy of the words of an option."""
     if field == "out":
         written = _WRITTEN.get(name, ["o.npz"])
-        word = rng.choice(written)
-        return [word if name in ("live", "replay") else f"{{out}}/{word}"]
-    if field in _ALSO_WRITTEN and not (name == "info" and field == "json"):
-        return [_ALSO_WRITTEN[field]]
-    if name == "simulate" and field == "pairs":
-        return ["{out}/pairs.npz"]
-    kinds = [hint]
-    while get_origin(kinds[0]) in (Annotated, Union, UnionType):
+        if name in ("live", "replay"):
+            return st.sampled_from([[word] for word in written])
+        odd = st.text(_ODD, min_size=1, max_size=99).map(lambda text: f"o{text}")
+        known = st.sampled_from([f"{{out}}/{word}" for word in written])
+        if name in ("batch", "reproduce", "render"):
+            return st.tuples(known).map(list)
+        suffix = st.sampled_from([f".{word.partition('.')[2]}" for word in written])
+        return _mostly(
+            known, st.tuples(odd, suffix).map(lambda two: f"{{out}}/{two[0]}{two[1]}")
+        ).map(lambda word: [word])
+    if field in _ALSO_WRITTEN and (name, field) not in _READ:
+        return st.just([_ALSO_WRITTEN[field]])
+    kinds, several = [hint], False
+    while get_origin(kinds[0]) in (Annotated, Union, UnionType, tuple):
+        several |= get_origin(kinds[0]) is tuple
         first = get_args(kinds[0])
-        kinds = [*(first[:1] if get_origin(kinds[0]) is Annotated else first)]
+        kinds = [*first] if get_origin(kinds[0]) in (Union, UnionType) else [first[0]]
         kinds = [kind for kind in kinds if kind is not type(None)]
-    kind = rng.choice(kinds)
-    count = rng.choice((1, 1, 2)) if get_origin(kind) is tuple else 1
-    if field in ("out", "fail_on", "same_person"):
-        count = 1
-    return [word for _ in range(count) for word in _value(name, field, kind, rng)]
+    used = f"{name} {field}" if f"{name} {field}" in _USED else field
+    word = st.one_of([_word(used, kind) for kind in kinds])
+    several &= field not in ("fail_on", "origin")  # which are given again instead
+    return st.lists(word, min_size=1, max_size=1 + several)
 
 
-def _value(name: str, field: str, kind: Any, rng: random.Random) -> list[str]:
-    if field == "skeleton" and name == "live":
-        return ["kinect_v1"]
+def _word(field: str, kind: Any) -> st.SearchStrategy[str]:
+    """Return a strategy of words of a type."""
     if get_origin(kind) is Literal:
-        known = [
-            word for word in get_args(kind) if name != "train" or word not in _SLOW
-        ]
-        return [rng.choice(known)]
-    if kind is bool:
-        return []
-    if field in _USED and rng.random() < 0.95:
-        return [rng.choice(_USED[field])]
+        return st.sampled_from([str(word) for word in get_args(kind)])
+    wild: st.SearchStrategy[str]
     if kind is int:
-        return [rng.choice(_COUNTS)]
-    return [rng.choice(_NUMBERS if kind is float else _WRONG)]
+        wild = st.sampled_from(_COUNTS) | st.integers().map(str)
+    elif kind is float:
+        wild = st.sampled_from(_NUMBERS) | st.floats().map(str)
+    else:
+        odd = st.text(_ODD, max_size=300).map(lambda text: f"{{valid}}/x{text}")
+        wild = st.sampled_from(_WRONG) | odd
+    return _mostly(st.sampled_from(_USED[field]), wild) if field in _USED else wild
+
+
+def _mostly(
+    known: st.SearchStrategy[str], wild: st.SearchStrategy[str]
+) -> st.SearchStrategy[str]:
+    return st.integers(0, 15).flatmap(lambda k: wild if k == 15 else known)
+
+
+@contextmanager
+def _small_and_ended(*, alone: bool) -> Iterator[None]:
+    """Let what takes minutes be small, and what never ends be ended soon.
+
+    Args:
+        alone: Batches clean in this process.
+    """
+    view, stopped = Viewer.run, live.stopped_by_signals
+
+    def shown(viewer: Viewer) -> None:
+        Timer(_ENDED_AFTER, viewer.stop).start()
+        view(viewer)
+
+    @contextmanager
+    def soon(stop: asyncio.Event) -> Iterator[None]:
+        asyncio.get_running_loop().call_later(_ENDED_AFTER, stop.set)
+        with stopped(stop):
+            yield
+
+    quick = {name: studies.STUDIES[name] for name in _QUICK}
+    changes: Sequence[tuple[Any, str, Any]] = (
+        (Viewer, "run", shown),
+        (live, "stopped_by_signals", soon),
+        (simulate, "simulated_pairs", _few(simulate.simulated_pairs)),
+        (simulate, "furnished_pairs", _few(simulate.furnished_pairs)),
+        (scripted_database, "MOTIONS", MOTIONS[:2]),
+        (teach, "_SIMULATED", 2),
+        (bench, "_TAKES_PER_CORE", 1),
+        (studies, "make_pictures", lambda *_, **__: ()),
+        *(((batch_run, "open_crew", Here),) if alone else ()),
+    )
+    with ExitStack() as stack:
+        for place, name, value in changes:
+            stack.enter_context(mock.patch.object(place, name, value))
+        stack.enter_context(mock.patch.dict(studies.STUDIES, quick, clear=True))
+        stack.enter_context(mock.patch("webbrowser.open"))
+        yield
+
+
+def _few(pairs: Callable[..., Any]) -> Callable[..., Any]:
+    return partial(pairs, people=2)
+
+
+@cache
+def _cluster() -> str:
+    """Return the address of a Dask cluster of one worker, which ends with us."""
+    from distributed import LocalCluster
+
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0")
+    return str(cluster.scheduler_address)

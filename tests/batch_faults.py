@@ -4,9 +4,10 @@ Usage: python tests/batch_faults.py FOLDER [--takes 60] [--frames 100] [--kills 
 
 First a batch runs undisturbed. Then one is killed (SIGKILL) again and again and begun
 again, until it is done; then one runs on a Dask cluster on loopback whose two workers
-are killed and replaced in turn. Half of the kills are for each. Before every third the
-disk is full for a while, if this user may mount a small one. Every take must have one
-row that says done, and every clip the bytes of the undisturbed run.
+are killed and replaced in turn. Half of the kills are for each; a batch that is done
+before they are is followed by another. Before every third the disk is full for a while,
+if this user may mount a small one. Every take must have one row that says done, and
+every clip the bytes of the undisturbed run.
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ import json
 import os
 import random
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -31,7 +34,7 @@ from typing import Any
 from batch_takes import make_takes
 
 _ALONE = {"OPENBLAS_NUM_THREADS": "1"}
-_DISK = "128m"  # for 60 takes of 100 frames twice
+_DISK = "64m"  # for 60 takes of 100 frames
 _PATIENCE = 60.0  # s for a scheduler or worker to be there
 
 
@@ -241,15 +244,45 @@ def killed_workers(
     return killed
 
 
-def check(out: Path, undisturbed: Path, what: str) -> str:
-    """Assert that each take was done once and came out as it should; return counts."""
+def check(out: Path, undisturbed: Path) -> int:
+    """Assert that each take was done once and came out as it should.
+
+    Returns how many rows tell of failures before that.
+    """
     often = Counter(rows_done(out))
-    twice = [take for take, count in often.items() if count != 1]
-    assert not twice, f"{what}: rows that say done twice: {twice}"
-    assert set(often) == set(rows_done(undisturbed)), what
-    assert clip_hashes(out) == clip_hashes(undisturbed), what
-    failed = sum(row["status"] == "failed" for row in rows(out))
-    return f"{len(often)} takes done once, the same bytes, {failed} rows of failures"
+    assert [take for take in often if often[take] != 1] == []  # none done twice
+    assert set(often) == set(rows_done(undisturbed))
+    assert clip_hashes(out) == clip_hashes(undisturbed)
+    return sum(row["status"] == "failed" for row in rows(out))
+
+
+def batches(
+    run: Callable[[Path, int, int], int], folder: Path, undisturbed: Path, kills: int
+) -> str:
+    """Let batch after batch be killed, check each, and return the counts.
+
+    Args:
+        run: Called with a folder for the clips, kills that are left and a seed; returns
+            how often it killed.
+        folder: Where the clips go, of one batch at a time.
+        undisturbed: What each must be like.
+        kills: How often in all.
+    """
+    killed = failed = 0
+    for seed in count():
+        if killed >= kills:
+            takes = len(rows_done(undisturbed))
+            return (
+                f"{killed} times in {seed} batches of {takes} takes: each take done "
+                f"once, the same bytes, {failed} rows of failures"
+            )
+        out = folder / str(seed)
+        more = run(out, kills - killed, seed)
+        assert more, "nothing was killed"
+        killed += more
+        failed += check(out, undisturbed)
+        shutil.rmtree(out)
+    raise AssertionError
 
 
 def main() -> None:
@@ -267,17 +300,27 @@ def main() -> None:
     say, half = sys.stdout.write, options.kills // 2
     say(f"{len(rows_done(whole))} takes undisturbed\n")
     with small_disk(folder / "disk") as disk:
-        at = "before every third the disk full" if disk else "no disk filled: not root"
-        out = (disk or folder) / "killed"
-        command = batch(takes, out, "--jobs", "2")
-        count = killed_until_done(
-            command, out, options.takes, options.kills - half, disk=disk
-        )
-        say(f"the run killed {count} times, {at}: {check(out, whole, 'killed')}\n")
-        out = (disk or folder) / "cluster"
-        every = options.every
-        count = killed_workers(takes, out, every=every, kills=half, disk=disk)
-        say(f"workers killed {count} times, {at}: {check(out, whole, 'cluster')}\n")
+
+        def kill_runs(out: Path, kills: int, seed: int) -> int:
+            command = batch(takes, out, "--jobs", "2")
+            return killed_until_done(
+                command, out, options.takes, kills, seed, disk=disk
+            )
+
+        def kill_workers(out: Path, kills: int, seed: int) -> int:
+            every = options.every
+            return killed_workers(
+                takes, out, every=every, seed=seed, kills=kills, disk=disk
+            )
+
+        say("disk filled before every third kill\n" if disk else "no disk: not root\n")
+        for what, kill, kills in (
+            ("runs", kill_runs, options.kills - half),
+            ("workers", kill_workers, half),
+        ):
+            told = batches(kill, (disk or folder) / what, whole, kills)
+            say(f"{what} killed {told}\n")
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

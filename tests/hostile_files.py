@@ -118,7 +118,8 @@ def _write_arrays(folder: Path) -> None:
 
 def _offsets() -> dict[str, Any]:
     """Return the fitted arrays of joint offsets."""
-    return {"joints": np.arange(20), "shares": np.full((20, 6), 0.01)}
+    shares = np.full((20, 6), 0.01)
+    return {"joints": np.arange(20), "shares": shares, "settings": "{}"}
 
 
 # How they are read

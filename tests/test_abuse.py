@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from abuse import tried
 from abused_commands import Attempt, abuse_file, prepare
-from abused_options import abuse_options
+from abused_options import abuse_options, drawn
+
+from kinefilter.pipeline.cli import COMMANDS
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +19,7 @@ def valid(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize(
-    ("function", "seed", "count"), [(abuse_file, 1, 20), (abuse_options, 2, 8)]
+    ("function", "seed", "count"), [(abuse_file, 1, 20), (abuse_options, 7, 8)]
 )
 def test_whatever_is_tried_is_done_or_refused(
     valid: dict[str, Path], tmp_path: Path, function: object, seed: int, count: int
@@ -30,3 +32,9 @@ def test_whatever_is_tried_is_done_or_refused(
         assert row["end"] != "lost", row
         ends.add(row["end"])
     assert ends == {"survived", "refused"}
+
+
+def test_the_options_of_every_command_are_drawn_the_same_for_the_same_number() -> None:
+    sets = [drawn(number) for number in range(100)]
+    assert {words[0] for _, words in sets} == set(COMMANDS)
+    assert drawn(99) == sets[99]

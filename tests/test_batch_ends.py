@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
@@ -10,6 +11,8 @@ import threading
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from batch_faults import begin_worker, scheduler
@@ -104,6 +107,18 @@ def test_a_cluster_gives_a_take_that_hangs_up(hanging: Path, tmp_path: Path) -> 
     expected = dict.fromkeys(QUICK, "done") | {"hangs.csv": "failed"}
     assert {row.take: row.status for row in rows_of(out)} == expected
     assert "after 0.5 s" in outcome.failed[0].error
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="Dask is not here")
+@pytest.mark.parametrize("limit", [5e16, math.inf])
+def test_a_limit_that_no_clock_reaches_is_no_limit(
+    limit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("distributed.get_worker", lambda: None)
+    monkeypatch.setattr(crew, "_one_at_a_time", threading.Lock())
+    job: Any = SimpleNamespace(limit=limit)
+    assert crew._clean_in_time(lambda _: "a row", job) == "a row"
+    assert not crew._one_at_a_time.locked()
 
 
 def test_a_longer_take_may_need_longer(tmp_path: Path) -> None:

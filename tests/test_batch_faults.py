@@ -71,7 +71,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     assert begin(batch(takes, tmp_path / "whole", *QUICK, "--jobs", "1")).wait() == 0
     assert killed >= 1
     assert len(clip_hashes(tmp_path / "clips")) == len(names)
-    check(tmp_path / "clips", tmp_path / "whole", "killed")
+    check(tmp_path / "clips", tmp_path / "whole")
 
 
 def test_a_run_that_is_told_to_end_says_so_and_leaves_its_table(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_cluster_whose_workers_die_does_every_take_once(tmp_path: Path) -> Non
     killed = killed_workers(takes, tmp_path / "clips", *options, every=0.0)
     assert begin(batch(takes, tmp_path / "whole", *options)).wait() == 0
     assert killed >= 1
-    check(tmp_path / "clips", tmp_path / "whole", "cluster")
+    check(tmp_path / "clips", tmp_path / "whole")
 
 
 @needs_dask

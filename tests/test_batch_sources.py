@@ -36,6 +36,15 @@ def test_files_of_several_folders_are_kept_apart(takes: Path, tmp_path: Path) ->
     assert len(found) == 7  # once each, and what is no take by its name not at all
 
 
+def test_an_empty_name_is_not_the_current_folder(
+    takes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(takes)
+    for inputs, out in ((["", "."], "clips"), (["."], "")):
+        with pytest.raises(InputError, match="empty name"):
+            find_sources(inputs, out)
+
+
 def test_the_output_folder_is_not_searched(takes: Path, tmp_path: Path) -> None:
     out = takes / "clips"
     out.mkdir()

@@ -15,6 +15,7 @@ import pytest
 
 from kinefilter import Cleaner
 from kinefilter.characters import KINECT_V1, KINECT_V2
+from kinefilter.pipeline import checks
 from kinefilter.pipeline.cli import COMMANDS, main
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.formats import read_clip, read_take
@@ -248,6 +249,30 @@ def test_names_are_printed_as_they_are(
     assert main(["info", take]) == 0
     assert f"{take}: " in capsys.readouterr().out
     assert "a[/c]:cat:" in _refused(["info", "a[/c]:cat:"], tmp_path, capsys)
+
+
+def test_names_cannot_break_lines_or_steer_the_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["info", "a\x1b[31m\nb\x85c\u3000é.csv"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "a%1B[31m%0Ab%85c\u3000é.csv" in line
+
+
+def test_what_is_too_long_for_the_memory_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["clean", str(SAMPLE), "-o", str(tmp_path / "clip.bvh")]
+    monkeypatch.setattr(checks, "_LARGE", 0)
+    assert main([*words, "--method", "none", "--no-physics"]) == 0
+    monkeypatch.setattr(checks, "_NEEDED", 10**15)
+    assert "GB of memory" in _refused(words, tmp_path, capsys)
+    monkeypatch.setattr(checks, "check_extent", _full)
+    assert "not enough memory" in _refused(words, tmp_path, capsys)
+
+
+def _full(*_: object) -> None:
+    raise MemoryError
 
 
 @pytest.mark.usefixtures("interruptible")

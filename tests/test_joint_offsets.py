@@ -43,7 +43,8 @@ Array = NDArray[np.float64]
 def _made_up(skeleton: Skeleton) -> JointOffsets:
     """Return offsets of some centimeters, drawn at random."""
     shares = 0.02 * np.random.default_rng(0).standard_normal((len(skeleton), 6))
-    arrays = {"joints": np.arange(len(skeleton)), "shares": shares}
+    joints, settings = np.arange(len(skeleton)), np.array("{}")
+    arrays = {"joints": joints, "shares": shares, "settings": settings}
     return JointOffsets.from_arrays(skeleton, arrays)
 
 

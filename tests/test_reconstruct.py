@@ -15,7 +15,7 @@ from kinefilter import CleanConfig, Cleaner
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.pairs import read_pairs
-from kinefilter.pipeline.reconstruct import HiddenLimbTracker, fill_hidden
+from kinefilter.pipeline.reconstruct import HiddenLimbTracker, fill_hidden, recall
 from kinefilter.pipeline.reconstruct.continuity import (
     bridge,
     bridge_matrix,
@@ -156,6 +156,22 @@ def test_an_arm_that_was_seen_before_moves_as_it_did_then() -> None:
     found = filled(truth, hidden_in(600, ARM, gap))
     bridged = error(alone, truth[280:380], slice(30, 70), ARM)
     assert error(found, truth, gap, ARM) < 0.25 * bridged
+
+
+def test_what_is_far_away_in_a_long_take_does_not_teach(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """There only one arm moves, and at the gap both."""
+    gap, count = slice(700, 745), 900
+    here = waving(count)
+    there = here.copy()
+    there[:400] = waving(400, together=False)
+    hidden = hidden_in(count, ARM, gap)
+    whole = [filled(positions, hidden)[gap] for positions in (here, there)]
+    monkeypatch.setattr(recall, "_REACH", 8.0)
+    near = [filled(positions, hidden)[gap] for positions in (here, there)]
+    assert np.abs(whole[0] - whole[1]).max() > 0.001
+    np.testing.assert_allclose(near[0], near[1], atol=1e-9)
 
 
 def test_a_foot_that_stood_stays_while_the_body_sinks() -> None:

@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager, suppress
 from functools import partial
 from multiprocessing.connection import wait
 from queue import Empty, SimpleQueue
-from threading import Lock, Thread, Timer
+from threading import TIMEOUT_MAX, Lock, Thread, Timer
 from time import monotonic
 from typing import Any
 
@@ -185,7 +185,7 @@ def _clean_in_time(clean: Callable[[Job], Row], job: Job) -> Row:
     _one_at_a_time.acquire()
     thread = Thread(target=lambda: rows.append(clean(job)), daemon=True)
     thread.start()
-    thread.join(job.limit)
+    thread.join(min(job.limit, TIMEOUT_MAX))
     if thread.is_alive():  # and nothing else is begun here
         rows.append(_overdue(job))
         end: Callable[[], object] = partial(worker.loop.add_callback, worker.close)

@@ -63,8 +63,10 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
 
     A file that is found twice counts once. With several inputs, the takes of a folder
     are prefixed with the folder's name. Raises InputError if an input does not exist or
-    is ``out``, or nothing was found.
+    is ``out``, nothing was found, or a name is empty, as an unset variable makes it.
     """
+    if "" in (*inputs, out):
+        raise InputError("an empty name; give . for the current folder")
     sources: dict[str, Source] = {}
     labels: Counter[str] = Counter()
     for place in inputs:

@@ -178,7 +178,7 @@ def _fill_limb(seen: Seen, gap: slice, limb: Limb) -> None:
     found = describe(seen, limb, start, length, at, ahead=ahead)
     directions, features = found.base[0], found.features[0]
     if length > SHORTEST * seen.rate:
-        recall = learn(seen, limb, length, features, ahead=ahead)
+        recall = learn(seen, limb, length, features, ahead=ahead, gap=gap.start)
         if recall is not None:
             directions = recall(found)[0]
     before = seen.directions[gap].copy()

@@ -26,6 +26,7 @@ SHORTEST = 0.4
 LONGEST = 2.0
 """Longest stretch [s] to learn from."""
 _NOISE = 0.3  # of the amplitude of what is learned
+_REACH = 600.0  # s around a gap that teach, so that hours do not cost days; a guess
 _STRETCHES = 200  # candidates to learn from
 _SAMPLES = 3  # frames of each
 _KEPT = 300  # those nearest to the gap: the cost grows with the cube
@@ -80,7 +81,13 @@ class Recall:
 
 
 def learn(
-    seen: Seen, limb: Limb, length: int, queries: Array | None, *, ahead: bool
+    seen: Seen,
+    limb: Limb,
+    length: int,
+    queries: Array | None,
+    *,
+    ahead: bool,
+    gap: int | None = None,
 ) -> Recall | None:
     """Learn from the seen stretches of a take; None where there are too few.
 
@@ -91,13 +98,17 @@ def learn(
         queries: Features of the gap's frames, shape (M, F): what is most like them is
             learned; None: all alike.
         ahead: Whether what comes after the gap is known.
+        gap: Its first frame; None: what is far away teaches as well.
     """
     context = max(round(CONTEXT * seen.rate), 2)
-    usable = np.all(seen.known[:, [*limb.hidden, *limb.visible]], axis=1)
+    reach = round(_REACH * seen.rate)
+    first = 0 if gap is None else max(gap - reach, 0)
+    around = slice(first, None if gap is None else gap + reach)
+    usable = np.all(seen.known[around][:, [*limb.hidden, *limb.visible]], axis=1)
     for hole in runs(~usable):
         if hole.stop - hole.start <= _BLUR * seen.rate and hole.start > 0:
             usable[hole] = True
-    usable &= seen.joined
+    usable &= seen.joined[around]
     spans = runs(usable, 2 * context + round(0.3 * seen.rate))
     if not spans:
         return None
@@ -109,7 +120,7 @@ def learn(
             [np.arange(s.start + context, s.stop - context - frames + 1) for s in spans]
         )
         few = np.linspace(0, len(starts) - 1, min(_STRETCHES // 2, len(starts)))
-        starts = starts[np.unique(few.astype(int))]
+        starts = starts[np.unique(few.astype(int))] + first
         at = np.linspace(0, frames - 1, _SAMPLES + 2)[1:-1]
         # Other frames in every stretch, so that all times from the ends occur.
         shift = np.arange(len(starts)) * 0.618 % 1.0 - 0.5
