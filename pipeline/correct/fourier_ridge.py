@@ -40,12 +40,14 @@ from .random_features import Floats, RandomFeatures, direction_to, likeness_to
 
 # Chosen by leaving one of six people out, and one of their movements.
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
-_STRANGE, _KNOWN = 0.5, 0.7  # likeness of a part at which nothing, and all, that moves
-_STRANGE_LEG, _KNOWN_LEG = 0.8, 1.0  # is taken; and of knees, ankles and feet
+# Likeness of a part at which nothing, and all, of what moves its joints is taken: of
+# knees, ankles and feet, and of all others.
+_STRANGE_LEG, _KNOWN_LEG = 0.8, 1.0
+_STRANGE, _KNOWN = 0.5, 0.7
 _WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned from
 _NEAR, _FAR = 0.8, 0.4  # likeness at which all, and nothing, of the constant is taken
-_LATELY = 0.5  # s over which likeness is averaged, for what moves,
-_CALM, _CONSTANT = 3.0, 10.0  # s for the far side, and for what stays
+# Seconds over which likeness is averaged: for what moves, the far side, the constant.
+_LATELY, _CALM, _CONSTANT = 0.5, 3.0, 10.0
 # Of limbs on the far side; chosen by leaving one of fourteen people out.
 _ASIDE, _BESIDE = (
     0.2,
