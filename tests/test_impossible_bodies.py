@@ -186,7 +186,8 @@ def test_an_avatar_goes_on_without_impossible_bodies(first: int, what: str) -> N
     )
     if first or what != "elsewhere":
         assert told == list(range(first, first + 4))
-        assert away[10:].max() < 0.3
+        # A character that begins at rest needs some frames to be where the other is.
+        assert away[20:].max() < 0.3
     assert away[70:].max() < 0.05
 
 

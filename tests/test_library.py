@@ -66,8 +66,11 @@ def test_the_shipped_database_is_what_the_scripted_motions_give(
     # Two BLAS threads on busy cores wait for each other ten times as long as they work.
     with threadpool_limits(1, "blas"):
         scripted = scripted_database(shipped.skeleton)
-    for name in ("positions", "rotations", "labels"):
-        np.testing.assert_array_equal(getattr(shipped, name), getattr(scripted, name))
+    # Processors differ in the last bit.
+    for name in ("positions", "rotations"):
+        one, other = getattr(shipped, name), getattr(scripted, name)
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
+    np.testing.assert_array_equal(shipped.labels, scripted.labels)
     assert scripted.source == "built-in"
 
 
@@ -249,7 +252,7 @@ def test_files_are_named_to_the_progress_bar_and_counted(tmp_path: Path) -> None
 def test_no_files_and_files_that_do_not_fit_are_refused(
     tmp_path: Path, make_clip: Any
 ) -> None:
-    with pytest.raises(InputError, match="no BVH, AMC or C3D files"):
+    with pytest.raises(InputError, match="no BVH, AMC, C3D or TRC files"):
         database_from_mocap([], KINECT_V1)
     text = small_bvh().replace("LeftToeBase", "LeftPaw")
     path = write_text(tmp_path / "paw.bvh", text)

@@ -95,9 +95,10 @@ class FourierRidgeLearner(FourierRidge, Learner):
         self.seed_ = np.array(self.seed)
         features = np.concatenate([p.features for p in (*recorded, *others)])
         self.centers_ = _rounded(_centers_of(features, _CENTERS))
+        # Of recorded people alone: what simulated ones do the sensor may not show so.
+        known = np.concatenate([person.features for person in recorded])
         self.arm_centers_, self.leg_centers_, self.trunk_centers_ = (
-            _rounded(_centers_of(features[:, part.own], _PART_CENTERS))
-            for part in parts
+            _rounded(_centers_of(known[:, part.own], _PART_CENTERS)) for part in parts
         )
         self.far_centers_ = np.empty((0, features.shape[1]), dtype=np.float32)
         if beside:
