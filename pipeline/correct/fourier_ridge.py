@@ -43,7 +43,7 @@ _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
 # Likeness of a part at which nothing, and all, of what moves its joints is taken: of
 # knees, ankles and feet, and of all others.
 _STRANGE_LEG, _KNOWN_LEG = 0.85, 1.0
-_STRANGE, _KNOWN = 0.5, 0.7
+_STRANGE, _KNOWN = 0.7, 0.85
 _WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned from
 _NEAR, _FAR = 0.8, 0.4  # likeness at which all, and nothing, of the constant is taken
 # Seconds over which likeness is averaged: for what moves, the far side, the constant.
