@@ -216,6 +216,8 @@ class Cleaner:
             draft.elapsed = min(time - self._time, _LONGEST_STEP)
         self._time = time
         for stage in self.stages:
+            if draft.appears and not stage.goes_on:
+                stage.start(self._body)
             stage.step(draft)
         return draft
 

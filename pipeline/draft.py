@@ -99,6 +99,8 @@ class Draft:
     impossible: bool = False
     """The body was of a size or at a place that nobody gets to, and was taken out;
     frames only."""
+    appears: bool = False
+    """The person is seen for the first time, or suddenly elsewhere; frames only."""
     reset: bool = False
     """The simulation diverged and was put back onto its target; frames only."""
     trace: PhysicsTrace | None = None

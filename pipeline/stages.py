@@ -55,6 +55,10 @@ class Stage(ABC):
     """Whether it does each part between long gaps as a take of its own; otherwise it
     measures what is the same in all of them, or minds the gaps itself."""
 
+    goes_on: ClassVar[bool] = False
+    """Whether its steps go on where the person is suddenly elsewhere; others begin
+    anew."""
+
     def start(self, body: Body) -> None:  # noqa: B027 - most have something to forget
         """Forget all frames; those of a body come next."""
 
@@ -99,6 +103,7 @@ class Failures(Stage):
     def step(self, draft: Draft) -> None:
         """Take out the next frame if nobody can be so; all else shows only later."""
         draft.impossible = self._presence.step(draft.measured, draft.time)
+        draft.appears = self._presence.appears
         if draft.impossible:
             draft.measured = np.full_like(draft.measured, np.nan)
             draft.state = np.zeros_like(draft.state)
@@ -303,6 +308,7 @@ class Physics(Stage):
     """
 
     name = "physics"
+    goes_on = True
     in_parts = False
 
     def __init__(self, config: CleanConfig, tracking: Tracking | None = None) -> None:
@@ -327,8 +333,9 @@ class Physics(Stage):
         if self._scene is not None:
             positions = self._place.remove(positions)
             rotations = self._place.remove_rotations(rotations)
-        if first:
-            self.character.start(positions, rotations)
+        if first or draft.appears:
+            # Things around it stay where they are, but for the first frame.
+            self.character.start(positions, rotations, anew=first)
         else:
             draft.reset = not self.character.step(
                 positions, rotations, draft.elapsed, stands=draft.stands

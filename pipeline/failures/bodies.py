@@ -28,10 +28,14 @@ class Presence:
 
     Going by the past alone: who stays elsewhere, or of another size, is believed after
     half a second, and as soon as they are there for longer than they were before.
+    ``appears`` then says that of this frame, as it does of the first that is believed.
 
     Args:
         body: The person.
     """
+
+    appears: bool
+    """Whether the last frame is the first one in which the person is where they are."""
 
     def __init__(self, body: Body) -> None:
         segments = body.skeleton.segments
@@ -47,6 +51,7 @@ class Presence:
 
         Frames without a joint are no such.
         """
+        self.appears = False
         place = _median(positions)
         if np.isnan(place[0]):
             return False
@@ -78,6 +83,7 @@ class Presence:
         if time - self._other_since < min(was_there, _BRIEF):
             return True
         self._last, self._other, self._since = now, None, time
+        self.appears = True
         return False
 
 
