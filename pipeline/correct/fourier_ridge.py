@@ -40,19 +40,17 @@ from .random_features import Floats, RandomFeatures, direction_to, likeness_to
 
 # Chosen by leaving one of six people out, and one of their movements.
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
-# Likeness of a part at which nothing, and all, of what moves its joints is taken: of
-# knees, ankles and feet, and of all others.
-_STRANGE_LEG, _KNOWN_LEG = 0.85, 1.0
+# Likeness at which nothing, and all, is taken: of what stays, by the whole posture; of
+# what moves, by the part; of knees, ankles and feet.
 _STRANGE, _KNOWN = 0.7, 0.85
+_STRANGE_LEG, _KNOWN_LEG = 0.85, 1.0
 _WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned from
-_NEAR, _FAR = 0.8, 0.4  # likeness at which all, and nothing, of the constant is taken
 # Seconds over which likeness is averaged: for what moves, the far side, the constant.
 _LATELY, _CALM, _CONSTANT = 0.5, 3.0, 10.0
-# Of limbs on the far side; chosen by leaving one of fourteen people out.
-_ASIDE, _BESIDE = (
-    0.2,
-    0.6,
-)  # sine of the view's angle at which nothing, and all, is taken
+# Of limbs on the far side, likeness and sine of the view's angle at which nothing, and
+# all, is taken. Chosen by leaving one of fourteen people out.
+_FAR, _NEAR = 0.4, 0.8
+_ASIDE, _BESIDE = 0.2, 0.6
 _TURN = 1.0  # s over which the view's angle is averaged
 
 _CHUNK = 2048  # frames at a time: features are many times the positions
@@ -266,7 +264,7 @@ class FourierRidge(LearnedCorrector):
         share = _ramp(found.alike, self._strange, self._known)
         if self._person is None:
             share = np.where(self._wrists, _WRISTS_TAKEN * share, share)
-        alike = _ramp(found.lasting[..., :1], _FAR, _NEAR)
+        alike = _ramp(found.lasting[..., :1], _STRANGE, _KNOWN)
         offsets = alike[..., None] * found.constant
         offsets = offsets + (share * (1.0 - beside))[..., None] * found.moving
         offsets = offsets + beside[..., None] * found.far

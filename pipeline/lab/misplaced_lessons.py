@@ -31,7 +31,7 @@ def lessons(
     """
     rows: dict[str, list[tuple[Array, Array, str]]] = {part: [] for part in PARTS}
     for session in sessions:
-        side, frames, truth, sure, _, _ = read_views(session)
+        side, frames, truth, sure, *_ = read_views(session)
         away = away_from(side.positions[frames], truth, side.skeleton)
         _, first, rows_of = np.unique(side.time, return_index=True, return_inverse=True)
         distinct = Take(

@@ -49,6 +49,7 @@ FAR = 0.12
 
 _CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
 _LENGTH, _SPEED = 0.25, 6.0  # share of the median, m/s: beyond, the front is in doubt
+_FACING = 45.0  # degrees; who turns away farther hides limbs from that sensor
 _BESIDE = 10.0  # degrees by which people turn away more from B, where B is beside them
 _FOLDS = 4  # of people: each learns from all others
 _LEAST = 30  # ticks in which both sensors saw somebody
@@ -160,11 +161,14 @@ class Views(NamedTuple):
     truth: Array
     """Joint positions of the sensor in front [m], shape (T, J, 3)."""
     sure: NDArray[np.bool_]
-    """Where that sensor is not in doubt itself, limb by limb, shape (T, 4)."""
+    """Where that sensor is not in doubt itself, limb by limb, shape (T, 4): nor where
+    people turn away from it."""
     sensor: str
     """Which one is beside: A or B."""
     facing: dict[str, float]
     """How far people mostly turn away from each sensor [degrees]."""
+    faces: NDArray[np.bool_]
+    """Frames in which they do not turn away from the one in front, shape (T,)."""
 
 
 def read_views(session: Session) -> Views:
@@ -181,11 +185,14 @@ def read_views(session: Session) -> Views:
         )
     rows = _matched(session, first, second)
     takes = {"A": (first, rows[0]), "B": (second, rows[1])}
-    facing = {sensor: _facing(take, rows) for sensor, (take, rows) in takes.items()}
+    turned = {sensor: _turned(take, rows) for sensor, (take, rows) in takes.items()}
+    facing = {sensor: float(np.nanmedian(turn)) for sensor, turn in turned.items()}
     sides = "BA" if facing["B"] > facing["A"] + _BESIDE else "AB"
     (side, at), (front, front_at) = (takes[sensor] for sensor in sides)
     truth, sure = _seen_in_front(front)
-    return Views(side, at, truth[front_at], sure[front_at], sides[0], facing)
+    faces = turned[sides[1]] < _FACING
+    sure = sure[front_at] & faces[:, None]
+    return Views(side, at, truth[front_at], sure, sides[0], facing, faces)
 
 
 def _taught(
@@ -274,12 +281,12 @@ def _yaw(positions: Array, skeleton: Skeleton) -> Array:
     return find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
 
 
-def _facing(take: Take, rows: NDArray[np.intp]) -> float:
-    """Return how far people mostly turn away from the sensor [degrees]."""
+def _turned(take: Take, rows: NDArray[np.intp]) -> Array:
+    """Return how far people turn away from the sensor [degrees], NaN where unknown."""
     positions = take.positions[rows]
     there = -positions[:, take.skeleton.root]
     turn = _yaw(positions, take.skeleton) - np.arctan2(there[:, 0], there[:, 2])
-    return float(np.degrees(np.nanmedian(np.abs(np.angle(np.exp(1j * turn))))))
+    return np.asarray(np.degrees(np.abs(np.angle(np.exp(1j * turn)))))
 
 
 def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
@@ -309,11 +316,14 @@ def view_pairs(
 ) -> Iterator[PairedTake]:
     """Yield the takes of side sensors, with what the sensor in front saw as the truth.
 
-    Placed in the side sensor's frame; NaN in frames that the other does not have.
+    Placed in the side sensor's frame; NaN in frames that the other does not have, or in
+    which people turn away from it.
     """
     for session in over(sessions, "read views", progress):
-        side, frames, seen, *_ = read_views(session)
+        views = read_views(session)
+        side, frames = views.side, views.frames[views.faces]
         truth = np.full_like(side.positions, np.nan)
+        seen = views.truth[views.faces]
         truth[frames] = _placed(seen, side.positions[frames], side.skeleton)
         yield PairedTake(side, truth, session.person, session.name)
 
