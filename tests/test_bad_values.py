@@ -386,22 +386,15 @@ def test_evaluate_refuses_what_are_no_pairs() -> None:
         given = {"take": TAKE, "truth": PLACES, "subject": "a", "clip": "m_e01"}
         return PairedTake(**given | other)
 
-    two = [pair(), pair(subject="b")]
     refused(lambda value: pair(truth=value), misfits(PLACES))
     refused(lambda value: pair(truth=value), iter([("inf", with_one(PLACES, np.inf))]))
     for name in ("take", "subject", "clip"):
         values = ((n, v) for n, v in NO_VALUES.items() if n != "text" or name == "take")
         refused(lambda value, n=name: pair(**{n: value}), values)
     evaluate: Any = kinefilter.evaluate
-    for value in NO_VALUES.values():
-        for wrong in (
-            {"train": value},
-            {"test": value},
-            {"methods": value},
-            {"methods": [value]},
-            {"protocol": value},
-            {"database": value},
-        ):
-            given = {"train": two, "test": [], "methods": ["none"], "physics": False}
-            named = iter([(next(iter(wrong)), wrong)])
-            refused(lambda w, g=given: evaluate(**g | w), named)
+    people = [pair(), pair(subject="b")]
+    given = {"train": people, "test": [], "methods": ["none"], "physics": False}
+    for name in ("train", "test", "methods", "protocol", "database"):
+        values = iter(NO_VALUES.items())
+        refused(lambda value, n=name: evaluate(**given | {n: value}), values)
+    refused(lambda v: evaluate(**given | {"methods": [v]}), iter(NO_VALUES.items()))
