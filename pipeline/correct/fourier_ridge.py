@@ -47,8 +47,9 @@ _STRANGE_LEG, _KNOWN_LEG = 0.85, 1.0
 _WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned from
 # Seconds over which likeness is averaged: for what moves, the far side, the constant.
 _LATELY, _CALM, _CONSTANT = 0.5, 3.0, 10.0
-# Of limbs on the far side, likeness and sine of the view's angle at which nothing, and
-# all, is taken. Chosen by leaving one of fourteen people out.
+# Likeness to people beside a sensor, and sine of the view's angle at which nothing, and
+# all, is taken of what they taught of limbs on the far side; and all, and nothing, of
+# what moved people with markers, on either side. By leaving one of fourteen people out.
 _FAR, _NEAR = 0.4, 0.8
 _ASIDE, _BESIDE = 0.2, 0.6
 _TURN = 1.0  # s over which the view's angle is averaged
@@ -258,15 +259,16 @@ class FourierRidge(LearnedCorrector):
 
     def _moved(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures, moved as far as their like was learned from."""
-        beside = -found.toward[..., :1] * self._described.sides
-        beside = _ramp(beside, _ASIDE, _BESIDE)
-        beside = beside * _ramp(found.lately[..., 1:], _FAR, _NEAR)
+        side = found.toward[..., :1] * self._described.sides
+        aside = _ramp(np.abs(side), _ASIDE, _BESIDE)
+        aside = aside * _ramp(found.lately[..., 1:], _FAR, _NEAR)
+        beside = np.where(side < 0.0, aside, 0.0)
         share = _ramp(found.alike, self._strange, self._known)
         if self._person is None:
             share = np.where(self._wrists, _WRISTS_TAKEN * share, share)
         alike = _ramp(found.lasting[..., :1], _STRANGE, _KNOWN)
         offsets = alike[..., None] * found.constant
-        offsets = offsets + (share * (1.0 - beside))[..., None] * found.moving
+        offsets = offsets + (share * (1.0 - aside))[..., None] * found.moving
         offsets = offsets + beside[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets[..., self._described.follows, :]
@@ -277,8 +279,8 @@ class FourierRidge(LearnedCorrector):
         moved = posture + shift
         if beside.any():
             # A hand behind the body is the sensor's guess as well.
-            aside = beside[..., self._described.follows]
-            moved = self._hands.straightened(moved, aside, self._body)
+            hidden = beside[..., self._described.follows]
+            moved = self._hands.straightened(moved, hidden, self._body)
         if seen.lengths is not None and self._person is None:
             odd = self._described.proportions(seen.lengths) - self.bones_
             scale = np.exp(-_BONE_SHARE * alike * odd)[..., None]
