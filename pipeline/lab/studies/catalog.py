@@ -15,6 +15,7 @@ from .cleaned_takes import cleaned_takes
 from .detection import failures, reliability
 from .learned_methods import chiang_figure_5, liu_figure_3, liu_figure_7, liu_table_5
 from .methods import methods_known_people, methods_new_people
+from .papers import chiang_tables_2_3, liu_table_3, shum_tables_1_2, wang_table_1
 from .shum import shum_figure_8, shum_table_3, shum_table_4
 from .speed import million_postures, speed
 from .study import Options, Study
@@ -39,13 +40,17 @@ STUDIES: dict[str, _Entry] = {
     "reliability": _Entry(reliability, {"takes": 1, "movements": 1}),
     "speed": _Entry(speed, {"rounds": 1}),
     "million-postures": _Entry(million_postures, {"values": 2, "people": 1}),
+    "shum-tables-1-2": _Entry(shum_tables_1_2, {"people": 1, "takes": 1}),
     "shum-table-3": _Entry(shum_table_3, {"motions": 1}),
     "shum-table-4": _Entry(shum_table_4, {"takes": 1}),
     "shum-figure-8": _Entry(shum_figure_8, {"motions": 1, "values": 2}),
     "liu-figure-3": _Entry(liu_figure_3, {"people": 2, "values": 2}),
     "liu-figure-7": _Entry(liu_figure_7, {"people": 2, "values": 1}),
+    "liu-table-3": _Entry(liu_table_3, {"people": 2, "motions": 1}),
     "liu-table-5": _Entry(liu_table_5, {"people": 2}),
     "chiang-figure-5": _Entry(chiang_figure_5, {"people": 4, "values": 4}),
+    "chiang-tables-2-3": _Entry(chiang_tables_2_3, {"people": 4, "motions": 1}),
+    "wang-table-1": _Entry(wang_table_1, {"sizes": 2}),
 }
 """Every study by its name on the command line."""
 
