@@ -216,8 +216,9 @@ class Reproduce:
 
     Studies of takes and of marker mocap: cleaned-takes, methods-new-people,
     methods-known-people, failures, reliability; of speed: speed, million-postures; of
-    the papers, on simulated takes: shum-table-3, shum-table-4,
-    shum-figure-8, liu-figure-3, liu-figure-7, liu-table-5, chiang-figure-5.
+    the papers, on simulated takes: shum-tables-1-2, shum-table-3, shum-table-4,
+    shum-figure-8, liu-table-3, liu-figure-3, liu-figure-7, liu-table-5,
+    chiang-tables-2-3, chiang-figure-5, wang-table-1.
 
     With --all, every study and picture is made and every figure of README compared with
     what was measured, in about forty minutes on two cores; the exit code is 1 if one
