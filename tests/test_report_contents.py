@@ -15,5 +15,5 @@ def test_a_curve_of_one_joint_is_that_joints() -> None:
 
 
 def test_joints_out_of_the_reach_of_a_page_are_at_its_edge() -> None:
-    written = page._millimeters(np.array([0.25, 40.0, -40.0, np.nan]))
+    written = page.millimeters(np.array([0.25, 40.0, -40.0, np.nan]))
     assert written.tolist() == [250.0, 32767.0, -32767.0, -32768.0]

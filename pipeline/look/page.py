@@ -31,7 +31,9 @@ from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _FORM = re.compile(rf"\s*(\w+)\s*([<>])\s*({_NUMBER})\s*")
 _EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
-_SCRIPTS = ("arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
+_TEMPLATE = Path(__file__).parent / "template"
+_SHARED = (_TEMPLATE / "page.css", _TEMPLATE / "drawing.js")  # by all pages
+_FILES = ("page.html", "arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
 _MISSING = -(2**15)  # of the int16 that a position is written as
 _FARTHEST = 2**15 - 1  # mm from the origin
 _NO_RATE = 255  # of the uint8 that reliability is written as, where it is unknown
@@ -97,17 +99,36 @@ def write_report(
     cannot be written.
     """
     contents = contents_of(comparison, limits)
-    page = _template("page.html").replace("@STYLE@", _template("page.css"))
-    page = page.replace("@SCRIPT@", "\n".join(map(_template, _SCRIPTS)))
+    files = [_TEMPLATE / name for name in _FILES]
+    write_page(path, f"kinefilter: {contents['source']}", contents, files)
+
+
+def write_page(
+    path: str | os.PathLike[str],
+    title: str,
+    contents: Mapping[str, Any],
+    files: Sequence[Path],
+) -> None:
+    """Write contents and the files that show them as one page, whole or not at all.
+
+    ``files`` are its .html, with marks where all else goes, its .css and its .js, which
+    follow ``page.css`` and ``drawing.js`` of all pages. Raises an InputError if the
+    page cannot be written.
+    """
+    texts = [(k.suffix, k.read_text(encoding="utf-8")) for k in (*_SHARED, *files)]
+    style, script, page = (
+        "\n".join(text for suffix, text in texts if suffix == wanted)
+        for wanted in (".css", ".js", ".html")
+    )
+    page = page.replace("@STYLE@", style).replace("@SCRIPT@", script)
     # What comes from files is put in last, so that none of it is taken for a mark.
     head, body = page.split("@TITLE@")
     middle, end = body.split("@DATA@")
-    title = html.escape(f"kinefilter: {contents['source']}")
     data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
     for mark in "<>&":  # none may end the script element
         data = data.replace(mark, f"\\u{ord(mark):04x}")
     with atomic_path(path) as temporary:
-        whole = head + title + middle + data + end
+        whole = head + html.escape(title) + middle + data + end
         temporary.write_bytes(whole.encode("utf-8", "replace"))
 
 
@@ -150,21 +171,21 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             "terms": TERMS,
             "unknown": UNKNOWN,
         },
-        "time": _packed(clip.time - clip.time[0], "<f8"),
-        "raw": _packed(_millimeters(comparison.raw), "<i2"),
-        "clean": _packed(_millimeters(clip.positions), "<i2"),
-        "reliability": _packed(rates, "u1"),
-        "term": _packed(clip.deciding_term, "u1"),
-        "origin": _packed(clip.origin, "u1"),
-        "correction": _packed(_millimeters(clip.moved_by_correction), "<i2"),
-        "physics": _packed(_millimeters(clip.moved_by_physics), "<i2"),
-        "uncertainty": _packed(_millimeters(clip.uncertainty), "<i2"),
-        "contacts": _packed(clip.contacts, "u1"),
+        "time": packed(clip.time - clip.time[0], "<f8"),
+        "raw": packed(millimeters(comparison.raw), "<i2"),
+        "clean": packed(millimeters(clip.positions), "<i2"),
+        "reliability": packed(rates, "u1"),
+        "term": packed(clip.deciding_term, "u1"),
+        "origin": packed(clip.origin, "u1"),
+        "correction": packed(millimeters(clip.moved_by_correction), "<i2"),
+        "physics": packed(millimeters(clip.moved_by_physics), "<i2"),
+        "uncertainty": packed(millimeters(clip.uncertainty), "<i2"),
+        "contacts": packed(clip.contacts, "u1"),
         "curves": [
             {
                 "name": name,
-                "raw": _packed(_derivative(clip.time, comparison.raw, order), "<f4"),
-                "clean": _packed(_derivative(clip.time, clip.positions, order), "<f4"),
+                "raw": packed(_derivative(clip.time, comparison.raw, order), "<f4"),
+                "clean": packed(_derivative(clip.time, clip.positions, order), "<f4"),
             }
             for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
         ],
@@ -172,17 +193,15 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
     }
 
 
-def _template(name: str) -> str:
-    return (Path(__file__).parent / "template" / name).read_text(encoding="utf-8")
-
-
-def _packed(values: NDArray[Any], kind: str) -> str:
+def packed(values: NDArray[Any], kind: str) -> str:
+    """Return numbers as base64 of a type such as "<i2", integers rounded."""
     if np.issubdtype(np.dtype(kind), np.integer):
         values = np.rint(values)
     return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")
 
 
-def _millimeters(meters: Array) -> Array:
+def millimeters(meters: Array) -> Array:
+    """Return millimeters for int16, within its range, -32768 where not finite."""
     near = np.clip(np.nan_to_num(meters) * 1e3, -_FARTHEST, _FARTHEST)
     return np.where(np.isfinite(meters), near, _MISSING)
 

@@ -6,8 +6,8 @@ const LABELS = 104, AXIS = 18, ROW = 13; // px
 // whatever the sensor dropped, and frames never quite are.
 function framesOf(column, columns) {
   const wide = span / columns, skew = 0.25 / report.fps;
-  const first = frameAt(column * wide + skew);
-  const next = column + 1 < columns ? frameAt((column + 1) * wide + skew) : frames;
+  const first = frameAt(report.time, column * wide + skew);
+  const next = column + 1 < columns ? frameAt(report.time, (column + 1) * wide + skew) : frames;
   return [first, Math.max(first + 1, next)];
 }
 
@@ -75,7 +75,7 @@ function addPlot(parent, title, entries, height, draw, tip, go) {
   };
   plot.addEventListener("pointerdown", (e) => {
     const share = shareUnder(e);
-    if (share >= 0) go(frameAt(share * span));
+    if (share >= 0) go(frameAt(report.time, share * span));
   });
   plot.addEventListener("pointermove", (e) => {
     const share = shareUnder(e), top = surface.getBoundingClientRect().top;
@@ -156,7 +156,7 @@ function addCurve(parent, curve, go) {
   };
   const said = (value) => (isFinite(value) ? value.toPrecision(3) : "unknown");
   const tip = (share) => {
-    const f = frameAt(share * span);
+    const f = frameAt(report.time, share * span);
     return `${clock(f)}\nraw ${said(curve.raw[f])}\nclean ${said(curve.clean[f])}`;
   };
   return addPlot(parent, curve.name, [], tall + AXIS, draw, tip, go);

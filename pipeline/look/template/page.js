@@ -75,7 +75,7 @@ function tick(now) {
   seconds += stamp === null ? 0 : ((now - stamp) / 1000) * pace;
   stamp = now;
   if (seconds > duration) seconds = 0;
-  const next = frameAt(seconds);
+  const next = frameAt(report.time, seconds);
   if (next !== frame) {
     frame = next;
     show();
@@ -108,7 +108,7 @@ document.addEventListener("keydown", (e) => {
   else return;
   e.preventDefault();
 });
-turnByMouse(show);
+turnByMouse(canvas, view, show);
 window.addEventListener("resize", redraw);
 document.getElementById("source").textContent = report.source;
 document.getElementById("facts").textContent =
