@@ -26,7 +26,7 @@ _GROUPS = {
     "daily": "clean, batch, info, render, report, view, character",
     "live": "live, replay",
     "learning": "pair, train, database",
-    "lab": "evaluate, simulate, reproduce, bench",
+    "lab": "evaluate, simulate, rate, ratings, reproduce, bench",
 }
 _FILES = {
     "clean": "clean, batch",
@@ -35,6 +35,7 @@ _FILES = {
     "live": "live, replay",
     "learn": "pair, train, database",
     "lab": "evaluate, simulate, reproduce, bench",
+    "rating": "rate, ratings",
 }
 """Files of ``commands``, with the commands in each."""
 COMMANDS = ", ".join(_GROUPS.values()).split(", ")

@@ -235,10 +235,22 @@ def prepare(folder: Path) -> dict[str, Path]:
         lines.writelines(
             format_frame(f) + "\n" for f in frames_of([part(sample, 0, 99)])
         )
+    words = [str(folder / "clip.npz"), f"raw={folder / 'take.csv'}"]
+    run(["rate", *words, "-o", str(folder / "page.html")])
+    _answer(folder)
     for name in ("layered.usda", "mixamo.bvh", "mixamo.usda"):
         rig = ["--rig", "mixamo"] * ("mixamo" in name)
         run(["clean", str(folder / "take.csv"), "-o", str(folder / name), *rig])
     return {path.name: path for path in sorted(folder.iterdir())}
+
+
+def _answer(folder: Path) -> None:
+    """Write a rater's answers to the page in a folder, and remove the page."""
+    key = json.loads((folder / "page.key.json").read_text(encoding="utf-8"))
+    rows = [{"shown": shown, "grades": [4, 7]} for shown in key["trials"]]
+    answers = {"page": key["page"], "rater": "ann", "answers": rows}
+    (folder / "answers.json").write_text(json.dumps(answers), encoding="utf-8")
+    (folder / "page.html").unlink()
 
 
 def _write_folders(
@@ -322,6 +334,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "limits.toml": (
         "report {clip.npz} --take {take.csv} -o {out}/o.html --thresholds {}",
     ),
+    "answers.json": ("ratings {} --key {page.key.json}",),
+    "page.key.json": ("ratings {answers.json} --key {} --json {out}/o.json",),
     "own.xml": (
         "character -o {out}/o.xml --scene {}",
         "clean {take.csv} -o {out}/o.npz --scene {}",

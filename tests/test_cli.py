@@ -342,7 +342,7 @@ def test_help_has_every_command_in_a_group_with_one_sentence(
         "- daily: clean, batch, info, render, report, view, character\n",
         "- live: live, replay\n",
         "- learning: pair, train, database\n",
-        "- lab: evaluate, simulate, reproduce, bench\n",
+        "- lab: evaluate, simulate, rate, ratings, reproduce, bench\n",
     ):
         assert group in printed
     listed = re.findall(r"(?m)^[│ ]+(?:• )?(\w+) {2,}[A-Z]", printed)

@@ -25,7 +25,7 @@ def test_every_command_is_in_the_readme() -> None:
     for command in (
         *("clean", "info", "database build", "pair", "train", "evaluate"),
         *("simulate", "reproduce", "bench", "character", "render"),
-        *("report", "view", "live", "replay", "batch"),
+        *("report", "view", "live", "replay", "batch", "rate", "ratings"),
     ):
         assert f"kinefilter {command}" in readme
 

@@ -214,7 +214,7 @@ def in_clip_frame(take: Take, clip: Clip) -> Array:
     return positions
 
 
-def leveled_to_clip(take: Take, clip: Clip) -> Array:
+def leveled_to_clip(take: Take, clip: Clip | Take) -> Array:
     """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
 
     For clips that do not keep their tilt and floor (BVH, CSV): both are estimated from

@@ -1,0 +1,321 @@
+"""What the answers from a page of ``rating`` say of the systems.
+
+Shum et al. 2013 (Figure 6) print the mean grade of each method and the standard
+deviation, and say "significantly" without naming a test. As every rater grades every
+system, the tests here are those of related samples without an assumption of normality:
+Friedman's over all systems, Wilcoxon's signed ranks for each two, corrected after Holm
+1979 (A simple sequentially rejective multiple test procedure).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.table import Table
+from scipy import stats
+
+from kinefilter.characters import InputError
+from kinefilter.characters.arrays import Array, shown
+from kinefilter.pipeline.formats.files import read_limited
+from kinefilter.pipeline.formats.plain import printable
+
+from .rating import HIGHEST
+
+Figures = dict[str, Any]
+Answer = tuple[tuple[int, ...], tuple[int, ...]]
+"""Clips in a trial, by their place in the key, and their grades."""
+
+_LARGEST = 2**24  # bytes of answers, or of a key
+_LEVEL = 0.95
+
+
+class Key(NamedTuple):
+    """Whose clips are on a page."""
+
+    page: str
+    systems: list[str]
+    motions: list[str]
+    clips: list[tuple[int, int]]  # system and motion of each
+    trials: list[tuple[int, ...]]  # the clips in each, in order of their place
+
+
+class Sheet(NamedTuple):
+    """The answers of a rater."""
+
+    rater: str
+    answers: list[Answer]
+
+
+def read_key(path: Path) -> Key:
+    """Read whose clips are on a page; raises an InputError if it is no such file."""
+    found = _read(path)
+    try:
+        systems, motions = (
+            [printable(k) for k in found[n]] for n in ("systems", "motions")
+        )
+        clips = [
+            (systems.index(clip["system"]), motions.index(clip["motion"]))
+            for clip in found["clips"]
+        ]
+        trials = [tuple(sorted(_integers(trial))) for trial in found["trials"]]
+        seen = {clip for trial in trials for clip in trial}
+        whole = len(set(clips)) == len(clips) == len(systems) * len(motions)
+        if not whole or len(systems) < 2 or seen != set(range(len(clips))):
+            raise ValueError
+        if {len(trial) for trial in trials} not in ({1}, {2}):
+            raise ValueError
+        return Key(str(found["page"]), systems, motions, clips, trials)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(
+            f"{path}: not the key of a page; give the file that 'kinefilter rate' "
+            "wrote beside it"
+        ) from None
+
+
+def read_sheets(paths: Sequence[Path], key: Key) -> list[Sheet]:
+    """Read answers; raises an InputError unless all are whole and of the key's page."""
+    sheets: dict[str, Sheet] = {}
+    for path in paths:
+        sheet = _sheet(path, key)
+        if sheet.rater in sheets:
+            raise InputError(
+                f"{path}: a second file of rater {sheet.rater!r}; keep one of them, or "
+                "change the name in it if they are two people"
+            )
+        sheets[sheet.rater] = sheet
+    if not sheets:
+        raise InputError("no answers given; name the files that raters have saved")
+    return list(sheets.values())
+
+
+def _sheet(path: Path, key: Key) -> Sheet:
+    found = _read(path)
+    page, rater, given = (found.get(name) for name in ("page", "rater", "answers"))
+    if page != key.page:
+        other = "of no page" if page is None else f"of page {shown(page)}"
+        raise InputError(f"{path}: answers {other}; the key is of page {key.page!r}")
+    answers: list[Answer] = []
+    try:
+        for answer in given or ():
+            answers.append((_integers(answer["shown"]), tuple(answer["grades"])))
+        seen = sorted(tuple(sorted(clips)) for clips, _ in answers)
+    except (KeyError, TypeError):
+        raise InputError(f"{path}: damaged answers; ask for the file again") from None
+    if seen != sorted(key.trials) or not isinstance(rater, str) or not rater.strip():
+        raise InputError(
+            f"{path}: not the {len(key.trials)} answers of a rater to this page; ask "
+            "for the file again"
+        )
+    for n, (clips, grades) in enumerate(answers):
+        valid = [type(g) is int and 1 <= g <= HIGHEST for g in grades]  # no truths
+        if len(grades) != len(clips) or not all(valid):
+            raise InputError(
+                f"{path}: answer {n + 1} has grades {shown(list(grades))}, expected "
+                f"{len(clips)} from 1 to {HIGHEST}; ask the rater to finish"
+            )
+    return Sheet(printable(rater), answers)
+
+
+def _integers(values: Any) -> tuple[int, ...]:
+    """Return whole numbers as they are; raises a TypeError if they are none."""
+    if not all(type(value) is int for value in values):
+        raise TypeError
+    return tuple(values)
+
+
+def _read(path: Path) -> Figures:
+    try:
+        found = json.loads(read_limited(path, _LARGEST))
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: not JSON of 'kinefilter rate' or its page")
+    return found
+
+
+def summarize(sheets: Sequence[Sheet], key: Key) -> Figures:
+    """Return means, intervals, preferences and tests of systems, and of each rater.
+
+    A rater's grades of a clip that was seen several times count as their mean.
+    Intervals are Student's, over raters; NaN if there is one rater alone.
+    """
+    grades = np.array([_grades(sheet, key) for sheet in sheets])  # (R, S, M)
+    means = grades.mean(axis=2)
+    answers = [answer for sheet in sheets for answer in sheet.answers]
+    count = len(key.systems)
+    better = np.zeros((count, count), dtype=int)  # how often one of two was
+    equal = np.zeros_like(better)
+    for a, b, difference in _differences(answers, key):
+        better[a, b] += difference > 0
+        equal[a, b] += difference == 0
+    systems: dict[str, Figures] = {}
+    for s, name in enumerate(key.systems):
+        met = int((better[s] + better[:, s] + equal[s]).sum())
+        won = float(better[s].sum() + equal[s].sum() / 2)
+        systems[name] = {
+            **_mean(means[:, s]),
+            "sd": float(grades[:, s].std(ddof=1)) if grades[:, s].size > 1 else np.nan,
+            "preferred": won / met if met else np.nan,
+            "motions": dict(
+                zip(key.motions, grades[:, s].mean(axis=0).tolist(), strict=True)
+            ),
+        }
+    pairs: list[Figures] = [
+        {
+            "systems": [key.systems[a], key.systems[b]],
+            **_mean(means[:, a] - means[:, b]),
+            "p": wilcoxon(means[:, a] - means[:, b]),
+            "better": [int(better[a, b]), int(better[b, a])],
+            "equal": int(equal[a, b]),
+        }
+        for a, b in combinations(range(count), 2)
+    ]
+    for pair, p in zip(pairs, holm([pair["p"] for pair in pairs]), strict=True):
+        pair["p_holm"] = p
+    return {
+        "page": key.page,
+        "answers": len(answers),
+        "systems": systems,
+        "p_friedman": friedman(means),
+        "pairs": pairs,
+        "raters": {sheet.rater: _agreement(sheet) for sheet in sheets},
+    }
+
+
+def _grades(sheet: Sheet, key: Key) -> Array:
+    """Return a rater's mean grade of each clip, shape (S, M)."""
+    total = np.zeros((2, len(key.systems), len(key.motions)))
+    for clips, grades in sheet.answers:
+        for clip, grade in zip(clips, grades, strict=True):
+            total[(slice(None), *key.clips[clip])] += grade, 1.0
+    return np.asarray(total[0] / total[1])
+
+
+def _differences(answers: Sequence[Answer], key: Key) -> Iterator[tuple[int, int, int]]:
+    """Yield two systems that were seen together, and the first's lead in grades."""
+    for clips, grades in answers:
+        if len(clips) == 2:
+            (a, _), (b, _) = (key.clips[clip] for clip in clips)
+            yield a, b, grades[0] - grades[1]
+            yield b, a, grades[1] - grades[0]
+
+
+def _mean(values: Array) -> Figures:
+    """Return the mean and its interval over raters."""
+    low = high = np.nan
+    if len(values) > 1:
+        half = stats.sem(values) * stats.t.ppf((1 + _LEVEL) / 2, len(values) - 1)
+        low, high = values.mean() - half, values.mean() + half
+    return {"mean": float(values.mean()), "ci95": [float(low), float(high)]}
+
+
+def wilcoxon(differences: Array) -> float:
+    """Return the p-value of Wilcoxon's signed ranks, 1 if there is no difference."""
+    differences = np.round(differences, 9)  # equal means may differ by rounding
+    if not differences.any():
+        return 1.0
+    return float(stats.wilcoxon(differences).pvalue)
+
+
+def friedman(means: Array) -> float:
+    """Return Friedman's p-value for grades (R, S); NaN for two systems or one rater."""
+    if means.shape[1] < 3 or len(means) < 2:
+        return np.nan
+    means = np.round(means, 9)
+    if (means == means[:, :1]).all():
+        return 1.0  # all ranks are equal
+    return float(stats.friedmanchisquare(*means.T).pvalue)
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Return p-values corrected for their number, in the same order (Holm 1979)."""
+    order = np.argsort(p)
+    factors = len(p) - np.arange(len(p))
+    raised = np.minimum(np.maximum.accumulate(np.asarray(p)[order] * factors), 1.0)
+    return [float(value) for value in raised[np.argsort(order)]]
+
+
+def _agreement(sheet: Sheet) -> Figures:
+    """Return how far a rater agrees with the same rater in trials that came twice.
+
+    ``reversed`` are those in which the other of two was better the second time;
+    ``apart`` is the mean difference of the grades of the same clip.
+    """
+    first: dict[tuple[int, ...], dict[int, int]] = {}
+    twice = reversed_ = 0
+    apart = []
+    for clips, grades in sheet.answers:
+        now = dict(zip(clips, grades, strict=True))
+        before = first.setdefault(tuple(sorted(clips)), now)
+        if before is now:
+            continue
+        twice += 1
+        apart += [abs(now[clip] - before[clip]) for clip in now]
+        if len(now) == 2:
+            a, b = now
+            reversed_ += (now[a] - now[b]) * (before[a] - before[b]) < 0
+    every = [grade for _, grades in sheet.answers for grade in grades]
+    return {
+        "mean": float(np.mean(every)),
+        "same_grade": len(set(every)) == 1,
+        "twice": twice,
+        "reversed": reversed_,
+        "apart": float(np.mean(apart)) if apart else np.nan,
+    }
+
+
+def as_tables(figures: Figures) -> tuple[Table, Table]:
+    """Return the systems, and each two of them, for a terminal."""
+    raters, tested = figures["raters"], figures["p_friedman"]
+    systems = Table("system", title=f"grades, 1 to {HIGHEST}")
+    pairs = Table("difference", title="each two systems")
+    for table, headings in (
+        (systems, ("mean", "95 % interval", "SD", "preferred")),
+        (pairs, ("mean", "95 % interval", "p", "Holm", "more, same, less")),
+    ):
+        for heading in headings:
+            table.add_column(heading, justify="right", no_wrap=True)
+    for name, row in figures["systems"].items():
+        shown_ = _figure(100 * row["preferred"], 0, " %")
+        systems.add_row(name, *_interval(row), _figure(row["sd"]), shown_)
+    for row in figures["pairs"]:
+        better, worse = row["better"]
+        counts = f"{better}, {row['equal']}, {worse}" if better + worse else ""
+        ps = [_figure(row[p], 4) for p in ("p", "p_holm")]
+        pairs.add_row(" - ".join(row["systems"]), *_interval(row), *ps, counts)
+    systems.caption = (
+        f"{len(raters)} rater{'s' * (len(raters) != 1)}, {figures['answers']} answers; "
+        "preferred: share of the pairs in which it had the higher grade"
+    )
+    pairs.caption = "p: Wilcoxon's signed ranks, over raters" + (
+        "" if np.isnan(tested) else f"; all systems together, Friedman: {tested:.4f}"
+    )
+    return systems, pairs
+
+
+def doubts(figures: Figures) -> list[str]:
+    """Return what speaks against raters: who contradicts themselves, in sentences."""
+    told = []
+    for rater, row in figures["raters"].items():
+        if row["same_grade"]:
+            told.append(f"{rater} gave everything the same grade")
+        elif row["reversed"]:
+            told.append(
+                f"{rater} preferred the other of two the second time in "
+                f"{row['reversed']} of {row['twice']} trials that came twice"
+            )
+    return told
+
+
+def _interval(row: Figures) -> tuple[str, str]:
+    low, high = map(_figure, row["ci95"])
+    return _figure(row["mean"]), f"{low} to {high}" if low else ""
+
+
+def _figure(value: float, digits: int = 2, unit: str = "") -> str:
+    return "" if np.isnan(value) else f"{value:.{digits}f}{unit}"
