@@ -234,7 +234,7 @@ def test_systems_without_a_common_motion_or_clip_or_alone_are_refused(
     page = ["-o", str(folders / "page.html")]
     takes, clips = folders / "rawtakes", folders / "newway"
     assert main(["rate", f"{takes}/squatting.csv", str(takes / "day"), *page]) == 2
-    assert "stand at y = 0" in capsys.readouterr().err
+    assert "nowhere near y = 0" in capsys.readouterr().err
     assert main(["rate", f"{takes / 'day'}", str(clips), *page]) == 2
     assert "no motion is in every system" in capsys.readouterr().err
     assert main(["rate", str(clips), *page]) == 2

@@ -27,14 +27,16 @@ from kinefilter.pipeline.look.comparison import leveled_to_clip
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.page import millimeters, packed, write_page
 from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.target.floor import leveled
 
 HIGHEST = 9
 """The best grade; the worst is 1."""
 
-_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz")  # others hold positions alone
-_FILES = (*_CLIPS, ".bvh", ".csv", ".bvh.gz", ".csv.gz", ".skeleton")
+_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz", ".bvh", ".bvh.gz")
+_FILES = (*_CLIPS, ".csv", ".csv.gz", ".skeleton")  # these may be takes
 _NO_MOTION = "manifest.csv"  # of a batch
-_NEAR = 0.2  # m from y = 0, within which the lowest joint of a clip is: a guess
+_NEAR = 0.15  # m from y = 0, within which feet stand; a guess
+_OFF = 0.03  # m: feet of clips of the same motion are that near in height; a guess
 _APART = 0.5  # s by which the same motion may last longer in one system than in another
 _FARTHEST = 30.0  # m from the origin: no sensor and no hall is as large
 _HEAD, _LEAST = 150.0, 1500.0  # mm above the head's joint, and of what is seen
@@ -225,14 +227,14 @@ def write_rating_page(
 def _staged(files: Sequence[Path]) -> tuple[dict[str, Any], list[Clip | Take]]:
     """Return the camera [mm, rad] of a motion, and the clips in it on one floor.
 
-    A take that does not stand at y = 0 is leveled to the first clip that does.
+    A take whose feet are not where those of a clip are is leveled to that clip.
     """
     clips = [_read(file) for file in files]
     seconds = max(float(clip.time[-1]) for clip in clips)
-    standing = next((clip for clip in clips if _stands(clip)), None)
+    standing = _standing(clips)
     if standing is None:
         raise InputError(
-            f"{files[0]}: does not stand at y = 0, nor does the same motion elsewhere; "
+            f"{files[0]}: its feet are nowhere near y = 0, nor are another system's; "
             "takes are leveled to a clip, so give one too"
         )
     for k, (file, clip) in enumerate(zip(files, clips, strict=True)):
@@ -245,9 +247,9 @@ def _staged(files: Sequence[Path]) -> tuple[dict[str, Any], list[Clip | Take]]:
                 f"{file}: lasts {clip.time[-1]:.1f} s, the same motion elsewhere "
                 f"{seconds:.1f} s; give clips of the same take"
             )
-        if isinstance(clip, Take) and not _stands(clip):
+        if isinstance(clip, Take):
             try:
-                clips[k] = replace(clip, positions=leveled_to_clip(clip, standing))
+                clips[k] = replace(clip, positions=_on_floor(clip, standing))
             except InputError as error:
                 raise InputError(f"{file}: {error}") from None
     everywhere = np.concatenate([clip.positions.reshape(-1, 3) for clip in clips])
@@ -273,18 +275,47 @@ def _facing(clip: Clip | Take) -> float:
 
 def _read(path: Path) -> Clip | Take:
     """Read a clip or a take, with the time [s] from its first frame."""
-    read = read_finite_clip if path.suffix.lower() in _CLIPS else read_take
-    clip: Clip | Take = read(path)
+    is_clip = path.name.lower().endswith(_CLIPS)
+    clip: Clip | Take = read_finite_clip(path) if is_clip else read_take(path)
     if len(clip) < 2 or clip.time[-1] <= clip.time[0]:
         raise InputError(f"{path}: two frames or more are needed to see a movement")
     return replace(clip, time=clip.time - clip.time[0])
 
 
-def _stands(clip: Clip | Take) -> bool:
-    """Return whether the lowest joint mostly is near the floor of the world frame."""
-    heights: Array = clip.positions[..., 1]
-    lowest = heights[~np.isnan(heights).all(axis=1)]
-    return bool(len(lowest) and abs(np.median(np.nanmin(lowest, axis=1))) < _NEAR)
+def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
+    """Return a clip that stands on the floor, if it can be one that says its tilt.
+
+    A CSV may be a take, in the frame of its sensor: only without other clips, the one
+    whose feet are nearest to y = 0.
+    """
+    for known in (True, False):
+        for clip in clips:
+            if isinstance(clip, Clip) and np.isfinite(clip.tilt) == known:
+                return clip
+    nearest = min(clips, key=lambda clip: abs(_foot_height(clip.positions)))
+    return nearest if abs(_foot_height(nearest.positions)) < _NEAR else None
+
+
+def _on_floor(take: Take, standing: Clip | Take) -> Array:
+    """Return the joints [m] of a take, leveled, its feet as high as those of a clip.
+
+    What is no higher or lower than the clip is returned as it is, shape (T, J, 3).
+    """
+    wanted, places = _foot_height(standing.positions), take.positions
+    if abs(_foot_height(places) - wanted) < _OFF:
+        return places
+    if isinstance(standing, Clip) and np.isfinite(standing.tilt):
+        places = leveled(places, standing.tilt, standing.roll)
+    else:
+        places = leveled_to_clip(take, standing)
+    return np.asarray(places + [0.0, wanted - _foot_height(places), 0.0])
+
+
+def _foot_height(positions: Array) -> float:
+    """Return the height [m] of the lowest joint, the median over frames (T, J, 3)."""
+    heights = positions[..., 1]
+    there = ~np.isnan(heights).all(axis=1)
+    return float(np.median(np.nanmin(heights[there], axis=1))) if there.any() else 0.0
 
 
 def _packed(clip: Clip | Take) -> dict[str, str]:
