@@ -308,7 +308,8 @@ def _on_floor(take: Take, standing: Clip | Take) -> Array:
         places = leveled(places, standing.tilt, standing.roll)
     else:
         places = leveled_to_clip(take, standing)
-    return np.asarray(places + [0.0, wanted - _foot_height(places), 0.0])
+    rise = np.array([0.0, wanted - _foot_height(places), 0.0])
+    return np.asarray(places + rise)
 
 
 def _foot_height(positions: Array) -> float:
