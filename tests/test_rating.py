@@ -1,4 +1,4 @@
-"""``kinefilter rate`` and ``ratings``: what raters see, and what their answers say."""
+"""``kinefilter rate``: the page on which people grade clips, in a browser too."""
 
 from __future__ import annotations
 
@@ -16,20 +16,11 @@ import numpy as np
 import pytest
 from browser import Browser
 from conftest import MakeClip
-from scipy import stats
 
 from kinefilter.characters import KINECT_V2, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.lab.rating import planned
-from kinefilter.pipeline.lab.ratings import (
-    Key,
-    Sheet,
-    friedman,
-    holm,
-    summarize,
-    wilcoxon,
-)
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.scenes.library import perform
 
@@ -249,207 +240,6 @@ def test_systems_without_a_common_motion_or_clip_or_alone_are_refused(
     assert main(["rate", str(clips), *page]) == 2
     assert "two systems" in capsys.readouterr().err
     assert not (folders / "page.html").exists()
-
-
-# Answers: three systems, one motion, one at a time or in pairs
-
-
-ONE = Key("p", ["A", "B", "C"], ["m"], [(0, 0), (1, 0), (2, 0)], [(0,), (1,), (2,)])
-GRADES = np.array([[3, 5, 8], [4, 4, 7], [2, 6, 9], [5, 6, 6], [1, 4, 7], [3, 8, 9]])
-
-
-def _sheets(grades: Any) -> list[Sheet]:
-    return [
-        Sheet(f"r{n}", [((k,), (int(grade),)) for k, grade in enumerate(row)])
-        for n, row in enumerate(grades)
-    ]
-
-
-def test_means_and_intervals_are_those_of_scipy() -> None:
-    found = summarize(_sheets(GRADES), ONE)
-    for column, name in zip(GRADES.T, "ABC", strict=True):
-        row = found["systems"][name]
-        assert row["mean"] == pytest.approx(column.mean())
-        assert row["sd"] == pytest.approx(stats.tstd(column))
-        interval = stats.ttest_1samp(column, 0).confidence_interval(0.95)
-        assert row["ci95"] == pytest.approx([interval.low, interval.high])
-        assert np.isnan(row["preferred"])
-        assert row["motions"] == {"m": pytest.approx(column.mean())}
-    pair = found["pairs"][1]
-    assert pair["systems"] == ["A", "C"]
-    related = stats.ttest_rel(GRADES[:, 0], GRADES[:, 2]).confidence_interval(0.95)
-    assert pair["ci95"] == pytest.approx([related.low, related.high])
-    assert pair["mean"] == pytest.approx((GRADES[:, 0] - GRADES[:, 2]).mean())
-
-
-def test_signed_ranks_are_counted_out() -> None:
-    differences = np.array([1.0, -2.0, 3.5, 4.0, 5.0, 6.5, 7.0])
-    ranks = np.arange(1, 8)
-    sums = [
-        sum(r for r, s in zip(ranks, way, strict=True) if s)
-        for way in product((0, 1), repeat=7)
-    ]
-    least = 2  # the rank of the only negative one
-    expected = 2 * np.mean([total <= least for total in sums])
-    assert wilcoxon(differences) == pytest.approx(expected)
-    assert wilcoxon(np.zeros(4)) == 1.0
-
-
-def test_friedmans_test_is_that_of_its_formula() -> None:
-    ranks = stats.rankdata(GRADES, axis=1)
-    n, k = ranks.shape
-    total = 12 / (n * k * (k + 1)) * (ranks.sum(axis=0) ** 2).sum() - 3 * n * (k + 1)
-    ties = sum(
-        count**3 - count
-        for row in ranks
-        for count in np.unique(row, return_counts=True)[1]
-    )
-    total /= 1 - ties / (n * k * (k**2 - 1))
-    p = stats.chi2.sf(total, k - 1)
-    assert friedman(GRADES) == pytest.approx(p)
-    assert summarize(_sheets(GRADES), ONE)["p_friedman"] == pytest.approx(p)
-    assert friedman(np.ones((4, 3))) == 1.0
-    assert np.isnan(friedman(GRADES[:, :2]))
-    assert np.isnan(friedman(GRADES[:1]))
-
-
-def test_holms_correction_steps_down() -> None:
-    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-    assert holm([0.6, 0.7]) == [1.0, 1.0]
-    assert holm([0.2]) == [0.2]
-    found = summarize(_sheets(GRADES), ONE)
-    single = [pair["p"] for pair in found["pairs"]]
-    assert [pair["p_holm"] for pair in found["pairs"]] == pytest.approx(holm(single))
-
-
-def test_one_rater_has_means_but_no_intervals() -> None:
-    found = summarize(_sheets(GRADES[:1]), ONE)
-    assert found["systems"]["C"]["mean"] == 8
-    assert np.isnan(found["systems"]["C"]["ci95"]).all()
-    assert {pair["p"] for pair in found["pairs"]} == {1.0}
-
-
-def test_pairs_say_who_is_preferred_and_who_contradicts_themselves() -> None:
-    key = Key(
-        "p",
-        ["A", "B"],
-        ["m", "n"],
-        [(0, 0), (1, 0), (1, 1), (0, 1)],
-        [(0, 1), (2, 3), (0, 1)],
-    )
-    sheets = [
-        Sheet("sure", [((0, 1), (3, 7)), ((2, 3), (6, 6)), ((1, 0), (7, 3))]),
-        Sheet("unsure", [((1, 0), (4, 2)), ((3, 2), (1, 9)), ((0, 1), (5, 1))]),
-        Sheet("lazy", [((1, 0), (5, 5)), ((3, 2), (5, 5)), ((0, 1), (5, 5))]),
-    ]
-    found = summarize(sheets, key)
-    assert found["systems"]["A"]["preferred"] == pytest.approx((1 + 4 / 2) / 9)
-    assert found["systems"]["B"]["preferred"] == pytest.approx((4 + 4 / 2) / 9)
-    (pair,) = found["pairs"]
-    assert (pair["better"], pair["equal"]) == ([1, 4], 4)
-    # A: of 3 and 3 as one, with 6; of 2 and 5 with 1; 5.
-    assert found["systems"]["A"]["mean"] == pytest.approx(np.mean([4.5, 2.25, 5]))
-    sure, unsure, lazy = (found["raters"][sheet.rater] for sheet in sheets)
-    assert (sure["twice"], sure["reversed"], sure["apart"]) == (1, 0, 0)
-    assert (unsure["twice"], unsure["reversed"], unsure["apart"]) == (1, 1, 3)
-    assert lazy["same_grade"]
-    assert not unsure["same_grade"]
-
-
-def _answers(key: dict[str, Any], rater: str, best: str) -> dict[str, Any]:
-    """Return the answers of somebody who knows better."""
-    rows = [
-        {
-            "shown": trial[::-1],
-            "grades": [
-                8 if key["clips"][k]["system"] == best else 3 for k in trial[::-1]
-            ],
-        }
-        for trial in key["trials"]
-    ]
-    return {"page": key["page"], "rater": rater, "answers": rows}
-
-
-@pytest.fixture
-def answered(folders: Path) -> Path:
-    """Return a folder of systems, a page, its key, and the answers of two raters."""
-    assert _rate(folders) == 0
-    (folders / "answers").mkdir()
-    for rater in ("Zoë", "bob"):
-        text = json.dumps(_answers(_key(folders), rater, "newway"))
-        (folders / "answers" / f"{rater}.json").write_text(text)
-    return folders
-
-
-def _ratings(folder: Path, *more: str) -> int:
-    key, out = str(folder / "page.key.json"), str(folder / "figures.json")
-    return main(
-        ["ratings", str(folder / "answers"), "--key", key, "--json", out, *more]
-    )
-
-
-def test_ratings_prints_and_writes_what_raters_said(
-    answered: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert _ratings(answered) == 0
-    told = capsys.readouterr().out
-    for words in ("newway", "8.00", "100 %", "2 raters", "Friedman"):
-        assert words in told
-    found = json.loads((answered / "figures.json").read_text(encoding="utf-8"))
-    means = {name: row["mean"] for name, row in found["systems"].items()}
-    assert means == {"oldway": 3, "newway": 8, "rawtakes": 3}
-    assert set(found["raters"]) == {"Zoë", "bob"}
-
-
-def _first(found: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
-    rows = [found["answers"][0] | change, *found["answers"][1:]]
-    return found | {"answers": rows}
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda k: k | {"page": "another"}, r"of page 'another'.*key is of page"),
-        (lambda _: {}, "of no page"),
-        (lambda k: k | {"rater": "Zoë"}, "second file of rater 'Zoë'"),
-        (lambda k: k | {"rater": " "}, "answers of a rater"),
-        (lambda k: k | {"answers": k["answers"][1:]}, "not the 8 answers"),
-        (lambda k: _first(k, {"shown": [0, 99]}), "not the 8 answers"),
-        (lambda k: _first(k, {"shown": ["0", None]}), "damaged"),
-        (lambda k: _first(k, {"grades": [3, None]}), "answer 1 .*ask the rater"),
-        (lambda k: _first(k, {"grades": [3, 10]}), "answer 1 .*from 1 to 9"),
-        (lambda k: _first(k, {"grades": [3, True]}), "answer 1"),
-        (lambda k: _first(k, {"grades": [3]}), "answer 1"),
-        (lambda k: k | {"answers": [3]}, "damaged"),
-        (lambda _: [1], "not JSON of"),
-    ],
-)
-def test_wrong_answers_are_refused(
-    answered: Path,
-    capsys: pytest.CaptureFixture[str],
-    change: Callable[[Any], Any],
-    message: str,
-) -> None:
-    right = _answers(_key(answered), "zed", "newway")
-    text = json.dumps(change(right))
-    (answered / "answers" / "zed.json").write_text(text)
-    assert _ratings(answered) == 2
-    told = capsys.readouterr().err
-    assert re.search(message, told), told
-    assert "zed.json" in told
-    assert not (answered / "figures.json").exists()
-
-
-def test_without_answers_or_key_nothing_is_told(
-    answered: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert _ratings(answered, "--key", str(answered / "answers" / "bob.json")) == 2
-    assert "not the key of a page" in capsys.readouterr().err
-    key = str(answered / "page.key.json")
-    assert main(["ratings", key, "--key", key]) == 2
-    assert "no answers given" in capsys.readouterr().err
-    assert _ratings(answered, "--json", key) == 2
-    assert "overwrite" in capsys.readouterr().err
 
 
 # The page in a browser

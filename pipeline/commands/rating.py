@@ -24,7 +24,7 @@ class Rate:
     as JSON files, which 'kinefilter ratings' reads.
     """
 
-    systems: Positional[tuple[str, ...]]
+    systems: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME=]CLIPS ...")]
     """For each system a clip, or a folder of clips, named after it or as NAME=PATH:
     raw=take.csv shum=shum/ default=clips/. Motions are told by the names of the files.
     A take is drawn as recorded, leveled to the floor of another system's clip."""
@@ -89,8 +89,8 @@ class Ratings:
 
     Means over raters with their 95 % interval (Student's), standard deviations of the
     grades as in Figure 6 of Shum et al. 2013, how often each system had the higher
-    grade of two, and whether systems differ: Friedman's test over all, Wilcoxon's
-    signed ranks for each two, corrected after Holm. The paper names no test.
+    grade of two, and for each two systems whether they differ: Wilcoxon's signed ranks,
+    corrected after Holm. The paper names no test.
     """
 
     answers: Positional[tuple[Path, ...]]
@@ -108,7 +108,7 @@ class Ratings:
         files = [file for file in files if file.resolve() != self.key.resolve()]
         check_output(self.json, *files, self.key)
         key = ratings.read_key(self.key)
-        figures = ratings.summarize(ratings.read_sheets(files, key), key)
+        figures = ratings.summarize(ratings.read_answers(files, key), key)
         write_json(figures, self.json)
         for table in ratings.as_tables(figures):
             out.print(table)

@@ -13,7 +13,7 @@ for (const clip of [...kit.clips, ...kit.motions.flatMap((m) => m.reference || [
 }
 
 let rater = "", order = [], answers = [], trial = 0, framed = 0, panes = [];
-let view = null, motion = null, playing = false, seconds = 0, stamp = null, began = 0;
+let view = null, motion = null, playing = false, seconds = 0, stamp = null;
 
 // Half of the raters see the sides exchanged, half of each the other way round in time.
 function orderFor(name) {
@@ -44,7 +44,7 @@ function start(event) {
   rater = at("rater").value.trim();
   if (!rater) return;
   order = orderFor(rater);
-  ({ answers = order.map((shown) => ({ shown, grades: shown.map(() => null), seconds: 0 })),
+  ({ answers = order.map((shown) => ({ shown, grades: shown.map(() => null) })),
     trial = 0 } = kept());
   show(trial);
 }
@@ -70,7 +70,7 @@ function show(to) {
   [at("done").max, at("done").value] = [order.length, trial];
   at("back").disabled = trial === 0;
   at("scrubber").max = motion.seconds;
-  [framed, seconds, began] = [0, 0, performance.now()];
+  [framed, seconds] = [0, 0];
   mark();
   draw();
   play(true);
@@ -113,11 +113,6 @@ function mark() {
     buttons.forEach((b, n) => b.setAttribute("aria-pressed", String(grades[k] === n + 1)));
   }
   at("next").disabled = grades.includes(null);
-}
-
-function go(by) {
-  answers[trial].seconds += Math.round((performance.now() - began) / 100) / 10;
-  show(trial + by);
 }
 
 function draw() {
@@ -200,8 +195,8 @@ document.addEventListener("click", (e) => {
 at("start").addEventListener("submit", start);
 at("play").addEventListener("click", () => play(!playing));
 at("scrubber").addEventListener("input", () => seek(Number(at("scrubber").value)));
-at("next").addEventListener("click", () => go(1));
-at("back").addEventListener("click", () => go(-1));
+at("next").addEventListener("click", () => show(trial + 1));
+at("back").addEventListener("click", () => show(trial - 1));
 at("review").addEventListener("click", () => show(order.length - 1));
 at("save").addEventListener("click", save);
 window.addEventListener("resize", () => panes.length && draw());
