@@ -206,6 +206,7 @@ def test_without_answers_or_key_nothing_is_told(
         {"systems": ["old", "new", "other"]},
         {"systems": ["old", "old", "raw"]},
         {"clips": KEY["clips"][:2]},
+        {"clips": KEY["clips"][:1] * 3},
         {"trials": [[0, 1]]},
         {"trials": [[0, 1], [2, 9]]},
         {"trials": [[0, 1, 2]]},
