@@ -45,7 +45,8 @@ _DESCRIPTION = f"""Turn noisy Kinect takes into clips that animators ship.
 
 {chr(10).join(f"- {group}: {names}" for group, names in _GROUPS.items())}
 
-'kinefilter COMMAND --help' says more about a command.
+'kinefilter COMMAND --help' says more about a command; its group may stand before it, as
+in 'kinefilter lab rate'.
 
 Exit codes: 0 done, also if Ctrl-C or SIGTERM ended live, replay or view; 1 done, but
 some takes or clips were left out, the recording of live ended early, a metric is beyond
@@ -85,6 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
+    if words and words[0] not in COMMANDS:  # 'lab rate' is 'rate'
+        group = _GROUPS.get(words[0], "").split(", ")
+        words = words[1:] if words[1:2] and words[1] in group else words
     try:
         command = _read(words)
         if hasattr(command, "given"):

@@ -378,3 +378,14 @@ def test_output_that_nobody_reads_ends_a_command_quietly(
     assert done.stderr == ""
     # What prints the help may mind it by itself, and say nothing.
     assert done.returncode == 141 or words == ["--help"]
+
+
+def test_a_group_may_stand_before_its_commands(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["lab", "bench", "--help"])
+    assert "kinefilter bench" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as refused:
+        main(["daily", "bench"])
+    assert refused.value.code == 2
