@@ -27,7 +27,13 @@ from .config import CleanConfig
 from .correct import Corrector, Hold, Observation
 from .draft import Draft
 from .factory import make_corrector, make_scorer
-from .failures import Presence, distrust, find_failures, unmirrored, without_nobody
+from .failures import (
+    ImpossibleBodies,
+    distrust,
+    find_failures,
+    unmirrored,
+    without_nobody,
+)
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
@@ -98,12 +104,12 @@ class Failures(Stage):
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
-        self._presence = Presence(body)
+        self._impossible = ImpossibleBodies(body)
 
     def step(self, draft: Draft) -> None:
         """Take out the next frame if nobody can be so; all else shows only later."""
-        draft.impossible = self._presence.step(draft.measured, draft.time)
-        draft.appears = self._presence.appears
+        draft.impossible = self._impossible.step(draft.measured, draft.time)
+        draft.appears = self._impossible.appears
         if draft.impossible:
             draft.measured = np.full_like(draft.measured, np.nan)
             draft.state = np.zeros_like(draft.state)

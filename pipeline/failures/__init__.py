@@ -8,7 +8,7 @@ many frames, so that nothing which looks at single frames or lengths minds it. W
 plausible but wrong shows in the end, as cleaning moves it far.
 """
 
-from .bodies import Presence
+from .bodies import ImpossibleBodies
 from .displaced import find_displaced
 from .gross import (
     Failure,
@@ -23,7 +23,7 @@ from .gross import (
 __all__ = [
     "Failure",
     "FailureKind",
-    "Presence",
+    "ImpossibleBodies",
     "distrust",
     "find_displaced",
     "find_failures",

@@ -23,7 +23,7 @@ _ODDEST = 1.6
 in 1,300 recorded clips 0.80 to 1.30."""
 
 
-class Presence:
+class ImpossibleBodies:
     """Tells, frame by frame, bodies of another size or where nobody gets so fast.
 
     Going by the past alone: who stays elsewhere, or of another size, is believed after
