@@ -40,17 +40,17 @@ from .random_features import Floats, RandomFeatures, direction_to, likeness_to
 
 # Chosen by leaving one of six people out, and one of their movements.
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
-# Likeness at which nothing, and all, is taken: of what stays, by the whole posture; of
-# what moves, by the part; of knees, ankles and feet.
-_STRANGE, _KNOWN = 0.7, 0.85
+# Likeness of a part at which nothing, and all, of what moves its joints is taken: of
+# knees, ankles and feet, and of all others.
 _STRANGE_LEG, _KNOWN_LEG = 0.85, 1.0
+_STRANGE, _KNOWN = 0.7, 0.85
 _WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned from
+# Likeness of the whole posture at which nothing, and all, counts.
+_FAR, _NEAR = 0.4, 0.8
 # Seconds over which likeness is averaged: for what moves, the far side, the constant.
 _LATELY, _CALM, _CONSTANT = 0.5, 3.0, 10.0
-# Likeness to people beside a sensor, and sine of the view's angle at which nothing, and
-# all, is taken of what they taught of limbs on the far side; and all, and nothing, of
-# what moved people with markers, on either side. By leaving one of fourteen people out.
-_FAR, _NEAR = 0.4, 0.8
+# Sine of the view's angle from which on people beside a sensor count, and at which they
+# alone do. Chosen by leaving one of fourteen people out.
 _ASIDE, _BESIDE = 0.2, 0.6
 _TURN = 1.0  # s over which the view's angle is averaged
 
@@ -222,7 +222,7 @@ class FourierRidge(LearnedCorrector):
             for values, over in (
                 (alike, _LATELY),
                 (likeness, _CALM),
-                (likeness, _CONSTANT),
+                (_share_of_constant(likeness, toward), _CONSTANT),
             )
         )
         here, far = found
@@ -246,7 +246,8 @@ class FourierRidge(LearnedCorrector):
         )
         ((found,), (far,)), (likeness,), (alike,) = self._told(features, live=True)
         spans = (_CONSTANT, _LATELY, _CALM, _CONSTANT, _TURN / 2.0)
-        latest = (found, alike, likeness, likeness, toward[0])
+        lasting = _share_of_constant(likeness, toward[0])
+        latest = (found, alike, likeness, lasting, toward[0])
         self._means = tuple(
             mean + min(1.0, elapsed / span) * (value - mean)
             for mean, value, span in zip(
@@ -260,14 +261,12 @@ class FourierRidge(LearnedCorrector):
     def _moved(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures, moved as far as their like was learned from."""
         side = found.toward[..., :1] * self._described.sides
-        aside = _ramp(np.abs(side), _ASIDE, _BESIDE)
-        aside = aside * _ramp(found.lately[..., 1:], _FAR, _NEAR)
+        aside = _asideness(side, found.lately)
         beside = np.where(side < 0.0, aside, 0.0)
         share = _ramp(found.alike, self._strange, self._known)
         if self._person is None:
             share = np.where(self._wrists, _WRISTS_TAKEN * share, share)
-        alike = _ramp(found.lasting[..., :1], _STRANGE, _KNOWN)
-        offsets = alike[..., None] * found.constant
+        offsets = found.lasting[..., None] * found.constant
         offsets = offsets + (share * (1.0 - aside))[..., None] * found.moving
         offsets = offsets + beside[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
@@ -283,7 +282,7 @@ class FourierRidge(LearnedCorrector):
             moved = self._hands.straightened(moved, hidden, self._body)
         if seen.lengths is not None and self._person is None:
             odd = self._described.proportions(seen.lengths) - self.bones_
-            scale = np.exp(-_BONE_SHARE * alike * odd)[..., None]
+            scale = np.exp(-_BONE_SHARE * found.lasting * odd)[..., None]
             bones = moved - moved[..., self._parents, :] * self._hangs
             bones[..., self._described.limbs, :] *= scale
             moved = self._chain @ bones
@@ -305,9 +304,21 @@ class _Offsets(NamedTuple):
     lately: Array
     """Likeness to people with markers, and to those beside a sensor, over seconds."""
     lasting: Array
-    """The same over a longer time."""
+    """Share of the constant that is taken, over a longer time, shape (..., 1)."""
     toward: Array
     """Direction to the sensor, shape (..., 2)."""
+
+
+def _share_of_constant(likeness: Array, toward: Array) -> Array:
+    """Return it by likeness (..., 2): who is seen from aside is placed otherwise."""
+    aside = _asideness(toward[..., :1], likeness)
+    return _ramp(likeness[..., :1], _FAR, _NEAR) * (1.0 - aside)
+
+
+def _asideness(sine: Array, likeness: Array) -> Array:
+    """Return how far people beside a sensor count, by the sine of the view's angle."""
+    aside = _ramp(np.abs(sine), _ASIDE, _BESIDE)
+    return aside * _ramp(likeness[..., 1:], _FAR, _NEAR)
 
 
 def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:
