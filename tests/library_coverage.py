@@ -28,7 +28,7 @@ from kinefilter.characters import KINECT_V1, State, Take
 from kinefilter.pipeline.database.posture_database import FILTERED_POSTURES
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
-from kinefilter.pipeline.lab.database_build import _postures_of
+from kinefilter.pipeline.lab.database_build import mocap_postures
 from kinefilter.pipeline.lab.scripted_database import (
     BUILTIN_POSTURES,
     scripted_postures,
@@ -135,7 +135,7 @@ def read_cmu(folder: Path, every: int) -> tuple[Array, NDArray[np.str_]]:
     """
     postures, clips = [], []
     for file in sorted(folder.glob("*.bvh.gz")):
-        found = _postures_of(read_mocap(file), KINECT_V1)[0][1:]
+        found = mocap_postures(read_mocap(file), KINECT_V1)[0][1:]
         found = standardized(found)[::every]
         postures.append(found)
         clips.append(np.full(len(found), file.name.split(".")[0]))

@@ -59,7 +59,10 @@ def database_from_mocap(
     """
     motions, skeletons = sorted_mocap(files)
     parts = (
-        (file.name.split(".")[0], *_postures_of(read_mocap(file, skeletons), skeleton))
+        (
+            file.name.split(".")[0],
+            *mocap_postures(read_mocap(file, skeletons), skeleton),
+        )
         for file in over(motions, "read", progress)
     )
     return filtered_database(parts, skeleton, f"{len(motions)} mocap files", count)
@@ -154,7 +157,7 @@ def standard_postures(
     return postures, rotations_from_positions(postures, standard, rotations)
 
 
-def _postures_of(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
+def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     """Return the normalized postures of mocap, 30 a second."""
     motion = kinect_motion(mocap, skeleton, RIGS)
     positions, step = motion.positions, 1.0 / POSTURES_PER_SECOND

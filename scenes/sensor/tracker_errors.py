@@ -28,7 +28,7 @@ from .visibility import Sight, rest_front
 
 _FEATURES = 96  # random cosines: enough that no direction of posture is left out
 _STARTS = 12.0  # time constants before the take, so that it starts in full swing
-_SAME = {
+SAME = {
     "SpineBase": "HipCenter",
     "SpineMid": "Spine",
     "SpineShoulder": "ShoulderCenter",
@@ -150,7 +150,7 @@ class TrackerErrors:
 
 def _table(skeleton: Skeleton) -> list[tuple[_Offset, _Offset, float, float]]:
     stems = (j.removesuffix("Left").removesuffix("Right") for j in skeleton.joints)
-    return [_JOINTS[_SAME.get(stem, stem)] for stem in stems]
+    return [_JOINTS[SAME.get(stem, stem)] for stem in stems]
 
 
 def misplacements(skeleton: Skeleton) -> Array:

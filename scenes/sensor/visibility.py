@@ -3,7 +3,7 @@
 From the sensor, rays go to the neighborhood of every joint: a disk across the line of
 sight that the part's own capsule fills, and a ring around it. Whatever a ray of the
 disk meets before the part hides it; whatever a ray of the ring meets at the part's own
-depth cannot be told from it in a depth image. The rays are MuJoCo's.
+depth cannot be told from it in a depth image.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, InputError, Motion, Skeleton
+from kinefilter.characters import Body, Motion, Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import IDENTITY
 
 from .geometry import Sensor, in_world_frame, sensor_axes
+from .ray_casting import TRUNK, PosedBody, check_prop_poses
 
 _DISK_RAYS = 24
 _RING_RAYS = 12
@@ -28,15 +28,7 @@ _DISK = 0.8  # of the part's radius: rays at its very edge would miss it by roun
 _RING = 0.04  # m around the part: about five pixels of a Kinect v2 at 2.7 m
 _SAME_DEPTH = 0.06  # m: less contrast than a part's own thickness, a guess
 _NEAR_PROP = 0.12  # m: a prop nearer to a part than this may be taken for it, a guess
-_CHEST_BREADTH = 0.174  # of stature (Drillis & Contini 1966 in Winter 2009, fig. 4.1)
-_HIP_BREADTH = 0.191
-_TRUNK = (
-    *("HipCenter", "Spine", "ShoulderCenter"),
-    *("SpineBase", "SpineMid", "SpineShoulder"),
-)
 _CHUNK = 1024  # frames, so that an hour's take needs no gigabytes
-_FAR = 20.0  # m: beyond any Kinect's range
-_PREFIX = "seen:"  # keeps the names of the body apart from those of the scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +74,7 @@ def look(
             or its poses do not fit the motion.
     """
     prop_poses = prop_poses or {}
-    for name, poses in prop_poses.items():
-        if np.shape(poses) != (len(motion), 7):
-            raise InputError(
-                f"poses of prop {name!r} have shape {np.shape(poses)}, expected "
-                f"{(len(motion), 7)}: position and quaternion in every frame"
-            )
+    check_prop_poses(motion, prop_poses)
     scanner = _Scanner(motion.body, sensor, scene, tuple(prop_poses))
     moving = [np.asarray(poses, float) for poses in prop_poses.values()]
     chunks = [slice(k, k + _CHUNK) for k in range(0, len(motion), _CHUNK)]
@@ -120,20 +107,13 @@ class _Scanner:
         self.skeleton = body.skeleton
         self.eye = in_world_frame(np.zeros(3), sensor)
         self.up = sensor_axes(sensor)[1]
-        spec = _with_body(scene, body, moving)
-        self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, self.data)
-        names = [_PREFIX + j for j in body.skeleton.joints] + list(moving)
-        ids = [self.model.body(name).id for name in names]
-        self.slots = self.model.body_mocapid[ids]
-        owner = {i: j for j, i in enumerate(ids[: len(body.skeleton)])}
-        part = np.array([owner.get(b, -1) for b in self.model.geom_bodyid] + [-1])
-        flat = self.model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
-        flat &= self.model.geom_bodyid == 0
+        self.posed = PosedBody(body, scene, moving)
+        model, part = self.posed.model, self.posed.segment
+        flat = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+        flat &= model.geom_bodyid == 0
         self.is_prop = (part < 0) & ~np.append(flat, True)
-        self.is_hit = np.append(np.ones(self.model.ngeom, bool), False)
-        own = _own_parts(body.skeleton)
+        self.is_hit = np.append(np.ones(model.ngeom, bool), False)
+        own = own_parts(body.skeleton)
         self.own = np.where(part >= 0, own[:, part], False)  # (J, geoms + none)
         kin = _kin(body.skeleton)
         self.kin = np.where(part >= 0, kin[:, part], False) | self.own
@@ -146,8 +126,10 @@ class _Scanner:
         spots = self._spots(positions)
         rays = spots - self.eye
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        reach, geoms = self._cast(positions, rotations, props, rays)
-        return self._judge(spots, self.eye + reach[..., None] * rays, geoms)
+        flat = rays.reshape(len(rays), -1, 3)
+        reach, geoms = self.posed.cast(positions, rotations, props, self.eye, flat)
+        found = self.eye + reach.reshape(rays.shape[:-1])[..., None] * rays
+        return self._judge(spots, found, geoms.reshape(rays.shape[:-1]))
 
     def _spots(self, positions: Array) -> Array:
         """Points [m] that the rays aim at: on the part's front and around it."""
@@ -172,49 +154,6 @@ class _Scanner:
             + y[..., None] * up[:, :, None]
             - forward[..., None] * line[:, :, None]
         )
-
-    def _cast(
-        self,
-        positions: Array,
-        rotations: Array,
-        props: list[Array],
-        rays: Array,
-    ) -> tuple[Array, NDArray[np.int32]]:
-        """Return how far each ray goes [m] and the geom it meets, -1: none."""
-        frames, joints, count = rays.shape[:3]
-        starts = positions[:, np.maximum(self.skeleton.parents, 0)].copy()
-        starts[:, self.skeleton.root] = positions[:, self.skeleton.root]
-        place = np.concatenate(
-            [to_mujoco(starts), *(p[:, None, :3] for p in props)], axis=1
-        )
-        turn = np.concatenate(
-            [to_mujoco(rotations), *(p[:, None, 3:] for p in props)], axis=1
-        )
-        point = to_mujoco(self.eye)
-        beams = np.ascontiguousarray(to_mujoco(rays).reshape(frames, -1))
-        reach = np.empty((frames, joints * count))
-        geoms = np.empty((frames, joints * count), dtype=np.int32)
-        model, data = self.model, self.data
-        for t in range(frames):
-            data.mocap_pos[self.slots] = place[t]
-            data.mocap_quat[self.slots] = turn[t]
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_multiRay(
-                model,
-                data,
-                point,
-                beams[t],
-                None,
-                True,
-                -1,
-                geoms[t],
-                reach[t],
-                None,
-                joints * count,
-                _FAR,
-            )
-        shape = (frames, joints, count)
-        return reach.reshape(shape), geoms.reshape(shape)
 
     def _judge(self, spots: Array, found: Array, geoms: NDArray[np.int32]) -> Sight:
         joint = np.arange(len(self.radii))[:, None]
@@ -266,56 +205,7 @@ def _pattern() -> Array:
     return np.concatenate([disk - disk.mean(axis=0), ring])
 
 
-def _with_body(
-    scene: mujoco.MjSpec | None, body: Body, moving: tuple[str, ...]
-) -> mujoco.MjSpec:
-    if scene is None:
-        spec = mujoco.MjSpec()
-        floor = mujoco.mjtGeom.mjGEOM_PLANE
-        spec.worldbody.add_geom(name="floor", type=floor, size=[0.0, 0.0, 1.0])
-    else:
-        spec = scene.copy()
-    for name in moving:
-        prop = spec.body(name)
-        if prop is None or prop.parent != spec.worldbody:
-            raise InputError(
-                f"the scene has no prop {name!r} among the children of its world; "
-                "it has " + ", ".join(b.name for b in spec.worldbody.bodies)
-            )
-        for joint in list(prop.joints):
-            spec.delete(joint)
-        prop.mocap = True
-    _add_parts(spec, body)
-    return spec
-
-
-def _add_parts(spec: mujoco.MjSpec, body: Body) -> None:
-    """Add one body a segment that can be put anywhere, with the capsules it has."""
-    offsets = to_mujoco(body.rest_offsets)
-    capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-    for j, joint in enumerate(body.skeleton.joints):
-        part = spec.worldbody.add_body(name=_PREFIX + joint, mocap=True)
-        for side in _flanks(body, j):
-            aside = np.array([0.0, side, 0.0])
-            end = offsets[j] + 1e-6 * (j == body.skeleton.root)
-            part.add_geom(
-                type=capsule,
-                fromto=[*aside, *(end + aside)],
-                size=[body.radii[j], 0.0, 0.0],
-            )
-
-
-def _flanks(body: Body, j: int) -> tuple[float, ...]:
-    """Sideways places [m] of a segment's capsules: a trunk is wider than deep."""
-    joint = body.skeleton.joints[j]
-    if joint not in _TRUNK:
-        return (0.0,)
-    breadth = _HIP_BREADTH if j == body.skeleton.root else _CHEST_BREADTH
-    half = max(0.0, 0.5 * breadth * body.height - float(body.radii[j]))
-    return (half, -half)
-
-
-def _own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
+def own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
     """Return which segments a joint is seen on, shape (joint J, segment J).
 
     The two that meet there; a joint of the trunk is seen on all of the trunk.
@@ -323,7 +213,7 @@ def _own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
     own = np.eye(len(skeleton), dtype=bool)
     for j, children in enumerate(skeleton.children):
         own[j, list(children)] = True
-    names = (*_TRUNK, "Neck")
+    names = (*TRUNK, "Neck")
     trunk = [
         j
         for j, name in enumerate(skeleton.joints)

@@ -1,0 +1,374 @@
+"""Teaches the forest that finds body parts in depth images, from images of mocap.
+
+``python -m kinefilter.pipeline.lab.teach_depth FOLDER OUT.npz`` writes
+``scenes/sensor/embedded/body_parts.npz`` again and prints how good it is; FOLDER holds
+CMU's mocap (BVH). ``--help`` lists the sizes: with more people, images and leaves it
+takes longer and gets better. Half of the images show mocap, half scripted motions, all
+of them simulated people. What is printed is of people and of CMU's subjects that
+taught nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from kinefilter.characters import (
+    KINECT_V2,
+    SKELETONS,
+    Body,
+    InputError,
+    Skeleton,
+    positions_from_rotations,
+)
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.formats.mocap import read_mocap
+from kinefilter.pipeline.workers import workers
+from kinefilter.scenes.library import MOTIONS, perform, random_body
+from kinefilter.scenes.sensor import SENSORS, in_sensor_frame
+from kinefilter.scenes.sensor.body_part_forest import (
+    BODY_PARTS,
+    BodyPartForest,
+    depth_differences,
+    parts_of_joints,
+)
+from kinefilter.scenes.sensor.depth_image import (
+    DepthCamera,
+    DepthImage,
+    nearest_joints,
+    with_noise,
+)
+from kinefilter.scenes.sensor.depth_tracker import behind, constants_of, propose
+
+from .database_build import mocap_postures
+
+_HELD_OUT = ("02", "08", "12", "29")
+"""Subjects of CMU who teach nothing."""
+_PEOPLE, _CHECKING, _TESTING = 5_000_000, 5_100_000, 5_200_000
+"""Seeds of people who teach the trees, the constants of joints, and nothing."""
+_CHECKED = 24  # people for the constants, and again as many to test on
+_FARTHEST, _NEAREST = 0.7, 0.015  # m: how far features look around
+_RIGHT = 0.1  # m: a joint is found that is nearer to the truth (Shotton et al.)
+_FULL = 255.0
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is learned from, and how much is kept of it."""
+
+    people: int = 160
+    """Simulated people."""
+    images: int = 24
+    """Images of each of them."""
+    pixels: int = 120
+    """Pixels of each image."""
+    features: int = 300
+    """Differences of depth to choose from."""
+    trees: int = 3
+    """Trees; the paper has three."""
+    leaves: int = 12000
+    """Leaves of a tree, at most."""
+    depth: int = 20
+    """Levels of a tree, at most; the paper has 20."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """An image of somebody, and where the joints were [m], in the sensor's frame."""
+
+    image: DepthImage
+    joints: Array
+    body: Body
+
+    def labels(
+        self, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> NDArray[np.intp]:
+        """Return the body part of pixels, (N,)."""
+        points, segments = (
+            self.image.points(rows, columns),
+            self.image.segments[rows, columns],
+        )
+        joints = nearest_joints(points, segments, self.joints, self.body)
+        return np.argmax(parts_of_joints(self.body.skeleton), axis=0)[joints]
+
+
+def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Array:
+    """Return segment rotations of postures that differ, without yaw, (N, J, 4).
+
+    Raises:
+        InputError: There is no BVH file of these subjects.
+    """
+    files = [
+        file
+        for file in sorted(folder.glob("*.bvh*"))
+        if (file.name.partition("_")[0] in _HELD_OUT) is held_out
+    ]
+    if not files:
+        raise InputError(f"{folder}: no BVH of CMU's subjects; give their folder")
+    found = [mocap_postures(read_mocap(file), skeleton) for file in files]
+    positions, rotations = (np.concatenate(part) for part in zip(*found, strict=True))
+    return rotations[filter_to_count(positions, 2000)]
+
+
+def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
+    """Yield images of somebody: half of mocap, half of scripted motions.
+
+    Args:
+        seed: Draws the person, the motions, the places of sensors and their noise.
+        count: How many.
+        mocap: Segment rotations to draw from, by the name of the skeleton.
+    """
+    rng = np.random.default_rng(seed)
+    skeleton = SKELETONS[sorted(SKELETONS)[seed % len(SKELETONS)]]
+    body = random_body(skeleton, rng)
+    drawn = rng.integers(len(mocap[skeleton.name]), size=count - count // 2)
+    turns = [mocap[skeleton.name][drawn]]
+    for name in rng.choice(MOTIONS, 3):
+        act = perform(str(name), body, seed=seed)
+        turns.append(act.rotations[rng.integers(len(act), size=-(-count // 6))])
+    rotations = np.concatenate(turns)[:count]
+    root = np.zeros((len(rotations), 3))
+    root[:, [0, 2]] = rng.normal(0.0, 0.3, (len(rotations), 2))
+    positions = positions_from_rotations(rotations, root, body)
+    positions[..., 1] -= (positions[..., 1] - body.radii).min(axis=1)[:, None]
+    camera = DepthCamera(body, SENSORS["v2"])
+    for joints, turn in zip(positions, rotations, strict=True):
+        height, distance = rng.uniform(0.6, 1.6), rng.uniform(2.0, 3.6)
+        camera.look_from(
+            replace(
+                SENSORS[str(rng.choice(list(SENSORS)))],
+                height=height,
+                distance=distance,
+                azimuth=float(np.clip(rng.normal(0.0, 0.7), -1.7, 1.7)),
+                tilt=float(np.arctan2(0.9 - height, distance) + rng.normal(0.0, 0.08)),
+            )
+        )
+        image = with_noise(camera.take(joints, turn), camera.sensor, rng)
+        yield Shot(image, in_sensor_frame(joints, camera.sensor), body)
+
+
+def features(count: int) -> NDArray[np.float32]:
+    """Return offsets u and v of features [m across the view], (F, 2, 2).
+
+    Half of them compare a place nearby with the pixel itself, as in the paper. Their
+    lengths are even on a logarithmic scale.
+    """
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(0.0, 2.0 * np.pi, (count, 2))
+    size = np.exp(rng.uniform(np.log(_NEAREST), np.log(_FARTHEST), (count, 2)))
+    size[::2, 1] = 0.0
+    offsets = size[..., None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+    return offsets.astype(np.float32)
+
+
+def lessons(
+    seed: int, sizes: Sizes, mocap: dict[str, Array]
+) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+    """Return features and body parts of pixels of one person.
+
+    Body parts that few pixels show are drawn more often: by the root of their number.
+    """
+    rng, offsets = np.random.default_rng([seed, 1]), features(sizes.features)
+    told, shown = [], []
+    for shot in shots_of(seed, sizes.images, mocap):
+        rows, columns = np.nonzero(shot.image.segments >= 0)
+        if len(rows) < sizes.pixels:
+            continue
+        labels = shot.labels(rows, columns)
+        rare = 1.0 / np.sqrt(np.bincount(labels)[labels])
+        some = rng.choice(len(rows), sizes.pixels, replace=False, p=rare / rare.sum())
+        at = rows[some], columns[some]
+        differences = [
+            depth_differences(shot.image, *at, np.broadcast_to(o, (len(some), 2, 2)))
+            for o in offsets
+        ]
+        told.append(np.stack(differences, axis=1))
+        shown.append(labels[some].astype(np.int8))
+    return np.concatenate(told), np.concatenate(shown)
+
+
+def fit_forest(
+    told: NDArray[np.float32], shown: NDArray[np.int8], sizes: Sizes
+) -> BodyPartForest:
+    """Return a forest that tells body parts by features, without constants of joints."""
+    from sklearn.ensemble import RandomForestClassifier
+
+    forest = RandomForestClassifier(
+        sizes.trees,
+        criterion="entropy",
+        max_depth=sizes.depth,
+        max_leaf_nodes=sizes.leaves,
+        min_samples_leaf=4,
+        max_samples=0.8,
+        n_jobs=2,
+        random_state=0,
+    )
+    forest.fit(told, shown)
+    return converted(forest.estimators_, forest.classes_, features(sizes.features))
+
+
+def converted(
+    trees: Sequence[object], classes: NDArray[np.int8], offsets: NDArray[np.float32]
+) -> BodyPartForest:
+    """Return scikit-learn's trees as arrays; joints have no constants yet."""
+    roots, feature, threshold, children, leaves = [], [], [], [], []
+    nodes = kept = 0
+    for tree in (getattr(tree, "tree_") for tree in trees):  # noqa: B009
+        leaf = tree.children_left < 0
+        row = np.cumsum(leaf) - 1 + kept
+        roots.append(nodes)
+        feature.append(np.where(leaf, -1, tree.feature))
+        # The greatest single number that is no greater: the same pixels go left.
+        limit = tree.threshold.astype(np.float32)
+        beyond = np.nextafter(limit, np.float32(-np.inf))
+        threshold.append(np.where(limit > tree.threshold, beyond, limit))
+        both = np.stack([tree.children_left, tree.children_right], axis=1) + nodes
+        children.append(np.where(leaf[:, None], row[:, None], both))
+        share = np.zeros((int(leaf.sum()), len(BODY_PARTS)))
+        share[:, classes] = tree.value[leaf, 0]
+        leaves.append(np.rint(_FULL * share / share.sum(axis=1, keepdims=True)))
+        nodes, kept = nodes + len(leaf), kept + len(share)
+    zeros = np.zeros((len(SKELETONS), len(BODY_PARTS)), dtype=np.float32)
+    return BodyPartForest(
+        offsets,
+        np.array(roots, dtype=np.int32),
+        np.concatenate(feature).astype(np.int16),
+        np.concatenate(threshold).astype(np.float32),
+        np.concatenate(children).astype(np.int32),
+        np.concatenate(leaves).astype(np.uint8),
+        zeros,
+        zeros,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a forest found in images of one person."""
+
+    skeleton: Skeleton
+    skin: Array
+    """As ``propose`` gives it [m], (N, J, 3)."""
+    area: Array
+    """Likewise [m^2], (N, J)."""
+    joints: Array
+    """Where they were [m], (N, J, 3)."""
+    hits: tuple[int, int]
+    """Pixels that were told right, and all."""
+
+
+def found_in(
+    seed: int, count: int, mocap: dict[str, Array], forest: BodyPartForest
+) -> Found:
+    """Return what a forest finds in images of somebody."""
+    skin, area, joints, right, whole = [], [], [], 0, 0
+    for shot in shots_of(seed, count, mocap):
+        skeleton = shot.body.skeleton
+        proposals = propose(shot.image, forest, skeleton)
+        skin.append(proposals.skin)
+        area.append(proposals.area)
+        joints.append(shot.joints)
+        rows, columns = (at[::7] for at in np.nonzero(shot.image.segments >= 0))
+        told = forest.shares(shot.image, rows, columns).argmax(axis=1)
+        right += int((told == shot.labels(rows, columns)).sum())
+        whole += len(rows)
+    hits = (right, whole)
+    return Found(skeleton, np.array(skin), np.array(area), np.array(joints), hits)
+
+
+def with_constants(forest: BodyPartForest, checked: Sequence[Found]) -> BodyPartForest:
+    """Return a forest that knows how deep joints lie, and when they are found.
+
+    The depth is the median where much skin is seen. The least area is the one that
+    errs least often about which joints are within 10 cm.
+    """
+    push, least = forest.push.copy(), forest.least.copy()
+    for row, skeleton in enumerate(SKELETONS.values()):
+        own = [found for found in checked if found.skeleton == skeleton]
+        if not own:
+            continue
+        skin, area, joints = (
+            np.concatenate([getattr(found, name) for found in own])
+            for name in ("skin", "area", "joints")
+        )
+        line = skin / np.linalg.norm(skin, axis=-1, keepdims=True)
+        behind_it = np.vecdot(joints - skin, line)
+        for j, part in enumerate(np.argmax(parts_of_joints(skeleton), axis=0)):
+            much = area[:, j] > np.nanmedian(area[:, j])
+            push[row, part] = np.nanmedian(behind_it[much, j])
+            placed = behind(skin[:, j], push[row, part])
+            away = np.linalg.norm(placed - joints[:, j], axis=-1)
+            right = np.nan_to_num(away, nan=np.inf) < _RIGHT
+            order = np.argsort(area[:, j])
+            # Below the k-th area: right ones that are lost, wrong ones that are not.
+            lost = np.cumsum(np.where(right[order], 1, -1))
+            k = int(np.argmin(np.append(0, lost)))
+            least[row, part] = np.append(area[order, j], np.inf)[k]
+    return replace(forest, push=push, least=least)
+
+
+def report(forest: BodyPartForest, tested: Sequence[Found]) -> Iterator[str]:
+    """Yield what a forest is worth on images that taught it nothing."""
+    right, whole = np.sum([found.hits for found in tested], axis=0)
+    yield f"pixels told right: {right / whole:.0%} of {whole}"
+    for skeleton in SKELETONS.values():
+        own = [found for found in tested if found.skeleton == skeleton]
+        if not own:
+            continue
+        push, least = constants_of(forest, skeleton)
+        skin, area, joints = (
+            np.concatenate([getattr(found, name) for found in own])
+            for name in ("skin", "area", "joints")
+        )
+        away = 100.0 * np.linalg.norm(behind(skin, push) - joints, axis=-1)
+        tracked = area >= least
+        yield f"{skeleton.name}: joint, tracked %, median cm, within 10 cm %"
+        for j, name in enumerate(skeleton.joints):
+            sure = away[tracked[:, j], j]
+            good = 100.0 * np.mean(sure < 100.0 * _RIGHT)
+            yield (
+                f"  {name:14} {100.0 * tracked[:, j].mean():4.0f} "
+                f"{np.median(sure):5.1f} {good:4.0f}"
+            )
+
+
+def teach_depth(folder: Path, out: Path, sizes: Sizes) -> Iterator[str]:
+    """Teach a forest, write it (.npz), and yield what it is worth."""
+    mocap, other = (
+        {s.name: mocap_rotations(folder, s, held_out=held) for s in SKELETONS.values()}
+        for held in (False, True)
+    )
+    with workers() as pool:
+        teach = partial(lessons, sizes=sizes, mocap=mocap)
+        found = [*pool.map(teach, range(_PEOPLE, _PEOPLE + sizes.people))]
+        told, shown = (np.concatenate(part) for part in zip(*found, strict=True))
+        yield f"learns from {len(told)} pixels"
+        forest = fit_forest(told, shown, sizes)
+        check = partial(found_in, count=sizes.images, mocap=mocap, forest=forest)
+        checked = [*pool.map(check, range(_CHECKING, _CHECKING + _CHECKED))]
+        forest = with_constants(forest, checked)
+        forest.save(out)
+        test = partial(found_in, count=sizes.images, mocap=other, forest=forest)
+        yield from report(
+            forest, [*pool.map(test, range(_TESTING, _TESTING + _CHECKED))]
+        )
+
+
+def main(
+    folder: tyro.conf.Positional[Path],
+    out: tyro.conf.Positional[Path],
+    sizes: tyro.conf.OmitArgPrefixes[Sizes] = Sizes(),
+) -> None:  # noqa: B008
+    """Teach the forest of body parts by CMU's mocap, and write it (.npz)."""
+    for line in teach_depth(folder, out, sizes):
+        print(line, flush=True)  # noqa: T201
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,132 @@
+"""Which part of a body each pixel of a depth image shows: a forest of random trees.
+
+Shotton et al. 2011, Real-time human pose recognition in parts from single depth images,
+CVPR. A body part is what lies around a joint of Kinect v2. Trees are learned by
+``pipeline/lab/teach_depth``; here are their numbers, and how pixels go through them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cache
+from importlib import resources
+from os import PathLike
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V2, Skeleton
+from kinefilter.characters.arrays import Array
+
+from .depth_image import BACKGROUND, DepthImage
+from .tracker_errors import SAME
+
+BODY_PARTS = KINECT_V2.joints
+"""Names of the body parts, after the joints in their middle."""
+_FILE = "embedded/body_parts.npz"
+_FULL = 255.0  # share of a leaf, as its file has it
+
+
+def depth_differences(
+    image: DepthImage,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    offsets: Array,
+) -> NDArray[np.float32]:
+    """Return differences of depth [m] around pixels (Shotton et al., eq. 1), (N,).
+
+    Between the pixel u / d(x) away and the one v / d(x) away, where d(x) is the pixel's
+    own depth: the farther somebody stands, the nearer to it. So the same place of a
+    body has the same difference, wherever the body is.
+
+    Args:
+        image: The depth image.
+        rows: Of the pixels, (N,).
+        columns: Of the pixels, (N,).
+        offsets: u and v [m across the view], as rows and columns, (N, 2, 2).
+    """
+    scale = (image.focal / image.depth[rows, columns])[:, None]
+    height, width = image.depth.shape
+    row = np.rint(rows[:, None] + scale * offsets[..., 0]).astype(np.intp)
+    column = np.rint(columns[:, None] + scale * offsets[..., 1]).astype(np.intp)
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    found = image.depth[np.where(inside, row, 0), np.where(inside, column, 0)]
+    found = np.where(inside, found, BACKGROUND)
+    return np.asarray(found[:, 0] - found[:, 1], dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPartForest:
+    """Trees of one after the other, their nodes in one list."""
+
+    offsets: NDArray[np.float32]
+    """u and v of each feature [m across the view], (F, 2, 2)."""
+    roots: NDArray[np.int32]
+    """Node at which each tree begins, (T,)."""
+    feature: NDArray[np.int16]
+    """Feature that a node looks at, -1: it is a leaf, (N,)."""
+    threshold: NDArray[np.float32]
+    """Greatest difference [m] that goes on to the left, (N,)."""
+    children: NDArray[np.int32]
+    """Nodes to the left and right; of a leaf, its row in ``leaves`` twice, (N, 2)."""
+    leaves: NDArray[np.uint8]
+    """Share of each body part in a leaf, 255: all of it, (L, P)."""
+    push: NDArray[np.float32]
+    """How far behind the skin the joints of Kinect v1 and v2 lie, along the ray [m],
+    by the body part of the same name, (2, P)."""
+    least: NDArray[np.float32]
+    """Area of skin [m^2] that must be seen around such a joint for it to be tracked,
+    (2, P)."""
+
+    def shares(
+        self, image: DepthImage, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> Array:
+        """Return the probability of each body part at pixels, (N, P)."""
+        found = np.zeros((len(rows), self.leaves.shape[1]))
+        for root in self.roots:
+            nodes = np.full(len(rows), root)
+            going = np.arange(len(rows))
+            while len(going := going[self.feature[nodes[going]] >= 0]):
+                at = nodes[going]
+                offsets = self.offsets[self.feature[at]]
+                seen = depth_differences(image, rows[going], columns[going], offsets)
+                nodes[going] = self.children[
+                    at, (seen > self.threshold[at]).astype(int)
+                ]
+            found += self.leaves[self.children[nodes, 0]]
+        return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+    def save(self, file: str | PathLike[str] | IO[bytes]) -> None:
+        """Write the numbers (.npz)."""
+        known: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        np.savez_compressed(file, **known)
+
+    @classmethod
+    def load(cls, file: str | PathLike[str] | IO[bytes]) -> BodyPartForest:
+        """Read what ``save`` wrote."""
+        with np.load(file, allow_pickle=False) as arrays:
+            return cls(**{f.name: arrays[f.name] for f in fields(cls)})
+
+
+@cache
+def shipped_forest() -> BodyPartForest:
+    """Return the forest that comes with kinefilter."""
+    path = resources.files(__package__).joinpath(_FILE)
+    with path.open("rb") as file:
+        return BodyPartForest.load(file)
+
+
+def parts_of_joints(skeleton: Skeleton) -> NDArray[np.bool_]:
+    """Tell which body parts lie around each joint of a skeleton, (P, J).
+
+    Kinect v1 has no joints of its own in neck, thumb and tips of the hand.
+    """
+    joints = skeleton.joints
+    found = np.zeros((len(BODY_PARTS), len(joints)), dtype=bool)
+    for p, name in enumerate(BODY_PARTS):
+        stem = name.removesuffix("Left").removesuffix("Right")
+        side = name.removeprefix(stem)
+        known = name if name in joints else SAME.get(stem, stem) + side
+        found[p, joints.index(known)] = True
+    return found
