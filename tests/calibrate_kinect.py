@@ -16,11 +16,9 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from kinect_pairs import DISTANCE, UNSEEN, Pair, index, pairs_of
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
@@ -36,6 +34,14 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import matrix_from_wxyz
+from kinefilter.pipeline.lab.recorded_acts import (
+    DISTANCE,
+    UNSEEN,
+    Pair,
+    index,
+    pairs_of,
+    seen_by,
+)
 from kinefilter.scenes.library import MOTIONS, perform
 from kinefilter.scenes.sensor import Sensor, in_world_frame, observe
 from kinefilter.scenes.sensor.visibility import look
@@ -55,15 +61,6 @@ SIDES = ("Left", "Right")
 GESTURES = ("wave", "talk", "point", "raise_arms", "rotate_arms", "scratch")
 TRAVELING = ("walk", "run", "carry")  # they leave the range of any sensor
 console = Console(soft_wrap=True, highlight=False, width=110)
-
-
-def simulated(pair: Pair, person: int) -> Pair:
-    """Return the clip as the virtual Kinect sees it."""
-    sensor = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
-    seed = sum(map(ord, pair.clip)) * 1000 + person
-    take = observe(pair.act, seed=seed, sensor=sensor, person=person)
-    kinect = in_world_frame(take.positions, sensor)
-    return replace(pair, kinect=kinect, mocap=pair.act.positions)
 
 
 # Fitting ------------------------------------------------------------------------
@@ -342,7 +339,7 @@ def main(data: Path) -> None:
     held_out = [pair for s in HELD_OUT for pair in pairs[s]]
     print_fits(fitted, held_out)
     for people, pairs_of_them in ((HELD_OUT, held_out), (FITTED, fitted)):
-        seen = [simulated(pair, int(pair.clip[5:7])) for pair in pairs_of_them]
+        seen = [seen_by(pair) for pair in pairs_of_them]
         both = {"recorded": pairs_of_them, "simulated": seen}
         print_table(
             f"Before the mocap of {', '.join(people)}",

@@ -31,10 +31,10 @@ CLAIM = claims.Claim(
 )
 
 
-def _table() -> dict[str, list[str]]:
-    """Return the figures of README by what their row says, where there are any."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    section = readme.partition("## Figures\n")[2].partition("\n## ")[0]
+def _table(file: str, heading: str) -> dict[str, list[str]]:
+    """Return the figures of a section by what their row says, where there are any."""
+    text = (ROOT / file).read_text(encoding="utf-8")
+    section = text.partition(f"## {heading}\n")[2].partition("\n## ")[0]
     lines = [line for line in section.splitlines() if line.startswith("|")]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     found = {row[0]: NUMBER.findall(" ".join(row[1:])) for row in rows}
@@ -42,8 +42,15 @@ def _table() -> dict[str, list[str]]:
     return {says: figures for says, figures in found.items() if figures}
 
 
-def test_every_figure_of_readme_is_a_claim_and_every_claim_is_in_readme() -> None:
-    table, claimed = _table(), claims.read_claims()
+@pytest.mark.parametrize(
+    ("file", "heading"),
+    [("README.md", "Figures"), ("pipeline/lab/DEPARTURES.md", "Trackers")],
+)
+def test_every_figure_is_a_claim_and_every_claim_is_in_its_text(
+    file: str, heading: str
+) -> None:
+    table = _table(file, heading)
+    claimed = [claim for claim in claims.read_claims() if claim.where in file]
     by_row = groupby(claimed, key=lambda claim: claim.says)
     said = {says: [claim.figure for claim in group] for says, group in by_row}
     begins = {
@@ -139,7 +146,7 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
     monkeypatch.setattr(claims, "read_claims", lambda: [CLAIM])
     arguments = ["reproduce", "--all", str(tmp_path / "all")]
     assert main(arguments) == 0
-    assert "1 of 1 claims of README held" in capsys.readouterr().out
+    assert "1 of 1 claims held" in capsys.readouterr().out
     with (tmp_path / "all" / "claims.csv").open(encoding="utf-8", newline="") as file:
         (row,) = csv.DictReader(file)
     assert (row["README"], row["measured"], row["held"]) == ("0.50", "0.5", "yes")

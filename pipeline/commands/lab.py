@@ -218,7 +218,8 @@ class Reproduce:
     methods-known-people, failures, reliability; of speed: speed, million-postures; of
     the papers, on simulated takes: shum-tables-1-2, shum-table-3, shum-table-4,
     shum-figure-8, liu-table-3, liu-figure-3, liu-figure-7, liu-table-5,
-    chiang-tables-2-3, chiang-figure-5, wang-table-1.
+    chiang-tables-2-3, chiang-figure-5, wang-table-1; of the virtual Kinect's
+    trackers (Liu 2016, section 5.4): tracker-errors, tracker-lessons.
 
     With --all, every study and picture is made and every figure of README compared with
     what was measured, in about forty minutes on two cores; the exit code is 1 if one
@@ -301,6 +302,10 @@ class Simulate:
     often done wrong. Who walks, runs, marches or carries stays in the sensor's view."""
     sensor: Literal["v1", "v2", "azure"] = "v2"
     """Which Kinect records."""
+    tracker: Literal["model", "depth"] = "model"
+    """How joints are found: put beside the truth by a model of Kinect's errors, or
+    looked for in depth images by a second tracker (Shotton et al. 2011), at some 20
+    frames a second."""
     skeleton: Skeletons | None = None
     """Skeleton of the take; default: the sensor's."""
     seed: int = 0
@@ -325,6 +330,7 @@ class Simulate:
             skeleton=self.skeleton,
             seed=self.seed,
             stay_in_view=True,
+            tracker=self.tracker,
         )
         write_take_csv(pair.take, self.out)
         if self.truth is not None:

@@ -155,16 +155,16 @@ def _tested(
     """Return what each method does on clips; many clips go to all cores."""
     alone = multiprocessing.parent_process() is None
     if not alone or len(pairs) * len(taught) < _WORTH_PROCESSES:
-        return {s.label: _test(pairs, c, s.config, progress) for s, c in taught}
+        return {s.label: tallied(pairs, c, s.config, progress) for s, c in taught}
     with workers() as pool:
         jobs = [
-            (system.label, pool.submit(_test, pairs, corrector, system.config))
+            (system.label, pool.submit(tallied, pairs, corrector, system.config))
             for system, corrector in taught
         ]
         return {name: result.result() for name, result in over(jobs, "test", progress)}
 
 
-def _test(
+def tallied(
     pairs: Sequence[PairedTake],
     corrector: Corrector,
     config: CleanConfig,

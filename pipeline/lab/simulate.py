@@ -14,7 +14,13 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes import load_scene
 from kinefilter.scenes.library import MOTIONS, Area, perform, prop_poses, random_body
-from kinefilter.scenes.sensor import SENSORS, Sensor, in_sensor_frame, observe
+from kinefilter.scenes.sensor import (
+    SENSORS,
+    Sensor,
+    Tracker,
+    in_sensor_frame,
+    observe,
+)
 
 _IN_SCENE = {
     "basketball": "basketball",
@@ -58,6 +64,7 @@ def simulate(
     seed: int = 0,
     person: int | None = None,
     stay_in_view: bool = False,
+    tracker: Tracker = "model",
 ) -> PairedTake:
     """Return what a virtual Kinect sees of a motion in a scene, and the truth.
 
@@ -74,9 +81,10 @@ def simulate(
             straight ahead and leave it, as in the takes that the embedded weights and
             the figures come from: studies and training keep to that. Other motions are
             the same either way.
+        tracker: How joints are found: ``model``, or in ``depth`` images.
 
     Raises:
-        InputError: An unknown scene, motion, sensor or skeleton.
+        InputError: An unknown scene, motion, sensor, skeleton or tracker.
     """
     for name, known in ((motion, MOTIONS), (sensor, tuple(SENSORS))):
         if name not in known:
@@ -95,6 +103,7 @@ def simulate(
         sensor=SENSORS[sensor],
         scene=room,
         prop_poses=prop_poses(room, act),
+        tracker=tracker,
     )
     # Frames that never arrived have no truth; stamps tremble far less than a frame.
     frames = np.searchsorted(act.time, take.time - 0.5 * np.diff(act.time).mean())
@@ -122,7 +131,11 @@ def area_in_view(sensor: Sensor, height: float) -> Area:
 
 
 def simulated_pairs(
-    skeleton: str, *, people: int = 400, progress: Progress = silent
+    skeleton: str,
+    *,
+    people: int = 400,
+    tracker: Tracker = "model",
+    progress: Progress = silent,
 ) -> list[PairedTake]:
     """Return takes of Kinect v2 to learn from, each of another simulated person.
 
@@ -132,10 +145,17 @@ def simulated_pairs(
     Args:
         skeleton: Name of the takes' skeleton.
         people: How many, at most 900.
+        tracker: How joints are found.
         progress: Wraps the loop over the takes, for a progress bar.
     """
     return [
-        simulate("basic", MOTIONS[k % len(MOTIONS)], skeleton=skeleton, seed=100 + k)
+        simulate(
+            "basic",
+            MOTIONS[k % len(MOTIONS)],
+            skeleton=skeleton,
+            seed=100 + k,
+            tracker=tracker,
+        )
         for k in progress("simulate", min(people, 900))
     ]
 

@@ -20,7 +20,6 @@ import tyro
 from numpy.typing import NDArray
 
 from kinefilter.characters import (
-    KINECT_V2,
     SKELETONS,
     Body,
     InputError,
@@ -63,7 +62,7 @@ _FULL = 255.0
 class Sizes:
     """How much is learned from, and how much is kept of it."""
 
-    people: int = 160
+    people: int = 300
     """Simulated people."""
     images: int = 24
     """Images of each of them."""
@@ -73,7 +72,7 @@ class Sizes:
     """Differences of depth to choose from."""
     trees: int = 3
     """Trees; the paper has three."""
-    leaves: int = 12000
+    leaves: int = 15000
     """Leaves of a tree, at most."""
     depth: int = 20
     """Levels of a tree, at most; the paper has 20."""
@@ -96,7 +95,8 @@ class Shot:
             self.image.segments[rows, columns],
         )
         joints = nearest_joints(points, segments, self.joints, self.body)
-        return np.argmax(parts_of_joints(self.body.skeleton), axis=0)[joints]
+        parts = np.argmax(parts_of_joints(self.body.skeleton), axis=0)
+        return np.where(joints < 0, len(BODY_PARTS) - 1, parts[joints])
 
 
 def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Array:
@@ -165,7 +165,7 @@ def features(count: int) -> NDArray[np.float32]:
     size = np.exp(rng.uniform(np.log(_NEAREST), np.log(_FARTHEST), (count, 2)))
     size[::2, 1] = 0.0
     offsets = size[..., None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
-    return offsets.astype(np.float32)
+    return np.asarray(offsets, dtype=np.float32)
 
 
 def lessons(
@@ -197,7 +197,7 @@ def lessons(
 def fit_forest(
     told: NDArray[np.float32], shown: NDArray[np.int8], sizes: Sizes
 ) -> BodyPartForest:
-    """Return a forest that tells body parts by features, without constants of joints."""
+    """Return a forest that tells body parts; joints have no constants yet."""
     from sklearn.ensemble import RandomForestClassifier
 
     forest = RandomForestClassifier(
@@ -338,8 +338,20 @@ def report(forest: BodyPartForest, tested: Sequence[Found]) -> Iterator[str]:
             )
 
 
-def teach_depth(folder: Path, out: Path, sizes: Sizes) -> Iterator[str]:
-    """Teach a forest, write it (.npz), and yield what it is worth."""
+def teach_depth(
+    folder: Path, out: Path, sizes: Sizes, *, checked: int = _CHECKED
+) -> Iterator[str]:
+    """Teach a forest, write it (.npz), and yield what it is worth.
+
+    Args:
+        folder: CMU's mocap, BVH.
+        out: The file to write.
+        sizes: How much is learned from.
+        checked: People for the constants of joints, and as many again to test on.
+
+    Raises:
+        InputError: There is no mocap of those who teach, or of those to test on.
+    """
     mocap, other = (
         {s.name: mocap_rotations(folder, s, held_out=held) for s in SKELETONS.values()}
         for held in (False, True)
@@ -351,12 +363,12 @@ def teach_depth(folder: Path, out: Path, sizes: Sizes) -> Iterator[str]:
         yield f"learns from {len(told)} pixels"
         forest = fit_forest(told, shown, sizes)
         check = partial(found_in, count=sizes.images, mocap=mocap, forest=forest)
-        checked = [*pool.map(check, range(_CHECKING, _CHECKING + _CHECKED))]
-        forest = with_constants(forest, checked)
+        again = [*pool.map(check, range(_CHECKING, _CHECKING + checked))]
+        forest = with_constants(forest, again)
         forest.save(out)
         test = partial(found_in, count=sizes.images, mocap=other, forest=forest)
         yield from report(
-            forest, [*pool.map(test, range(_TESTING, _TESTING + _CHECKED))]
+            forest, [*pool.map(test, range(_TESTING, _TESTING + checked))]
         )
 
 
@@ -364,7 +376,7 @@ def main(
     folder: tyro.conf.Positional[Path],
     out: tyro.conf.Positional[Path],
     sizes: tyro.conf.OmitArgPrefixes[Sizes] = Sizes(),
-) -> None:  # noqa: B008
+) -> None:
     """Teach the forest of body parts by CMU's mocap, and write it (.npz)."""
     for line in teach_depth(folder, out, sizes):
         print(line, flush=True)  # noqa: T201

@@ -1,7 +1,7 @@
 """Which part of a body each pixel of a depth image shows: a forest of random trees.
 
 Shotton et al. 2011, Real-time human pose recognition in parts from single depth images,
-CVPR. A body part is what lies around a joint of Kinect v2. Trees are learned by
+CVPR. A body part is the skin around a joint of Kinect v2. Trees are learned by
 ``pipeline/lab/teach_depth``; here are their numbers, and how pixels go through them.
 """
 
@@ -22,10 +22,9 @@ from kinefilter.characters.arrays import Array
 from .depth_image import BACKGROUND, DepthImage
 from .tracker_errors import SAME
 
-BODY_PARTS = KINECT_V2.joints
-"""Names of the body parts, after the joints in their middle."""
+BODY_PARTS = (*KINECT_V2.joints, "between")
+"""Names of the body parts, after the joints in their middle; the last has none."""
 _FILE = "embedded/body_parts.npz"
-_FULL = 255.0  # share of a leaf, as its file has it
 
 
 def depth_differences(
@@ -46,14 +45,16 @@ def depth_differences(
         columns: Of the pixels, (N,).
         offsets: u and v [m across the view], as rows and columns, (N, 2, 2).
     """
-    scale = (image.focal / image.depth[rows, columns])[:, None]
-    height, width = image.depth.shape
-    row = np.rint(rows[:, None] + scale * offsets[..., 0]).astype(np.intp)
-    column = np.rint(columns[:, None] + scale * offsets[..., 1]).astype(np.intp)
-    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    found = image.depth[np.where(inside, row, 0), np.where(inside, column, 0)]
-    found = np.where(inside, found, BACKGROUND)
-    return np.asarray(found[:, 0] - found[:, 1], dtype=np.float32)
+    depth = np.pad(image.depth.astype(np.float32), 1, constant_values=BACKGROUND)
+    scale = np.float32(image.focal) / depth[rows + 1, columns + 1]
+    found = []
+    for offset in (offsets[:, 0], offsets[:, 1]):
+        row = np.rint(rows + 1 + scale * offset[:, 0]).astype(np.intp)
+        column = np.rint(columns + 1 + scale * offset[:, 1]).astype(np.intp)
+        np.clip(row, 0, depth.shape[0] - 1, out=row)
+        np.clip(column, 0, depth.shape[1] - 1, out=column)
+        found.append(depth[row, column])
+    return np.asarray(found[0] - found[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +125,7 @@ def parts_of_joints(skeleton: Skeleton) -> NDArray[np.bool_]:
     """
     joints = skeleton.joints
     found = np.zeros((len(BODY_PARTS), len(joints)), dtype=bool)
-    for p, name in enumerate(BODY_PARTS):
+    for p, name in enumerate(KINECT_V2.joints):
         stem = name.removesuffix("Left").removesuffix("Right")
         side = name.removeprefix(stem)
         known = name if name in joints else SAME.get(stem, stem) + side

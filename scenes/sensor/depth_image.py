@@ -26,9 +26,10 @@ BACKGROUND = 10.0
 """Depth [m] of pixels that show nobody (Shotton et al. 2011: a large constant)."""
 _EVERY = 2  # pixel of a row or column is looked at
 _AROUND = 0.3  # m: no flesh is farther from every joint
+_REACH = 0.04  # of stature: how far skin along a limb is around a joint, a guess
 _EDGE = 0.1  # m between neighboring pixels: what is farther apart is an edge
 _LOST = 0.5  # share of pixels at edges that have no depth, a guess
-_WHOLE = 0.001  # m: steps of depth where the sensor measures times of flight
+_WHOLE, _DISPARITY = 0.001, 0.0027  # m, 1/m: steps of depth
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
 
 
@@ -135,17 +136,15 @@ def with_noise(
 ) -> DepthImage:
     """Return an image as a Kinect has it: noise, whole steps of depth, lost edges.
 
-    Structured light (a sensor whose noise is purely quadratic) measures disparity in
-    eighths of a pixel: 2.7 mm times the squared depth in meters (Khoshelham & Elberink
-    2012, Sensors 12(2)). The others measure in millimeters.
+    An eighth of a pixel of disparity is 2.7 mm times the squared depth in meters
+    (Khoshelham & Elberink 2012, Sensors 12(2)).
     """
     depth, noise = image.depth, sensor.depth_noise
     edge = maximum_filter(depth, footprint=_CROSS) - depth > _EDGE
     edge |= depth - minimum_filter(depth, footprint=_CROSS) > _EDGE
     there = image.segments >= 0
     there &= ~(edge & (rng.random(depth.shape) < _LOST))
-    stripes = noise.constant == noise.linear == 0.0
-    step = 2.7e-3 * depth**2 if stripes else _WHOLE
+    step = _DISPARITY * depth**2 if sensor.structured_light else _WHOLE
     noisy = depth + noise.at(depth) * rng.normal(size=depth.shape)
     noisy = np.round(noisy / step) * step
     return DepthImage(
@@ -158,10 +157,11 @@ def with_noise(
 def nearest_joints(
     points: Array, segments: NDArray[np.intp], positions: Array, body: Body
 ) -> NDArray[np.intp]:
-    """Return the joint that each point of the skin belongs to, (N,).
+    """Return the joint that each point of the skin is around, -1: none, (N,).
 
     The nearest of those that are seen on its segment: its two ends or, on the trunk,
-    all joints of the trunk.
+    all joints of the trunk. In the middle of a limb's segment is none: what is around
+    a joint reaches as far up as down, whatever the lengths of the two segments.
 
     Args:
         points: On the skin [m], in any frame, (N, 3).
@@ -169,6 +169,10 @@ def nearest_joints(
         positions: Of the joints [m], in the same frame, (J, 3).
         body: Whose segments they are.
     """
+    own = own_parts(body.skeleton)
     away = np.linalg.norm(points[:, None] - positions, axis=-1)
-    away[~own_parts(body.skeleton)[:, segments].T] = np.inf
-    return np.argmin(away, axis=1)
+    away[~own[:, segments].T] = np.inf
+    reach = np.hypot(body.radii, _REACH * body.height)
+    reach[own.sum(axis=0) > 2] = np.inf  # the trunk
+    far = away.min(axis=1, initial=np.inf) > reach[segments]
+    return np.where(far, -1, np.argmin(away, axis=1))

@@ -1,10 +1,10 @@
-"""A second tracker of its own: joints found in depth images, nobody wrote its errors.
+"""A tracker that finds joints in depth images, and whose errors nobody wrote.
 
 Shotton et al. 2011, Real-time human pose recognition in parts from single depth images,
 CVPR: a forest tells body parts by pixel (``body_part_forest``), mean shift finds where
-most of a part's skin is, and each joint lies a learned distance behind it. Each frame is
-looked at by itself. How much skin was found around a joint decides its state; a joint
-that is not found stays where it was, seen from its parent.
+most of a part's skin is, and each joint lies a learned distance behind it. Each frame
+is looked at by itself. How much skin was found around a joint decides its state; a
+joint that is not found stays where it was, seen from its parent.
 """
 
 from __future__ import annotations

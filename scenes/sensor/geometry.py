@@ -55,6 +55,9 @@ class Sensor:
     depth_noise: DepthNoise = _V2_NOISE
     """Noise of one pixel's depth (Fankhauser et al. 2015, Kinect v2 for mobile robot
     navigation, at normal incidence)."""
+    structured_light: bool = False
+    """Whether it measures disparity, in eighths of a pixel; else times of flight, in
+    millimeters."""
     dropped_share: float = 0.014
     """Share of frames that never arrive, in [0, 1]; labanotation takes: 0.5 to 2.9 %
     of steps are two frames long (tests/calibrate_kinect.py)."""
@@ -82,6 +85,7 @@ SENSORS = {
         resolution=(640, 480),
         depth_range=(0.8, 4.0),
         depth_noise=DepthNoise(0.0, 0.0, 0.00143),
+        structured_light=True,
     ),
     "v2": Sensor(),
     "azure": Sensor(

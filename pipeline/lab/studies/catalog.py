@@ -12,6 +12,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path
 
 from .cleaned_takes import cleaned_takes
+from .depth_tracker import tracker_errors, tracker_lessons
 from .detection import failures, reliability
 from .learned_methods import chiang_figure_5, liu_figure_3, liu_figure_7, liu_table_5
 from .methods import methods_known_people, methods_new_people
@@ -51,6 +52,8 @@ STUDIES: dict[str, _Entry] = {
     "chiang-figure-5": _Entry(chiang_figure_5, {"people": 4, "values": 4}),
     "chiang-tables-2-3": _Entry(chiang_tables_2_3, {"people": 2, "motions": 1}),
     "wang-table-1": _Entry(wang_table_1, {"sizes": 2}),
+    "tracker-errors": _Entry(tracker_errors, {"clips": 1}),
+    "tracker-lessons": _Entry(tracker_lessons, {"people": 4, "clips": 1}),
 }
 """Every study by its name on the command line."""
 

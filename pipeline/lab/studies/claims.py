@@ -2,8 +2,9 @@
 
 ``claims.toml`` lists them: the words that a row of README's table begins with, the
 study and the row of its CSV, and for each column the figure exactly as README prints
-it. A claim holds if what is measured ``is`` that figure, or is ``at most`` or ``at
-least`` that, ``within`` a tolerance that is given with its reason.
+it; with ``where``, the text is another. A claim holds if what is measured ``is`` that
+figure, or is ``at most`` or ``at least`` that, ``within`` a tolerance that is given
+with its reason.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ _COLUMNS = ("claim", "README", "measured", "held")
 
 @dataclass(frozen=True)
 class Claim:
-    """One figure of README, with what ``claims.toml`` says of it."""
+    """A figure of README or DEPARTURES.md, with what ``claims.toml`` says of it."""
 
     says: str
     figure: str
-    """As README prints it."""
+    """As it is printed there."""
     study: str
     row: str
     """First cell of the row in the study's table."""
@@ -46,6 +47,8 @@ class Claim:
     """Reason for ``within``."""
     recordings: bool
     """Whether it takes recordings to measure it."""
+    where: str = "README.md"
+    """Which text states it; the other is ``pipeline/lab/DEPARTURES.md``."""
 
     @property
     def name(self) -> str:
@@ -60,7 +63,7 @@ class Claim:
 
 
 def read_claims() -> list[Claim]:
-    """Return README's figures in its order."""
+    """Return the figures that are claimed, in their order."""
     text = resources.files(__package__).joinpath("claims.toml").read_text("utf-8")
     claims = []
     for entry in tomllib.loads(text)["claim"]:
@@ -159,7 +162,7 @@ def write_verdicts(verdicts: Sequence[Verdict], folder: Path) -> Path:
 def verdicts_table(verdicts: Sequence[Verdict]) -> Table:
     """Return the verdicts for a terminal."""
     judged = [verdict.held for verdict in verdicts if verdict.held is not None]
-    title = f"{sum(judged)} of {len(judged)} claims of README held"
+    title = f"{sum(judged)} of {len(judged)} claims held"
     if len(judged) < len(verdicts):
         title += f", {len(verdicts) - len(judged)} not judged"
     table = Table(*_COLUMNS, title=title, title_justify="left")

@@ -1,18 +1,17 @@
-"""Recorded pairs of Kinect and marker mocap as performances, for calibration."""
+"""Recorded pairs of Kinect and marker mocap as performances before another sensor."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, Motion
+from kinefilter.characters import KINECT_V1, Motion, State
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.retarget import measured_body, rotations_from_positions
-
-Array = NDArray[np.float64]
+from kinefilter.scenes.sensor import Sensor, Tracker, in_world_frame, observe
 
 DISTANCE = 2.5
 """Distance [m] from the Kinect at which ui-prmd's people stand."""
@@ -30,6 +29,8 @@ class Pair:
     mocap: Array
     act: Motion
     """The mocap on a body of constant segment lengths."""
+    inferred: Flags | None = None
+    """Joints that a simulated tracker does not call tracked, (T, 20)."""
 
     @property
     def error(self) -> Array:
@@ -51,6 +52,17 @@ def pairs_of(file: Path, every: int = 1) -> Iterator[Pair]:
             kinect = data["kinect"][start:stop].astype(float) + shift
             truth = mocap + shift
             yield Pair(str(clip), kinect, truth, _act(truth, str(clip)))
+
+
+def seen_by(pair: Pair, tracker: Tracker = "model") -> Pair:
+    """Return the clip as the virtual Kinect sees it, by one of its trackers."""
+    sensor = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
+    person = int(pair.clip[5:7])
+    seed = sum(map(ord, pair.clip)) * 1000 + person
+    take = observe(pair.act, seed=seed, sensor=sensor, person=person, tracker=tracker)
+    kinect = in_world_frame(take.positions, sensor)
+    unsure = take.state != State.TRACKED
+    return replace(pair, kinect=kinect, mocap=pair.act.positions, inferred=unsure)
 
 
 def _completed(mocap: Array) -> Array:
