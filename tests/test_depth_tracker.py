@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from posed_people import BODY, EXACT, index, posed, room_with
+from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, Motion, State
 from kinefilter.characters.humanoid import to_mujoco
@@ -32,7 +32,7 @@ from kinefilter.scenes.sensor.depth_image import (
     nearest_joints,
     with_noise,
 )
-from kinefilter.scenes.sensor.depth_tracker import propose
+from kinefilter.scenes.sensor.depth_tracker import propose, steadied
 
 Array = NDArray[np.float64]
 CMU = Path("../shared/data/mocap/cmu")
@@ -81,6 +81,17 @@ def test_a_head_is_as_near_and_as_wide_as_its_sphere() -> None:
     assert image.depth[rows, columns].min() == pytest.approx(away - radius, abs=1e-3)
     width = 2.0 * image.focal * np.tan(np.arcsin(radius / away))
     assert np.ptp(columns) + 1 == pytest.approx(width, abs=1.0)
+
+
+def test_the_view_is_that_of_the_sensor_and_nobody_is_mirrored() -> None:
+    image = image_of(posed())
+    columns = 0.5 * SENSORS["v2"].resolution[0]
+    half = np.arctan(0.5 * columns / image.focal)
+    assert 2.0 * half == pytest.approx(SENSORS["v2"].field_of_view[0])
+    left = np.nonzero(image.segments == index("WristLeft"))[1]
+    assert left.min() > 0.5 * columns  # of who faces the sensor
+    below = np.nonzero(image.segments == index("KneeLeft"))[0]
+    assert below.min() > np.nonzero(image.segments == index("Head"))[0].max()
 
 
 def test_what_hides_a_limb_and_what_is_out_of_range_shows_nobody() -> None:
@@ -233,6 +244,46 @@ def test_what_is_hidden_is_not_tracked_and_stays_where_it_was() -> None:
     assert (take.state[:, index("Head")] == State.TRACKED).all()
 
 
+def test_a_joint_too_far_from_its_parent_is_taken_for_anothers() -> None:
+    act = posed(5)
+    places = in_sensor_frame(act.positions, EXACT)
+    state = np.full(places.shape[:2], State.TRACKED, dtype=np.uint8)
+    wrist = index("WristLeft")
+    places[2, wrist] = places[2, index("AnkleRight")]
+    held = steadied(places, state, KINECT_V1, EXACT)
+    assert state[2, wrist] == State.INFERRED
+    assert (state == State.INFERRED).sum() == 1
+    np.testing.assert_allclose(held[2], held[1], atol=1e-9)
+    np.testing.assert_allclose(held[3:], places[3:], atol=1e-9)
+
+
+def test_what_goes_out_of_view_is_lost() -> None:
+    places = in_sensor_frame(posed(3).positions, EXACT)
+    places[2] += [0.0, 0.0, 3.0]
+    state = np.full(places.shape[:2], State.TRACKED, dtype=np.uint8)
+    held = steadied(places, state, KINECT_V1, EXACT)
+    assert (state[:2] == State.TRACKED).all()
+    assert (state[2] == State.NOT_TRACKED).all()
+    assert np.isnan(held[2]).all()
+
+
+def test_of_two_places_the_one_nearer_to_the_last_is_taken() -> None:
+    """Both hands are told to be the right one: where it was decides."""
+    act = posed()
+    image, forest = image_of(act), shipped_forest()
+    right, left = index("HandRight"), index("HandLeft")
+    parts = forest.leaves.copy()
+    pair = [BODY_PARTS.index("HandRight"), BODY_PARTS.index("HandLeft")]
+    parts[:, pair[0]] = parts[:, pair].max(axis=1)
+    either = replace(forest, leaves=parts)
+    joints = in_sensor_frame(act.positions[0], EXACT)
+    for hand in (right, left):
+        before = joints.copy()
+        before[right] = joints[hand]
+        found = propose(image, either, KINECT_V1, before).skin[right]
+        assert np.linalg.norm(found - joints[hand]) < 0.15
+
+
 def test_who_is_out_of_range_is_not_tracked() -> None:
     far = replace(EXACT, distance=7.0)
     take = observe(posed(2), seed=0, sensor=far, tracker="depth")
@@ -244,6 +295,9 @@ def test_the_same_seed_gives_the_same_take() -> None:
     takes = [observe(posed(2), seed=s, tracker="depth").positions for s in (1, 1, 2)]
     np.testing.assert_array_equal(takes[0], takes[1])
     assert np.nanmax(np.abs(takes[2] - takes[0])) > 0.0
+    # Whose errors the model has makes no difference: it is not asked.
+    modeled = observe(posed(2), seed=1, errors=NO_ERRORS, person=5, tracker="depth")
+    np.testing.assert_array_equal(modeled.positions, takes[0])
 
 
 def test_unknown_trackers_are_refused(
@@ -273,7 +327,7 @@ def test_a_forest_is_taught_by_mocap_and_says_what_it_is_worth(tmp_path: Path) -
     share = float(said[1].split()[3].rstrip("%:"))
     assert share > 25.0  # of 25 parts, by chance 4
     assert (forest.push[:, BODY_PARTS.index("SpineMid")] > 0.03).all()
-    assert any(line.split()[0] == "ElbowLeft" for line in said)
+    assert any(line.split()[0] == "Head" for line in said)
     with pytest.raises(InputError, match="no BVH"):
         list(teach_depth.teach_depth(tmp_path / "none", out, sizes))
 

@@ -330,12 +330,10 @@ def report(forest: BodyPartForest, tested: Sequence[Found]) -> Iterator[str]:
         tracked = area >= least
         yield f"{skeleton.name}: joint, tracked %, median cm, within 10 cm %"
         for j, name in enumerate(skeleton.joints):
-            sure = away[tracked[:, j], j]
-            good = 100.0 * np.mean(sure < 100.0 * _RIGHT)
-            yield (
-                f"  {name:14} {100.0 * tracked[:, j].mean():4.0f} "
-                f"{np.median(sure):5.1f} {good:4.0f}"
-            )
+            sure, share = away[tracked[:, j], j], 100.0 * tracked[:, j].mean()
+            if sure.size:
+                good = 100.0 * np.mean(sure < 100.0 * _RIGHT)
+                yield f"  {name:14} {share:4.0f} {np.median(sure):5.1f} {good:4.0f}"
 
 
 def teach_depth(
