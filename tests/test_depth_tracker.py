@@ -16,6 +16,7 @@ from kinefilter.characters.rotations import IDENTITY
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.lab import teach_depth
+from kinefilter.pipeline.lab.studies import Options, reproduce
 from kinefilter.pipeline.lab.studies.depth_tracker import error_figures
 from kinefilter.scenes.sensor import SENSORS, Sensor, in_sensor_frame, observe
 from kinefilter.scenes.sensor.body_part_forest import (
@@ -348,3 +349,15 @@ def test_figures_of_errors_are_those_of_errors_that_are_known() -> None:
         100.0 * (np.linalg.norm(0.03 * noise, axis=2) > 0.07).mean()
     )
     assert alike == pytest.approx(-1.0)
+
+
+def test_without_recordings_scripted_motions_are_looked_at() -> None:
+    study = reproduce("tracker-errors", Options(), quick=True)
+    figures = {str(row[0]): row[1:] for row in study.rows}
+    assert set(figures) >= {"wrists, model", "wrists, depth", "all, depth"}
+    assert not any(name.endswith("recorded") for name in figures)
+    offset, moving, *_, alike, inferred = figures["all, depth"]
+    assert 1.0 < float(offset or 0.0) < 20.0
+    assert 1.0 < float(moving or 0.0) < 30.0
+    assert alike is None
+    assert 0.0 < float(inferred or 0.0) < 60.0

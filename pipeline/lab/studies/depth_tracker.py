@@ -187,7 +187,8 @@ def tracker_lessons(
     """Teach the method learned by simulated takes, and test it on recorded people.
 
     Each simulated person performs another motion of the library on a bare floor. Both
-    trackers see the same performances; ``perfect`` sees the truth. Tested are three
+    trackers see the same performances; ``perfect`` sees the truth, and with offsets off
+    each joint's constant offset over a take is taken out of what is taught. Tested are three
     people whom the error model was not fitted to, ``clips`` of each, as they pass
     through ``clean`` without physics. In the last rows the three others teach, too.
     Without recordings, simulated people stand in.
@@ -199,6 +200,9 @@ def tracker_lessons(
         for tracker in _TRACKERS:
             found = pool.map(partial(_taken, tracker, skeleton.name), range(people))
             taken[tracker] = [next(found) for _ in options.progress(tracker, people)]
+        for tracker in _TRACKERS:
+            known_offsets = [_without_offsets(pair) for pair in taken[tracker]]
+            taken[f"{tracker}, offsets off"] = known_offsets
         taken["perfect"] = [_without_errors(pair) for pair in taken["model"]]
         figures = _taught(pool, taken, known, test, options.progress)
     base = figures["none"]
@@ -240,6 +244,17 @@ def _without_errors(pair: PairedTake) -> PairedTake:
     return replace(pair, take=replace(pair.take, positions=pair.truth, state=state))
 
 
+def _without_offsets(pair: PairedTake) -> PairedTake:
+    """Return what a tracker would have recorded that agrees where joints lie."""
+    away = pair.take.positions - pair.truth
+    seen = ~np.isnan(away)
+    count = np.maximum(seen.sum(axis=0), 1)
+    offset = np.where(seen, away, 0.0).sum(axis=0) / count
+    return replace(
+        pair, take=replace(pair.take, positions=pair.take.positions - offset)
+    )
+
+
 def _taught(
     pool: Executor,
     taken: Mapping[str, list[PairedTake]],
@@ -249,7 +264,7 @@ def _taught(
 ) -> dict[str, tuple[float, float]]:
     """Return E and E_var [cm] by who taught."""
     lessons: dict[str, tuple[list[PairedTake], list[PairedTake]]] = {"none": ([], [])}
-    lessons |= {name: (taken[name], []) for name in ("perfect", *_TRACKERS)}
+    lessons |= {name: (pairs, []) for name, pairs in taken.items()}
     lessons["model and depth"] = ([*taken["model"], *taken["depth"]], [])
     lessons["recorded"] = (known, [])
     lessons |= {f"recorded and {name}": (known, taken[name]) for name in _TRACKERS}
