@@ -182,14 +182,14 @@ def _time(moving: Sequence[Array]) -> float:
 
 
 def tracker_lessons(
-    options: Options, *, people: int = len(MOTIONS), clips: int = 32
+    options: Options, *, people: int = len(MOTIONS), clips: int = 16
 ) -> Study:
     """Teach the method learned by simulated takes, and test it on recorded people.
 
     Each simulated person performs another motion of the library on a bare floor. Both
     trackers see the same performances; ``perfect`` sees the truth, and with offsets off
-    each joint's constant offset over a take is taken out of what is taught. Tested are three
-    people whom the error model was not fitted to, ``clips`` of each, as they pass
+    each joint's constant offset over a take is taken out of what is taught. Tested are
+    three people whom the error model was not fitted to, ``clips`` of each, as they pass
     through ``clean`` without physics. In the last rows the three others teach, too.
     Without recordings, simulated people stand in.
     """
@@ -265,7 +265,6 @@ def _taught(
     """Return E and E_var [cm] by who taught."""
     lessons: dict[str, tuple[list[PairedTake], list[PairedTake]]] = {"none": ([], [])}
     lessons |= {name: (pairs, []) for name, pairs in taken.items()}
-    lessons["model and depth"] = ([*taken["model"], *taken["depth"]], [])
     lessons["recorded"] = (known, [])
     lessons |= {f"recorded and {name}": (known, taken[name]) for name in _TRACKERS}
     jobs = [pool.submit(_measured, *pairs, test) for pairs in lessons.values()]
