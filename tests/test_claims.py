@@ -35,7 +35,7 @@ def _table(file: str, heading: str) -> dict[str, list[str]]:
     """Return the figures of a section by what their row says, where there are any."""
     text = (ROOT / file).read_text(encoding="utf-8")
     section = text.partition(f"## {heading}\n")[2].partition("\n## ")[0]
-    lines = [line for line in section.splitlines() if line.startswith("|")]
+    lines = [line for line in section.splitlines() if re.match(r"\|(?!-)", line)]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     found = {row[0]: NUMBER.findall(" ".join(row[1:])) for row in rows}
     assert len(found) == len(rows)
