@@ -222,7 +222,7 @@ class Reproduce:
     trackers (Liu 2016, section 5.4): tracker-errors, tracker-lessons.
 
     With --all, every study and picture is made and every figure of README compared with
-    what was measured, in about forty minutes on two cores; the exit code is 1 if one
+    what was measured, in about an hour on two cores; the exit code is 1 if one
     does not hold. The same command again makes only what is missing or was made with
     other code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
     needs OpenGL, pictures of pages need viser, Chromium and a checkout.
