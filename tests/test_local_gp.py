@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from offset_lessons import (
+    BIAS,
     ELBOW,
     WRIST,
     Array,
@@ -201,5 +202,96 @@ def test_the_densities_have_the_variances_of_what_is_learned_from() -> None:
     steps = np.diff(lessons.truth[:, WRIST], n=2, axis=0)
     m = int(np.flatnonzero(model.joints_ == WRIST)[0])
     np.testing.assert_allclose(model.movement_[m], np.mean(steps**2), rtol=1e-9)
-    offsets = (lessons.truth - lessons.positions)[:, WRIST]
-    np.testing.assert_allclose(model.misplaced_[m], np.mean(offsets**2), rtol=1e-9)
+
+
+def test_reliability_tells_of_offsets_what_the_prediction_does_not() -> None:
+    """Its density is a ratio: how much smaller offsets of reliable joints are."""
+    lessons = lessons_of(constant)
+    offsets = lessons.truth[:, WRIST] - lessons.positions[:, WRIST]
+    lessons.truth[::2, WRIST] += offsets[::2]
+    lessons.reliability[::2, WRIST] = 0.5
+    model = local_gp().fit(lessons)
+    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
+    small, usual = np.mean(BIAS**2), np.mean([np.mean(BIAS**2), 4 * np.mean(BIAS**2)])
+    expected = 1.0 / (1.0 / small - 1.0 / usual)
+    np.testing.assert_allclose(model.misplaced_[m], expected, rtol=1e-9)
+    lessons.reliability[:] = 1.0  # all alike: it tells nothing
+    assert local_gp().fit(lessons).misplaced_[m] > 1e6
+
+
+def test_the_temporal_term_pulls_to_the_velocity_as_its_weight_grows() -> None:
+    mean, steady = np.full((1, 3), 0.01), np.full((1, 3), 0.07)
+    for weight in (0.0, 0.2, 2.0, 20.0):
+        found = least_energy(
+            mean,
+            np.full((1, 3), 3.0),
+            steady,
+            np.zeros(1),
+            spatial=0.6,
+            temporal=weight,
+            reliability=0.2,
+        )
+        share = weight / (0.6 * 3.0 + weight)
+        np.testing.assert_allclose(found, mean + share * (steady - mean))
+
+
+def _doubted(model: LocalGP, wrists: Array, rate: float) -> Array:
+    """Return what becomes of a posture seen three times, then with other wrists."""
+    posture = postures_of(1, seed=5)[0]
+    model.start()
+    found = []
+    for k in range(3 + len(wrists)):
+        reliability, seen = np.ones(len(KINECT_V1)), posture.copy()
+        if k >= 3:
+            reliability[WRIST], seen[WRIST] = rate, wrists[k - 3]
+        found.append(model.step(Observation(seen, reliability, reliability)).positions)
+    return np.array(found)
+
+
+def test_where_the_sensor_guessed_an_unreliable_joint_does_not_matter(
+    fitted: LocalGP,
+) -> None:
+    model = fitted.adjusted(likelihood="density", carry=0.7, spared=1.0)
+    one, other = np.random.default_rng(1).normal(0.0, 0.5, (2, 4, 3))
+    np.testing.assert_array_equal(
+        _doubted(model, one, 0.0), _doubted(model, other, 0.0)
+    )
+    missing = _doubted(model, np.full((4, 3), np.nan), 0.0)
+    np.testing.assert_allclose(missing, _doubted(model, one, 0.0), atol=1e-12)
+    assert np.ptp(missing[2:, WRIST], axis=0).max() < 0.01  # it stays where it was
+    as_measured = model.adjusted(inputs="measured")
+    assert (
+        np.abs(_doubted(as_measured, one, 0.0)[3:, WRIST] - missing[3:, WRIST]).max()
+        > 0.1
+    )
+
+
+def test_what_is_reliable_is_taken_from_where_it_was_measured(
+    fitted: LocalGP,
+) -> None:
+    wrists = postures_of(4, seed=8)[:, WRIST]
+    held, measured = (
+        _doubted(fitted.adjusted(inputs=inputs), wrists, 0.96)
+        for inputs in ("held", "measured")
+    )
+    np.testing.assert_allclose(held, measured, atol=1e-12)
+
+
+def test_a_joint_is_not_doubted_because_its_neighbor_is_missing(
+    fitted: LocalGP,
+) -> None:
+    """Its bone's missing end is scored as a wrong length."""
+    postures = postures_of(2, seed=8)
+    postures[1, WRIST] = np.nan
+    model = fitted.adjusted(temporal=0.0)
+
+    def elbow(rate: float) -> Array:
+        model.start()
+        for k, posture in enumerate(postures):
+            reliability = np.ones(len(KINECT_V1))
+            reliability[ELBOW] = rate if k else 1.0
+            found = model.step(Observation(posture, reliability, reliability))
+        return found.positions[ELBOW] - postures[1, ELBOW]
+
+    assert np.linalg.norm(elbow(0.66) - elbow(1.0)) < 1e-3
+    assert np.linalg.norm(elbow(0.0) - elbow(1.0)) > 1e-2

@@ -151,6 +151,22 @@ def test_a_full_model_gives_up_the_sample_that_tells_least() -> None:
     assert models.counts[m, q] == len(kept)
 
 
+def test_a_full_model_still_learns_what_comes_again_and_keeps_its_size() -> None:
+    model = local_gp(samples=12, redundancy=0.0).fit(lessons_of(bent))
+    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
+    models, q = _full(model, m)
+    x = np.zeros_like(models.centers[:, 0])
+    x[m] = models.centers[m, q] + 0.4
+    new, size = models.predict(x, 1)[0][m] + BIAS, models.counts[m, q]
+    off = [np.linalg.norm(new - models.predict(x, 1)[0][m])]
+    for _ in range(4):
+        models.learn(m, x[m], new, np.inf)
+        off.append(np.linalg.norm(new - models.predict(x, 1)[0][m]))
+        assert models.counts[m, q] == size
+    assert np.all(np.diff(off) <= 1e-9)
+    assert off[-1] < 0.2 * off[0]
+
+
 def test_what_the_others_predict_is_not_learned() -> None:
     model = local_gp(samples=12, redundancy=0.0).fit(lessons_of(bent))
     m = int(np.flatnonzero(model.joints_ == WRIST)[0])

@@ -62,7 +62,8 @@ def test_the_constants_are_those_of_the_papers() -> None:
     assert shum.weights == EnergyWeights(1.0, 0.5, 1.5, 0.25)
     liu = PRESETS["liu-2016"].settings
     assert (liu["clusters"], liu["samples"], liu["blended"]) == (30, 50, 9)
-    assert (liu["spatial"], liu["reliability"]) == (0.6, 0.2)
+    weights = (liu["spatial"], liu["temporal"], liu["reliability"])
+    assert weights == (0.6, 0.2, 0.2)
     chiang = PRESETS["chiang-2017"]
     assert chiang.settings["centroids"] == 800
     assert chiang.settings["smallest_reliability"] == 0.7

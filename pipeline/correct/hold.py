@@ -126,5 +126,16 @@ class Hold(Corrector):
     def step(self, observation: Observation) -> Correction:
         """Fill the next frame."""
         confidence = np.where(np.isnan(observation.positions[:, 0]), 0.0, 1.0)
-        self._last = self._blend(self._last, observation.positions, confidence)
-        return Correction(self._last, None, confidence, float("nan"))
+        posture = self.follow(observation.positions, confidence)
+        return Correction(posture, None, confidence, float("nan"))
+
+    def follow(self, positions: Array, confidence: Array) -> Array:
+        """Return the next frame [m], each joint as far held as it is not trusted.
+
+        Args:
+            positions: Joint positions [m], NaN only where the confidence is 0, (J, 3).
+            confidence: Share of the measurement, in [0, 1], shape (J,).
+        """
+        posture = self._blend(self._last, positions, confidence)
+        self._last = posture
+        return posture

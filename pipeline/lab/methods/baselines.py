@@ -15,7 +15,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
-from .fused_offsets import FusedOffsets, Likelihood
+from .fused_offsets import FusedOffsets, Inputs, Likelihood
 from .lessons import Lessons, OffsetCorrector, TrainingSet
 from .local_models import JointFeatures, JointKernels, fit_kernels
 
@@ -41,6 +41,7 @@ class FullGP(FusedOffsets):
         likelihood: How the terms of the energy compare.
         carry: Share of the velocity that the temporal term expects to be left.
         spared: Share of the temporal weight that a fully reliable joint is spared.
+        inputs: What offsets are predicted from.
         seed: Draws the frames.
     """
 
@@ -65,6 +66,7 @@ class FullGP(FusedOffsets):
         likelihood: Likelihood = "density",
         carry: float = 1.0,
         spared: float = 0.0,
+        inputs: Inputs = "held",
         seed: int = 0,
     ) -> None:
         super().__init__(
@@ -76,6 +78,7 @@ class FullGP(FusedOffsets):
             likelihood=likelihood,
             carry=carry,
             spared=spared,
+            inputs=inputs,
             seed=seed,
         )
         self.variance = variance

@@ -19,7 +19,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
-from .fused_offsets import FusedOffsets, Likelihood
+from .fused_offsets import FusedOffsets, Inputs, Likelihood
 from .gaussian_process import informative_samples
 from .lessons import Lessons, TrainingSet
 from .local_models import (
@@ -53,6 +53,7 @@ class LocalGP(FusedOffsets):
         likelihood: How the terms of the energy compare.
         carry: Share of the velocity that the temporal term expects to be left.
         spared: Share of the temporal weight that a fully reliable joint is spared.
+        inputs: What offsets are predicted from.
         spatial: Weight of the predicted offset.
         temporal: Weight of constant velocity.
         reliability: Weight of staying where a reliable joint was measured.
@@ -87,6 +88,7 @@ class LocalGP(FusedOffsets):
         likelihood: Likelihood = "relative",
         carry: float = 1.0,
         spared: float = 0.0,
+        inputs: Inputs = "held",
         spatial: float = 0.6,
         temporal: float = 0.2,
         reliability: float = 0.2,
@@ -104,6 +106,7 @@ class LocalGP(FusedOffsets):
             likelihood=likelihood,
             carry=carry,
             spared=spared,
+            inputs=inputs,
             seed=seed,
         )
         self.clusters = clusters

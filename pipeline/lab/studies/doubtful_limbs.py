@@ -1,0 +1,161 @@
+"""Recorded people whose limbs the sensor guesses: what terms of an energy are worth."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from kinefilter.characters import Take
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.correct import Corrector, Hold
+from kinefilter.pipeline.database import builtin_database
+from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
+from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
+from kinefilter.pipeline.lab.hidden_limbs import middle
+from kinefilter.pipeline.lab.limb_guesses import HIDDEN, Guess, hide
+from kinefilter.pipeline.lab.systems import School, systems_of
+from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.progress import silent
+from kinefilter.pipeline.stages import Correct
+from kinefilter.pipeline.target.floor import leveled
+from kinefilter.pipeline.workers import workers
+
+from .study import Options
+from .takes import clips_of, recorded_people
+
+GUESSES: dict[str, Guess | None] = {
+    "drifting": "drift",
+    "leaping": "hang",
+    "trembling": "jitter",
+    "missing": "none",
+    "seen": None,
+}
+"""What the sensor says of a limb in the middle of a clip: it drifts away by 20 cm/s,
+hangs down from the first frame on, trembles by 5 cm, is not told; nothing is hidden."""
+
+_LIMBS = ("right-arm", "left-arm", "arms", "left-leg")  # hidden in turn
+_GAP = "55%"
+_LEARN_EVERY = 4  # one in this many clips teaches: the preset draws 2501 frames
+Errors = dict[str, dict[str, float]]
+"""Errors [cm] by row and column."""
+Turn = tuple[float, float]
+"""Tilt and roll [rad] that were taken out of a motion."""
+Maker = Callable[[Take], tuple[Array, Turn]]
+"""Makes joint positions [m] of a take, and says how they were turned."""
+
+
+def errors_in_doubt(
+    options: Options, terms: Sequence[str], *, every: int, count: int
+) -> Errors:
+    """Return errors of a preset with terms left out, and of its rivals.
+
+    Means are over frames, joints and clips, then over people. Each of them is tested
+    with the limbs of one clip in ``every``; what learns, learns from the others, in
+    whose takes nothing is hidden, for columns ``known_`` from repetitions 1 to 7 of
+    everybody and is tested on 8 to 10. Columns have the hidden joints in the frames in
+    which they are hidden, and ``_all`` every limb joint in those frames; ``seen`` all
+    of them in the whole clip. ``none`` is what ``clean --method none`` does without
+    physics; it looks ahead, and bridges gaps from both ends.
+
+    Args:
+        options: Where the recordings are.
+        terms: Presets as ``systems_of`` has them, which are the names of their rows.
+        every: Test one clip in so many.
+        count: People at most.
+    """
+    people = recorded_people(options.data)[:count]
+    quiet = replace(options, progress=silent)
+    run = partial(_errors_of, people, tuple(terms), every, quiet)
+    with workers() as pool:
+        parts = pool.map(run, [*people, None])
+        found = [next(parts) for _ in options.progress("people", len(people) + 1)]
+    *new, known = found
+    return {
+        row: {
+            column: float(np.mean([part[row][column] for part in new]))
+            for column in errors
+        }
+        | {f"known_{column}": error for column, error in known[row].items()}
+        for row, errors in new[0].items()
+    }
+
+
+def _errors_of(
+    people: Sequence[str],
+    terms: Sequence[str],
+    every: int,
+    options: Options,
+    person: str | None,
+) -> Errors:
+    """Return the errors on somebody; None: on everybody's late repetitions."""
+    clips = clips_of(people, 10, options)
+    if person is None:
+        late = [clip for clip in clips if repetition(clip) > LEARNED_REPETITIONS]
+        train, test = [c for c in clips if c not in late], late
+    else:
+        train = [clip for clip in clips if clip.subject != person]
+        test = [clip for clip in clips if clip.subject == person]
+    test = test[::every]
+    skeleton = test[0].take.skeleton
+    school = School(
+        train[::_LEARN_EVERY],
+        skeleton,
+        people=False,
+        database=builtin_database(skeleton),
+    )
+    makers: dict[str, Maker] = {"raw": _raw, "none": _smoothed}
+    for system in systems_of([], terms):
+        corrector = school.corrector(system)
+        makers[system.label] = partial(_corrected, system.config, corrector)
+    return {row: _means(test, maker) for row, maker in makers.items()}
+
+
+def _raw(take: Take) -> tuple[Array, Turn]:
+    """Return a take's joints, missing ones on their last bones, unturned."""
+    return Hold(take.skeleton).fill(take.positions), (0.0, 0.0)
+
+
+def _smoothed(take: Take) -> tuple[Array, Turn]:
+    clip = Cleaner(CleanConfig("none", physics=False)).clean(take).clip
+    return clip.positions, (clip.tilt, clip.roll)
+
+
+def _corrected(
+    config: CleanConfig, corrector: Corrector, take: Take
+) -> tuple[Array, Turn]:
+    cleaner = Cleaner(config).replaced(Correct(config, corrector)).until("correct")
+    return cleaner.whole(take).positions, (0.0, 0.0)
+
+
+def _means(clips: Sequence[PairedTake], maker: Maker) -> dict[str, float]:
+    """Return the errors [cm] on some clips, by column."""
+    found: dict[str, list[float]] = {}
+    for k, pair in enumerate(clips):
+        span = middle(pair.take, _GAP)
+        if span is None:
+            continue
+        accuracy = Accuracy(pair.take.skeleton)
+        names = HIDDEN[_LIMBS[k % len(_LIMBS)]]
+        hidden = [limb in names for limb in LIMBS]
+        skeleton = pair.take.skeleton
+        joints = [skeleton.index(j) for j in names if j in skeleton.joints]
+        seed = zlib.crc32(pair.clip.encode())
+        for column, guess in GUESSES.items():
+            take = pair.take
+            if guess is not None:
+                take = hide(take, joints, span, guess, seed)
+            positions, turn = maker(take)
+            away = 100.0 * accuracy.distances(positions, leveled(pair.truth, *turn))
+            if guess is None:
+                found.setdefault(column, []).append(float(np.nanmean(away)))
+                continue
+            blind = away[span]
+            found.setdefault(column, []).append(float(np.nanmean(blind[:, hidden])))
+            found.setdefault(f"{column}_all", []).append(float(np.nanmean(blind)))
+    return {column: float(np.mean(errors)) for column, errors in found.items()}
