@@ -67,14 +67,14 @@ PRESETS = {
         {"clusters": 30, "samples": 50, "blended": 9, **_EQUATION_22}
         | {"frames": 2501, "trend": False, "votes": "similarity"}
         # Chosen on drifting limbs; the paper has constant velocity, of every joint.
-        | {"likelihood": "density", "carry": 0.7, "spared": 1.0}
+        | {"likelihood": "density", "carry": 0.5, "spared": 1.0}
         | {"adapt": True},
     ),
     "zhou-2014": Preset(
         "Zhou, Liu, Leung & Shum 2014, which Liu 2016 starts from",
         "full-gp",
         {"samples": 2501, "variance": "exact", **_EQUATION_22}
-        | {"likelihood": "density", "carry": 0.7, "spared": 1.0},
+        | {"likelihood": "density", "carry": 0.5, "spared": 1.0},
     ),
     "shen-2012": Preset(
         "Shen, Deng, Bai, Leyvand, Guo & Tu 2012, as Liu 2016 compares with it",

@@ -91,8 +91,8 @@ class FusedOffsets(OffsetCorrector):
     seen_: NDArray[np.bool_]
     """The joints that the sensor measures, shape (J,)."""
     movement_: Array
-    """Variance [m^2] of a coordinate's second difference from frame to frame in the
-    mocap, that of the temporal term's density, shape (M,)."""
+    """Variance [m^2] of a coordinate's second difference from frame to frame where a
+    joint is reliable, that of the temporal term's density, shape (M,)."""
     misplaced_: Array
     """Variance [m^2] of the reliability term's density: that by which reliable joints'
     offsets are smaller than all, as a ratio of the two densities, shape (M,)."""
@@ -136,12 +136,14 @@ class FusedOffsets(OffsetCorrector):
 
     def _measure(self, training: TrainingSet) -> None:
         """Measure the variances of the temporal and the reliability term's density."""
-        truth = training.truth[:_LARGEST, self.joints_]
-        steps = truth[2:] - 2.0 * truth[1:-1] + truth[:-2]
-        begins = training.first[:_LARGEST]
-        steps = steps[~(begins[2:] | begins[1:-1])]
-        offsets = truth - training.positions[:_LARGEST, self.joints_]
+        seen = training.positions[:_LARGEST, self.joints_]
         sure = training.reliability[:_LARGEST, self.joints_] >= _RELIABLE
+        # What velocities are taken from trembles as the measurement does.
+        steps = seen[2:] - 2.0 * seen[1:-1] + seen[:-2]
+        begins = training.first[:_LARGEST]
+        unsteady = begins[2:] | begins[1:-1]
+        steps[unsteady[:, None] | ~sure[2:]] = np.nan
+        offsets = training.truth[:_LARGEST, self.joints_] - seen
         reliable = np.where(sure[..., None], offsets, np.nan)
         self.movement_, small, usual = (
             np.maximum(_mean_square(values), _LEAST)

@@ -32,18 +32,17 @@ from .takes import clips_of, recorded_people
 GUESSES: dict[str, Guess | None] = {
     "drifting": "drift",
     "leaping": "hang",
-    "trembling": "jitter",
     "missing": "none",
     "seen": None,
 }
 """What the sensor says of a limb in the middle of a clip: it drifts away by 20 cm/s,
-hangs down from the first frame on, trembles by 5 cm, is not told; nothing is hidden."""
+hangs down from the first frame on, is not told; nothing is hidden."""
 
 _LIMBS = ("right-arm", "left-arm", "arms", "left-leg")  # hidden in turn
 _GAP = "55%"
 _LEARN_EVERY = 4  # one in this many clips teaches: the preset draws 2501 frames
 Errors = dict[str, dict[str, float]]
-"""Errors [cm] by row and column."""
+"""Errors [cm] by method and situation."""
 Turn = tuple[float, float]
 """Tilt and roll [rad] that were taken out of a motion."""
 Maker = Callable[[Take], tuple[Array, Turn]]
@@ -53,19 +52,19 @@ Maker = Callable[[Take], tuple[Array, Turn]]
 def errors_in_doubt(
     options: Options, terms: Sequence[str], *, every: int, count: int
 ) -> Errors:
-    """Return errors of a preset with terms left out, and of its rivals.
+    """Return errors of a preset with terms left out, and of its rivals, by situation.
 
     Means are over frames, joints and clips, then over people. Each of them is tested
     with the limbs of one clip in ``every``; what learns, learns from the others, in
-    whose takes nothing is hidden, for columns ``known_`` from repetitions 1 to 7 of
-    everybody and is tested on 8 to 10. Columns have the hidden joints in the frames in
-    which they are hidden, and ``_all`` every limb joint in those frames; ``seen`` all
-    of them in the whole clip. ``none`` is what ``clean --method none`` does without
-    physics; it looks ahead, and bridges gaps from both ends.
+    whose takes nothing is hidden; ``known people`` teach by repetitions 1 to 7 and are
+    tested on 8 to 10. Errors are those of the hidden joints in the frames in which they
+    are hidden, of ``all joints`` of limbs in those frames, and for ``seen`` of all in
+    the whole clip. ``none`` is what ``clean --method none`` does without physics; it
+    looks ahead, and bridges gaps from both ends.
 
     Args:
         options: Where the recordings are.
-        terms: Presets as ``systems_of`` has them, which are the names of their rows.
+        terms: Presets as ``systems_of`` has them, which are their names.
         every: Test one clip in so many.
         count: People at most.
     """
@@ -77,12 +76,12 @@ def errors_in_doubt(
         found = [next(parts) for _ in options.progress("people", len(people) + 1)]
     *new, known = found
     return {
-        row: {
-            column: float(np.mean([part[row][column] for part in new]))
-            for column in errors
+        name: {
+            where: float(np.mean([part[name][where] for part in new]))
+            for where in errors
         }
-        | {f"known_{column}": error for column, error in known[row].items()}
-        for row, errors in new[0].items()
+        | {f"{where}, known people": error for where, error in known[name].items()}
+        for name, errors in new[0].items()
     }
 
 
@@ -113,7 +112,7 @@ def _errors_of(
     for system in systems_of([], terms):
         corrector = school.corrector(system)
         makers[system.label] = partial(_corrected, system.config, corrector)
-    return {row: _means(test, maker) for row, maker in makers.items()}
+    return {name: _means(test, maker) for name, maker in makers.items()}
 
 
 def _raw(take: Take) -> tuple[Array, Turn]:
@@ -134,7 +133,7 @@ def _corrected(
 
 
 def _means(clips: Sequence[PairedTake], maker: Maker) -> dict[str, float]:
-    """Return the errors [cm] on some clips, by column."""
+    """Return the errors [cm] on some clips, by situation."""
     found: dict[str, list[float]] = {}
     for k, pair in enumerate(clips):
         span = middle(pair.take, _GAP)
@@ -146,16 +145,18 @@ def _means(clips: Sequence[PairedTake], maker: Maker) -> dict[str, float]:
         skeleton = pair.take.skeleton
         joints = [skeleton.index(j) for j in names if j in skeleton.joints]
         seed = zlib.crc32(pair.clip.encode())
-        for column, guess in GUESSES.items():
+        for where, guess in GUESSES.items():
             take = pair.take
             if guess is not None:
                 take = hide(take, joints, span, guess, seed)
             positions, turn = maker(take)
             away = 100.0 * accuracy.distances(positions, leveled(pair.truth, *turn))
             if guess is None:
-                found.setdefault(column, []).append(float(np.nanmean(away)))
+                found.setdefault(where, []).append(float(np.nanmean(away)))
                 continue
             blind = away[span]
-            found.setdefault(column, []).append(float(np.nanmean(blind[:, hidden])))
-            found.setdefault(f"{column}_all", []).append(float(np.nanmean(blind)))
-    return {column: float(np.mean(errors)) for column, errors in found.items()}
+            found.setdefault(where, []).append(float(np.nanmean(blind[:, hidden])))
+            found.setdefault(f"{where}, all joints", []).append(
+                float(np.nanmean(blind))
+            )
+    return {where: float(np.mean(errors)) for where, errors in found.items()}

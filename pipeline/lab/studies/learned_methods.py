@@ -167,7 +167,7 @@ def liu_figure_7(options: Options, *, people: int = 8, values: int = 4) -> Study
 
 
 def liu_table_5(
-    options: Options, *, people: int = 8, every: int = 12, count: int = 1000
+    options: Options, *, people: int = 8, every: int = 20, count: int = 1000
 ) -> Study:
     """Leave out terms of the energy where the sensor is in doubt of a limb.
 
@@ -180,36 +180,37 @@ def liu_table_5(
     config = CleanConfig(preset="liu-2016", set=("adapt=false",))
     method = LocalGP(experiment.training.skeleton, **config.parameters.method)
     method.fit(experiment.training, progress=options.progress)
-    rows: dict[str, dict[str, float]] = {}
-    found = dict(zip(("new", "known"), experiment.errors(None), strict=True))
-    rows["raw"] = {f"{who}_people": error for who, error in found.items()}
-    rows["none"] = {}
+    errors = {"raw": experiment.errors(None)}
     labels = {}
-    for name, (terms, paper) in over([*_TERMS.items()], "terms", options.progress):
-        new, known = experiment.errors(method.adjusted(**terms))
-        rows[name] = {"new_people": new, "known_people": known, "paper": paper}
+    for name, (terms, _) in over([*_TERMS.items()], "terms", options.progress):
+        errors[name] = experiment.errors(method.adjusted(**terms))
         left_out = "".join(f":{term}={weight:g}" for term, weight in terms.items())
         labels[f"liu-2016:adapt=false{left_out}"] = name
-    recorded: list[str] = []
+    situations = {"the paper": {name: paper for name, (_, paper) in _TERMS.items()}}
+    for k, who in enumerate((_NEW, _KNOWN)):
+        situations[f"simulated {who}"] = {n: pair[k] for n, pair in errors.items()}
     if options.data is not None:
-        errors = errors_in_doubt(options, [*labels], every=every, count=count)
-        for label, own in errors.items():
-            row = {f"recorded_{column}": error for column, error in own.items()}
-            rows[labels.get(label, label)] |= row
-            recorded = [*row]
-    columns = ("new_people", "known_people", "paper", *recorded)
-    less = {c: 100.0 - 100.0 * rows["S+T+R"][c] / rows["S"][c] for c in columns}
-    table = [(name, *map(row.get, columns)) for name, row in rows.items()]
-    table.append(("S+T+R under S, %", *map(less.get, columns)))
-    bars = {"paper": 3, _NEW: 1, _KNOWN: 2}
-    bars |= {c.replace("_", " "): 4 + k for k, c in enumerate(recorded)}
-    drawn = {label: k for label, k in bars.items() if "all" not in label}
-    series = series_of(table[2:-1], drawn, kind="bars")
+        for label, found in errors_in_doubt(
+            options, [*labels], every=every, count=count
+        ).items():
+            for where, error in found.items():
+                row = situations.setdefault(f"recorded, {where}", {})
+                row[labels.get(label, label)] = error
+    names = ("raw", "none", *_TERMS)
+    rows = [
+        (where, *map(row.get, names), 100.0 - 100.0 * row["S+T+R"] / row["S"])
+        for where, row in situations.items()
+    ]
+    bars = series_of(
+        rows,
+        {name: 1 + k for k, name in enumerate(names) if name in _TERMS},
+        kind="bars",
+    )
     return Study(
         title="Terms of the energy of liu-2016 (Liu 2016, Table 5)",
-        columns=("terms", *(f"{column}_cm" for column in columns)),
-        rows=table,
-        panels=[Panel("terms of the energy", "error, cm", series)],
+        columns=("situation", *(f"{n}_cm" for n in names), "less_than_S_percent"),
+        rows=rows,
+        panels=[Panel("terms of the energy", "error, cm", bars)],
     )
 
 
