@@ -197,7 +197,7 @@ def test_doubt_alone_calls_for_the_temporal_term(fitted: LocalGP) -> None:
 
 
 def test_the_densities_have_the_variances_of_what_is_learned_from() -> None:
-    lessons = lessons_of(constant)
+    lessons = lessons_of(bent)
     model = local_gp().fit(lessons)
     steps = np.diff(lessons.positions[:, WRIST], n=2, axis=0)
     m = int(np.flatnonzero(model.joints_ == WRIST)[0])

@@ -180,7 +180,7 @@ def test_a_model_keeps_what_it_was_taught_with(
     config = partial(CleanConfig, preset="liu-2016", model=model)
     made = make_corrector(KINECT_V1, config())
     assert isinstance(made, LocalGP)
-    assert (made.clusters, made.trend, made.temporal) == (3, False, 2.0)
+    assert (made.clusters, made.trend, made.temporal) == (3, False, 0.2)
     other = make_corrector(KINECT_V1, config(set=("temporal=0", "clusters=3")))
     assert isinstance(other, LocalGP)
     assert other.temporal == 0.0
@@ -246,7 +246,7 @@ def test_what_learns_is_taught_once_for_its_terms(pairs: list[PairedTake]) -> No
     assert isinstance(part, LocalGP)
     assert len(school._learned) == 1
     np.testing.assert_array_equal(whole.features_, part.features_)
-    assert (whole.temporal, part.temporal) == (2.0, 0.0)
+    assert (whole.temporal, part.temporal) == (0.2, 0.0)
     (both,) = systems_of(["joint-offsets+local-pca"])
     assert isinstance(school.corrector(both), InTurn)
 
