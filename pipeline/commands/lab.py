@@ -217,9 +217,9 @@ class Reproduce:
     Studies of takes and of marker mocap: cleaned-takes, methods-new-people,
     methods-known-people, failures, reliability; of speed: speed, million-postures; of
     the papers, on simulated takes: shum-tables-1-2, shum-table-3, shum-table-4,
-    shum-figure-8, liu-table-3, liu-figure-3, liu-figure-7, liu-table-5,
-    chiang-tables-2-3, chiang-figure-5, wang-table-1; of the virtual Kinect's
-    trackers (Liu 2016, section 5.4): tracker-errors, tracker-lessons.
+    shum-figure-8, liu-table-3, liu-figure-3, liu-figure-7, chiang-tables-2-3,
+    chiang-figure-5, wang-table-1; on recorded ones too: liu-table-5; of the virtual
+    Kinect's trackers (Liu 2016, section 5.4): tracker-errors, tracker-lessons.
 
     With --all, every study and picture is made and every figure of README compared with
     what was measured, in about an hour on two cores; the exit code is 1 if one

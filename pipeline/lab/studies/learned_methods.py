@@ -201,11 +201,9 @@ def liu_table_5(
         (where, *map(row.get, names), 100.0 - 100.0 * row["S+T+R"] / row["S"])
         for where, row in situations.items()
     ]
-    bars = series_of(
-        rows,
-        {name: 1 + k for k, name in enumerate(names) if name in _TERMS},
-        kind="bars",
-    )
+    drawn = [row for row in rows if str(row[0]).count(",") < 2]
+    columns = {name: names.index(name) + 1 for name in _TERMS}
+    bars = series_of(drawn, columns, kind="bars")
     return Study(
         title="Terms of the energy of liu-2016 (Liu 2016, Table 5)",
         columns=("situation", *(f"{n}_cm" for n in names), "less_than_S_percent"),
