@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from real_data import DATA, paired, recorded
 
-from kinefilter.characters import KINECT_V1
+from kinefilter.characters import KINECT_V1, Take
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.lab.hidden_limbs import middle
 from kinefilter.pipeline.lab.studies import takes
 from kinefilter.pipeline.lab.studies.cleaned_takes import _mean_and_worst
 from kinefilter.pipeline.lab.studies.detection import _near
+from kinefilter.pipeline.lab.studies.doubtful_limbs import _means, _raw
 from kinefilter.pipeline.lab.studies.methods import _study
 from kinefilter.pipeline.lab.studies.study import Options
 
@@ -63,6 +66,34 @@ def test_who_stands_in_for_recorded_people_repeats_movements(
     again = takes.clips_of([first], 1, Options())[1]
     np.testing.assert_array_equal(again.take.positions, clips[1].take.positions)
     assert first != second
+
+
+def test_errors_in_doubt_are_of_what_is_hidden_where_it_is_hidden() -> None:
+    """Of the first clip the right arm is hidden, of the second the left one."""
+    (name,) = takes.recorded_people(None)[:1]
+    clips = takes.clips_of([name], 1, Options())[:2]
+    truth = {len(pair.take): pair.truth for pair in clips}
+
+    def known(take: Take) -> tuple[Array, tuple[float, float]]:
+        return truth[len(take)], (0.0, 0.0)
+
+    def off(take: Take) -> tuple[Array, tuple[float, float]]:
+        moved, span = truth[len(take)].copy(), middle(take, "55%")
+        assert span is not None
+        side = "Right" if len(take) == len(clips[0].take) else "Left"
+        moved[span, take.skeleton.index(f"Wrist{side}")] += [0.0, 0.3, 0.0]
+        return moved, (0.0, 0.0)
+
+    assert len(truth) == 2
+    assert max(_means(clips, known).values()) < 1e-9
+    found = _means(clips, off)
+    for guess in ("drifting", "leaping", "missing"):  # elbow and wrist; 12 joints
+        assert found[guess] == pytest.approx(15.0)
+        assert found[f"{guess}, all joints"] == pytest.approx(2.5)
+    assert 1.0 < found["seen"] < 1.7  # 55 % of the frames
+    raw = _means(clips, _raw)
+    assert raw["leaping"] > raw["seen"] + 5.0
+    assert raw["drifting"] > raw["seen"] + 5.0
 
 
 @recorded
