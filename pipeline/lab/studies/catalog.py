@@ -48,7 +48,7 @@ STUDIES: dict[str, _Entry] = {
     "liu-figure-3": _Entry(liu_figure_3, {"people": 2, "values": 2}),
     "liu-figure-7": _Entry(liu_figure_7, {"people": 2, "values": 1}),
     "liu-table-3": _Entry(liu_table_3, {"people": 1, "motions": 1}),
-    "liu-table-5": _Entry(liu_table_5, {"people": 2, "every": 80, "count": 2}),
+    "liu-table-5": _Entry(liu_table_5, {"people": 2, "count": 2, "clips": 2}),
     "chiang-figure-5": _Entry(chiang_figure_5, {"people": 4, "values": 4}),
     "chiang-tables-2-3": _Entry(chiang_tables_2_3, {"people": 2, "motions": 1}),
     "wang-table-1": _Entry(wang_table_1, {"sizes": 2}),

@@ -40,6 +40,7 @@ hangs down from the first frame on, is not told; nothing is hidden."""
 
 _LIMBS = ("right-arm", "left-arm", "arms", "left-leg")  # hidden in turn
 _GAP = "55%"
+_EVERY = 20  # one in this many clips is tested
 _LEARN_EVERY = 4  # one in this many clips teaches: the preset draws 2501 frames
 Errors = dict[str, dict[str, float]]
 """Errors [cm] by method and situation."""
@@ -50,12 +51,12 @@ Maker = Callable[[Take], tuple[Array, Turn]]
 
 
 def errors_in_doubt(
-    options: Options, terms: Sequence[str], *, every: int, count: int
+    options: Options, terms: Sequence[str], *, count: int, most: int
 ) -> Errors:
     """Return errors of a preset with terms left out, and of its rivals, by situation.
 
     Means are over frames, joints and clips, then over people. Each of them is tested
-    with the limbs of one clip in ``every``; what learns, learns from the others, in
+    with a limb of every twentieth clip hidden; what learns, learns from the others, in
     whose takes nothing is hidden; ``known people`` teach by repetitions 1 to 7 and are
     tested on 8 to 10. Errors are those of the hidden joints in the frames in which they
     are hidden, of ``all joints`` of limbs in those frames, and for ``seen`` of all in
@@ -65,12 +66,12 @@ def errors_in_doubt(
     Args:
         options: Where the recordings are.
         terms: Presets as ``systems_of`` has them, which are their names.
-        every: Test one clip in so many.
         count: People at most.
+        most: Clips of a person at most.
     """
     people = recorded_people(options.data)[:count]
     quiet = replace(options, progress=silent)
-    run = partial(_errors_of, people, tuple(terms), every, quiet)
+    run = partial(_errors_of, people, tuple(terms), most, quiet)
     with workers() as pool:
         parts = pool.map(run, [*people, None])
         found = [next(parts) for _ in options.progress("people", len(people) + 1)]
@@ -88,7 +89,7 @@ def errors_in_doubt(
 def _errors_of(
     people: Sequence[str],
     terms: Sequence[str],
-    every: int,
+    most: int,
     options: Options,
     person: str | None,
 ) -> Errors:
@@ -100,7 +101,7 @@ def _errors_of(
     else:
         train = [clip for clip in clips if clip.subject != person]
         test = [clip for clip in clips if clip.subject == person]
-    test = test[::every]
+    test = test[::_EVERY][:most]
     skeleton = test[0].take.skeleton
     school = School(
         train[::_LEARN_EVERY],

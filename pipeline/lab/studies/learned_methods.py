@@ -167,13 +167,13 @@ def liu_figure_7(options: Options, *, people: int = 8, values: int = 4) -> Study
 
 
 def liu_table_5(
-    options: Options, *, people: int = 8, every: int = 20, count: int = 1000
+    options: Options, *, people: int = 8, count: int = 1000, clips: int = 1000
 ) -> Study:
     """Leave out terms of the energy where the sensor is in doubt of a limb.
 
     On simulated tai chi, bending over and crossing arms, as in the paper; half as many
     people are tested as perform for the method to learn. On at most ``count`` recorded
-    people, of whom one clip in ``every`` is tested with a limb hidden; the preset is
+    people, of whom every twentieth clip, at most ``clips``, is tested with a limb hidden; the preset is
     the paper's, but that it does not learn from the takes.
     """
     experiment = _Experiment(options, _HARD, learners=people, share=2)
@@ -191,7 +191,7 @@ def liu_table_5(
         situations[f"simulated {who}"] = {n: pair[k] for n, pair in errors.items()}
     if options.data is not None:
         for label, found in errors_in_doubt(
-            options, [*labels], every=every, count=count
+            options, [*labels], count=count, most=clips
         ).items():
             for where, error in found.items():
                 row = situations.setdefault(f"recorded, {where}", {})
