@@ -173,8 +173,8 @@ def liu_table_5(
 
     On simulated tai chi, bending over and crossing arms, as in the paper; half as many
     people are tested as perform for the method to learn. On at most ``count`` recorded
-    people, of whom every twentieth clip, at most ``clips``, is tested with a limb hidden; the preset is
-    the paper's, but that it does not learn from the takes.
+    people, of whom every twentieth clip, at most ``clips``, is tested with a limb
+    hidden. The preset is the paper's, but that it does not learn from the takes.
     """
     experiment = _Experiment(options, _HARD, learners=people, share=2)
     config = CleanConfig(preset="liu-2016", set=("adapt=false",))
