@@ -59,7 +59,11 @@ def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
         database: Natural postures.
         options: Of local PCA.
     """
-    return InTurn(shipped_model(database.skeleton), LocalPCA(database, **options))
+    return InTurn(
+        shipped_model(database.skeleton),
+        LocalPCA(database, **options),
+        skeleton=database.skeleton,
+    )
 
 
 def shipped_model(skeleton: Skeleton) -> Corrector:
@@ -128,4 +132,6 @@ def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Correc
     database, pca = _database(skeleton, config), METHODS["local-pca"]
     options = {option: getattr(config, option) for option in pca.options}
     follower = pca.load()(database, **options)
-    return InTurn(corrector, follower, least_reliability=_MODEL_RELIABILITY)
+    return InTurn(
+        corrector, follower, skeleton=skeleton, least_reliability=_MODEL_RELIABILITY
+    )

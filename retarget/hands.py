@@ -30,14 +30,17 @@ class Hands:
         """Return postures (..., J, 3), less trusted hands turned as their forearms.
 
         ``before`` and ``after`` are positions [m] before and after joints were moved;
-        ``confidence`` (..., J) in [0, 1] is how far each hand's joint stays in place.
+        ``confidence`` (..., J) in [0, 1] is how far each hand's joint stays in place,
+        if its forearm does.
         """
         carried = after.copy()
         for elbow, wrist, hand in self._arms:
             was, now = (p[..., wrist, :] - p[..., elbow, :] for p in (before, after))
             turn = between(was, now)
+            forearm = confidence[..., [elbow, wrist]].min(axis=-1)
             for j in hand:
-                p, share = self._parents[j], confidence[..., j, None]
+                p = self._parents[j]
+                share = np.minimum(confidence[..., j], forearm)[..., None]
                 follows = rotate(turn, unit(before[..., j, :] - before[..., p, :]))
                 stays = unit(after[..., j, :] - after[..., p, :])
                 bone = unit(share * stays + (1.0 - share) * follows)

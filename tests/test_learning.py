@@ -348,7 +348,8 @@ def test_the_temporal_term_calms_and_the_reliability_term_holds_back(
     assert jitter(draft.time, calm) < 0.95 * jitter(draft.time, spatial)
     truth = standard_truth(pairs[12], draft)
     raw = draft.standard
-    assert distances(held, raw).mean() < distances(spatial, raw).mean()
+    sure = draft.reliability >= 0.9  # others are held before their offset is told
+    assert distances(held, raw)[sure].mean() < distances(spatial, raw)[sure].mean()
     for made in (spatial, held):
         assert distances(made, truth).mean() < 0.9 * distances(raw, truth).mean()
 

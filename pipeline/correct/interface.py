@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import InputError
+from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
+from kinefilter.retarget.hands import Hands
 
 CORRECTED_CONFIDENCE = 0.9
 """Confidence in a measurement that was corrected: the smoother may move it too. A
@@ -124,12 +125,20 @@ class InTurn(Corrector):
 
     Args:
         methods: The methods, in their order.
+        skeleton: Whose hands follow where the last method turns a forearm that nobody
+            measured; None: none do.
         least_reliability: What a measured joint has at least in the eyes of the last
             method, if those before it know what the sensor's guesses mean.
     """
 
-    def __init__(self, *methods: Corrector, least_reliability: float = 0.0) -> None:
+    def __init__(
+        self,
+        *methods: Corrector,
+        skeleton: Skeleton | None = None,
+        least_reliability: float = 0.0,
+    ) -> None:
         self.methods = methods
+        self._skeleton = skeleton
         self.least_reliability = least_reliability
 
     def start(self) -> None:
@@ -144,19 +153,35 @@ class InTurn(Corrector):
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
-        seen = observation
+        seen, made = observation, None
         for method in self.methods[:-1]:
-            seen = self._passed_on(seen, method.step(seen))
-        return self.methods[-1].step(self._raised(seen))
+            made = method.step(seen)
+            seen = self._passed_on(seen, made)
+        return self._with_hands(made, self.methods[-1].step(self._raised(seen)))
 
     def whole(
         self, take: Observation, frames: Iterable[int] | None = None
     ) -> Correction:
         """Correct a whole take, one method after the other."""
-        seen = take
+        seen, made = take, None
         for method in self.methods[:-1]:
-            seen = self._passed_on(seen, method.whole(seen))
-        return self.methods[-1].whole(self._raised(seen), frames)
+            made = method.whole(seen)
+            seen = self._passed_on(seen, made)
+        found = self.methods[-1].whole(self._raised(seen), frames)
+        return self._with_hands(made, found)
+
+    def _with_hands(self, made: Correction | None, found: Correction) -> Correction:
+        if made is None or self._skeleton is None:
+            return found
+        there = Hands(self._skeleton).carried(
+            made.positions,
+            found.positions,
+            found.confidence,
+            standard_body(self._skeleton),
+        )
+        # A hand that was measured stays, however long it is.
+        stays = found.confidence[..., None] >= 1.0
+        return replace(found, positions=np.where(stays, found.positions, there))
 
     @staticmethod
     def _passed_on(seen: Observation, made: Correction) -> Observation:
