@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -176,7 +177,7 @@ def _time(moving: Sequence[Array]) -> float:
             known = np.isfinite(early + late)
             products += float(np.sum((early * late)[known]))
             squares += 0.5 * float(np.sum((early**2 + late**2)[known]))
-        if products < squares / np.e:
+        if products < squares / math.e:
             return lag / _RATE
     return _LONGEST / _RATE
 
