@@ -86,7 +86,7 @@ class Tally:
         self.slowest = max(self.slowest, (row.get("seconds", 0.0), row["n"]))
         if row["end"] == "lost":
             self.lost.append(row)
-            _say(f"lost: {row['part']} {row['n']} {row['what']}: {row['words'][-900:]}")
+            _say(f"lost: {row['part']} {row['n']} {row['what']}: {row['words']}")
 
 
 # The worker
@@ -101,7 +101,8 @@ def work(name: str, asked: argparse.Namespace, first: int, step: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     faulthandler.register(signal.SIGPROF, chain=True)
     module, _, function = part.function.partition(":")
-    files = {path.name: path for path in asked.folder.joinpath("valid").iterdir()}
+    valid = sorted(asked.folder.joinpath("valid").iterdir())
+    files = {path.name: path for path in valid}
     function = getattr(importlib.import_module(module), function)
     for n in range(first, asked.first + asked.count, step):
         if time.time() > asked.until:
@@ -124,7 +125,7 @@ def work(name: str, asked: argparse.Namespace, first: int, step: int) -> None:
 
 def _may_wait(part: Part) -> float:
     """Return how long a try may last [s]: longer the more others use the processors."""
-    return 3.0 * part.patience * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    return 10.0 * part.patience * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 def tried(function: Callable[[Attempt], None], attempt: Attempt) -> dict[str, str]:
@@ -177,7 +178,7 @@ def watch(name: str, asked: argparse.Namespace, tally: Tally, first: int) -> Non
             if began is None and process.returncode == 0:
                 return
             said.seek(0)
-            words = f"worker ended with {process.returncode}: {said.read()[-900:]}"
+            words = f"worker ended with {process.returncode}: {said.read()[:2500]}"
         row = {"part": name, "n": began, "what": "death", "end": "lost"}
         tally.add(row | {"words": words})
         if began is None:

@@ -121,12 +121,12 @@ class InTurn(Corrector):
     """Passes what each method made of the measurement on to the next one.
 
     Joints that were not measured stay missing for all of them. Confidence, rotations
-    and coverage are those of the last one.
+    and coverage are those of the last one. Where that one turns a forearm that was not
+    measured, the hand turns with it.
 
     Args:
         methods: The methods, in their order.
-        skeleton: Whose hands follow where the last method turns a forearm that nobody
-            measured; None: none do.
+        skeleton: The joints.
         least_reliability: What a measured joint has at least in the eyes of the last
             method, if those before it know what the sensor's guesses mean.
     """
@@ -134,11 +134,11 @@ class InTurn(Corrector):
     def __init__(
         self,
         *methods: Corrector,
-        skeleton: Skeleton | None = None,
+        skeleton: Skeleton,
         least_reliability: float = 0.0,
     ) -> None:
         self.methods = methods
-        self._skeleton = skeleton
+        self._hands, self._body = Hands(skeleton), standard_body(skeleton)
         self.least_reliability = least_reliability
 
     def start(self) -> None:
@@ -171,13 +171,10 @@ class InTurn(Corrector):
         return self._with_hands(made, found)
 
     def _with_hands(self, made: Correction | None, found: Correction) -> Correction:
-        if made is None or self._skeleton is None:
+        if made is None or found.confidence.min() >= 1.0:
             return found
-        there = Hands(self._skeleton).carried(
-            made.positions,
-            found.positions,
-            found.confidence,
-            standard_body(self._skeleton),
+        there = self._hands.carried(
+            made.positions, found.positions, found.confidence, self._body
         )
         # A hand that was measured stays, however long it is.
         stays = found.confidence[..., None] >= 1.0

@@ -146,7 +146,7 @@ class School:
     def corrector(self, system: System) -> Corrector:
         """Return what corrects in a system, taught where it learns."""
         made = [self._made(system.config, name) for name in system.methods]
-        return made[0] if len(made) == 1 else InTurn(*made)
+        return made[0] if len(made) == 1 else InTurn(*made, skeleton=self._skeleton)
 
     def _made(self, config: CleanConfig, name: str) -> Corrector:
         first = config.method == name
