@@ -23,7 +23,7 @@ from .formats.plain import printable
 from .workers import one_thread
 
 _GROUPS = {
-    "daily": "clean, batch, info, render, report, view, character",
+    "daily": "clean, batch, merge, info, render, report, view, character",
     "live": "live, replay",
     "learning": "pair, train, database",
     "lab": "evaluate, simulate, rate, ratings, reproduce, bench",
@@ -31,6 +31,7 @@ _GROUPS = {
 _FILES = {
     "clean": "clean, batch",
     "info": "info, character",
+    "merge": "merge",
     "view": "render, report, view",
     "live": "live, replay",
     "learn": "pair, train, database",

@@ -11,8 +11,8 @@ from kinefilter import read_take
 from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
-from kinefilter.pipeline.lab.lag import Track
 from kinefilter.pipeline.lab.pairing import pair_session
+from kinefilter.pipeline.merge.lag import Track
 from kinefilter.pipeline.pairs import read_pairs
 
 __all__ = ["RAW", "compared"]

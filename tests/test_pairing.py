@@ -28,9 +28,9 @@ from kinefilter.characters import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.recording import Mocap
-from kinefilter.pipeline.lab.lag import Track
 from kinefilter.pipeline.lab.marker_sets import read_marker_set
 from kinefilter.pipeline.lab.pairing import Pairing, pair_session
+from kinefilter.pipeline.merge.lag import Track
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.scenes.library import perform, perform_medley
 

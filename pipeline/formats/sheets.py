@@ -44,12 +44,17 @@ PART = ".part.csv"
 """End of the name of what ``live`` records; if it is killed, the last row is torn."""
 _LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
 _AXES = ("x", "y", "z")
+_MERGED = ("reliability", "sensor")
+"""What merged takes have more of each joint; for people to read, not for cleaning."""
 _CONTACT_HEADER = ("time", *CONTACTS)
 _ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 
 
 def _columns(skeleton: Skeleton) -> tuple[str, ...]:
-    parts = (*_AXES, "state")
+    return _named(skeleton, (*_AXES, "state"))
+
+
+def _named(skeleton: Skeleton, parts: tuple[str, ...]) -> tuple[str, ...]:
     return ("time", *(f"{joint}.{part}" for joint in skeleton.joints for part in parts))
 
 
@@ -71,6 +76,26 @@ def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
         for some in chunks(len(motion)):
             rows = take_rows(motion.time[some], motion.positions[some], state[some])
             file.write(rows)
+
+
+def write_merged_csv(
+    take: Take, reliability: Array, shares: Array, path: AnyPath
+) -> None:
+    """Write a take of several sensors, with the columns that only such a take has.
+
+    ``Joint.reliability`` is (T, J), ``Joint.sensor`` the number, from 1, of the sensor
+    with the largest of the shares (T, S, J), 0 where no sensor has the joint.
+    """
+    largest = np.where(shares.max(axis=1) > 0.0, 1 + shares.argmax(axis=1), 0)
+    names = _named(take.skeleton, _MERGED)[1:]
+    each = np.stack([reliability, largest], axis=-1).reshape(len(take), -1)
+    row = ",%.3f,%d" * len(take.skeleton) + "\n"
+    with new_text(path) as file:
+        file.write(take_header(take.skeleton).rstrip("\n") + f",{','.join(names)}\n")
+        for k in range(len(take)):
+            one = slice(k, k + 1)
+            rows = take_rows(take.time[one], take.positions[one], take.state[one])
+            file.write(rows.rstrip("\n") + row % tuple(each[k].tolist()))
 
 
 def take_header(skeleton: Skeleton) -> str:
@@ -107,6 +132,7 @@ def _kinefilter(line: str, source: str) -> _Layout:
     skeleton = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
     needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
     twice, times = Counter(columns).most_common(1)[0]
+    known = {*_columns(skeleton), *_named(skeleton, _MERGED)}
     wrong = ""
     if columns[0] != "time":
         wrong = (
@@ -122,7 +148,7 @@ def _kinefilter(line: str, source: str) -> _Layout:
             f", joint {unknown[0][:40]!r} is not one of {skeleton.name}: "
             f"{', '.join(skeleton.joints)}; rename or delete its columns"
         )
-    elif unknown := [name for name in columns if name not in _columns(skeleton)]:
+    elif unknown := [name for name in columns if name not in known]:
         wrong = (
             f", column {unknown[0][:40]!r} is unknown; expected Joint.x, Joint.y, "
             "Joint.z or Joint.state"

@@ -19,14 +19,21 @@ from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.formats.recording import Mocap
+from kinefilter.pipeline.merge.lag import (
+    SHORTEST_FOR_DRIFT,
+    Clock,
+    Track,
+    correlated,
+    distances,
+    find_drift,
+)
+from kinefilter.pipeline.merge.lag import refined as refined_lag
+from kinefilter.pipeline.merge.rigid import Placement, placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
-from .lag import SHORTEST_FOR_DRIFT, Clock, Track, correlated, distances, find_drift
-from .lag import refined as refined_lag
 from .marker_sets import MarkerSet, joint_centers
-from .rigid import Placement, placement
 
 EXPLAINED = 0.75
 """Share of a take's movement that its own mocap explains at least.

@@ -94,7 +94,9 @@ def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
     page, rater, given = (found.get(name) for name in ("page", "rater", "answers"))
     if page != key.page:
         other = "of no page" if page is None else f"of page {shown(page)}"
-        raise InputError(f"{path}: answers {other}; the key is of page {key.page!r}")
+        raise InputError(
+            f"{path}: answers {other}; the key is of page {shown(key.page)}"
+        )
     try:
         answers = [(_integers(k["shown"]), tuple(k["grades"])) for k in given or ()]
         seen = sorted(tuple(sorted(clips)) for clips, _ in answers)

@@ -23,6 +23,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.formats.takes import read_take
+from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import segment_lengths
@@ -33,7 +34,6 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 from .accuracy import area_under_roc
 from .methods.lessons import TrainingSet
 from .misplaced import misplaced
-from .rigid import placement
 from .systems import check_untaught
 from .teach import teach
 from .training import training_set

@@ -86,6 +86,10 @@ class Clock(NamedTuple):
         """Return the second recording's times for those of the first [s]."""
         return self.lag + (1.0 + self.drift) * (time - self.start)
 
+    def undone(self, time: Array) -> Array:
+        """Return the first recording's times for those of the second [s]."""
+        return self.start + (time - self.lag) / (1.0 + self.drift)
+
 
 class Lag(NamedTuple):
     """A lag [s] and how well the recordings correlate there, -1 to 1."""

@@ -21,6 +21,12 @@ class Placement(NamedTuple):
     shift: Array
     """Of the origin [m], shape (3,)."""
 
+    def turn_only(self, vectors: Array) -> Array:
+        """Return vectors in the other frame, shape (..., 3)."""
+        return np.asarray(
+            self.turn.apply(vectors.reshape(-1, 3)).reshape(vectors.shape)
+        )
+
     def apply(self, points: Array) -> Array:
         """Return points [m] in the other frame, shape (..., 3)."""
         flat = self.turn.apply(points.reshape(-1, 3)) + self.shift

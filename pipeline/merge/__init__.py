@@ -1,0 +1,21 @@
+"""Makes one take of what several sensors recorded of a person at the same time.
+
+Their clocks and frames are found from the motion itself (``alignment``); then every
+joint is fused of what each sensor saw of it (``fusion``).
+"""
+
+from .alignment import Alignment, align
+from .fusion import Fused, Fusion, Sight
+from .session import Merged, merge, read_calibration, write_calibration
+
+__all__ = [
+    "Alignment",
+    "Fused",
+    "Fusion",
+    "Merged",
+    "Sight",
+    "align",
+    "merge",
+    "read_calibration",
+    "write_calibration",
+]

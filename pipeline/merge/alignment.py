@@ -1,0 +1,334 @@
+"""When and where a second sensor recorded what a first one did, from the motion itself.
+
+Clocks first: heights of joints over each other are what sensors agree on best, and the
+same from any side; how they go up and down tells the lag. Then one rigid transform lays
+the second sensor's trunks onto the first's. How well joints move together after that
+refines the lag, and how it changes tells the drift of the clocks.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.signal import butter, fftconvolve, find_peaks, sosfiltfilt
+from scipy.stats import theilslopes
+
+from kinefilter.characters import InputError, Skeleton, State, Take
+from kinefilter.characters.arrays import Array
+
+from .lag import Clock, Track
+from .rigid import SIGMA, Placement, placement
+
+_RATE = 20.0  # samples a second in which lags are looked for: joints move below 5 Hz
+_BAND = (0.2, 5.0)  # Hz: slower is where people stand, faster is noise
+_LARGE = 0.1  # m from which on movement counts hardly more
+_COMMON = 2.0  # s that both recordings must have in common
+_CANDIDATES = 6  # lags that are tried in space
+_FRAMES = 1000  # are enough to place a sensor
+_UNEXPLAINED = 0.30  # m: a frame that one sensor has alone costs as much as this
+_MOST = np.log1p((_UNEXPLAINED / SIGMA) ** 2)
+_WORST = 1.5
+"""Cost of a fit above which two takes are not of the same movement. Chosen on p00 to
+p08 of two-kinects: true pairs in which people move cost 1.4 or less there, takes of
+different sessions 1.7 or more. A guess where less than half a take is in common."""
+_LIKELY = 0.5  # of likeness; below it chance may have found the lag. Chosen there, too
+_PATH = 0.5  # m that people have to go for a placement that is not of their body alone
+_SMOOTH, _EVEN = 3.0, 60.0
+"""Cutoff [Hz] and rate [1/s] of what lags are refined on. Between frames interpolation
+takes noise off, which would draw the lag there."""
+_STEP = 0.2  # s over which movement is compared
+_MOVED = 0.01  # m that it may differ by
+_AROUND = 0.12  # s that a first lag may be off
+_PRECISION = 5e-4  # s
+_FEWEST = 10  # joints of frames that tell a lag
+_WINDOW, _FEWEST_WINDOWS, _MOST_WINDOWS = (
+    8.0,
+    5,
+    80,
+)  # s in which a drifting lag is told
+_CONFIDENCE = 0.99  # that there is a drift at all
+
+_CORE = ("Head", "ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight")
+_LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+
+
+class Alignment(NamedTuple):
+    """How a second sensor's clock and frame lie to those of the first."""
+
+    clock: Clock
+    """The second clock's time at times of the first."""
+    placed: Placement
+    """From the second sensor's frame to the first's."""
+    apart: float
+    """Median distance between the joints of the two trunks [m]."""
+    likeness: float
+    """How surely the movement tells the lag: Fisher's z of the correlation times the
+    root of the seconds in common."""
+    path: float
+    """How far people went over the floor [m]."""
+    common: float = 0.0
+    """How much of the first take the second explains, in [0, 1]."""
+
+    @property
+    def clock_is_sure(self) -> bool:
+        """Whether there is enough movement to tell the lag."""
+        return self.likeness >= _LIKELY
+
+    @property
+    def place_is_sure(self) -> bool:
+        """Whether people went far enough to tell where the sensor is.
+
+        Who stands is seen well enough to merge, but sensors see a body that stands
+        turned by up to 30 degrees.
+        """
+        return self.path >= _PATH
+
+
+def align(first: Take, second: Take) -> Alignment:
+    """Return when and where the second sensor recorded what the first did.
+
+    Neither has to be calibrated, and their clocks may show anything. Of other skeletons
+    the joints of the same name count.
+
+    Raises:
+        InputError: They are not of the same movement, or one take twice.
+    """
+    takes = (first, second)
+    both = f"{first.source} and {second.source}"
+    if first.positions.shape == second.positions.shape and np.array_equal(
+        first.positions, second.positions, equal_nan=True
+    ):
+        raise InputError(f"{both}: are the same take; give one of each sensor")
+    heights = [_heights(Track(take.time, take.positions), take) for take in takes]
+    lags, likeness = _likeness(*heights)
+    peaks, _ = find_peaks(np.concatenate([[-np.inf], likeness, [-np.inf]]))
+    peaks = peaks[np.isfinite(likeness[peaks - 1])] - 1
+    if not len(peaks):
+        raise InputError(
+            f"{both}: at no lag do both see somebody for {_COMMON:g} s; give takes of "
+            "the same time"
+        )
+    common = _Common(first, second)
+    fits = []
+    for k in peaks[np.argsort(-likeness[peaks])][:_CANDIDATES]:
+        clock = Clock(float(first.time[0]), float(second.time[0] + lags[k]))
+        for exchanged in (False, True):
+            placed, cost, _ = common.placed(clock, exchanged)
+            fits.append(_Fit(cost, clock, placed, exchanged, float(likeness[k])))
+    best = min(fits, key=lambda fit: fit.cost)
+    if best.cost > _WORST:
+        raise InputError(
+            f"{both}: do not show the same movement at any lag; give takes of the same "
+            "people at the same time, by sensors that stand still"
+        )
+    clock = common.refined(best.clock, best.placed, best.exchanged)
+    placed, _, _ = common.placed(clock, best.exchanged)
+    clock = common.drifting(clock, placed, best.exchanged)
+    placed, _, apart = common.placed(clock, best.exchanged)
+    return Alignment(
+        clock, placed, apart, best.likeness, _path(first), 1.0 - best.cost / _MOST
+    )
+
+
+class _Fit(NamedTuple):
+    cost: float
+    clock: Clock
+    placed: Placement
+    exchanged: bool  # left and right, as of a sensor behind the person
+    likeness: float
+
+
+def _path(take: Take) -> float:
+    """Return how far people went over the floor [m]."""
+    places = take.positions[:, take.skeleton.root, ::2]
+    low, high = np.nanpercentile(places, (5.0, 95.0), axis=0)
+    return float(np.hypot(*(high - low)))
+
+
+def _heights(track: Track, take: Take) -> Array:
+    """Return how joints go up and down, in no unit, 1/_RATE s a row, (N, F).
+
+    Pairs of limbs count by their mean height and by the difference between the two, so
+    that exchanged sides change nothing; so does the speed over the floor.
+    """
+    times = np.arange(track.time[0], track.time[-1], 1.0 / _RATE)
+    positions, skeleton = track.at(times), take.skeleton
+    root = positions[:, skeleton.root]
+    height = positions[..., 1] - root[:, 1:2]
+    columns = [root[:, 1], height[:, skeleton.girdle]]
+    columns.append(height[:, skeleton.index("Head")])
+    for limb in _LIMBS:
+        sides = [height[:, skeleton.index(limb + side)] for side in ("Left", "Right")]
+        columns += [0.5 * (sides[0] + sides[1]), np.abs(sides[0] - sides[1])]
+    values = np.stack(columns, axis=1)
+    steps = np.gradient(_filled(root[:, ::2]), 1.0 / _RATE, axis=0)
+    speed = np.linalg.norm(_passed(steps, (None, 2.0)), axis=1)
+    speed[np.isnan(root[:, 0])] = np.nan
+    found = _passed(_filled(values), _BAND) / _LARGE
+    fast = _passed(_filled(speed[:, None]), (None, 3.0)) * 0.1 / _LARGE
+    found = np.hstack([found, fast])
+    return np.where(np.isnan(np.column_stack([values, speed])), np.nan, np.tanh(found))
+
+
+def _smoothed(take: Take) -> Track:
+    """Return tracked joints without fast noise, at even times."""
+    known = (take.state == State.TRACKED)[..., None]
+    track = Track(take.time, np.where(known, take.positions, np.nan))
+    times = np.arange(track.time[0], track.time[-1], 1.0 / _EVEN)
+    flat = track.at(times).reshape(len(times), -1)
+    bridged = np.zeros_like(flat)
+    for k, column in enumerate(flat.T):
+        known = ~np.isnan(column)
+        if known.any():
+            bridged[:, k] = np.interp(times, times[known], column[known])
+    sections = butter(2, _SMOOTH, fs=_EVEN, output="sos")
+    even = sosfiltfilt(sections, bridged, axis=0, padlen=min(30, len(times) - 1))
+    even[np.isnan(flat)] = np.nan
+    return Track(times, even.reshape(len(times), *take.positions.shape[1:]))
+
+
+def _filled(values: Array) -> Array:
+    """Return columns with medians in the place of what is missing."""
+    with np.errstate(all="ignore"):
+        middle = np.nan_to_num(np.nanmedian(values, axis=0)) if len(values) else 0.0
+    return np.where(np.isnan(values), middle, values)
+
+
+def _passed(values: Array, band: tuple[float | None, float]) -> Array:
+    low, high = band
+    if low is None:
+        sections = butter(2, high, "low", fs=_RATE, output="sos")
+    else:
+        sections = butter(2, (low, high), "band", fs=_RATE, output="sos")
+    padded = min(30, len(values) - 1)
+    return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padded))
+
+
+def _likeness(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return lags [s] and how surely two recordings are of the same moments there.
+
+    Fisher's z of the correlation times the root of the seconds in common, -inf where
+    those are too few; the lag is how far into the second the first begins.
+    """
+    lags = np.arange(1 - len(first), len(second)) / _RATE
+    sums, common = np.zeros((3, len(lags))), np.zeros(len(lags))
+    for one, other in zip(first.T, second.T, strict=True):
+        (x, u), (y, v) = _centered(one[::-1]), _centered(other)
+        count = np.maximum(np.round(fftconvolve(v, u)), 1e-9)
+        sum_x, sum_y = fftconvolve(v, x), fftconvolve(y, u)
+        sums[0] += fftconvolve(y, x) - sum_x * sum_y / count
+        sums[1] += np.maximum(fftconvolve(v, x * x) - sum_x**2 / count, 0.0)
+        sums[2] += np.maximum(fftconvolve(y * y, u) - sum_y**2 / count, 0.0)
+        common = np.maximum(common, count / _RATE)
+    scale = np.sqrt(sums[1] * sums[2])
+    known = (common >= _COMMON) & (scale > 1e-9)
+    correlation = np.where(known, sums[0] / np.where(known, scale, 1.0), 0.0)
+    found = np.arctanh(np.clip(correlation, -0.999, 0.999)) * np.sqrt(common)
+    return lags, np.where(known, found, -np.inf)
+
+
+def _centered(values: Array) -> tuple[Array, Array]:
+    known = ~np.isnan(values)
+    mean = values[known].mean() if known.any() else 0.0
+    return np.where(known, values - mean, 0.0), known.astype(float)
+
+
+class _Common:
+    """Joints that two takes have in common."""
+
+    def __init__(self, first: Take, second: Take) -> None:
+        self._tracks = [Track(take.time, take.positions) for take in (first, second)]
+        self._smooth = [_smoothed(take) for take in (first, second)]
+        self._core = _indices(first.skeleton, second.skeleton, _CORE)
+        limbs = [limb + side for limb in _LIMBS for side in ("Left", "Right")]
+        self._all = _indices(first.skeleton, second.skeleton, ("Head", *limbs))
+        self._mirror = np.array(second.skeleton.mirror)
+        seen = ~np.isnan(first.positions[:, self._core[0]]).all(axis=(1, 2))
+        times = np.unique(first.time[seen])
+        self._times = times[:: max(len(times) // _FRAMES, 1)]
+
+    def _others(self, joints: NDArray[np.intp], exchanged: bool) -> NDArray[np.intp]:
+        return np.asarray(self._mirror[joints[1]] if exchanged else joints[1])
+
+    def placed(self, clock: Clock, exchanged: bool) -> tuple[Placement, float, float]:
+        """Return where the second sensor is, what that costs, and the distance [m].
+
+        The cost is that of a frame, robust to joints that are far apart.
+        """
+        others = self._others(self._core, exchanged)
+        seen = self._tracks[0].at(self._times)[:, self._core[0]]
+        there = self._tracks[1].at(clock.at(self._times))[:, others]
+        found = placement(there, seen)
+        away = np.linalg.norm(found.apply(there) - seen, axis=2)
+        costs = np.fmin(np.log1p((away / SIGMA) ** 2), _MOST)
+        return found, float(costs.mean()), float(np.nanmedian(away))
+
+    def refined(
+        self,
+        clock: Clock,
+        placed: Placement,
+        exchanged: bool,
+        times: Array | None = None,
+    ) -> Clock:
+        """Return the clock with the lag that explains the most movement.
+
+        Movement, not places: where sensors have joints differs with the view.
+        """
+        times = self._times if times is None else times
+        others = self._others(self._all, exchanged)
+        seen, there = self._smooth
+        moved = seen.at(times + _STEP) - seen.at(times)
+
+        def away(lag: float) -> Array:
+            stamps = [clock._replace(lag=lag).at(times + late) for late in (0.0, _STEP)]
+            before, after = (there.at(stamp)[:, others] for stamp in stamps)
+            apart = placed.turn_only(after - before) - moved[:, self._all[0]]
+            return np.asarray(np.sum(apart**2, axis=2))
+
+        first, last = clock.lag - _AROUND, clock.lag + _AROUND
+        known = ~np.isnan(away(first) + away(clock.lag) + away(last))
+        if known.sum() < _FEWEST:
+            return clock
+        found = minimize_scalar(
+            lambda lag: np.log1p(np.nan_to_num(away(lag))[known] / _MOVED**2).mean(),
+            bounds=(first, last),
+            method="bounded",
+            options={"xatol": _PRECISION},
+        )
+        return clock._replace(lag=float(found.x))
+
+    def drifting(self, clock: Clock, placed: Placement, exchanged: bool) -> Clock:
+        """Return the clock with its drift, where windows of some seconds tell one."""
+        there = self._tracks[1].at(clock.at(self._times))
+        times = self._times[~np.isnan(there).all(axis=(1, 2))]
+        length = times[-1] - times[0] if len(times) else 0.0
+        count = min(int(length / _WINDOW), _MOST_WINDOWS)
+        if count < _FEWEST_WINDOWS:
+            return clock
+        stamps, rows = self._tracks[0].time, []
+        for begin in np.linspace(times[0], times[-1] - _WINDOW, count):
+            window = stamps[(stamps >= begin) & (stamps < begin + _WINDOW)]
+            lag = self.refined(clock, placed, exchanged, window).lag
+            if lag != clock.lag:
+                rows.append((window.mean() - clock.start, lag))
+        if len(rows) < _FEWEST_WINDOWS:
+            return clock
+        middles, lags = np.array(rows).T
+        slope, lag, low, high = theilslopes(lags, middles, _CONFIDENCE)
+        if low <= 0.0 <= high:
+            return clock
+        return clock._replace(lag=float(lag), drift=float(slope))
+
+
+def _indices(
+    first: Skeleton, second: Skeleton, names: tuple[str, ...]
+) -> NDArray[np.intp]:
+    """Return where joints of some names, the root and the girdle are, (2, N)."""
+    rows = [
+        [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
+        for skeleton in (first, second)
+    ]
+    return np.array(rows)

@@ -1,0 +1,336 @@
+"""Takes that several sensors recorded of the same person at the same time, made one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from kinefilter.characters import InputError, Skeleton, State, Take
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.checks import check_take, selected
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.formats.recording import Recording
+from kinefilter.pipeline.progress import Progress, over, silent
+
+from .alignment import Alignment, align
+from .fusion import Fused, Fusion, Sight
+from .lag import Clock, Track
+from .rigid import Placement
+
+_TURNED, _SHIFTED = np.radians(8.0), 0.25
+"""Angle, and distance [m], by which a sensor may seem to have moved between two takes
+in which people went to and fro. Placements of the same sensor differ by up to 3 degrees
+and 0.1 m in two-kinects (p00 to p08)."""
+_NEAREST = 0.6  # of a frame: others of the same moment are no frames of their own
+_KIND = "kinefilter calibration"
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """What several sensors recorded of a person, as one take."""
+
+    take: Take
+    """At the first sensor's clock and in its frame."""
+    reliability: Array
+    """Mean reliability of the sensors that count, shape (T, J)."""
+    shares: Array
+    """How much of each joint is of which sensor, adding up to 1 or 0, (T, S, J)."""
+    seen: tuple[Array, ...]
+    """Each sensor's joints at the frames of the take, in its frame [m], (T, J, 3)."""
+    alignments: tuple[Alignment, ...]
+    """Of the second sensor, the third and so on."""
+    sources: tuple[str, ...]
+    """Where the takes came from."""
+
+    @property
+    def residuals(self) -> Array:
+        """Distance of each sensor's joints from the merged ones [m], (S, T, J)."""
+        apart = np.stack(self.seen) - self.take.positions
+        return np.asarray(np.linalg.norm(apart, axis=3))
+
+    def figures(self) -> dict[str, Any]:
+        """Return where, when and how much each sensor is, and what is unsure."""
+        facing = np.array([0.0, 0.0, 1.0])
+        rows = []
+        for k, source in enumerate(self.sources):
+            found = self.alignments[k - 1] if k else None
+            turn = found.placed.turn.apply(facing) if found else facing
+            rows.append(
+                {
+                    "source": source,
+                    "lag_seconds": found.clock.lag - found.clock.start
+                    if found
+                    else 0.0,
+                    "drift": found.clock.drift if found else 0.0,
+                    "turned_degrees": float(np.degrees(np.arctan2(turn[0], turn[2]))),
+                    "away_meters": float(np.linalg.norm(found.placed.shift))
+                    if found
+                    else 0.0,
+                    "share": float(self.shares[:, k].mean()),
+                    "apart_meters": float(np.nanmedian(self.residuals[k])),
+                }
+            )
+        return {"frames": len(self.take), "sensors": rows, "notes": list(self.told())}
+
+    def told(self) -> Iterator[str]:
+        """Yield what is unsure, and what to do about it."""
+        for source, found in zip(self.sources[1:], self.alignments, strict=True):
+            if not found.clock_is_sure:
+                yield (
+                    f"{source}: people hardly move, so that its lag is unsure; give a "
+                    "--calibration from another take of the session"
+                )
+            elif not found.place_is_sure:
+                yield (
+                    f"{source}: people stay where they are, so that where the sensor "
+                    "is may be off by 30 degrees; give a --calibration from another "
+                    "take of the session"
+                )
+
+
+def merge(
+    recordings: Sequence[Recording],
+    *,
+    body: int | None = None,
+    calibration: Sequence[Alignment] = (),
+    progress: Progress = silent,
+) -> Merged:
+    """Return one take of a person whom several sensors recorded.
+
+    Args:
+        recordings: What each sensor recorded; the first one's clock and frame are those
+            of the merged take.
+        body: Which person of the first recording, from 1; by default the main one. Of
+            the other recordings it is whoever moves most alike.
+        calibration: Where and when the other sensors are, as far as these takes do not
+            tell it.
+        progress: Wraps the loop over frames, for a progress bar.
+
+    Raises:
+        InputError: Fewer than two takes, or takes that do not belong together.
+    """
+    if len(recordings) < 2:
+        raise InputError("one take given; merge needs one of each sensor")
+    if calibration and len(calibration) != len(recordings) - 1:
+        raise InputError(
+            f"the calibration is of {len(calibration) + 1} sensors, and "
+            f"{len(recordings)} takes are given; give them in its order"
+        )
+    first, score = _scored(recordings[0].take(body))
+    takes, scores, alignments = [first], [score], []
+    for k, recording in enumerate(recordings[1:]):
+        known = calibration[k] if calibration else None
+        take, score, found = _same_person(first, recording, known)
+        takes.append(take)
+        scores.append(score)
+        alignments.append(found)
+    return _fused(takes, scores, alignments, progress)
+
+
+def _scored(take: Take) -> tuple[Take, Array]:
+    """Return a take with gross failures mended, and its reliability (T, J)."""
+    check_take(take)
+    distinct = np.concatenate([[True], np.diff(take.time) > 0])
+    found = (
+        Cleaner(CleanConfig(tilt=0.0))
+        .until("reliability")
+        .whole(selected(take, distinct))
+    )
+    return found.take(), found.reliability
+
+
+def _same_person(
+    first: Take, recording: Recording, known: Alignment | None
+) -> tuple[Take, Array, Alignment]:
+    """Return the person of a recording who moves like that of the first take."""
+    found, refused = [], []
+    for take in recording.takes:
+        try:
+            other, score = _scored(take)
+            found.append((other, score, align(first, other)))
+        except InputError as error:
+            refused.append(error)
+    if found:
+        other, score, alike = max(found, key=lambda one: one[2].common)
+        return other, score, _checked(alike, known, other.source)
+    if known is None or len(recording.takes) > 1:
+        raise refused[0]
+    return *_scored(recording.take()), known
+
+
+def _checked(found: Alignment, known: Alignment | None, source: str) -> Alignment:
+    """Return an alignment, with what a calibration knows better."""
+    if known is None:
+        return found
+    if found.place_is_sure and found.clock_is_sure:
+        angle = (found.placed.turn * known.placed.turn.inv()).magnitude()
+        shift = np.linalg.norm(found.placed.shift - known.placed.shift)
+        if angle > _TURNED or shift > _SHIFTED:
+            raise InputError(
+                f"{source}: its sensor stands {np.degrees(angle):.0f} degrees and "
+                f"{shift:.2f} m away from where the calibration has it; it was moved, "
+                "so leave --calibration out"
+            )
+    clock = found.clock if found.clock_is_sure else known.clock
+    return found._replace(
+        clock=clock, placed=known.placed, likeness=np.inf, path=np.inf
+    )
+
+
+def _fused(
+    takes: Sequence[Take],
+    scores: Sequence[Array],
+    alignments: Sequence[Alignment],
+    progress: Progress,
+) -> Merged:
+    skeleton = max((take.skeleton for take in takes), key=len)
+    time = _frames(takes, alignments)
+    origin = Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3))
+    places = [origin, *((found.clock, found.placed) for found in alignments)]
+    columns = [
+        _at(time, take, score, clock, placed, skeleton)
+        for take, score, (clock, placed) in zip(takes, scores, places, strict=True)
+    ]
+    fusion = Fusion(skeleton, len(takes))
+    elapsed = np.diff(time, prepend=2.0 * time[0] - time[1])
+    found: list[Fused] = []
+    for sweep in ("learn", "merge"):  # where sensors misplace joints is learned first
+        fusion.start()
+        found = [
+            fusion.step([column[k] for column in columns], float(elapsed[k]))
+            for k in over(range(len(time)), sweep, progress)
+        ]
+    positions, state, reliability, shares = (
+        np.array(x) for x in zip(*found, strict=True)
+    )
+    source = " + ".join(take.source for take in takes)
+    return Merged(
+        Take(time, positions, state, skeleton, source),
+        reliability,
+        shares,
+        tuple(_joints(column, skeleton) for column in columns),
+        tuple(alignments),
+        tuple(take.source for take in takes),
+    )
+
+
+def _frames(takes: Sequence[Take], alignments: Sequence[Alignment]) -> Array:
+    """Return the moments of the merged take [s], at the first one's clock.
+
+    Those of the sensor with the most frames, and of the others where it has none.
+    """
+    stamps = [takes[0].time]
+    stamps += [
+        found.clock.undone(take.time)
+        for take, found in zip(takes[1:], alignments, strict=True)
+    ]
+    stamps.sort(key=len, reverse=True)
+    time = stamps[0]
+    least = _NEAREST * float(np.median(np.diff(time)))
+    for others in stamps[1:]:
+        after = np.searchsorted(time, others).clip(1, len(time) - 1)
+        near = np.minimum(
+            np.abs(others - time[after - 1]), np.abs(others - time[after])
+        )
+        time = np.union1d(time, others[near > least])
+    kept = np.concatenate([[True], np.diff(time) > 1e-4])
+    return np.asarray(time[kept])
+
+
+def _at(
+    time: Array,
+    take: Take,
+    score: Array,
+    clock: Clock,
+    placed: Placement,
+    skeleton: Skeleton,
+) -> list[Sight | None]:
+    """Return what a sensor sees at some moments of the first one's clock."""
+    stamps = clock.at(time)
+    positions = placed.apply(Track(take.time, take.positions).at(stamps))
+    row = np.searchsorted(take.time, stamps).clip(1, len(take.time) - 1)
+    row = row - (stamps - take.time[row - 1] < take.time[row] - stamps)
+    joints = _mapped(take.skeleton, skeleton)
+    known = joints >= 0
+    shape = (len(time), len(skeleton))
+    places, trust = np.full((*shape, 3), np.nan), np.zeros(shape)
+    state = np.zeros(shape, dtype=np.uint8)
+    places[:, known] = positions[:, joints[known]]
+    trust[:, known] = score[row][:, joints[known]]
+    state[:, known] = take.state[row][:, joints[known]]
+    state[np.isnan(places[..., 0])] = State.NOT_TRACKED
+    seen = ~np.isnan(places).all(axis=(1, 2))
+    return [
+        Sight(places[k], trust[k], state[k], placed.shift) if seen[k] else None
+        for k in range(len(time))
+    ]
+
+
+def _mapped(given: Skeleton, wanted: Skeleton) -> NDArray[np.intp]:
+    """Return which joint of a skeleton is each of another's, -1 where it has none."""
+    roles = {wanted.joints[wanted.root]: given.root}
+    roles[wanted.joints[wanted.girdle]] = given.girdle
+    roles |= {joint: k for k, joint in enumerate(given.joints)}
+    return np.array([roles.get(joint, -1) for joint in wanted.joints])
+
+
+def _joints(column: Sequence[Sight | None], skeleton: Skeleton) -> Array:
+    nothing = np.full((len(skeleton), 3), np.nan)
+    return np.array([nothing if s is None else s.positions for s in column])
+
+
+def write_calibration(merged: Merged, path: Path) -> None:
+    """Write where and when the sensors are, for other takes of the session (JSON)."""
+    sensors: list[dict[str, Any]] = [{"source": Path(merged.sources[0]).name}]
+    for source, found in zip(merged.sources[1:], merged.alignments, strict=True):
+        sensors.append(
+            {
+                "source": Path(source).name,
+                "lag_seconds": found.clock.lag - found.clock.start,
+                "turn_xyzw": found.placed.turn.as_quat().tolist(),
+                "shift_meters": found.placed.shift.tolist(),
+            }
+        )
+    with atomic_path(path) as temporary:
+        text = json.dumps({"file": _KIND, "sensors": sensors}, indent=2) + "\n"
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read_calibration(path: Path) -> tuple[Alignment, ...]:
+    """Read a calibration; raises InputError for what is none."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if found["file"] != _KIND:
+            raise ValueError(f"not a {_KIND}")
+        alignments = []
+        for sensor in found["sensors"][1:]:
+            turn, shift = (
+                np.array(sensor[key], dtype=float)
+                for key in ("turn_xyzw", "shift_meters")
+            )
+            lag = float(sensor["lag_seconds"])
+            if (
+                turn.shape != (4,)
+                or shift.shape != (3,)
+                or not np.isfinite([*turn, *shift, lag]).all()
+            ):
+                raise ValueError("numbers are missing")
+            placed = Placement(Rotation.from_quat(turn), shift)
+            alignments.append(
+                Alignment(Clock(0.0, lag), placed, np.nan, np.inf, np.inf, 0.0)
+            )
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(
+            f"{path}: not a calibration of 'kinefilter merge --save-calibration' "
+            f"({str(error)[:80]})"
+        ) from None
+    return tuple(alignments)
