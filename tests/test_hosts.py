@@ -155,6 +155,17 @@ def test_c3d_and_usd_are_read_in_bounded_memory(
         guarded.read_guarded("usd_reader:clip_arrays", str(tmp_path / "clip.usdc"))
 
 
+def test_a_file_that_takes_too_long_to_read_is_refused(
+    tmp_path: Path, make_clip: Callable[..., Clip], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_clip(make_clip(), tmp_path / "clip.usdc")
+    for seconds in ("_SECONDS", "_PER_BYTE"):
+        monkeypatch.setattr(guarded, seconds, 0.0)
+    monkeypatch.setattr(guarded, "_LOOK", 0.01)
+    with pytest.raises(InputError, match=r"takes over 0 s to read"):
+        guarded.read_guarded("usd_reader:clip_arrays", str(tmp_path / "clip.usdc"))
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
 def test_names_are_printed_on_consoles_that_lack_their_letters(
     tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch

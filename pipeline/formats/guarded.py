@@ -13,6 +13,8 @@ import os
 import subprocess
 import sys
 from contextlib import suppress
+from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,8 +22,11 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
-_SECONDS = 120.0
-_LOOK = 0.1  # s between looks at its memory
+_SECONDS, _PER_BYTE = 15.0, 2e-6
+"""Processor time [s] for any file, and more for each byte: hundreds of times what whole
+files need. A guess."""
+_PATIENCE = 8.0  # times as long by the clock, on a machine that is busy
+_LOOK = 0.1  # s between looks at its memory and time
 _MEMORY = 2 * 2**30  # bytes, libraries included
 _NAME = "kinefilter.pipeline.formats.guarded"
 _REFUSED = 3  # exit code: the message is on the standard error
@@ -38,20 +43,23 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
 
     own = {"OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
     pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    most = _SECONDS + _PER_BYTE * Path(path).stat().st_size
     with subprocess.Popen(command, env=os.environ | own, **pipes) as reading:
-        for _ in range(round(_SECONDS / _LOOK)):
+        for look in count(1):
             with suppress(subprocess.TimeoutExpired):
                 output, said = reading.communicate(timeout=_LOOK)
                 break
+            used = 0.0
             with suppress(psutil.Error):
-                if psutil.Process(reading.pid).memory_info().rss > _MEMORY:
+                watched = psutil.Process(reading.pid)
+                used = sum(watched.cpu_times()[:2])
+                if watched.memory_info().rss > _MEMORY:
                     reading.kill()
-        else:
-            reading.kill()
-            raise InputError(
-                f"{path}: takes over {_SECONDS:.0f} s to read; it is damaged or too "
-                "long"
-            )
+            if used > most or look * _LOOK > _PATIENCE * most:
+                reading.kill()
+                raise InputError(
+                    f"{path}: takes over {most:.0f} s to read; it is damaged"
+                )
     if reading.returncode == _REFUSED:
         raise InputError(said.decode("utf-8", "replace").splitlines()[-1])
     if reading.returncode != 0:

@@ -75,7 +75,7 @@ class Alignment(NamedTuple):
     @property
     def clock_is_sure(self) -> bool:
         """Whether there is enough movement to tell the lag."""
-        return self.likeness >= _LIKELY
+        return self.likeness >= _LIKELY or self.place_is_sure
 
     @property
     def place_is_sure(self) -> bool:

@@ -1,0 +1,323 @@
+"""One take of what several sensors recorded of a person, by clocks of their own."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from real_data import DATA
+from scipy.spatial.transform import Rotation
+
+from kinefilter import read_take
+from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.formats.recording import Recording
+from kinefilter.pipeline.merge import Fused, Fusion, Sight, align, merge
+from kinefilter.pipeline.merge.rigid import Placement, placement
+from kinefilter.scenes.library import Area, perform, random_body
+from kinefilter.scenes.sensor import SENSORS, in_sensor_frame, observe
+
+Array = NDArray[np.float64]
+_LIMBS = [
+    limb + side
+    for limb in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+    for side in ("Left", "Right")
+]
+_HERE = np.array([0.0, 0.0, 0.0])
+_FRONT = Placement(Rotation.identity(), np.zeros(3))
+
+
+class Session(NamedTuple):
+    """Two simulated takes of a walk, and what is true of them."""
+
+    takes: tuple[Take, Take]
+    truths: tuple[Array, Array]
+    lag: float  # of the second clock at the first one's middle [s]
+    placed: Placement  # from the second sensor's frame to the first's
+
+
+@cache
+def session(
+    seed: int, degrees: float = 90.0, kinds: tuple[str, str] = ("v2", "v2")
+) -> Session:
+    rng = np.random.default_rng(seed)
+    skeletons = {"v1": KINECT_V1, "v2": KINECT_V2}
+    within = Area((-0.7, 0.7), (-0.7, 0.7))
+    offset, drift = 3571.4, 60e-6
+    takes, truths, cameras = [], [], []
+    for k, kind in enumerate(kinds):
+        body = random_body(skeletons[kind], np.random.default_rng(seed))
+        act = perform("walk", body, seed=seed, fps=60.0, within=within)
+        part = act.at(slice(k, None, 2))  # the sensors do not expose at the same time
+        camera = replace(
+            SENSORS[kind],
+            azimuth=np.radians(degrees * k),
+            tilt=rng.uniform(-0.07, 0.07),
+            height=rng.uniform(0.8, 1.2),
+        )
+        seen = observe(part, seed=10 * seed + k, person=seed, sensor=camera)
+        time = seen.time + part.time[0]
+        frames = np.searchsorted(part.time, time - 0.5 / 30.0).clip(max=len(part) - 1)
+        truths.append(in_sensor_frame(part.positions, camera)[frames])
+        cameras.append(camera)
+        if k:
+            time = offset + (1.0 + drift) * time
+        takes.append(replace(seen, time=time, source=f"sensor{k + 1}.csv"))
+    points = rng.normal(size=(30, 3))
+    there, here = (in_sensor_frame(points, camera) for camera in cameras[::-1])
+    middle = takes[0].time.mean()
+    return Session(
+        (takes[0], takes[1]),
+        (truths[0], truths[1]),
+        offset + drift * middle,
+        placement(there, here),
+    )
+
+
+def recorded(*takes: Take) -> list[Recording]:
+    return [Recording((take,), "kinefilter") for take in takes]
+
+
+def error(positions: Array, truth: Array, take: Take) -> float:
+    """Return the mean distance of limb joints from the truth [m], hips taken off."""
+    joints = [take.skeleton.index(joint) for joint in _LIMBS]
+    hips = list(take.skeleton.hips)
+    parts = [p - p[:, hips].mean(axis=1, keepdims=True) for p in (positions, truth)]
+    away = np.linalg.norm((parts[0] - parts[1])[:, joints], axis=2)
+    return float(np.nanmean(away))
+
+
+@pytest.mark.parametrize("degrees", [45.0, 90.0, -90.0, 180.0])
+def test_clock_and_place_are_found_from_a_walk(degrees: float) -> None:
+    """Within a hundredth of a second, a degree and two centimeters."""
+    found = session(3, degrees)
+    first, second = found.takes
+    made = align(first, second)
+    middle = first.time.mean()
+    assert made.clock.at(middle) - middle == pytest.approx(found.lag, abs=0.010)
+    turned = made.placed.turn * found.placed.turn.inv()
+    assert np.degrees(turned.magnitude()) < 1.0
+    body = found.truths[1].reshape(-1, 3)
+    away = made.placed.apply(body) - found.placed.apply(body)
+    assert np.linalg.norm(away.mean(axis=0)) < 0.02
+    assert made.clock_is_sure
+    assert made.place_is_sure
+
+
+def test_merged_walk_is_truer_than_what_either_sensor_saw() -> None:
+    found = session(4)
+    made = merge(recorded(*found.takes))
+    single = [
+        error(take.positions, truth, take)
+        for take, truth in zip(found.takes, found.truths, strict=True)
+    ]
+    frames = np.searchsorted(found.takes[0].time, made.take.time - 1e-6)
+    frames = frames.clip(max=len(found.takes[0]) - 1)
+    there = np.abs(found.takes[0].time[frames] - made.take.time) < 1e-4
+    truth = found.truths[0][frames[there]]
+    merged = error(made.take.positions[there], truth, made.take)
+    assert merged < 0.7 * min(single)
+    np.testing.assert_allclose(made.shares.sum(axis=1), 1.0, atol=1e-9)
+
+
+def test_20_joints_beside_25() -> None:
+    """The merged take has the larger skeleton; what only one has stays that one's."""
+    found = session(5, 60.0, ("v1", "v2"))
+    made = merge(recorded(*found.takes))
+    assert made.take.skeleton == KINECT_V2
+    neck, knee = KINECT_V2.index("Neck"), KINECT_V2.index("KneeLeft")
+    assert (made.shares[:, 0, neck] == 0.0).all()
+    assert 0.0 < made.shares[:, 0, knee].mean() < 1.0
+
+
+def _sight(
+    positions: Array, *, reliability: float = 1.0, sensor: Array = _HERE
+) -> Sight:
+    count = len(positions)
+    state = np.where(np.isnan(positions[:, 0]), State.NOT_TRACKED, State.TRACKED)
+    return Sight(positions, np.full(count, reliability), state.astype(np.uint8), sensor)
+
+
+@cache
+def _walk() -> Array:
+    """Return a walk as the first sensor would see it without errors [m], (T, 25, 3)."""
+    return session(3).truths[0]
+
+
+def _steps(sights: list[list[Sight | None]]) -> list[Fused]:
+    fusion = Fusion(KINECT_V2, len(sights[0]))
+    return [fusion.step(frame, 1.0 / 30.0) for frame in sights]
+
+
+def test_where_sensors_agree_nothing_changes() -> None:
+    walk = _walk()
+    beside = np.array([2.5, 0.0, 2.5])
+    made = _steps([[_sight(p), _sight(p, sensor=beside)] for p in walk])
+    np.testing.assert_allclose([f.positions for f in made], walk, atol=1e-9)
+
+
+def test_a_sensor_that_has_the_sides_exchanged_is_put_right() -> None:
+    """Behind a person, a sensor takes the back for the front."""
+    walk, behind = _walk(), np.array([0.0, 0.0, 6.0])
+    mirrored = walk[:, KINECT_V2.mirror]
+    made = _steps(
+        [
+            [_sight(p), _sight(q, sensor=behind)]
+            for p, q in zip(walk, mirrored, strict=True)
+        ]
+    )
+    np.testing.assert_allclose([f.positions for f in made], walk, atol=1e-9)
+
+
+def test_a_joint_that_one_sensor_sees_stays_that_ones() -> None:
+    walk, hand = _walk(), KINECT_V2.index("HandLeft")
+    hidden = walk.copy()
+    hidden[:, hand] = np.nan
+    made = _steps([[_sight(p), _sight(q)] for p, q in zip(walk, hidden, strict=True)])
+    np.testing.assert_allclose([f.positions for f in made], walk, atol=1e-9)
+    assert {f.shares[0, hand] for f in made} == {1.0}
+    assert all(f.state[hand] == State.TRACKED for f in made)
+
+
+def test_what_no_sensor_sees_stays_missing() -> None:
+    hidden = _walk()[:5].copy()
+    hand = KINECT_V2.index("HandLeft")
+    hidden[:, hand] = np.nan
+    for made in _steps([[_sight(p), None] for p in hidden]):
+        assert np.isnan(made.positions[hand]).all()
+        assert made.state[hand] == State.NOT_TRACKED
+        assert made.reliability[hand] == made.shares[:, hand].sum() == 0.0
+
+
+def test_where_sensors_differ_the_reliable_one_is_followed() -> None:
+    walk, hand = _walk()[:30], KINECT_V2.index("HandLeft")
+    wrong = walk + np.where(np.arange(25) == hand, 0.4, 0.0)[:, None]
+    made = _steps(
+        [
+            [_sight(p), _sight(q, reliability=0.2)]
+            for p, q in zip(walk, wrong, strict=True)
+        ]
+    )
+    away = np.linalg.norm(made[0].positions[hand] - walk[0, hand])
+    assert away < 0.2 / 1.2 * np.linalg.norm([0.4] * 3) / 4  # of the plain mean
+
+
+def test_a_joint_does_not_jump_where_the_other_sensor_takes_over() -> None:
+    """How each sensor misplaces it was learned while both saw it."""
+    walk = np.repeat(_walk()[:1], 120, axis=0)
+    knee = KINECT_V2.index("KneeLeft")
+    shifted = walk.copy()
+    shifted[:, knee] += [0.0, 0.06, 0.0]
+    seen = walk.copy()
+    seen[90:, knee] = np.nan
+    made = _steps([[_sight(p), _sight(q)] for p, q in zip(seen, shifted, strict=True)])
+    path = np.array([f.positions[knee] for f in made])
+    assert np.linalg.norm(path[90] - path[89]) < 0.005
+
+
+def _written(folder: Path, *takes: Take) -> list[str]:
+    paths = []
+    for k, take in enumerate(takes, start=1):
+        path = folder / f"sensor{k}.csv"
+        write_take_csv(take, path)
+        paths.append(str(path))
+    return paths
+
+
+def test_command_writes_a_take_that_reads_back(tmp_path: Path) -> None:
+    found = session(4)
+    paths = _written(tmp_path, *found.takes)
+    out, json_file = tmp_path / "merged.csv", tmp_path / "merged.json"
+    assert main(["merge", *paths, "-o", str(out), "--json", str(json_file)]) == 0
+    take, made = read_take(out), merge(recorded(*map(read_take, paths)))
+    np.testing.assert_allclose(take.positions, made.take.positions, atol=1e-8)
+    np.testing.assert_array_equal(take.state, made.take.state)
+    header = out.read_text().splitlines()[0].split(",")
+    assert header[-2:] == ["ThumbRight.reliability", "ThumbRight.sensor"]
+    sensors = json.loads(json_file.read_text())["sensors"]
+    assert sensors[1]["turned_degrees"] == pytest.approx(-90.0, abs=3.0)
+    assert sum(sensor["share"] for sensor in sensors) == pytest.approx(1.0)
+
+
+def _standing(take: Take) -> Take:
+    """Return the first three seconds of a take as of somebody who stands and nods."""
+    nod = 0.03 * np.sin(take.time[:90] * 5.0)
+    positions = np.repeat(take.positions[:1], 90, axis=0)
+    positions[..., 1] += nod[:, None] * (np.arange(25) % 4 == 0)
+    return replace(
+        take, time=take.time[:90], positions=positions, state=take.state[[0] * 90]
+    )
+
+
+def test_calibration_places_the_sensors_of_somebody_who_stands(tmp_path: Path) -> None:
+    """And is refused where a sensor was moved."""
+    walked, moved = session(4), session(5, 60.0)
+    paths, saved = _written(tmp_path, *walked.takes), tmp_path / "session.json"
+    out = ["-o", str(tmp_path / "merged.csv")]
+    assert main(["merge", *paths, *out, "--save-calibration", str(saved)]) == 0
+    still = map(_standing, walked.takes)
+    paths = _written(tmp_path, *still)
+    assert main(["merge", *paths, *out, "--calibration", str(saved)]) == 0
+    paths = _written(tmp_path, *moved.takes)
+    assert main(["merge", *paths, *out, "--calibration", str(saved)]) == 2
+
+
+def test_takes_that_do_not_belong_together_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, other = session(4).takes, session(6).takes
+    out = tmp_path / "merged.csv"
+    for takes, words in (
+        ([one[0], other[1]], "do not show the same movement"),
+        ([one[0], one[0]], "are the same take"),
+        ([one[0]], "one take given"),
+    ):
+        paths = _written(tmp_path, *takes)
+        assert main(["merge", *paths, "-o", str(out)]) == 2
+        assert words in capsys.readouterr().err.replace("\n", " ")
+        assert not out.exists()
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"file": "kinefilter calibration"}', "{"])
+def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "session.json"
+    path.write_text(text)
+    paths = _written(tmp_path, *session(4).takes)
+    out = tmp_path / "merged.csv"
+    assert main(["merge", *paths, "-o", str(out), "--calibration", str(path)]) == 2
+    assert not out.exists()
+
+
+def test_standing_people_do_not_tell_where_sensors_are() -> None:
+    made = merge(recorded(*map(_standing, session(4).takes)))
+    assert ["unsure" in note or "30 degrees" in note for note in made.told()] == [True]
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs the recordings")
+@pytest.mark.parametrize(
+    ("name", "degrees"), [("p12_90deg_walk", 90.0), ("p16_45deg_steps", 45.0)]
+)
+def test_recorded_session(name: str, degrees: float) -> None:
+    """Two Kinect v2: angle, lag against the recording computer's, and far limbs."""
+    folder = DATA / "two-kinects"
+    side, front = (read_take(next(folder.glob(f"{name}_{s}*.csv.gz"))) for s in "AB")
+    made = merge(recorded(front, side))
+    (found,) = made.alignments
+    turn = found.placed.turn.apply([0.0, 0.0, 1.0])
+    assert np.degrees(np.arctan2(turn[0], turn[2])) == pytest.approx(-degrees, abs=3.0)
+    rows = (folder / f"{name}.sync.csv").read_text().splitlines()[1:]
+    ticks = np.array([row.split(",")[1:3] for row in rows], dtype=float)
+    apart = float(np.mean(ticks[:, 0] - ticks[:, 1]))
+    middle = float(ticks[:, 1].mean())
+    # The second computer's frames arrive 25 ms later in all sessions.
+    assert found.clock.at(middle) - middle == pytest.approx(apart - 0.025, abs=0.02)
+    arm = [KINECT_V2.index(joint) for joint in ("ElbowLeft", "WristLeft")]
+    away = np.nanmedian(made.residuals[:, :, arm], axis=(1, 2))
+    assert away[0] < 0.05 < away[1] + 0.03
