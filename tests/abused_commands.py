@@ -21,7 +21,7 @@ from hostile_files import READERS, damaged, write_valid
 from mutations import gently_mutated
 
 from kinefilter import clean, read_take, write_clip
-from kinefilter.characters import InputError, Take
+from kinefilter.characters import KINECT_V2, InputError, Take, standard_body
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import (
     read_bvh,
@@ -37,6 +37,8 @@ from kinefilter.pipeline.live.playback import frames_of
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget.rig_map import RIGS
+from kinefilter.scenes.library import Area, perform
+from kinefilter.scenes.sensor import Sensor, observe
 
 _DEEPEST = 0.011
 """m under the floor: what contact lets ordinary takes do (README), and rounding."""
@@ -238,6 +240,7 @@ def prepare(folder: Path) -> dict[str, Path]:
     words = [str(folder / "clip.npz"), f"raw={folder / 'take.csv'}"]
     run(["rate", *words, "-o", str(folder / "page.html")])
     _answer(folder)
+    _write_two_views(folder)
     for name in ("layered.usda", "mixamo.bvh", "mixamo.usda"):
         rig = ["--rig", "mixamo"] * ("mixamo" in name)
         run(["clean", str(folder / "take.csv"), "-o", str(folder / name), *rig])
@@ -251,6 +254,18 @@ def _answer(folder: Path) -> None:
     answers = {"page": key["page"], "rater": "ann", "answers": rows}
     (folder / "answers.json").write_text(json.dumps(answers), encoding="utf-8")
     (folder / "page.html").unlink()
+
+
+def _write_two_views(folder: Path) -> None:
+    """Write three seconds of a person before two sensors, and where these are."""
+    body, within = standard_body(KINECT_V2), Area((-1, 1), (-1, 1))
+    act = perform("march", body, seed=1, within=within)
+    paths = [folder / "front.csv", folder / "side.csv"]
+    for path, azimuth in zip(paths, (0.0, 1.5), strict=True):
+        take = observe(act, seed=1, sensor=Sensor(azimuth=azimuth))
+        write_take_csv(part(take, 0, 90), path)
+    saved = ["--save-calibration", str(folder / "calibration.json")]
+    run(["merge", *map(str, paths), "-o", str(folder / "merged.csv"), *saved])
 
 
 def _write_folders(
@@ -296,11 +311,15 @@ _TAKEN = (
     "report {clip.npz} --take {} -o {out}/o.html",
     "replay {} --out udp://127.0.0.1:9 --speed 1000",
 )
+_MERGED = ("merge {} {side.csv} -o {out}/o.csv", "merge {front.csv} {} -o {out}/o.csv")
 _MOCAP = ("info {}", "database build {} -o {out}/o.npz --count 20")
 _CLIP = ("info {}", "report {} --take {take.csv} -o {out}/o.html")
 _TARGET = ("clean {take.csv} -o {out}/o.usda --rig mixamo --target {}",)
 COMMANDS: dict[str, tuple[str, ...]] = {
-    ".csv": _TAKEN,
+    ".csv": (*_TAKEN, *_MERGED),
+    "calibration.json": (
+        "merge {front.csv} {side.csv} -o {out}/o.csv --calibration {}",
+    ),
     ".skeleton": _TAKEN,
     ".json": _TAKEN,
     ".txt": _TAKEN,
