@@ -83,6 +83,7 @@ _USED = {
     "pair files": ("{take.csv}", "{kinect-v2.csv}", "{clip.bvh}", "{points.trc}"),
     "inputs": (*_TAKES, "{valid}"),
     "takes": (*("{front.csv}", "{side.csv}") * 4, *_TAKES),
+    "clean takes": (*_TAKES, *_TAKES, "{front.csv}", "{side.csv}"),
     "calibration": ("{calibration.json}",),
     "file": (*_TAKES, *_CLIPS, "{contacts.csv}", "{database.npz}", "{model.npz}"),
     **dict.fromkeys(("clip", "clips", "reference"), (*_CLIPS, "{take.csv}")),

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from real_data import DATA
 from scipy.spatial.transform import Rotation
 
-from kinefilter import read_take
+from kinefilter import read_clip, read_take
 from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.merge import Fused, Fusion, Sight, align, merge
 from kinefilter.pipeline.merge.rigid import Placement, placement
+from kinefilter.pipeline.target.floor import leveled
 from kinefilter.scenes.library import Area, perform, random_body
 from kinefilter.scenes.sensor import SENSORS, in_sensor_frame, observe
 
@@ -244,6 +245,39 @@ def test_command_writes_a_take_that_reads_back(tmp_path: Path) -> None:
     sensors = json.loads(json_file.read_text())["sensors"]
     assert sensors[1]["turned_degrees"] == pytest.approx(-90.0, abs=3.0)
     assert sum(sensor["share"] for sensor in sensors) == pytest.approx(1.0)
+
+
+def test_clean_makes_one_clip_of_two_sensors(tmp_path: Path) -> None:
+    """It is truer than the clip of either sensor alone."""
+    found = session(9)
+    paths = _written(tmp_path, *found.takes)
+    errors = []
+    for words in ([paths[0]], [paths[1]], paths):
+        out = tmp_path / f"clip{len(errors)}.npz"
+        assert main(["clean", *words, "-o", str(out), "--no-physics"]) == 0
+        clip, first = read_clip(out), words[0] == paths[0]
+        take = found.takes[0 if first else 1]
+        truth = found.truths[0 if first else 1].reshape(len(take), -1)
+        inside = (clip.time >= take.time[0]) & (clip.time <= take.time[-1])
+        there = [np.interp(clip.time[inside], take.time, column) for column in truth.T]
+        truths = np.stack(there, axis=1).reshape(-1, len(take.skeleton), 3)
+        truths = leveled(truths, clip.tilt, clip.roll)
+        errors.append(error(clip.positions[inside], truths, take))
+    assert errors[2] < 0.95 * min(errors[:2]), errors
+
+
+def test_what_only_several_sensors_have_needs_several(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = _written(tmp_path, *session(4).takes)
+    out = ["-o", str(tmp_path / "clip.npz")]
+    for words, said in (
+        ([paths[0], "--calibration", "session.json"], "several sensors"),
+        ([*paths, "--body", "all"], "--body all is for one sensor"),
+        ([], "no take given"),
+    ):
+        assert main(["clean", *words, *out]) == 2
+        assert said in capsys.readouterr().err.replace("\n", " ")
 
 
 def _standing(take: Take) -> Take:

@@ -44,10 +44,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Clean:
-    """Clean a Kinect take and write it as an animation clip."""
+    """Clean a Kinect take and write it as an animation clip.
 
-    take: Positional[Path]
-    """Recording in any of the formats of --format; .gz too."""
+    Takes of the same person by several sensors become one clip; see 'kinefilter merge'.
+    """
+
+    takes: Positional[tuple[Path, ...]]
+    """Recording in any of the formats of --format; .gz too. Of several sensors one of
+    each: the clip has the clock of the first."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Clip to write; the extension decides: .usda .usdc .usd .usdz .bvh .csv
     .npz."""
@@ -58,6 +62,8 @@ class Clean:
     body: int | Literal["all"] | None = None
     """Which person, counted from 1 in order of appearance, or all: a clip each,
     clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
+    calibration: Path | None = None
+    """Where and when several sensors are, as of 'merge --save-calibration'."""
     save_contacts: Path | None = None
     """Also write when which foot stands as a table (CSV), to edit and to use again."""
     report: Path | None = None
@@ -80,9 +86,13 @@ class Clean:
     def _run(self, settings: Settings) -> int:
         from kinefilter.pipeline.summary import as_json
 
-        used = [self.take, self.config_file, *settings.files]
+        if not self.takes:
+            raise InputError("no take given; name a recording")
+        if self.calibration is not None and len(self.takes) == 1:
+            raise InputError("--calibration is for takes of several sensors")
+        used = [*self.takes, self.config_file, self.calibration, *settings.files]
         self._check(used)
-        recording = read_recording(self.take, format=self.format)
+        recording = read_recording(self.takes[0], format=self.format)
         several = len(recording.takes) > 1 and self.body == "all"
         others = (self.json, self.save_contacts, self.report)
         for body in recording.numbers(self.body):
@@ -91,11 +101,14 @@ class Clean:
             paths = part_paths(numbered(self.out, number), len(parts))
             for path, part in zip(paths, parts, strict=True):
                 check_output(path, *used, *others)
-                paced(self.export, self.out.suffix, time[part], str(self.take))
+                paced(self.export, self.out.suffix, time[part], str(self.takes[0]))
             for written in others[1:] if several else ():
                 if written is not None:
                     check_output(numbered(written, number), *used, self.json)
-        results = self._cleaned(recording)
+        if len(self.takes) > 1:
+            recording, results = self._together(recording)
+        else:
+            results = self._cleaned(recording)
         for body, result in results.items():
             self._write(result, recording.take(body), body if several else None)
         figures = {body: as_json(result) for body, result in results.items()}
@@ -142,6 +155,26 @@ class Clean:
                     raise
                 err.print(f"kinefilter: {error}; left out")
         return results
+
+    def _together(self, first: Recording) -> tuple[Recording, dict[int, CleanResult]]:
+        """Return the merged recording of several sensors, and the result."""
+        from kinefilter.pipeline.merge import clean_session, read_calibration
+
+        if self.body == "all":
+            raise InputError(
+                "--body all is for one sensor; choose a person of its take"
+            )
+        recordings = [read_recording(p, format=self.format) for p in self.takes[1:]]
+        with progress_bars() as progress:
+            result, merged = clean_session(
+                [first, *recordings],
+                self.config,
+                body=self.body,
+                calibration=read_calibration(self.calibration),
+                progress=progress,
+            )
+        notes = (*first.notes, *merged.told())
+        return Recording((merged.take,), "merged", notes=notes), {1: result}
 
     def _write(self, result: CleanResult, take: Take, body: int | None) -> None:
         from kinefilter.pipeline.summary import as_tables

@@ -64,7 +64,7 @@ class Merge:
             check_output(
                 path, *self.takes, self.calibration, *written[:k], suffix=suffix
             )
-        known = () if self.calibration is None else read_calibration(self.calibration)
+        known = read_calibration(self.calibration)
         recordings = [read_recording(path, format=self.format) for path in self.takes]
         with progress_bars() as progress:
             merged = merge(

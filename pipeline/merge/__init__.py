@@ -5,6 +5,7 @@ joint is fused of what each sensor saw of it (``fusion``).
 """
 
 from .alignment import Alignment, align
+from .cleaning import clean_session
 from .fusion import Fused, Fusion, Sight
 from .session import Merged, merge, read_calibration, write_calibration
 
@@ -15,6 +16,7 @@ __all__ = [
     "Merged",
     "Sight",
     "align",
+    "clean_session",
     "merge",
     "read_calibration",
     "write_calibration",

@@ -22,7 +22,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.retarget import find_yaw
 
 _FAR = 3.0  # by which the variance of a limb behind the body grows, from the side
-_TURNED = 8.0  # and that of all joints per 90 degrees away from the front
+_TURNED = 4.0  # and that of all joints per 90 degrees away from the front
 _INFERRED = 0.3  # reliability at most of what a sensor only guesses
 _LEAST = 1e-3  # reliability of what a sensor gives at all
 _APART = 0.10  # m between sensors, from which the better one counts twice as clearly

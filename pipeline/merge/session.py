@@ -48,8 +48,15 @@ class Merged:
     """Each sensor's joints at the frames of the take, in its frame [m], (T, J, 3)."""
     alignments: tuple[Alignment, ...]
     """Of the second sensor, the third and so on."""
-    sources: tuple[str, ...]
-    """Where the takes came from."""
+    takes: tuple[Take, ...]
+    """Each sensor's take of the person, with gross failures mended."""
+    scores: tuple[Array, ...]
+    """The reliability of those, (T, J) each."""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Where the takes came from."""
+        return tuple(take.source for take in self.takes)
 
     @property
     def residuals(self) -> Array:
@@ -133,7 +140,7 @@ def merge(
         takes.append(take)
         scores.append(score)
         alignments.append(found)
-    return _fused(takes, scores, alignments, progress)
+    return fuse(takes, scores, alignments, progress)
 
 
 def _scored(take: Take) -> tuple[Take, Array]:
@@ -186,12 +193,20 @@ def _checked(found: Alignment, known: Alignment | None, source: str) -> Alignmen
     )
 
 
-def _fused(
+def fuse(
     takes: Sequence[Take],
     scores: Sequence[Array],
     alignments: Sequence[Alignment],
-    progress: Progress,
+    progress: Progress = silent,
 ) -> Merged:
+    """Return the take that several make, of which it is known when and where they are.
+
+    Args:
+        takes: One of each sensor.
+        scores: Their reliability, (T, J) each.
+        alignments: Of the second take, the third and so on.
+        progress: Wraps the loop over frames, for a progress bar.
+    """
     skeleton = max((take.skeleton for take in takes), key=len)
     time = _frames(takes, alignments)
     origin = Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3))
@@ -219,7 +234,8 @@ def _fused(
         shares,
         tuple(_joints(column, skeleton) for column in columns),
         tuple(alignments),
-        tuple(take.source for take in takes),
+        tuple(takes),
+        tuple(scores),
     )
 
 
@@ -305,8 +321,10 @@ def write_calibration(merged: Merged, path: Path) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def read_calibration(path: Path) -> tuple[Alignment, ...]:
-    """Read a calibration; raises InputError for what is none."""
+def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
+    """Read a calibration, if there is a path; raises InputError for what is none."""
+    if path is None:
+        return ()
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
         if found["file"] != _KIND:

@@ -1,0 +1,89 @@
+"""Cleans what several sensors recorded of a person into one clip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from kinefilter.characters import Origin, Tracking
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.cleaner import Cleaner, CleanResult
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.formats.recording import Recording
+from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.stages import Correct
+from kinefilter.pipeline.target.floor import leveled
+
+from .alignment import Alignment
+from .session import Merged, fuse, merge
+
+
+def clean_session(
+    recordings: Sequence[Recording],
+    config: CleanConfig | None = None,
+    *,
+    body: int | None = None,
+    calibration: Sequence[Alignment] = (),
+    tracking: Tracking | None = None,
+    progress: Progress = silent,
+) -> tuple[CleanResult, Merged]:
+    """Return the clip of a person whom several sensors recorded, and what was merged.
+
+    Each sensor's take is corrected by itself, as methods know what a sensor errs by and
+    from where it looks; what they make of it is fused, and goes through the stages that
+    follow.
+
+    Args:
+        recordings: What each sensor recorded; the first one's clock is the clip's.
+        config: What to do; by default as ``clean`` does.
+        body: Which person of the first recording; see ``merge``.
+        calibration: Where and when the other sensors are; see ``merge``.
+        tracking: How hard the simulated character is pulled.
+        progress: Wraps the frame loops, for a progress bar.
+
+    Raises:
+        InputError: As ``merge`` and ``clean``.
+    """
+    config = CleanConfig() if config is None else config
+    merged = merge(recordings, body=body, calibration=calibration, progress=progress)
+    # The frames stay those of the sensors, in which their alignments hold.
+    corrector = Cleaner(replace(config, tilt=0.0)).until("correct")
+    corrected = []
+    for take in merged.takes:
+        draft = corrector.whole(take, progress)
+        places = np.where(draft.missing[..., None], np.nan, draft.positions)
+        corrected.append(replace(take, positions=places))
+    fused = fuse(corrected, merged.scores, merged.alignments, progress)
+    cleaner = Cleaner(config, tracking=tracking)
+    names = {stage.name for stage in cleaner.stages}
+    given = _Corrected(config, fused.take.positions)
+    # A person who turns away from one sensor is no failure of all.
+    cleaner = cleaner.replaced(given).without(*({"failures"} & names))
+    return cleaner.clean(merged.take, progress=progress), merged
+
+
+class _Corrected(Correct):
+    """Puts joints where they were corrected already.
+
+    Args:
+        config: The settings; the method is not asked again.
+        places: Corrected joints [m], the take's frame, NaN where none is, (T, J, 3).
+    """
+
+    in_parts = False
+
+    def __init__(self, config: CleanConfig, places: Array) -> None:
+        super().__init__(replace(config, method="none", model=None, preset=None))
+        self._places = places
+
+    def whole(self, draft: Draft, progress: Progress) -> None:
+        """Put the joints of a take there."""
+        missing = draft.missing
+        super().whole(draft, progress)
+        places = leveled(self._places, draft.turn.tilt, draft.turn.roll)
+        known = ~np.isnan(places[..., :1])
+        draft.positions = np.where(known, places, draft.positions)
+        draft.origin[known[..., 0] & ~missing] = Origin.CORRECTED
