@@ -45,6 +45,7 @@ from kinefilter.scenes.sensor.depth_image import (
     with_noise,
 )
 from kinefilter.scenes.sensor.depth_tracker import behind, constants_of, propose
+from kinefilter.scenes.sensor.ray_casting import PosedBody
 
 from .database_build import mocap_postures
 
@@ -138,7 +139,7 @@ def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
     root[:, [0, 2]] = rng.normal(0.0, 0.3, (len(rotations), 2))
     positions = positions_from_rotations(rotations, root, body)
     positions[..., 1] -= (positions[..., 1] - body.radii).min(axis=1)[:, None]
-    camera = DepthCamera(body, SENSORS["v2"])
+    camera = DepthCamera(PosedBody(body), SENSORS["v2"])
     for joints, turn in zip(positions, rotations, strict=True):
         height, distance = rng.uniform(0.6, 1.6), rng.uniform(2.0, 3.6)
         camera.look_from(

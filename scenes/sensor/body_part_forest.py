@@ -59,7 +59,10 @@ def depth_differences(
 
 @dataclass(frozen=True, eq=False)
 class BodyPartForest:
-    """Trees of one after the other, their nodes in one list."""
+    """A random forest that tells body parts apart, as flat arrays.
+
+    The nodes of all trees are numbered through, tree by tree, and so are the leaves.
+    """
 
     offsets: NDArray[np.float32]
     """u and v of each feature [m across the view], (F, 2, 2)."""

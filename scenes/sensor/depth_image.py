@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -57,23 +56,12 @@ class DepthCamera:
     """A sensor before a body in a scene.
 
     Args:
-        body: Whose segments are put where a motion has them.
+        posed: The body, and what is around it.
         sensor: Where it stands, and what its lens and range allow.
-        scene: The room and its props, z up as MuJoCo has it; by default a bare floor.
-        moving: Names of the props that move.
-
-    Raises:
-        InputError: A moving prop is no body of the scene, not a child of its world.
     """
 
-    def __init__(
-        self,
-        body: Body,
-        sensor: Sensor,
-        scene: mujoco.MjSpec | None = None,
-        moving: tuple[str, ...] = (),
-    ) -> None:
-        self._posed = PosedBody(body, scene, moving)
+    def __init__(self, posed: PosedBody, sensor: Sensor) -> None:
+        self._posed = posed
         self.look_from(sensor)
 
     def look_from(self, sensor: Sensor) -> None:

@@ -24,7 +24,7 @@ from kinefilter.characters.arrays import Array
 from .body_part_forest import BodyPartForest, parts_of_joints, shipped_forest
 from .depth_image import DepthCamera, DepthImage, with_noise
 from .geometry import Sensor
-from .ray_casting import check_prop_poses
+from .ray_casting import PosedBody, check_prop_poses
 
 _DRAWN = 64  # points of skin that stand for a body part
 _STARTS = 8  # of them from which mean shift starts
@@ -122,7 +122,7 @@ def found_in_depth(
     forest, skeleton = forest or shipped_forest(), motion.skeleton
     prop_poses = prop_poses or {}
     check_prop_poses(motion, prop_poses)
-    camera = DepthCamera(motion.body, sensor, scene, tuple(prop_poses))
+    camera = DepthCamera(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
     push, least = constants_of(forest, skeleton)
     positions = np.full(motion.positions.shape, np.nan)
     state = np.full(positions.shape[:2], State.NOT_TRACKED, dtype=np.uint8)
