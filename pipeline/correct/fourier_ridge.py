@@ -13,8 +13,8 @@ as other people. Simulated people teach as well and share an effect of their own
 their sensor is not quite a Kinect.
 
 Limbs on the far side of the body are corrected to what a second sensor, in front, saw
-of people whom the first one saw from aside. A person whom the model learned from gets
-what that person alone has as well, if it is said who it is.
+of people whom the first one saw from the side. A person whom the model learned from
+gets what that person alone has as well, if it is said who it is.
 
 Where nothing like a posture was learned, correction fades to nothing.
 """
@@ -49,10 +49,10 @@ _WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned
 _FAR, _NEAR = 0.4, 0.8
 # Seconds over which likeness is averaged: for what moves, the far side, the constant.
 _LATELY, _CALM, _CONSTANT = 0.5, 3.0, 10.0
-# Sine of the view's angle from which on people beside a sensor count, and at which they
-# alone do. Chosen by leaving one of fourteen people out.
-_ASIDE, _BESIDE = 0.2, 0.6
-_TURN = 1.0  # s over which the view's angle is averaged
+# Sine of the view angle up to which a view is frontal, and from which on it is fully
+# off-frontal. Chosen by leaving one of fourteen people out.
+_FRONTAL, _OFF_FRONTAL = 0.2, 0.6
+_TURN = 1.0  # s over which the view angle is averaged
 
 _CHUNK = 2048  # frames at a time: features are many times the positions
 
@@ -261,13 +261,13 @@ class FourierRidge(LearnedCorrector):
     def _moved(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures, moved as far as their like was learned from."""
         side = found.toward[..., :1] * self._described.sides
-        aside = _asideness(side, found.lately)
-        beside = np.where(side < 0.0, aside, 0.0)
+        off_frontal = _off_frontal_share(side, found.lately)
+        beside = np.where(side < 0.0, off_frontal, 0.0)
         share = _ramp(found.alike, self._strange, self._known)
         if self._person is None:
             share = np.where(self._wrists, _WRISTS_TAKEN * share, share)
         offsets = found.lasting[..., None] * found.constant
-        offsets = offsets + (share * (1.0 - aside))[..., None] * found.moving
+        offsets = offsets + (share * (1.0 - off_frontal))[..., None] * found.moving
         offsets = offsets + beside[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets[..., self._described.follows, :]
@@ -310,15 +310,23 @@ class _Offsets(NamedTuple):
 
 
 def _share_of_constant(likeness: Array, toward: Array) -> Array:
-    """Return it by likeness (..., 2): who is seen from aside is placed otherwise."""
-    aside = _asideness(toward[..., :1], likeness)
-    return _ramp(likeness[..., :1], _FAR, _NEAR) * (1.0 - aside)
+    """Return the share of the constant offset, by likeness (..., 2).
+
+    The sensor misplaces the joints of who is seen from the side in another way.
+    """
+    off_frontal = _off_frontal_share(toward[..., :1], likeness)
+    return _ramp(likeness[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)
 
 
-def _asideness(sine: Array, likeness: Array) -> Array:
-    """Return how far people beside a sensor count, by the sine of the view's angle."""
-    aside = _ramp(np.abs(sine), _ASIDE, _BESIDE)
-    return aside * _ramp(likeness[..., 1:], _FAR, _NEAR)
+def _off_frontal_share(sine: Array, likeness: Array) -> Array:
+    """Return how far a view counts as off-frontal, 0 to 1.
+
+    Args:
+        sine: Of the view angle, 0 where the person faces the sensor.
+        likeness: As ``_Offsets.lately``: no view counts that nothing was learned from.
+    """
+    off_frontal = _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL)
+    return off_frontal * _ramp(likeness[..., 1:], _FAR, _NEAR)
 
 
 def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:
