@@ -1,4 +1,4 @@
-"""The commands of the lab: ``evaluate``, ``reproduce``, ``simulate`` and ``bench``."""
+"""Commands that measure: ``evaluate``, ``reproduce``, ``simulate`` and ``bench``."""
 
 from __future__ import annotations
 
@@ -9,10 +9,17 @@ from typing import Annotated, Literal, get_args
 from tyro.conf import Positional, arg
 
 from kinefilter.characters import InputError, State
+from kinefilter.pipeline.commands.terminal import (
+    Skeletons,
+    check_output,
+    out,
+    progress_bars,
+    write_json,
+)
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import write_take_csv
 
-from .terminal import Skeletons, check_output, clips_of, out, progress_bars, write_json
+from .inputs import clips_of
 
 _METHODS = (
     "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,exemplar,"

@@ -10,21 +10,20 @@ from typing import Annotated
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from kinefilter.characters import SKELETONS, InputError
+from kinefilter.pipeline.commands.terminal import (
+    Skeletons,
+    check_output,
+    err,
+    out,
+    progress_bars,
+    write_json,
+)
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.methods import LEARNED, LearnedName
 from kinefilter.pipeline.presets import PresetName
 
-from .terminal import (
-    Skeletons,
-    check_output,
-    clips_of,
-    err,
-    in_folders,
-    out,
-    progress_bars,
-    write_json,
-)
+from .inputs import clips_of, in_folders
 
 _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".trc", ".npz")
 
