@@ -296,11 +296,7 @@ def read_contacts(path: AnyPath, time: Array) -> NDArray[np.bool_]:
     gets the last row at or before it: a file may have a row per frame, or one per
     change. Raises InputError if it is missing, no such table, or of another time.
     """
-    if os.fspath(path).lower().endswith(".npz"):
-        clip = read_npz(path)
-        stamps, flags = clip.time, clip.contacts
-    else:
-        stamps, flags = contact_table(path)
+    stamps, flags = contact_table(path)
     if stamps[0] > time[-1] + _ROUNDED or (len(stamps) > 1 and stamps[-1] < time[0]):
         raise InputError(
             f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, are "
