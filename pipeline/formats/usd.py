@@ -110,9 +110,7 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
                 package = Sdf.ZipFileWriter.CreateNew(str(temporary))
                 package.AddFile(str(layer), layer.name)
                 package.Save()
-                if not is_zipfile(
-                    temporary
-                ):  # where a disk was full, it does not say so
+                if not is_zipfile(temporary):  # it does not say that a disk is full
                     raise OSError(ENOSPC, os.strerror(ENOSPC))
     except Tf.ErrorException as error:
         raise InputError(
