@@ -10,7 +10,7 @@ beside marker mocap, whom the corrector had not learned from
 from __future__ import annotations
 
 import tomllib
-from importlib import resources
+from pathlib import Path
 
 import numpy as np
 
@@ -40,7 +40,7 @@ def uncertainty(draft: Draft) -> Array:
     the hips: some 70 % of coordinates are nearer to the truth than this, and 93 % than
     twice as much.
     """
-    path = resources.files("kinefilter.pipeline.embedded") / "uncertainty.toml"
+    path = Path(__file__).with_name("embedded") / "uncertainty.toml"
     weights = tomllib.loads(path.read_text("utf-8"))
     found = np.exp(log_uncertainty(weights, *describe(draft)))
     found = np.clip(found, _LEAST, _MOST)

@@ -22,8 +22,7 @@ from scipy.special import expit
 from kinefilter.characters import STANDARD_HEIGHT, InputError, Skeleton, State, Term
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import unit
-from kinefilter.pipeline.formats import atomic_path
-from kinefilter.pipeline.formats.npz import read_arrays
+from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import Reference, measure_reference
@@ -75,8 +74,7 @@ class ClueWeights:
         """Write as npz, one row for each kind of joint."""
         kinds, first = np.unique(_kinds(self.skeleton), return_index=True)
         arrays = {key: getattr(self, key)[first].astype(np.float32) for key in _ARRAYS}
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, kinds=kinds, **arrays)
+        write_arrays(path, {"kinds": kinds, **arrays})
 
     @classmethod
     def load(cls, path: Path, skeleton: Skeleton) -> Self:
