@@ -32,6 +32,11 @@ def read_only(array: NDArray[Number]) -> NDArray[Number]:
     return view
 
 
+def chunks(count: int, size: int) -> list[slice]:
+    """Return slices of ``size`` frames each, to bound the memory of what follows."""
+    return [slice(start, start + size) for start in range(0, count, size)]
+
+
 def shown(value: object) -> str:
     """Return the beginning of what a value looks like, for messages."""
     try:

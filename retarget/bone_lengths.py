@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import Body, InputError
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
@@ -58,8 +58,7 @@ class BoneLengths:
         if not np.isfinite(positions).all():
             raise InputError("positions are not finite; fill missing joints")
         projected = positions.copy()
-        for first in range(0, len(positions), _CHUNK):
-            chunk = slice(first, first + _CHUNK)
+        for chunk in chunks(len(positions), _CHUNK):
             projected[chunk] = self._project(positions[chunk], firmness[chunk])
         return projected
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.retarget.body_size import chain_matrix
 from kinefilter.retarget.hands import Hands
 
@@ -206,8 +206,7 @@ class FourierRidge(LearnedCorrector):
         found = np.empty((2, *points.shape))
         likeness, alike = np.empty((count, 2)), np.empty(points.shape[:2])
         toward = direction_to(take.sensor, count)
-        for k in range(0, count, _CHUNK):
-            some = slice(k, k + _CHUNK)
+        for some in chunks(count, _CHUNK):
             features = self._described(
                 points[some], points, take.time[some], take.time, toward[some]
             )

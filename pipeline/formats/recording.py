@@ -30,7 +30,7 @@ _COARSEST = 1e-4  # s: a hundredth of a frame of 100 a second
 _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
 FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
-_FRAMES_AT_ONCE = 1000  # about a megabyte of text
+FRAMES_AT_ONCE = 1000  # that are written: about a megabyte of text
 _AWAY, _NEAR = 2.0, 0.5
 """A body that is new within this time [s] and distance [m] of where another was lost,
 the mean of the joints compared, is the same: half a stride. Guesses."""
@@ -68,12 +68,6 @@ class Recording:
                 f"{len(self.takes)}; 'kinefilter info' lists them"
             )
         return self.takes[body - 1]
-
-
-def chunks(frames: int) -> Iterator[slice]:
-    """Yield a thousand frames after the other, to bound the memory of what follows."""
-    for start in range(0, frames, _FRAMES_AT_ONCE):
-        yield slice(start, start + _FRAMES_AT_ONCE)
 
 
 def numbered(path: _Path, body: int | None) -> _Path:

@@ -24,16 +24,16 @@ from kinefilter.characters import (
     State,
     Take,
 )
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 
 from .files import AnyPath, beginning, new_text, open_text
 from .npz import read_npz
 from .recording import (
+    FRAMES_AT_ONCE,
     MOST_FRAMES,
     Recording,
     check_length,
     check_order,
-    chunks,
     missing_marked,
     open_rows,
     recording_of,
@@ -73,7 +73,7 @@ def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
     with new_text(path) as file:
         file.write(take_header(motion.skeleton))
-        for some in chunks(len(motion)):
+        for some in chunks(len(motion), FRAMES_AT_ONCE):
             rows = take_rows(motion.time[some], motion.positions[some], state[some])
             file.write(rows)
 

@@ -46,14 +46,14 @@ from zipfile import is_zipfile
 import numpy as np
 
 from kinefilter.characters import Clip, InputError
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
 
 from .export import Export
 from .files import atomic_path
-from .recording import chunks
+from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion, rig_of
 from .usd_character import (
     ANIMATION,
@@ -192,7 +192,7 @@ def _write_animation(
     binding.CreateAnimationSourceRel().SetTargets([ANIMATION])
     rest = export.points(rig.at_rest[0])
     last = rig.local_rotations(moved.rotations[:1])
-    for some in chunks(len(codes)):
+    for some in chunks(len(codes), FRAMES_AT_ONCE):
         local = rig.local_rotations(moved.rotations[some])
         wxyz = continuous(np.concatenate([last, local]))[1:]
         last = wxyz[-1:]
@@ -219,7 +219,7 @@ def _write_extents(
         segments, parents = clip.skeleton.segments, clip.skeleton.segment_parents
         np.maximum.at(own, parents, margins[segments])
         margins = own[:, None] / export.meters_per_unit
-    for some in chunks(len(clip)):
+    for some in chunks(len(clip), FRAMES_AT_ONCE):
         points = export.points(moved.positions[some])
         joints[some, 0], joints[some, 1] = points.min(axis=1), points.max(axis=1)
         skin[some, 0] = (points - margins).min(axis=1)

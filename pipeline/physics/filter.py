@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Prop, Shape, ShapeKind, positions_from_rotations
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import continuous
@@ -195,8 +195,7 @@ class PhysicsFilter(PulledCharacter):
             things.record(k)
         result = continuous(result)
         joints = np.empty_like(positions)
-        for k in range(0, count, _CHUNK):
-            some = slice(k, k + _CHUNK)
+        for some in chunks(count, _CHUNK):
             joints[some] = positions_from_rotations(
                 result[some], roots[some], self.body
             )

@@ -7,6 +7,7 @@ has little weight (Eilers 2003, A perfect smoother, Anal. Chem. 75).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from kinefilter.characters.arrays import Array
 
+_THIRD = (-1.0, 3.0, -3.0, 1.0)
 _ORDER = 3
 # Of smooth_by_speed, chosen on simulated takes and three of six recorded people.
 _SLOWEST_CUTOFF = 0.7  # Hz, of a joint at rest
@@ -138,7 +140,7 @@ def _solve(
 ) -> Array:
     """Return the smoothed path of one joint on the even grid, shape (length, C)."""
     length = len(stiffness) + _ORDER
-    system = _penalty(stiffness)
+    system = penalty(stiffness, _THIRD)
     system[0, grid] += weights
     right = np.zeros((length, values.shape[1]))
     right[grid] = weights[:, None] * values
@@ -151,12 +153,14 @@ def _frames(steps: Array) -> NDArray[np.intp]:
     return np.clip(frames, 1, _LONGEST_GAP).astype(np.intp)
 
 
-def _penalty(stiffness: Array) -> Array:
-    """Return the lower bands of D'LD, D the third-difference matrix, (4, length)."""
-    row = np.array([-1.0, 3.0, -3.0, 1.0])
-    rows = len(stiffness)
-    bands = np.zeros((_ORDER + 1, rows + _ORDER))
-    for a in range(_ORDER + 1):
+def penalty(stiffness: Array, difference: Sequence[float]) -> Array:
+    """Return the lower bands of D'LD, shape (order + 1, rows + order).
+
+    D takes differences of some order, each of which has its stiffness, shape (rows,).
+    """
+    order, rows = len(difference) - 1, len(stiffness)
+    bands = np.zeros((order + 1, rows + order))
+    for a in range(order + 1):
         for b in range(a + 1):
-            bands[a - b, b : b + rows] += row[a] * row[b] * stiffness
+            bands[a - b, b : b + rows] += difference[a] * difference[b] * stiffness
     return bands

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Motion, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.rotations import IDENTITY
 
 from .geometry import Sensor, in_world_frame, sensor_axes
@@ -77,10 +77,9 @@ def look(
     check_prop_poses(motion, prop_poses)
     scanner = _Scanner(motion.body, sensor, scene, tuple(prop_poses))
     moving = [np.asarray(poses, float) for poses in prop_poses.values()]
-    chunks = [slice(k, k + _CHUNK) for k in range(0, len(motion), _CHUNK)]
     parts = [
         scanner.scan(motion.positions[c], motion.rotations[c], [p[c] for p in moving])
-        for c in chunks
+        for c in chunks(len(motion), _CHUNK)
     ]
     return Sight(
         *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sight))
