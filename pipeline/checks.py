@@ -60,14 +60,3 @@ def _check_memory(take: Take) -> None:
             f"{needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free; cut "
             "the take into parts"
         )
-
-
-def selected(take: Take, kept: NDArray[np.bool_]) -> Take:
-    """Return the frames (T,) of a take that are kept."""
-    return Take(
-        take.time[kept],
-        take.positions[kept],
-        take.state[kept],
-        take.skeleton,
-        take.source,
-    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -193,8 +192,6 @@ def contents_of_take(take: Take) -> dict[str, Any]:
     """Return what is in a take: time, states of parts of the body, failures."""
     lacks = take.state == State.NOT_TRACKED
     moving = np.concatenate([[True], np.diff(take.time) > 0])
-    names = ("time", "positions", "state")
-    distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
@@ -202,7 +199,7 @@ def contents_of_take(take: Take) -> dict[str, Any]:
         "frames_without_anyone": int(np.sum(lacks.all(axis=1))),
         "joints_never_seen": np.array(take.skeleton.joints)[lacks.all(axis=0)].tolist(),
         "states": _states(take),
-        "failures": failures_as_json(find_failures(distinct)),
+        "failures": failures_as_json(find_failures(take.at(moving))),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
@@ -170,17 +170,6 @@ def check_rate(time: Array, source: str) -> None:
         raise InputError(
             f"{source}: numbers near the time stamp {latest:.4g} s are "
             f"{np.spacing(abs(latest)):.2g} s apart; subtract the first from all"
-        )
-
-
-def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
-    """Raise InputError where time stamps [s] (T,) go backwards."""
-    backwards = np.flatnonzero(np.diff(time) < 0)
-    if len(backwards):
-        k = int(backwards[0]) + 1
-        raise InputError(
-            f"{where(k)} goes backwards ({time[k - 1]:.4f} s, then {time[k]:.4f} s); "
-            f"sort the {what} by time or cut the take there"
         )
 
 

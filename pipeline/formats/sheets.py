@@ -25,6 +25,7 @@ from kinefilter.characters import (
     Take,
 )
 from kinefilter.characters.arrays import Array, chunks
+from kinefilter.characters.motion import check_order
 
 from .files import AnyPath, beginning, new_text, open_text
 from .npz import read_npz
@@ -33,7 +34,6 @@ from .recording import (
     MOST_FRAMES,
     Recording,
     check_length,
-    check_order,
     missing_marked,
     open_rows,
     recording_of,
