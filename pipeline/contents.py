@@ -31,6 +31,7 @@ from .formats import Recording, read_recording
 from .formats.files import check_file
 from .formats.mocap import RIGS, kinect_motion, read_mocap
 from .formats.npz import array_names, read_npz
+from .formats.plain import counted
 from .formats.recording import Mocap
 from .formats.sheets import claims_contacts, contact_table
 from .formats.usd_reader import usd_contents
@@ -274,7 +275,7 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
     if "failures" in facts:
         found = [(f["part"], f["kind"].replace("_", " ")) for f in facts["failures"]]
         lines += [
-            f"  tracker failure: {part} {kind}, {count} time{'s' * (count > 1)}"
+            f"  tracker failure: {part} {kind}, {counted(count, 'time')}"
             for (part, kind), count in Counter(found).items()
         ] or ["  no tracker failure found"]
     return lines

@@ -17,6 +17,7 @@ from kinefilter.characters.arrays import Array, shown
 from kinefilter.characters.motion import nominal_step
 
 from .files import open_text
+from .plain import counted
 
 _Path = TypeVar("_Path", bound=PurePath)
 
@@ -137,8 +138,8 @@ def check_length(frames: int, source: str) -> None:
     """Raise InputError for fewer than two frames or more than any recording's."""
     if frames < 2:
         raise InputError(
-            f"{source}: has {frames} frame{'s' * (frames != 1)}, "
-            "expected at least 2; record a longer take"
+            f"{source}: has {counted(frames, 'frame')}, expected at least 2; record a "
+            "longer take"
         )
     if frames > MOST_FRAMES:
         raise InputError(

@@ -20,6 +20,7 @@ from kinefilter.pipeline.commands.terminal import (
 )
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.methods import LEARNED, LearnedName
 from kinefilter.pipeline.presets import PresetName
 
@@ -69,8 +70,8 @@ class Pair:
 
         if len(self.files) < 2 or len(self.files) % 2:
             raise InputError(
-                f"{len(self.files)} file{'s' * (len(self.files) != 1)} given; give "
-                "takes, and after each its mocap: TAKE MOCAP TAKE MOCAP ..."
+                f"{counted(len(self.files), 'file')} given; give takes, and after each "
+                "its mocap: TAKE MOCAP TAKE MOCAP ..."
             )
         if not 0.0 <= self.least <= 1.0:
             raise InputError(f"--least {self.least:g}: expected a share, 0 to 1")

@@ -18,6 +18,7 @@ from kinefilter.pipeline.commands.terminal import (
 )
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.formats.plain import counted
 
 from .inputs import clips_of
 
@@ -345,7 +346,7 @@ class Simulate:
         if self.pairs is not None:
             lab.write_pairs([pair], self.pairs)
         tracked = (pair.take.state == State.TRACKED).mean()
-        frames = f"{len(pair.take)} frame{'s' * (len(pair.take) != 1)}"
+        frames = counted(len(pair.take), "frame")
         out.print(f"wrote {self.out}: {frames}, {tracked:.0%} tracked")
         return 0
 
