@@ -23,9 +23,6 @@ from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 
 Singles = NDArray[np.float32]
 
-FILTERED_POSTURES = 2574
-"""Postures that the threshold rule leaves (Shum 2013, table V)."""
-
 _ARRAYS = ("positions", "rotations", "labels")
 _LARGEST = 10.0  # of coordinates [m] and of quaternions: beyond, one is damaged
 _BLOCK = 128  # postures: fewer fit tighter boxes, more cost fewer calls. Timed.
