@@ -15,19 +15,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import (
-    Body,
-    Clip,
-    InputError,
-    Take,
-    Tracking,
-)
-from kinefilter.characters.arrays import (
-    Array,
-    as_number,
-    check_kind,
-    check_word,
-)
+from kinefilter.characters import Body, Clip, InputError, Take, Tracking
+from kinefilter.characters.arrays import Array, as_number, check_kind, check_word
 from kinefilter.characters.gaps import long_gaps, parts_of, told_gaps
 from kinefilter.characters.motion import LATEST
 

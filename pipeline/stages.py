@@ -13,12 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from kinefilter.characters import (
-    Body,
-    Origin,
-    Skeleton,
-    Tracking,
-)
+from kinefilter.characters import Body, Origin, Skeleton, Tracking
 from kinefilter.characters.arrays import Array, chunks
 from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
 

@@ -16,12 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, as_number, as_numbers
-from kinefilter.characters.humanoid import (
-    PULLS,
-    build_humanoid,
-    from_mujoco,
-    to_mujoco,
-)
+from kinefilter.characters.humanoid import PULLS, build_humanoid, from_mujoco, to_mujoco
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
 from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, sunk

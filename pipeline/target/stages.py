@@ -31,14 +31,7 @@ from .feet import (
     flat_height,
     plant_feet,
 )
-from .floor import (
-    clearances,
-    floor_height,
-    leveled,
-    put_on_floor,
-    sensor_tilt,
-    sunk,
-)
+from .floor import clearances, floor_height, leveled, put_on_floor, sensor_tilt, sunk
 from .smooth import smooth, smooth_by_speed
 from .upright import Turn, find_turn
 
