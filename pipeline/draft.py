@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Prop, Skeleton, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.gaps import parts_of
 from kinefilter.retarget import HeadingFrame
 
@@ -55,7 +55,7 @@ class Draft:
     """Reliability without the tracking state, shape (J,)."""
     deciding_term: NDArray[np.uint8] = field(init=False)
     """The reliability term that decided (Term), shape (J,)."""
-    hidden: NDArray[np.bool_] | None = None
+    hidden: Flags | None = None
     """Which joints the sensor did not see, or only guessed, and ``filled`` holds from
     their own motion, shape (J,); None where nobody reconstructs them."""
     filled: Array = field(init=False)
@@ -78,9 +78,9 @@ class Draft:
     twist: NDArray[Any] | None = None
     """World segment rotations of similar postures, wxyz, shape (J, 4), to take the
     twist from; None where the method knows none."""
-    stands: NDArray[np.bool_] = field(init=False)
+    stands: Flags = field(init=False)
     """Whether each foot (left, right) stands, shape (2,)."""
-    contacts: NDArray[np.bool_] = field(init=False)
+    contacts: Flags = field(init=False)
     """Which parts of the feet stand (CONTACTS), shape (4,); takes only."""
     turn: Turn = field(default_factory=Turn)
     """How the sensor's frame was turned upright, ``measured`` with it."""
@@ -148,7 +148,7 @@ class Draft:
         self.failures = tuple(failures)
 
     @property
-    def missing(self) -> NDArray[np.bool_]:
+    def missing(self) -> Flags:
         """Whether a joint was not measured, shape (J,)."""
         return np.asarray(np.isnan(self.measured[..., 0]))
 

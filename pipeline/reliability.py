@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import unit
 from kinefilter.retarget import measured_body
 
@@ -155,7 +155,7 @@ def column_medians(values: Array) -> Array:
     return medians
 
 
-def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
+def _in_reference_posture(take: Take) -> Flags:
     """Tell the frames in T-pose or standing: legs and arms straight, trunk upright."""
     skeleton = take.skeleton
     trunk = take.positions[:, skeleton.girdle] - take.positions[:, skeleton.root]

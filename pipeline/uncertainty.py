@@ -85,11 +85,7 @@ def describe(draft: Draft) -> tuple[Array, Array, Flags]:
     hidden = hidden[:, joints]
     known = np.nan_to_num(np.asarray(draft.coverage, dtype=float))[:, None]
     strange = np.broadcast_to(np.minimum(1.0 - known, _STRANGEST), speed.shape)
-    seen = [
-        np.log(speed + 0.05),
-        1.0 - draft.geometry[:, joints],
-        strange,
-    ]
+    seen = [np.log(speed + 0.05), 1.0 - draft.geometry[:, joints], strange]
     gone = np.full((*speed.shape, len(HIDDEN)), np.nan)
     gone[..., -1] = strange
     for k in np.flatnonzero(hidden.any(axis=0) & ~hidden.all(axis=0)):

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array, Flags, chunks
+from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.retarget.body_size import chain_matrix
 from kinefilter.retarget.hands import Hands
 
@@ -81,7 +81,7 @@ class FourierRidge(LearnedCorrector):
     offset_: Floats
     bones_: Floats
     centers_: Floats
-    seed_: NDArray[np.intp]
+    seed_: Indices
     arm_centers_: Floats
     leg_centers_: Floats
     trunk_centers_: Floats

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, Indices
 
 from .random_features import Floats, values_at
 
@@ -35,9 +34,9 @@ REACH = 2.0 * _APART
 class Part(NamedTuple):
     """An arm or a leg, by the left one, or the trunk."""
 
-    joints: NDArray[np.intp]
+    joints: Indices
     """Which of the known joints they are, shape (K,)."""
-    own: NDArray[np.bool_]
+    own: Flags
     """The features that are of the part itself, shape (F,)."""
     weights: Floats
     """How much each feature counts, shape (F,)."""
@@ -177,7 +176,7 @@ class PostureFeatures:
         return np.concatenate(rows, axis=1, dtype=np.float32)
 
 
-def _features_of(joints: NDArray[np.intp], size: int, count: int) -> NDArray[np.bool_]:
+def _features_of(joints: Indices, size: int, count: int) -> Flags:
     """Return which of the features are of some joints, or of where the sensor is."""
     own = np.zeros(count, dtype=bool)
     own[:size].reshape(-1, 3)[joints] = True

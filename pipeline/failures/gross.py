@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take, Term
+from kinefilter.characters.arrays import Flags
 from kinefilter.pipeline.reliability import Scores
 from kinefilter.retarget.runs import runs
 
@@ -136,11 +136,7 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
 
 
 def _lasting(
-    take: Take,
-    kind: FailureKind,
-    part: str,
-    frames: NDArray[np.bool_],
-    shortest: float = 0.0,
+    take: Take, kind: FailureKind, part: str, frames: Flags, shortest: float = 0.0
 ) -> Iterable[Failure]:
     """Yield the stretches of a failure in frames (T,), none shorter than that [s]."""
     for run in runs(frames):
@@ -172,7 +168,7 @@ def distrust(
     return replace(scores, reliability=reliability, geometry=geometry, term=term)
 
 
-def _mirrored(take: Take) -> NDArray[np.bool_]:
+def _mirrored(take: Take) -> Flags:
     """Return the frames, fewer than half, between impossible turns, shape (T,)."""
     frames = np.zeros(len(take), dtype=bool)
     left = np.nan_to_num(leftward(take)[:, [0, 2]])

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from kinefilter.characters import Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.reliability import column_medians
 
@@ -54,7 +53,7 @@ _SEGMENTS = {
 }
 
 
-def bent_backwards(take: Take, side: str) -> NDArray[np.bool_]:
+def bent_backwards(take: Take, side: str) -> Flags:
     """Return the frames in which a knee is far behind its leg, shape (T,)."""
     hip, knee, ankle = (_joint(take, part, side) for part in ("Hip", "Knee", "Ankle"))
     hips = _joint(take, "Hip", "Left") - _joint(take, "Hip", "Right")
@@ -69,7 +68,7 @@ def bent_backwards(take: Take, side: str) -> NDArray[np.bool_]:
     return np.asarray(_steady(take, share) < -_BACKWARDS)
 
 
-def through_head(take: Take, side: str) -> NDArray[np.bool_]:
+def through_head(take: Take, side: str) -> Flags:
     """Return the frames in which a forearm is inside the neck or head, shape (T,).
 
     Sensors lose an arm behind the head or beyond it, and then see one in the head.
@@ -84,7 +83,7 @@ def through_head(take: Take, side: str) -> NDArray[np.bool_]:
     return np.asarray(_steady(take, apart) < _CLEARANCE)
 
 
-def out_of_range(take: Take, side: str) -> NDArray[np.bool_]:
+def out_of_range(take: Take, side: str) -> Flags:
     """Return the frames in which an upper arm goes through the trunk, shape (T,).
 
     Arms go across the chest, but no farther than to 135 degrees, and behind the back no
@@ -102,7 +101,7 @@ def out_of_range(take: Take, side: str) -> NDArray[np.bool_]:
     return np.asarray(_steady(take, beyond) > np.sin(_TOLERANCE))
 
 
-def leaps(take: Take, side: str, limb: str) -> NDArray[np.bool_]:
+def leaps(take: Take, side: str, limb: str) -> Flags:
     """Return the frames in which a limb, ``arm`` or ``leg``, leaps, shape (T,).
 
     Sensors that lose a limb leave it where it was, or on something else, and find it

@@ -24,7 +24,7 @@ from kinefilter.characters import (
     State,
     Take,
 )
-from kinefilter.characters.arrays import Array, chunks
+from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.characters.motion import check_order
 
 from .files import AnyPath, beginning, new_text, open_text
@@ -253,7 +253,7 @@ read_msrc_12 = partial(_read, _msrc_12)
 
 def _frames(
     block: Block, layout: _Layout, reader: RowReader
-) -> tuple[NDArray[np.intp], Array, Array, NDArray[np.uint8]]:
+) -> tuple[Indices, Array, Array, NDArray[np.uint8]]:
     """Return row numbers, times [s], positions [m] (R, J, 3) and states (R, J)."""
     skeleton, values = layout.skeleton, block.values
     index = {column: i for i, column in enumerate(layout.columns)}
@@ -289,7 +289,7 @@ def write_contacts(clip: Clip, path: AnyPath) -> None:
             file.write(",".join([repr(time), *map(str, flags)]) + "\n")
 
 
-def read_contacts(path: AnyPath, time: Array) -> NDArray[np.bool_]:
+def read_contacts(path: AnyPath, time: Array) -> Flags:
     """Return the contacts (CONTACTS) of a file at times [s] (T,), shape (T, 4).
 
     The file is one of ``write_contacts``, edited or not, or a clip as npz. Each time
@@ -311,7 +311,7 @@ def claims_contacts(path: AnyPath) -> bool:
     return beginning(path).startswith(",".join(_CONTACT_HEADER))
 
 
-def contact_table(path: AnyPath) -> tuple[Array, NDArray[np.bool_]]:
+def contact_table(path: AnyPath) -> tuple[Array, Flags]:
     """Return times [s] (T,) and contacts (T, 4) of a table or clip, or InputError."""
     source = os.fspath(path)
     if source.lower().endswith(".npz"):

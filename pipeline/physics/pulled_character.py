@@ -11,11 +11,11 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
-from kinefilter.characters.arrays import Array, as_number, as_numbers
+from kinefilter.characters.arrays import Array, Flags, as_number, as_numbers
 from kinefilter.characters.humanoid import PULLS, build_humanoid, from_mujoco, to_mujoco
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
 from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
@@ -194,7 +194,7 @@ class PulledCharacter:
         dt: float,
         *,
         acceleration: Array | None = None,
-        stands: NDArray[np.bool_] | None = None,
+        stands: Flags | None = None,
     ) -> bool:
         """Advance by dt [s] towards a target; return False if it had to be reset.
 
@@ -281,11 +281,7 @@ class PulledCharacter:
         return bool(left & right)
 
     def _bear(
-        self,
-        target: Array,
-        needed: Array,
-        stands: NDArray[np.bool_] | None,
-        dt: float,
+        self, target: Array, needed: Array, stands: Flags | None, dt: float
     ) -> None:
         """Let standing feet press on the floor with what moves and carries the body.
 

@@ -90,13 +90,7 @@ class Windows:
 
 
 def describe(
-    seen: Seen,
-    limb: Limb,
-    starts: Indices,
-    length: int,
-    at: Indices,
-    *,
-    ahead: bool,
+    seen: Seen, limb: Limb, starts: Indices, length: int, at: Indices, *, ahead: bool
 ) -> Windows:
     """Describe stretches in which a limb is, or is taken to be, hidden.
 
@@ -162,11 +156,7 @@ def describe(
         begin = pointing(after)
         later = pointing(np.minimum(after + SPEED_FRAMES, count - 1))
         begin_speed = per_second * (later - begin)
-        features += [
-            begin / _END,
-            begin_speed / _END_SPEED,
-            time[1][..., None] / _TIME,
-        ]
+        features += [begin / _END, begin_speed / _END_SPEED, time[1][..., None] / _TIME]
     else:
         base, begin = coast(end, end_speed, time[0][..., None]), end
     still = end + share * (begin - end) if ahead else np.broadcast_to(end, base.shape)

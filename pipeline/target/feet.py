@@ -10,10 +10,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.retarget.runs import runs
 from kinefilter.retarget.stance import smooth_step
 
@@ -64,7 +63,7 @@ def ankles_and_toes(skeleton: Skeleton) -> tuple[list[int], list[int]]:
 
 def find_stance(
     time: Array, positions: Array, confidence: Array, skeleton: Skeleton
-) -> NDArray[np.bool_]:
+) -> Flags:
     """Return whether each foot stands in each frame, shape (T, 2), order of SIDES.
 
     A foot stands while its ankle rests and is no higher than the other's. The most
@@ -82,7 +81,7 @@ def find_stance(
     return _unloaded(time, stands)
 
 
-def feet_of(contacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def feet_of(contacts: Flags) -> Flags:
     """Return whether each foot stands, (T, 2), from its parts (CONTACTS), (T, 4)."""
     return np.asarray(contacts.reshape(-1, 2, 2).any(axis=2))
 
@@ -107,7 +106,7 @@ def _odds(speed: Array, height: Array, above: Array) -> Array:
     )
 
 
-def _most_probable(log_odds: Array) -> NDArray[np.bool_]:
+def _most_probable(log_odds: Array) -> Flags:
     """Return the most probable sequence of two states; each change costs _SWITCH."""
     count = len(log_odds)
     # Only the lead of standing over stepping counts: it is capped by what a change
@@ -140,7 +139,7 @@ class StanceTracker:
         self.stands = np.ones(2, dtype=np.bool_)
         """Whether each foot stands, order of SIDES, shape (2,)."""
 
-    def step(self, ankles: Array, flat: float, dt: float) -> NDArray[np.bool_]:
+    def step(self, ankles: Array, flat: float, dt: float) -> Flags:
         """Take in the next frame and return whether each foot stands, shape (2,).
 
         Args:
@@ -163,7 +162,7 @@ class StanceTracker:
         return self.stands
 
 
-def _unloaded(time: Array, stands: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _unloaded(time: Array, stands: Flags) -> Flags:
     """Return stances shortened by the time to set the foot down and to lift it."""
     shorter = stands.copy()
     for foot in range(2):
@@ -179,7 +178,7 @@ def _unloaded(time: Array, stands: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return shorter
 
 
-def _split(time: Array, path: Array, stands: NDArray[np.bool_], stance: slice) -> None:
+def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
     """Split a stance (in place) during which the foot moved to another place."""
     points = path[stance]
     count = len(points)
@@ -207,10 +206,10 @@ def plant_feet(
     time: Array,
     positions: Array,
     confidence: Array,
-    stands: NDArray[np.bool_],
+    stands: Flags,
     body: Body,
-    heels: NDArray[np.bool_] | None = None,
-) -> tuple[Array, NDArray[np.bool_]]:
+    heels: Flags | None = None,
+) -> tuple[Array, Flags]:
     """Return positions (T, J, 3) whose feet rest while they stand, and their heels.
 
     Ankle and toes of a standing foot stay in one place, that of their weighted median,
@@ -306,7 +305,7 @@ def _joined(
     return joined
 
 
-def _lift(time: Array, toe: Array, sole: float, stands: NDArray[np.bool_]) -> Array:
+def _lift(time: Array, toe: Array, sole: float, stands: Flags) -> Array:
     """Return by how much a foot is lifted in each frame [m], shape (T, 1)."""
     steps = np.diff(time)
     speed = np.linalg.norm(np.diff(toe[:, [0, 2]], axis=0), axis=1) / steps

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 
 _THIRD = (-1.0, 3.0, -3.0, 1.0)
 _ORDER = 3
@@ -86,7 +85,7 @@ def smooth_by_speed(
 
 
 def _by_speed(
-    step: float, highest: Array, grid: NDArray[np.intp], values: Array, weights: Array
+    step: float, highest: Array, grid: Indices, values: Array, weights: Array
 ) -> Array:
     """Return the smoothed path of one joint, shape (T, 3)."""
 
@@ -119,7 +118,7 @@ def _root_mean_square(vectors: Array, frames: float) -> Array:
     return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
 
-def _grid(time: Array) -> tuple[NDArray[np.intp], int]:
+def _grid(time: Array) -> tuple[Indices, int]:
     """Return the place of every frame among evenly spaced ones, and their number."""
     if len(time) < 2:
         return np.zeros(len(time), dtype=np.intp), len(time)
@@ -135,9 +134,7 @@ def _stiffness(cutoff: Any, step: float) -> Any:
     return (2.0 * np.sin(np.pi * cutoff * step)) ** (-2 * _ORDER)
 
 
-def _solve(
-    stiffness: Array, grid: NDArray[np.intp], values: Array, weights: Array
-) -> Array:
+def _solve(stiffness: Array, grid: Indices, values: Array, weights: Array) -> Array:
     """Return the smoothed path of one joint on the even grid, shape (length, C)."""
     length = len(stiffness) + _ORDER
     system = penalty(stiffness, _THIRD)
@@ -147,7 +144,7 @@ def _solve(
     return np.asarray(solveh_banded(system, right, lower=True))
 
 
-def _frames(steps: Array) -> NDArray[np.intp]:
+def _frames(steps: Array) -> Indices:
     """Return how many nominal frames each time step spans, at least one."""
     frames = np.round(steps / np.median(steps))
     return np.clip(frames, 1, _LONGEST_GAP).astype(np.intp)

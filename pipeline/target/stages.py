@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, positions_from_rotations
-from kinefilter.characters.arrays import Array, chunks
+from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.pipeline.config import CleanConfig
@@ -215,9 +215,7 @@ class Feet(Stage):
     name = "feet"
     in_parts = False  # the contacts that are given are those of the whole take
 
-    def __init__(
-        self, config: CleanConfig, contacts: NDArray[np.bool_] | None = None
-    ) -> None:
+    def __init__(self, config: CleanConfig, contacts: Flags | None = None) -> None:
         self._feet, self._file, self._given = config.feet, config.contacts, contacts
 
     def start(self, body: Body) -> None:

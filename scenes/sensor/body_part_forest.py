@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, Indices
 
 from .depth_image import BACKGROUND, DepthImage
 from .tracker_errors import SAME
@@ -29,8 +29,8 @@ _FILE = "embedded/body_parts.npz"
 
 def depth_differences(
     image: DepthImage,
-    rows: NDArray[np.intp],
-    columns: NDArray[np.intp],
+    rows: Indices,
+    columns: Indices,
     offsets: Array,
 ) -> NDArray[np.float32]:
     """Return differences of depth [m] around pixels (Shotton et al., eq. 1), (N,).
@@ -83,9 +83,7 @@ class BodyPartForest:
     """Area of skin [m^2] that must be seen around such a joint for it to be tracked,
     (2, P)."""
 
-    def shares(
-        self, image: DepthImage, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> Array:
+    def shares(self, image: DepthImage, rows: Indices, columns: Indices) -> Array:
         """Return the probability of each body part at pixels, (N, P)."""
         found = np.zeros((len(rows), self.leaves.shape[1]))
         for root in self.roots:
@@ -121,7 +119,7 @@ def shipped_forest() -> BodyPartForest:
         return BodyPartForest.load(file)
 
 
-def parts_of_joints(skeleton: Skeleton) -> NDArray[np.bool_]:
+def parts_of_joints(skeleton: Skeleton) -> Flags:
     """Tell which body parts lie around each joint of a skeleton, (P, J).
 
     Kinect v1 has no joints of its own in neck, thumb and tips of the hand.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Motion, Skeleton, State
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import rotate
 
 from .geometry import Sensor, in_world_frame
@@ -52,7 +52,7 @@ def _limbs(skeleton: Skeleton) -> list[list[int]]:
 def believed(
     motion: Motion,
     sight: Sight,
-    in_view: NDArray[np.bool_],
+    in_view: Flags,
     errors: TrackerErrors,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
