@@ -19,6 +19,12 @@ Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 """Truths, and indices of joints, frames or points."""
 
+Codes = NDArray[np.uint8]
+"""What is said of joints by number, such as their State."""
+
+Singles = NDArray[np.float32]
+"""Numbers in single precision."""
+
 Lengths = tuple[int | None, ...]
 """The shape of an array; None where any length will do."""
 

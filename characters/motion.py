@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .anthropometry import Body
 from .arrays import (
     Array,
+    Codes,
     Flags,
     Lengths,
     as_number,
@@ -187,7 +188,7 @@ class Take(_Frames):
     positions: Array
     """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN: missing, as
     are joints that are not tracked."""
-    state: NDArray[np.uint8]
+    state: Codes
     """Tracking state per joint (State), shape (T, J)."""
     skeleton: Skeleton
     """The joints, in the order of the arrays."""
@@ -271,14 +272,14 @@ class Clip(Motion):
         "origin": Origin,
     }
 
-    state: NDArray[np.uint8]
+    state: Codes
     """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
     frames where left and right were put back."""
     reliability: Array
     """Reliability in [0, 1], NaN where unknown, shape (T, J)."""
-    deciding_term: NDArray[np.uint8]
+    deciding_term: Codes
     """Which reliability term decided (Term), shape (T, J)."""
-    origin: NDArray[np.uint8]
+    origin: Codes
     """Where each joint came from (Origin), shape (T, J)."""
     moved_by_correction: Array
     """Distance from the measurement to the corrected joint [m], NaN where nothing was

@@ -8,10 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.characters.rotations import unit
 from kinefilter.retarget import measured_body
 
@@ -40,7 +39,7 @@ class Scores:
 
     reliability: Array
     """R in [0, 1], shape (T, J) (eq. 8)."""
-    term: NDArray[np.uint8]
+    term: Codes
     """The term that decided in the frame itself (Term), shape (T, J)."""
     geometry: Array
     """The reliability from positions alone, without the tracking state, (T, J)."""
@@ -232,9 +231,9 @@ class ReliabilityScorer:
     def step(
         self,
         positions: Array,
-        state: NDArray[np.uint8],
+        state: Codes,
         time: float | None = None,  # noqa: ARG002 - Shum's terms count frames
-    ) -> tuple[Array, NDArray[np.uint8], Array]:
+    ) -> tuple[Array, Codes, Array]:
         """Score the next frame.
 
         Args:

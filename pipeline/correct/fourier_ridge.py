@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array, Flags, Indices, chunks
+from kinefilter.characters.arrays import Array, Flags, Indices, Singles, chunks
 from kinefilter.retarget.body_size import chain_matrix
 from kinefilter.retarget.hands import Hands
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Observation
 from .learned import LearnedCorrector
 from .posture_features import REACH, PostureFeatures
-from .random_features import Floats, RandomFeatures, direction_to, likeness_to
+from .random_features import RandomFeatures, direction_to, likeness_to
 
 # Chosen by leaving one of six people out, and one of their movements.
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
@@ -75,22 +75,22 @@ class FourierRidge(LearnedCorrector):
         *("far_weights", "live_far_weights", "far_centers"),
         *("people", "own_weights", "live_own_weights"),
     )
-    weights_: Floats
-    live_weights_: Floats
-    mean_: Floats
-    offset_: Floats
-    bones_: Floats
-    centers_: Floats
+    weights_: Singles
+    live_weights_: Singles
+    mean_: Singles
+    offset_: Singles
+    bones_: Singles
+    centers_: Singles
     seed_: Indices
-    arm_centers_: Floats
-    leg_centers_: Floats
-    trunk_centers_: Floats
-    far_weights_: Floats
-    live_far_weights_: Floats
-    far_centers_: Floats
+    arm_centers_: Singles
+    leg_centers_: Singles
+    trunk_centers_: Singles
+    far_weights_: Singles
+    live_far_weights_: Singles
+    far_centers_: Singles
     people_: NDArray[np.str_]
-    own_weights_: Floats
-    live_own_weights_: Floats
+    own_weights_: Singles
+    live_own_weights_: Singles
 
     def __init__(self, skeleton: Skeleton) -> None:
         super().__init__(skeleton)
@@ -117,7 +117,7 @@ class FourierRidge(LearnedCorrector):
     def _prepare(self) -> None:
         described = self._described
         self._features = list[list[RandomFeatures]]()
-        self._centers = list[list[tuple[Flags, Floats, Floats]]]()
+        self._centers = list[list[tuple[Flags, Singles, Singles]]]()
         everything = np.ones(len(self.mean_), dtype=bool)
         alike = [
             (everything, self.centers_),
@@ -151,7 +151,7 @@ class FourierRidge(LearnedCorrector):
         """Correct this person, if the model learned from them, or else a stranger."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
-        self._offsets: list[list[tuple[Floats, Array]]] = []
+        self._offsets: list[list[tuple[Singles, Array]]] = []
         for shared, far, own in (
             (self.weights_, self.far_weights_, self.own_weights_),
             (self.live_weights_, self.live_far_weights_, self.live_own_weights_),
@@ -167,7 +167,7 @@ class FourierRidge(LearnedCorrector):
                 sides.append((np.stack([here, beside]), constants))
             self._offsets.append(sides)
 
-    def _told(self, features: Floats, *, live: bool) -> tuple[Array, Array, Array]:
+    def _told(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
         """Return offsets of frames, those of the far side, and their likenesses.
 
         Those are of the whole posture to people with markers and to those beside a

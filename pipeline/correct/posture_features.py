@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.arrays import Array, Flags, Indices, Singles
 
-from .random_features import Floats, values_at
+from .random_features import values_at
 
 _APART = 8.0 / 30.0  # s between a frame and those that say how it moves
 _MOVEMENT, _LENGTHS, _TOWARD = 0.5, 2.0, 0.6  # weights, against 1 of positions [m]
@@ -38,7 +38,7 @@ class Part(NamedTuple):
     """Which of the known joints they are, shape (K,)."""
     own: Flags
     """The features that are of the part itself, shape (F,)."""
-    weights: Floats
+    weights: Singles
     """How much each feature counts, shape (F,)."""
 
 
@@ -156,7 +156,7 @@ class PostureFeatures:
         toward: Array,
         *,
         live: bool = False,
-    ) -> Floats:
+    ) -> Singles:
         """Return the features of frames, shape (T, F).
 
         Args:

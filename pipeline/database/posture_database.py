@@ -14,14 +14,13 @@ from kinefilter.characters.arrays import (
     Array,
     Indices,
     Lengths,
+    Singles,
     check_arrays,
     check_kind,
 )
 from kinefilter.characters.skeleton import check_skeleton
 from kinefilter.pipeline.formats.files import as_path
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
-
-Singles = NDArray[np.float32]
 
 _ARRAYS = ("positions", "rotations", "labels")
 _LARGEST = 10.0  # of coordinates [m] and of quaternions: beyond, one is damaged

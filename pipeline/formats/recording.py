@@ -10,10 +10,9 @@ from pathlib import PurePath
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, State, Take, unit_hint
-from kinefilter.characters.arrays import Array, shown
+from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.motion import nominal_step
 
 from .files import open_text
@@ -100,9 +99,7 @@ def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
         raise InputError(f"{source}: the file is empty; expected a recorded take")
 
 
-def missing_marked(
-    positions: Array, state: NDArray[np.uint8]
-) -> tuple[Array, NDArray[np.uint8]]:
+def missing_marked(positions: Array, state: Codes) -> tuple[Array, Codes]:
     """Return positions [m] (..., 3) and states (...), NaN and not tracked if missing.
 
     Missing is what is not tracked, not a number or exactly at the origin, where the
@@ -116,7 +113,7 @@ def missing_marked(
 def recording_of(
     time: Array,
     positions: Array,
-    state: NDArray[np.uint8],
+    state: Codes,
     skeleton: Skeleton,
     source: str,
     layout: str,
@@ -207,7 +204,7 @@ class Sighting:
     frame: int
     body: int  # the tracker's number for the body
     positions: Array  # of joints [m], shape (J, 3)
-    state: NDArray[np.uint8]  # tracking states (State), shape (J,)
+    state: Codes  # tracking states (State), shape (J,)
 
 
 def takes_of(

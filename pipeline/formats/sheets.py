@@ -10,7 +10,6 @@ from functools import partial
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import (
     CONTACTS,
@@ -24,7 +23,7 @@ from kinefilter.characters import (
     State,
     Take,
 )
-from kinefilter.characters.arrays import Array, Flags, Indices, chunks
+from kinefilter.characters.arrays import Array, Codes, Flags, Indices, chunks
 from kinefilter.characters.motion import check_order
 
 from .files import AnyPath, beginning, new_text, open_text
@@ -103,7 +102,7 @@ def take_header(skeleton: Skeleton) -> str:
     return ",".join(_columns(skeleton)) + "\n"
 
 
-def take_rows(time: Array, positions: Array, state: NDArray[np.uint8]) -> str:
+def take_rows(time: Array, positions: Array, state: Codes) -> str:
     """Return the lines of frames, shapes (T,), (T, J, 3) and (T, J)."""
     count, joints = state.shape
     row = ",".join(["%r", *["%.9f,%.9f,%.9f,%d"] * joints]) + "\n"
@@ -253,7 +252,7 @@ read_msrc_12 = partial(_read, _msrc_12)
 
 def _frames(
     block: Block, layout: _Layout, reader: RowReader
-) -> tuple[Indices, Array, Array, NDArray[np.uint8]]:
+) -> tuple[Indices, Array, Array, Codes]:
     """Return row numbers, times [s], positions [m] (R, J, 3) and states (R, J)."""
     skeleton, values = layout.skeleton, block.values
     index = {column: i for i, column in enumerate(layout.columns)}

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, Skeleton
-from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.arrays import Array, Codes, Flags, Indices, Singles
 
 from .depth_image import BACKGROUND, DepthImage
 from .tracker_errors import SAME
@@ -32,7 +32,7 @@ def depth_differences(
     rows: Indices,
     columns: Indices,
     offsets: Array,
-) -> NDArray[np.float32]:
+) -> Singles:
     """Return differences of depth [m] around pixels (Shotton et al., eq. 1), (N,).
 
     Between the pixel u / d(x) away and the one v / d(x) away, where d(x) is the pixel's
@@ -64,22 +64,22 @@ class BodyPartForest:
     The nodes of all trees are numbered through, tree by tree, and so are the leaves.
     """
 
-    offsets: NDArray[np.float32]
+    offsets: Singles
     """u and v of each feature [m across the view], (F, 2, 2)."""
     roots: NDArray[np.int32]
     """Node at which each tree begins, (T,)."""
     feature: NDArray[np.int16]
     """Feature that a node looks at, -1: it is a leaf, (N,)."""
-    threshold: NDArray[np.float32]
+    threshold: Singles
     """Greatest difference [m] that goes on to the left, (N,)."""
     children: NDArray[np.int32]
     """Nodes to the left and right; of a leaf, its row in ``leaves`` twice, (N, 2)."""
-    leaves: NDArray[np.uint8]
+    leaves: Codes
     """Share of each body part in a leaf, 255: all of it, (L, P)."""
-    push: NDArray[np.float32]
+    push: Singles
     """How far behind the skin the joints of Kinect v1 and v2 lie, along the ray [m],
     by the body part of the same name, (2, P)."""
-    least: NDArray[np.float32]
+    least: Singles
     """Area of skin [m^2] that must be seen around such a joint for it to be tracked,
     (2, P)."""
 

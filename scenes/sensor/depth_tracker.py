@@ -16,10 +16,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import SKELETONS, Motion, Skeleton, State
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes
 
 from .body_part_forest import BodyPartForest, parts_of_joints, shipped_forest
 from .depth_image import DepthCamera, DepthImage, with_noise
@@ -103,7 +102,7 @@ def found_in_depth(
     scene: mujoco.MjSpec | None = None,
     prop_poses: Mapping[str, Array] | None = None,
     forest: BodyPartForest | None = None,
-) -> tuple[Array, NDArray[np.uint8]]:
+) -> tuple[Array, Codes]:
     """Return where joints are found [m], in the sensor's frame, and their states.
 
     Args:
@@ -152,7 +151,7 @@ def behind(skin: Array, push: Array) -> Array:
 
 
 def steadied(
-    positions: Array, state: NDArray[np.uint8], skeleton: Skeleton, sensor: Sensor
+    positions: Array, state: Codes, skeleton: Skeleton, sensor: Sensor
 ) -> Array:
     """Return joints as they are told: inferred ones stay where they were.
 

@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 from sklearn.neighbors import NearestNeighbors
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
@@ -49,8 +49,8 @@ class FullGP(FusedOffsets):
         *("postures", "weights", "kernels", "joints", "seen", "movement", "misplaced"),
     )
     adjustable = (*FusedOffsets.adjustable, "variance")
-    postures_: NDArray[np.float32]
-    weights_: NDArray[np.float32]
+    postures_: Singles
+    weights_: Singles
     kernels_: Array
     seen_: NDArray[np.bool_]
 
@@ -102,7 +102,7 @@ class FullGP(FusedOffsets):
         return self
 
     @cached_property
-    def _inverse(self) -> NDArray[np.float32]:
+    def _inverse(self) -> Singles:
         """The inverse of every joint's covariance matrix [1/m^2], (M, N, N)."""
         count = len(self.postures_)
         inverse = np.empty((len(self.joints_), count, count), dtype=np.float32)
@@ -173,8 +173,8 @@ class Exemplar(OffsetCorrector):
     """
 
     fitted = ("postures", "offsets", "joints", "seen", "width")
-    postures_: NDArray[np.float32]
-    offsets_: NDArray[np.float32]
+    postures_: Singles
+    offsets_: Singles
     seen_: NDArray[np.bool_]
     width_: Any
 
