@@ -24,6 +24,7 @@ from kinefilter.characters import (
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.characters.motion import nominal_step
+from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase
 from .failures import Failure, find_failures
@@ -44,7 +45,7 @@ _LEG = ("Hip", "Knee", "Ankle", "Foot")
 _PARTS = {
     f"{side.lower()} {limb}": tuple(joint + side for joint in joints)
     for limb, joints in (("arm", _ARM), ("leg", _LEG))
-    for side in ("Left", "Right")
+    for side in SIDES
 }
 _USD = (b"#usda", b"PXR-USDC")
 _LISTED = 30  # names of joints on a terminal

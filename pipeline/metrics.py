@@ -19,7 +19,7 @@ from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.gaps import LONG_GAP, parts_of
 from kinefilter.characters.motion import nominal_step
-from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
+from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.retarget.runs import runs
 
 SKATE_HEIGHT = 0.05
@@ -132,8 +132,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     foot ever stands.
     """
     steps, speeds = _steps(time), []
-    for side in SIDES:
-        foot = body.skeleton.index(f"Foot{side}")
+    for foot in body.skeleton.sides("Foot"):
         height = positions[:, foot, 1] - body.radii[foot]
         low = height < SKATE_HEIGHT
         moved = np.linalg.norm(np.diff(positions[:, foot][:, [0, 2]], axis=0), axis=1)
@@ -221,7 +220,6 @@ def measure(
     time: Array, positions: Array, raw: Array, body: Body, stands: Flags
 ) -> Quality:
     """Return the quality of a motion beside ``raw``, the measurement it came from."""
-    hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]
     slide, share, fastest = skate(time, positions, body)
     low = _known(lowest_point(positions, body))
     moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
@@ -237,7 +235,7 @@ def measure(
         penetration_mean_mm=float(np.mean(np.maximum(-low, 0.0)) * 1e3),
         float_mm=floating(positions, stands, body) * 1e3,
         amplitude_kept=float(kept),
-        peak_hand_speed=peak_speed(time, positions, hands),
+        peak_hand_speed=peak_speed(time, positions, body.skeleton.sides("Wrist")),
         flight_error=flight_error(time, positions, stands, body),
         lowest_point_mm=float(low.min() * 1e3),
         moved_cm=float(np.nanmean(distances(positions, raw)) * 1e2),

@@ -12,9 +12,8 @@ import numpy as np
 from kinefilter.characters import Body, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.characters.rotations import unit
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import measured_body
-
-_SIDES = ("Left", "Right")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +122,9 @@ def _trunk_directions(take: Take) -> Array:
     """Return the median direction of trunk segments in the trunk's frame, (J, 3)."""
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
-    sides = [[skeleton.index(p + s) for p in ("Hip", "Shoulder")] for s in _SIDES]
-    trunk, joint = sides[0] + sides[1], skeleton.girdle
+    pairs = [skeleton.sides(part) for part in ("Hip", "Shoulder")]
+    left, right = map(list, zip(*pairs, strict=True))
+    trunk, joint = left + right, skeleton.girdle
     while joint != skeleton.root:
         trunk.append(joint)
         joint = skeleton.parents[joint]
@@ -133,8 +133,8 @@ def _trunk_directions(take: Take) -> Array:
         return directions
     points = take.positions[seen]
     up = points[:, skeleton.girdle] - points[:, skeleton.root]
-    left = (points[:, sides[0]] - points[:, sides[1]]).sum(axis=1)
-    front = np.cross(left, up)
+    leftward = (points[:, left] - points[:, right]).sum(axis=1)
+    front = np.cross(leftward, up)
     frame = np.stack([np.cross(up, front), up, front], axis=1)
     frame /= np.maximum(np.linalg.norm(frame, axis=2, keepdims=True), 1e-9)
     for j in trunk:
@@ -162,7 +162,7 @@ def _in_reference_posture(take: Take) -> Flags:
 
     def rise(*ends: str) -> Array:
         """Return how steeply segments of both sides rise, from -1 to 1, (4, T)."""
-        joints = [skeleton.index(end + side) for side in _SIDES for end in ends]
+        joints = [skeleton.index(end + side) for side in SIDES for end in ends]
         starts = [skeleton.parents[j] for j in joints]
         bones = take.positions[:, joints] - take.positions[:, starts]
         return unit(bones)[..., 1].T

@@ -27,7 +27,6 @@ HIDDEN = ("until seen", "speed at ends", "unknown posture")
 """What the uncertainty of joints that the sensor saw, and of hidden ones, depends on:
 times and speeds as logarithms."""
 
-_SIDES = ("Left", "Right")
 _LEAST, _MOST = 0.005, 0.5  # m
 _STRANGEST = 0.2  # beyond, errors grow no more
 _ENDS = 3  # frames beside a gap that its speed is a mean over
@@ -106,15 +105,14 @@ def _gap(speed: Array, gap: slice, time: Array) -> Array:
 
 def judged(skeleton: Skeleton) -> list[int]:
     """Return the indices of the judged joints, in the order of PARTS."""
-    return [skeleton.index(part + side) for part in PARTS for side in _SIDES]
+    return [j for part in PARTS for j in skeleton.sides(part)]
 
 
 def _judged_by(skeleton: Skeleton) -> list[list[int]]:
     """Return, for each joint, which of the judged joints it is as uncertain as."""
     joints = judged(skeleton)
     shoulders, hips = (
-        [joints.index(skeleton.index(part + side)) for side in _SIDES]
-        for part in ("Shoulder", "Hip")
+        [joints.index(j) for j in skeleton.sides(part)] for part in ("Shoulder", "Hip")
     )
     upper = {skeleton.girdle, *skeleton.beyond(skeleton.girdle)}
     columns = []

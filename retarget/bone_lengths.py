@@ -42,11 +42,9 @@ class BoneLengths:
         for hip in skeleton.hips:
             above[skeleton.beyond(int(hip))] = 0.0
         self._together = _TOGETHER * np.outer(self._incidence @ above, above)
-        shoulders = [skeleton.index(f"Shoulder{side}") for side in ("Left", "Right")]
         self._firm = np.ones(len(skeleton))
-        self._firm[[skeleton.root, skeleton.girdle, *skeleton.hips, *shoulders]] = (
-            _TRUNK
-        )
+        middles = [skeleton.root, skeleton.girdle]
+        self._firm[[*middles, *skeleton.hips, *skeleton.sides("Shoulder")]] = _TRUNK
 
     def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions [m] (T, J, 3) with the body's segment lengths.

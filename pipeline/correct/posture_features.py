@@ -52,9 +52,8 @@ class PostureFeatures:
 
     def __init__(self, skeleton: Skeleton) -> None:
         trunk = [skeleton.root, skeleton.parents[skeleton.girdle], skeleton.girdle]
-        names = [part + side for part in _LIMBS for side in ("Left", "Right")]
-        known = [skeleton.index(joint) for joint in ("Head", *names)]
-        self.joints = np.array([*trunk, *known])
+        limbs = [j for part in _LIMBS for j in skeleton.sides(part)]
+        self.joints = np.array([*trunk, skeleton.index("Head"), *limbs])
         """The joints that are known, shape (M,)."""
         self.limbs = self.joints[len(trunk) + 1 :]
         """Those beyond the trunk."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from kinefilter.characters import Skeleton, State, Take, Term
 from kinefilter.characters.arrays import Flags
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import Scores
 from kinefilter.retarget.runs import runs
 
@@ -123,7 +124,7 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
     take = without_nobody(take, found)
     found += _lasting(take, kind.MIRRORED, "body", _mirrored(take))
     take = unmirrored(take, found)  # sides are named as they are once exchanged back
-    for side in ("Left", "Right"):
+    for side in SIDES:
         for limb, what, frames, shortest in (
             ("arm", kind.THROUGH_HEAD, through_head(take, side), _SHORT),
             ("arm", kind.OUT_OF_RANGE, out_of_range(take, side), _SHORT),

@@ -8,6 +8,7 @@ from scipy.ndimage import median_filter
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import unit
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import column_medians
 
 _BACKWARDS = 0.06
@@ -46,7 +47,6 @@ _REST = 0.1
 """Time before and after a leap over which movement counts against it [s]: a quick limb
 is still on its way then."""
 _SLACK = 1.25  # share of _LEAP_TIME that two frames of an uneven clock may take
-_SIDES = ("Left", "Right")
 _SEGMENTS = {
     "arm": (("Shoulder", "Elbow"), ("Elbow", "Wrist")),
     "leg": (("Hip", "Knee"), ("Knee", "Ankle")),
@@ -114,7 +114,7 @@ def leaps(take: Take, side: str, limb: str) -> Flags:
         return frames
     quick = take.time[lag:] - take.time[:-lag] <= _SLACK * _LEAP_TIME
     for start, end in _SEGMENTS[limb]:
-        bones = {s: _joint(take, end, s) - _joint(take, start, s) for s in _SIDES}
+        bones = {s: _joint(take, end, s) - _joint(take, start, s) for s in SIDES}
         lengths = np.stack([np.linalg.norm(b, axis=1) for b in bones.values()], axis=1)
         # The longer of both sides' medians is the length: lost limbs shrink.
         longest = max(np.nan_to_num(column_medians(lengths)).max(), 1e-3)

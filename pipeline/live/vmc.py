@@ -86,7 +86,7 @@ class VmcFigure:
         rest, rig, skeleton = self.rig.rest.positions, self.rig, self.body.skeleton
         thighs = [rig.joint(f"{side} thigh") for side in SIDES]
         feet = [rig.joint(f"{side} foot") for side in SIDES]
-        ankles = [skeleton.index(f"Ankle{side.capitalize()}") for side in SIDES]
+        ankles = skeleton.sides("Ankle")
         ours = self.body.rest_positions[ankles, 1].mean()
         higher = rest[feet, 1].mean() - rig.floor - ours
         over = rest[rig.joint("pelvis")] - rest[thighs].mean(axis=0)

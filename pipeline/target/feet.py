@@ -2,7 +2,7 @@
 
 Time stamps [s] are strictly increasing, shape (T,); joint positions [m] have y up and
 shape (T, J, 3); the confidence of joints has shape (T, J); whether each foot stands has
-shape (T, 2), in the order of SIDES.
+shape (T, 2), left and right.
 """
 
 from __future__ import annotations
@@ -17,9 +17,6 @@ from kinefilter.retarget.runs import runs
 from kinefilter.retarget.stance import smooth_step
 
 from .smooth import smooth
-
-SIDES = ("Left", "Right")
-"""Order of the feet."""
 
 _CUTOFF = 3.0  # Hz: slower than Kinect's noise in the feet, faster than stances
 _LEAST_WEIGHT = 0.1  # of an invented ankle in the smoother, against a measured one's 1
@@ -54,17 +51,14 @@ _STEP_CUTOFF = 6.0  # Hz: what rounds the corners of steps
 
 
 def ankles_and_toes(skeleton: Skeleton) -> tuple[list[int], list[int]]:
-    """Return the indices of the ankles and of the feet, in the order of SIDES."""
-    ankles, toes = (
-        [skeleton.index(part + side) for side in SIDES] for part in ("Ankle", "Foot")
-    )
-    return ankles, toes
+    """Return the indices of the ankles and of the feet, left and right."""
+    return skeleton.sides("Ankle"), skeleton.sides("Foot")
 
 
 def find_stance(
     time: Array, positions: Array, confidence: Array, skeleton: Skeleton
 ) -> Flags:
-    """Return whether each foot stands in each frame, shape (T, 2), order of SIDES.
+    """Return whether each foot stands in each frame, shape (T, 2), left and right.
 
     A foot stands while its ankle rests and is no higher than the other's. The most
     probable sequence of standing and stepping is taken, where every change costs
@@ -137,7 +131,7 @@ class StanceTracker:
         self._paths: Array | None = None
         self._lead = np.full(2, _SWITCH)
         self.stands = np.ones(2, dtype=np.bool_)
-        """Whether each foot stands, order of SIDES, shape (2,)."""
+        """Whether each foot stands, left and right, shape (2,)."""
 
     def step(self, ankles: Array, flat: float, dt: float) -> Flags:
         """Take in the next frame and return whether each foot stands, shape (2,).
