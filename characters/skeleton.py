@@ -93,6 +93,11 @@ class Skeleton:
             for j in range(len(self))
         )
 
+    def up_from(self, joint: int) -> list[int]:
+        """Return the indices of a joint and all that it hangs on, the root left out."""
+        parent = self.parents[joint]
+        return [] if parent < 0 else [joint, *self.up_from(parent)]
+
     def beyond(self, joint: int) -> list[int]:
         """Return the indices of all joints that hang on a joint, itself left out."""
         joints = list(self.children[joint])

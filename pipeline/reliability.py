@@ -123,11 +123,8 @@ def _trunk_directions(take: Take) -> Array:
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
     pairs = [skeleton.sides(part) for part in ("Hip", "Shoulder")]
-    left, right = map(list, zip(*pairs, strict=True))
-    trunk, joint = left + right, skeleton.girdle
-    while joint != skeleton.root:
-        trunk.append(joint)
-        joint = skeleton.parents[joint]
+    left, right = np.transpose(pairs)
+    trunk = [*left, *right, *skeleton.up_from(skeleton.girdle)]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
     if not seen.any():
         return directions

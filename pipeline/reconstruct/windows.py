@@ -231,8 +231,7 @@ def _on_foot(
         """Return the ankle's place [m] in frames, clipped to the motion."""
         which = np.clip(which, 0, count - 1)
         place = seen.positions[which, ankle][..., None, :]
-        frame = HeadingFrame(seen.heading.root[which], seen.heading.yaw[which])
-        return np.asarray(frame.restore(place)[..., 0, :])
+        return np.asarray(seen.heading.at(which).restore(place)[..., 0, :])
 
     stood = standing(world(last + np.arange(1 - far, 1)), seen.rate, seen.floor)
     stands = standing(world(after + np.arange(far)), seen.rate, seen.floor)
@@ -243,8 +242,7 @@ def _on_foot(
         stands[:, None],
         time,
     )
-    frame = HeadingFrame(seen.heading.root[frames], seen.heading.yaw[frames])
-    place = frame.remove(place[..., None, :])[..., 0, :]
+    place = seen.heading.at(frames).remove(place[..., None, :])[..., 0, :]
     thigh, shin = seen.lengths[knee], seen.lengths[ankle]
     hips = seen.positions[frames, hip]
     if knee not in limb.hidden:
