@@ -58,6 +58,7 @@ from .rig import RigMotion, rig_of
 from .usd_character import (
     ANIMATION,
     CHARACTER,
+    ONCE,
     PER_FRAME,
     SKELETON,
     SKIN,
@@ -265,10 +266,9 @@ def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
 
     for name, values in name_tables(clip.skeleton).items():
         attribute(name, types.TokenArray).default = Vt.TokenArray(values)
-    frame = {"sensorTilt": clip.tilt, "floorHeight": clip.floor}
-    frame |= {"sensorRoll": clip.roll} if clip.roll else {}
-    for name, number in frame.items():
-        if np.isfinite(number):
+    for name, field in ONCE.items():
+        number = getattr(clip, field)
+        if np.isfinite(number) and (number or field != "roll"):
             attribute(name, types.Double).default = number
     for name, field in PER_FRAME.items():
         rows = getattr(clip, field)
