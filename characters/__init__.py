@@ -1,12 +1,6 @@
 """Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
 
-from .anthropometry import (
-    STANDARD_HEIGHT,
-    STATURES,
-    Body,
-    standard_body,
-    unit_hint,
-)
+from .anthropometry import STANDARD_HEIGHT, STATURES, Body, standard_body, unit_hint
 from .errors import InputError, KinefilterError
 from .motion import (
     CONTACTS,

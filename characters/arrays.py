@@ -19,6 +19,12 @@ Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 """Truths, and indices of joints, frames or points."""
 
+Codes = NDArray[np.uint8]
+"""What is said of joints by number, such as their State."""
+
+Singles = NDArray[np.float32]
+"""Numbers in single precision."""
+
 Lengths = tuple[int | None, ...]
 """The shape of an array; None where any length will do."""
 
@@ -30,6 +36,11 @@ def read_only(array: NDArray[Number]) -> NDArray[Number]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def chunks(count: int, size: int) -> list[slice]:
+    """Return slices of ``size`` frames each, to bound the memory of what follows."""
+    return [slice(start, start + size) for start in range(0, count, size)]
 
 
 def shown(value: object) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 from .anthropometry import Body
 from .arrays import (
     Array,
+    Codes,
     Flags,
     Lengths,
     as_number,
@@ -96,13 +99,17 @@ def _check(motion: Take | Motion, **codes: type[IntEnum]) -> None:
             f"{motion.source}: frame {wrong[0] + 1} has no time stamp "
             f"({time[wrong[0]]:g}); give every frame one, in seconds"
         )
+    check_order(time, lambda k: f"{motion.source}: frame {k + 1}: time", "frames")
+
+
+def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
+    """Raise InputError where time stamps [s] (T,) go backwards."""
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
         k = int(backwards[0]) + 1
         raise InputError(
-            f"{motion.source}: time goes backwards at frame {k + 1} "
-            f"({time[k - 1]:.4f} s, then {time[k]:.4f} s); "
-            "sort the frames by time or cut the take there"
+            f"{where(k)} goes backwards ({time[k - 1]:.4f} s, then {time[k]:.4f} s); "
+            f"sort the {what} by time or cut the take there"
         )
 
 
@@ -146,8 +153,34 @@ def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array
     return positions
 
 
+class _Frames(ABC):
+    """What takes and motions share: arrays of frames, by their time stamps."""
+
+    time: Array
+
+    @abstractmethod
+    def _shapes(self) -> dict[str, Lengths]:
+        """Return the shapes of the arrays that have a row a frame, by their names."""
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate [1/s]: one over the median time step."""
+        return frames_per_second(self.time)
+
+    def at(self, frames: Any) -> Self:
+        """Return some of the frames, in their order: a slice, indices or flags."""
+        # Takes and motions are dataclasses.
+        return replace(self, **self._at(frames))  # type: ignore[type-var]
+
+    def _at(self, frames: Any) -> dict[str, Any]:
+        return {name: getattr(self, name)[frames] for name in self._shapes()}
+
+
 @dataclass(frozen=True, eq=False)
-class Take:
+class Take(_Frames):
     """A recording as the sensor gave it; arrays are read-only."""
 
     time: Array
@@ -155,7 +188,7 @@ class Take:
     positions: Array
     """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN: missing, as
     are joints that are not tracked."""
-    state: NDArray[np.uint8]
+    state: Codes
     """Tracking state per joint (State), shape (T, J)."""
     skeleton: Skeleton
     """The joints, in the order of the arrays."""
@@ -173,19 +206,11 @@ class Take:
 
     def _shapes(self) -> dict[str, Lengths]:
         t, j = len(self.time), len(self.skeleton)
-        return {"positions": (t, j, 3), "state": (t, j)}
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    @property
-    def fps(self) -> float:
-        """Nominal frame rate [1/s]: one over the median time step."""
-        return frames_per_second(self.time)
+        return {"time": (t,), "positions": (t, j, 3), "state": (t, j)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Motion:
+class Motion(_Frames):
     """How a body moves; arrays are read-only.
 
     World frame: right-handed, y up, floor at y = 0, meters, seconds. Joint positions
@@ -222,9 +247,6 @@ class Motion:
         t, j = len(self.time), len(self.skeleton)
         return {"time": (t,), "root": (t, 3), "rotations": (t, j, 4)}
 
-    def __len__(self) -> int:
-        return len(self.time)
-
     @property
     def skeleton(self) -> Skeleton:
         """The joints, in the order of the arrays."""
@@ -235,18 +257,6 @@ class Motion:
         """Joint positions [m], world frame, shape (T, J, 3)."""
         found = positions_from_rotations(self.rotations, self.root, self.body)
         return read_only(found)
-
-    @property
-    def fps(self) -> float:
-        """Nominal frame rate [1/s]: one over the median time step."""
-        return frames_per_second(self.time)
-
-    def at(self, frames: Any) -> Self:
-        """Return the motion in some frames, in their order: a slice or indices."""
-        return replace(self, **self._at(frames))
-
-    def _at(self, frames: Any) -> dict[str, Any]:
-        return {name: getattr(self, name)[frames] for name in self._shapes()}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -262,14 +272,14 @@ class Clip(Motion):
         "origin": Origin,
     }
 
-    state: NDArray[np.uint8]
+    state: Codes
     """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
     frames where left and right were put back."""
     reliability: Array
     """Reliability in [0, 1], NaN where unknown, shape (T, J)."""
-    deciding_term: NDArray[np.uint8]
+    deciding_term: Codes
     """Which reliability term decided (Term), shape (T, J)."""
-    origin: NDArray[np.uint8]
+    origin: Codes
     """Where each joint came from (Origin), shape (T, J)."""
     moved_by_correction: Array
     """Distance from the measurement to the corrected joint [m], NaN where nothing was

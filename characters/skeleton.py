@@ -11,6 +11,9 @@ import numpy as np
 from .arrays import Indices, check_word, shown
 from .errors import InputError
 
+SIDES = ("Left", "Right")
+"""Ends of the names of paired joints, in the order of all that is by side."""
+
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -60,10 +63,14 @@ class Skeleton:
         """Index of the root joint."""
         return self.parents.index(-1)
 
+    def sides(self, part: str) -> list[int]:
+        """Return the indices of the left and the right joint of a name like Knee."""
+        return [self.index(part + side) for side in SIDES]
+
     @cached_property
     def hips(self) -> Indices:
         """Indices of the left and the right hip."""
-        return np.array([self.index("HipLeft"), self.index("HipRight")])
+        return np.array(self.sides("Hip"))
 
     @cached_property
     def girdle(self) -> int:
@@ -85,6 +92,11 @@ class Skeleton:
             tuple(c for c, p in enumerate(self.parents) if p == j)
             for j in range(len(self))
         )
+
+    def up_from(self, joint: int) -> list[int]:
+        """Return the indices of a joint and all that it hangs on, the root left out."""
+        parent = self.parents[joint]
+        return [] if parent < 0 else [joint, *self.up_from(parent)]
 
     def beyond(self, joint: int) -> list[int]:
         """Return the indices of all joints that hang on a joint, itself left out."""

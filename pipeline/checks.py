@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kinefilter.characters import InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array, as_numbers, check_kind, shown
+from kinefilter.characters.arrays import Array, Codes, as_numbers, check_kind, shown
 
 from .formats.recording import check_extent, check_rate
 
@@ -17,7 +17,7 @@ _FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
 
 def checked_frame(
     positions: ArrayLike, state: ArrayLike | None, skeleton: Skeleton
-) -> tuple[Array, NDArray[np.uint8]]:
+) -> tuple[Array, Codes]:
     """Return positions (J, 3), NaN if missing, not tracked or too far, states (J,)."""
     what, count = f"a frame of {skeleton.name}", len(skeleton)
     seen = as_numbers(positions, what, (count, 3), ", the joints in the SDK's order")
@@ -60,14 +60,3 @@ def _check_memory(take: Take) -> None:
             f"{needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free; cut "
             "the take into parts"
         )
-
-
-def selected(take: Take, kept: NDArray[np.bool_]) -> Take:
-    """Return the frames (T,) of a take that are kept."""
-    return Take(
-        take.time[kept],
-        take.positions[kept],
-        take.state[kept],
-        take.skeleton,
-        take.source,
-    )

@@ -15,23 +15,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import (
-    Body,
-    Clip,
-    InputError,
-    Take,
-    Tracking,
-)
-from kinefilter.characters.arrays import (
-    Array,
-    as_number,
-    check_kind,
-    check_word,
-)
+from kinefilter.characters import Body, Clip, InputError, Take, Tracking
+from kinefilter.characters.arrays import Array, as_number, check_kind, check_word
 from kinefilter.characters.gaps import long_gaps, parts_of, told_gaps
 from kinefilter.characters.motion import LATEST
 
-from .checks import check_take, checked_frame, selected
+from .checks import check_take, checked_frame
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft
@@ -264,7 +253,7 @@ class Cleaner:
         distinct = np.concatenate([[True], np.diff(take.time) > 0])
         # Which distinct frame each of the take's shows; a slice copies nothing.
         frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
-        recorded = take if distinct.all() else selected(take, distinct)
+        recorded = take if distinct.all() else take.at(distinct)
         draft = self.whole(recorded, progress)
         mended = to_world(draft.measured, draft.tilt, draft.floor)
         moved_by_correction = distances(draft.posed, mended)

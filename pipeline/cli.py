@@ -29,16 +29,16 @@ _GROUPS = {
     "lab": "evaluate, simulate, rate, ratings, reproduce, bench",
 }
 _FILES = {
-    "clean": "clean, batch",
-    "info": "info, character",
-    "merge": "merge",
-    "view": "render, report, view",
-    "live": "live, replay",
-    "learn": "pair, train, database",
-    "lab": "evaluate, simulate, reproduce, bench",
-    "rating": "rate, ratings",
+    "commands.clean": "clean, batch",
+    "commands.info": "info, character",
+    "commands.merge": "merge",
+    "commands.view": "render, report, view",
+    "commands.live": "live, replay",
+    "lab.commands.learn": "pair, train, database",
+    "lab.commands.measure": "evaluate, simulate, reproduce, bench",
+    "lab.commands.rating": "rate, ratings",
 }
-"""Files of ``commands``, with the commands in each."""
+"""Files in ``pipeline``, with the commands in each."""
 COMMANDS = ", ".join(_GROUPS.values()).split(", ")
 """Names of the commands, group by group."""
 
@@ -118,7 +118,7 @@ def _read(words: Sequence[str]) -> Any:
 
 def _command(name: str) -> Any:
     (file,) = (file for file, names in _FILES.items() if name in names.split(", "))
-    module = import_module(f"kinefilter.pipeline.commands.{file}")
+    module = import_module(f"kinefilter.pipeline.{file}")
     return getattr(module, name.capitalize())
 
 

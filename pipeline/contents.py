@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from kinefilter.characters import (
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import long_gaps, told_gaps
 from kinefilter.characters.motion import nominal_step
+from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase
 from .failures import Failure, find_failures
@@ -32,6 +32,7 @@ from .formats import Recording, read_recording
 from .formats.files import check_file
 from .formats.mocap import RIGS, kinect_motion, read_mocap
 from .formats.npz import array_names, read_npz
+from .formats.plain import counted
 from .formats.recording import Mocap
 from .formats.sheets import claims_contacts, contact_table
 from .formats.usd_reader import usd_contents
@@ -44,7 +45,7 @@ _LEG = ("Hip", "Knee", "Ankle", "Foot")
 _PARTS = {
     f"{side.lower()} {limb}": tuple(joint + side for joint in joints)
     for limb, joints in (("arm", _ARM), ("leg", _LEG))
-    for side in ("Left", "Right")
+    for side in SIDES
 }
 _USD = (b"#usda", b"PXR-USDC")
 _LISTED = 30  # names of joints on a terminal
@@ -193,8 +194,6 @@ def contents_of_take(take: Take) -> dict[str, Any]:
     """Return what is in a take: time, states of parts of the body, failures."""
     lacks = take.state == State.NOT_TRACKED
     moving = np.concatenate([[True], np.diff(take.time) > 0])
-    names = ("time", "positions", "state")
-    distinct = replace(take, **{name: getattr(take, name)[moving] for name in names})
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
@@ -202,7 +201,7 @@ def contents_of_take(take: Take) -> dict[str, Any]:
         "frames_without_anyone": int(np.sum(lacks.all(axis=1))),
         "joints_never_seen": np.array(take.skeleton.joints)[lacks.all(axis=0)].tolist(),
         "states": _states(take),
-        "failures": failures_as_json(find_failures(distinct)),
+        "failures": failures_as_json(find_failures(take.at(moving))),
     }
 
 
@@ -277,7 +276,7 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
     if "failures" in facts:
         found = [(f["part"], f["kind"].replace("_", " ")) for f in facts["failures"]]
         lines += [
-            f"  tracker failure: {part} {kind}, {count} time{'s' * (count > 1)}"
+            f"  tracker failure: {part} {kind}, {counted(count, 'time')}"
             for (part, kind), count in Counter(found).items()
         ] or ["  no tracker failure found"]
     return lines

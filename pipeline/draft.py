@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Prop, Skeleton, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.characters.gaps import parts_of
 from kinefilter.retarget import HeadingFrame
 
@@ -36,7 +36,7 @@ class Draft:
     measured: Array
     """Joint positions [m], sensor frame with y up, NaN where missing, shape (J, 3);
     turned upright, and without the gross failures that were mended or taken out."""
-    state: NDArray[np.uint8]
+    state: Codes
     """Tracking states (State), shape (J,), exchanged as the positions are."""
     source: str = "take"
     """Where the take came from, for messages."""
@@ -53,9 +53,9 @@ class Draft:
     """Reliability of each joint in [0, 1], shape (J,)."""
     geometry: Array = field(init=False)
     """Reliability without the tracking state, shape (J,)."""
-    deciding_term: NDArray[np.uint8] = field(init=False)
+    deciding_term: Codes = field(init=False)
     """The reliability term that decided (Term), shape (J,)."""
-    hidden: NDArray[np.bool_] | None = None
+    hidden: Flags | None = None
     """Which joints the sensor did not see, or only guessed, and ``filled`` holds from
     their own motion, shape (J,); None where nobody reconstructs them."""
     filled: Array = field(init=False)
@@ -73,14 +73,14 @@ class Draft:
     """Share of the measurement in each joint, 0 where invented, shape (J,)."""
     coverage: Any = field(init=False)
     """How well the method knows the posture, in [0, 1] or NaN, shape ()."""
-    origin: NDArray[np.uint8] = field(init=False)
+    origin: Codes = field(init=False)
     """Where each joint came from (Origin), shape (J,)."""
     twist: NDArray[Any] | None = None
     """World segment rotations of similar postures, wxyz, shape (J, 4), to take the
     twist from; None where the method knows none."""
-    stands: NDArray[np.bool_] = field(init=False)
+    stands: Flags = field(init=False)
     """Whether each foot (left, right) stands, shape (2,)."""
-    contacts: NDArray[np.bool_] = field(init=False)
+    contacts: Flags = field(init=False)
     """Which parts of the feet stand (CONTACTS), shape (4,); takes only."""
     turn: Turn = field(default_factory=Turn)
     """How the sensor's frame was turned upright, ``measured`` with it."""
@@ -148,7 +148,7 @@ class Draft:
         self.failures = tuple(failures)
 
     @property
-    def missing(self) -> NDArray[np.bool_]:
+    def missing(self) -> Flags:
         """Whether a joint was not measured, shape (J,)."""
         return np.asarray(np.isnan(self.measured[..., 0]))
 

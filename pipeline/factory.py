@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from kinefilter.characters import InputError, Skeleton
@@ -68,9 +68,8 @@ def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
 
 def shipped_model(skeleton: Skeleton) -> Corrector:
     """Return the corrector that ships, as ``lab.teach`` makes it, for a skeleton."""
-    folder = resources.files("kinefilter.pipeline").joinpath("embedded")
-    with resources.as_file(folder / "learned.npz") as path:
-        learned = load_model(path).corrector
+    path = Path(__file__).with_name("embedded") / "learned.npz"
+    learned = load_model(path).corrector
     return learned.from_arrays(skeleton, learned.arrays())
 
 

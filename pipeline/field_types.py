@@ -7,7 +7,7 @@ from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, Unpack, get_args, get_origin, get_type_hints
 
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import shown
@@ -33,7 +33,11 @@ def keyword_hints(kind: Any) -> dict[str, Any]:
     if made is None:  # inherited
         return keyword_hints(kind.__base__)
     hints = get_type_hints(made)
-    return {name: hints[name] for name in made.__kwdefaults__ or {}}
+    found = {name: hints[name] for name in made.__kwdefaults__ or {}}
+    for hint in hints.values():
+        if get_origin(hint) is Unpack:  # of those that it hands on
+            found |= get_type_hints(*get_args(hint))
+    return found
 
 
 def check_fields(settings: Any) -> None:

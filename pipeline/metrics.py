@@ -10,7 +10,8 @@ gap.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.gaps import LONG_GAP, parts_of
 from kinefilter.characters.motion import nominal_step
-from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
+from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.retarget.runs import runs
 
 SKATE_HEIGHT = 0.05
@@ -31,42 +32,35 @@ SKATE_SPEED = 0.2
 _SHORTEST_FLIGHT = 5  # frames that a parabola is fitted to
 
 
-METRICS = {
-    "skate": "feet on the floor slide, m per frame",
-    "skate_mm_per_frame": "the same, mm per frame",
-    "skate_share_over_0p2": "share of their frames over 0.2 m/s",
-    "skate_max_m_per_s": "fastest slide of a foot on the floor, m/s",
-    "float_mm": "soles of standing feet over the floor, mm",
-    "penetration_mm": "deepest point under the floor, mm",
-    "penetration_mean_mm": "lowest point under the floor, mean, mm",
-    "lowest_point_mm": "height of the lowest point, mm",
-    "bone_length_cv": "bone-length variation, share of the length",
-    "jitter": "jitter, m/s³",
-    "amplitude_kept": "amplitude kept, share of the raw one",
-    "peak_hand_speed": "speed of the hands in the fastest 1% of frames, m/s",
-    "flight_error": "acceleration in flight off gravity, m/s²",
-    "moved_cm": "moved from raw, mean, cm",
-}
-"""Name and meaning of each metric; names as in ``clean --json``, and ``skate``."""
+def _metric(meaning: str) -> Any:
+    return field(metadata={"meaning": meaning})
 
 
 @dataclass(frozen=True)
 class Quality:
-    """How good a motion is by itself: METRICS without ``skate``."""
+    """How good a motion is by itself."""
 
-    bone_length_cv: float
-    jitter: float
-    skate_mm_per_frame: float
-    skate_share_over_0p2: float
-    skate_max_m_per_s: float
-    penetration_mm: float
-    penetration_mean_mm: float
-    float_mm: float
-    amplitude_kept: float
-    peak_hand_speed: float
-    flight_error: float
-    lowest_point_mm: float
-    moved_cm: float
+    skate_mm_per_frame: float = _metric("feet on the floor slide, mm per frame")
+    skate_share_over_0p2: float = _metric("share of their frames over 0.2 m/s")
+    skate_max_m_per_s: float = _metric("fastest slide of a foot on the floor, m/s")
+    float_mm: float = _metric("soles of standing feet over the floor, mm")
+    penetration_mm: float = _metric("deepest point under the floor, mm")
+    penetration_mean_mm: float = _metric("lowest point under the floor, mean, mm")
+    lowest_point_mm: float = _metric("height of the lowest point, mm")
+    bone_length_cv: float = _metric("bone-length variation, share of the length")
+    jitter: float = _metric("jitter, m/s³")
+    amplitude_kept: float = _metric("amplitude kept, share of the raw one")
+    peak_hand_speed: float = _metric(
+        "speed of the hands in the fastest 1% of frames, m/s"
+    )
+    flight_error: float = _metric("acceleration in flight off gravity, m/s²")
+    moved_cm: float = _metric("moved from raw, mean, cm")
+
+
+METRICS = {"skate": "feet on the floor slide, m per frame"} | {
+    metric.name: metric.metadata["meaning"] for metric in fields(Quality)
+}
+"""Name and meaning of each metric; names as in ``clean --json``, and ``skate``."""
 
 
 def bone_length_cv(positions: Array, body: Body) -> float:
@@ -132,8 +126,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
     foot ever stands.
     """
     steps, speeds = _steps(time), []
-    for side in SIDES:
-        foot = body.skeleton.index(f"Foot{side}")
+    for foot in body.skeleton.sides("Foot"):
         height = positions[:, foot, 1] - body.radii[foot]
         low = height < SKATE_HEIGHT
         moved = np.linalg.norm(np.diff(positions[:, foot][:, [0, 2]], axis=0), axis=1)
@@ -221,7 +214,6 @@ def measure(
     time: Array, positions: Array, raw: Array, body: Body, stands: Flags
 ) -> Quality:
     """Return the quality of a motion beside ``raw``, the measurement it came from."""
-    hands = [body.skeleton.index(f"Wrist{side}") for side in SIDES]
     slide, share, fastest = skate(time, positions, body)
     low = _known(lowest_point(positions, body))
     moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
@@ -237,7 +229,7 @@ def measure(
         penetration_mean_mm=float(np.mean(np.maximum(-low, 0.0)) * 1e3),
         float_mm=floating(positions, stands, body) * 1e3,
         amplitude_kept=float(kept),
-        peak_hand_speed=peak_speed(time, positions, hands),
+        peak_hand_speed=peak_speed(time, positions, body.skeleton.sides("Wrist")),
         flight_error=flight_error(time, positions, stands, body),
         lowest_point_mm=float(low.min() * 1e3),
         moved_cm=float(np.nanmean(distances(positions, raw)) * 1e2),

@@ -11,8 +11,8 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, skeleton_named, standard_body
 
 from .correct import LearnedCorrector, Observation
-from .formats.files import as_path, atomic_path
-from .formats.npz import read_arrays
+from .formats.files import as_path
+from .formats.npz import read_arrays, write_arrays
 from .methods import LEARNED
 
 _VERSION = 1
@@ -46,8 +46,7 @@ def save_model(model: Model, path: Path) -> None:
     }
     for key, array in model.corrector.arrays().items():
         arrays[f"fitted_{key}"] = array
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_arrays(path, arrays)
 
 
 def _try_out(corrector: LearnedCorrector) -> None:

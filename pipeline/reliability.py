@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.characters.rotations import unit
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import measured_body
-
-_SIDES = ("Left", "Right")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +38,7 @@ class Scores:
 
     reliability: Array
     """R in [0, 1], shape (T, J) (eq. 8)."""
-    term: NDArray[np.uint8]
+    term: Codes
     """The term that decided in the frame itself (Term), shape (T, J)."""
     geometry: Array
     """The reliability from positions alone, without the tracking state, (T, J)."""
@@ -124,18 +122,16 @@ def _trunk_directions(take: Take) -> Array:
     """Return the median direction of trunk segments in the trunk's frame, (J, 3)."""
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
-    sides = [[skeleton.index(p + s) for p in ("Hip", "Shoulder")] for s in _SIDES]
-    trunk, joint = sides[0] + sides[1], skeleton.girdle
-    while joint != skeleton.root:
-        trunk.append(joint)
-        joint = skeleton.parents[joint]
+    pairs = [skeleton.sides(part) for part in ("Hip", "Shoulder")]
+    left, right = np.transpose(pairs)
+    trunk = [*left, *right, *skeleton.up_from(skeleton.girdle)]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
     if not seen.any():
         return directions
     points = take.positions[seen]
     up = points[:, skeleton.girdle] - points[:, skeleton.root]
-    left = (points[:, sides[0]] - points[:, sides[1]]).sum(axis=1)
-    front = np.cross(left, up)
+    leftward = (points[:, left] - points[:, right]).sum(axis=1)
+    front = np.cross(leftward, up)
     frame = np.stack([np.cross(up, front), up, front], axis=1)
     frame /= np.maximum(np.linalg.norm(frame, axis=2, keepdims=True), 1e-9)
     for j in trunk:
@@ -155,7 +151,7 @@ def column_medians(values: Array) -> Array:
     return medians
 
 
-def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
+def _in_reference_posture(take: Take) -> Flags:
     """Tell the frames in T-pose or standing: legs and arms straight, trunk upright."""
     skeleton = take.skeleton
     trunk = take.positions[:, skeleton.girdle] - take.positions[:, skeleton.root]
@@ -163,7 +159,7 @@ def _in_reference_posture(take: Take) -> NDArray[np.bool_]:
 
     def rise(*ends: str) -> Array:
         """Return how steeply segments of both sides rise, from -1 to 1, (4, T)."""
-        joints = [skeleton.index(end + side) for side in _SIDES for end in ends]
+        joints = [skeleton.index(end + side) for side in SIDES for end in ends]
         starts = [skeleton.parents[j] for j in joints]
         bones = take.positions[:, joints] - take.positions[:, starts]
         return unit(bones)[..., 1].T
@@ -232,9 +228,9 @@ class ReliabilityScorer:
     def step(
         self,
         positions: Array,
-        state: NDArray[np.uint8],
+        state: Codes,
         time: float | None = None,  # noqa: ARG002 - Shum's terms count frames
-    ) -> tuple[Array, NDArray[np.uint8], Array]:
+    ) -> tuple[Array, Codes, Array]:
         """Score the next frame.
 
         Args:

@@ -21,13 +21,12 @@ class Settings:
     """How a take is read, cleaned and written."""
 
     config: CleanConfig = field(default_factory=CleanConfig)
-    """How it is cleaned."""
     export: Export = field(default_factory=Export)
-    """How the clip is written."""
     format: TakeFormat | None = None
-    """Layout of the take; None: detected from its content."""
+    """Layout of the take; default: detected from its content."""
     body: int | Literal["all"] | None = None
-    """Which person, counted from 1, or all; None: the person seen in most frames."""
+    """Which person, counted from 1 in order of appearance, or all: a clip each,
+    clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
 
     @property
     def files(self) -> tuple[Path, ...]:

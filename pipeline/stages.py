@@ -8,19 +8,13 @@ ahead and does a take at once.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from kinefilter.characters import (
-    Body,
-    Origin,
-    Skeleton,
-    Tracking,
-)
-from kinefilter.characters.arrays import Array
+from kinefilter.characters import Body, Origin, Skeleton, Tracking
+from kinefilter.characters.arrays import Array, chunks
 from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
 
 from .config import CleanConfig
@@ -47,7 +41,8 @@ from .reliability import (
 from .target.floor import place_of
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take is to fit a gigabyte
-_CHUNK = 4096  # frames at a time: an hour's take is to fit a gigabyte
+CHUNK = 4096
+"""Frames at a time: an hour's take is to fit a gigabyte."""
 
 
 class Stage(ABC):
@@ -281,7 +276,7 @@ class Correct(Stage):
         draft.twist = None
         if found.rotations is not None:
             draft.twist = np.empty(found.rotations.shape, dtype=np.float32)
-            for k in chunks(len(draft.time)):
+            for k in chunks(len(draft.time), CHUNK):
                 heading = draft.heading.at(k)
                 draft.twist[k] = heading.restore_rotations(found.rotations[k])
         origin = np.where(draft.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
@@ -378,8 +373,3 @@ def _known(draft: Draft) -> tuple[Array, Array]:
     """Return the positions [m] of a draft's joints, and what they are worth."""
     seen = draft.measured if draft.hidden is None else draft.filled
     return seen, draft.reliability
-
-
-def chunks(count: int) -> Iterator[slice]:
-    """Yield slices of frames, so that a part of a long take is worked on at a time."""
-    return (slice(k, k + _CHUNK) for k in range(0, count, _CHUNK))

@@ -10,7 +10,7 @@ beside marker mocap, whom the corrector had not learned from
 from __future__ import annotations
 
 import tomllib
-from importlib import resources
+from pathlib import Path
 
 import numpy as np
 
@@ -27,7 +27,6 @@ HIDDEN = ("until seen", "speed at ends", "unknown posture")
 """What the uncertainty of joints that the sensor saw, and of hidden ones, depends on:
 times and speeds as logarithms."""
 
-_SIDES = ("Left", "Right")
 _LEAST, _MOST = 0.005, 0.5  # m
 _STRANGEST = 0.2  # beyond, errors grow no more
 _ENDS = 3  # frames beside a gap that its speed is a mean over
@@ -40,7 +39,7 @@ def uncertainty(draft: Draft) -> Array:
     the hips: some 70 % of coordinates are nearer to the truth than this, and 93 % than
     twice as much.
     """
-    path = resources.files("kinefilter.pipeline.embedded") / "uncertainty.toml"
+    path = Path(__file__).with_name("embedded") / "uncertainty.toml"
     weights = tomllib.loads(path.read_text("utf-8"))
     found = np.exp(log_uncertainty(weights, *describe(draft)))
     found = np.clip(found, _LEAST, _MOST)
@@ -85,11 +84,7 @@ def describe(draft: Draft) -> tuple[Array, Array, Flags]:
     hidden = hidden[:, joints]
     known = np.nan_to_num(np.asarray(draft.coverage, dtype=float))[:, None]
     strange = np.broadcast_to(np.minimum(1.0 - known, _STRANGEST), speed.shape)
-    seen = [
-        np.log(speed + 0.05),
-        1.0 - draft.geometry[:, joints],
-        strange,
-    ]
+    seen = [np.log(speed + 0.05), 1.0 - draft.geometry[:, joints], strange]
     gone = np.full((*speed.shape, len(HIDDEN)), np.nan)
     gone[..., -1] = strange
     for k in np.flatnonzero(hidden.any(axis=0) & ~hidden.all(axis=0)):
@@ -110,15 +105,14 @@ def _gap(speed: Array, gap: slice, time: Array) -> Array:
 
 def judged(skeleton: Skeleton) -> list[int]:
     """Return the indices of the judged joints, in the order of PARTS."""
-    return [skeleton.index(part + side) for part in PARTS for side in _SIDES]
+    return [j for part in PARTS for j in skeleton.sides(part)]
 
 
 def _judged_by(skeleton: Skeleton) -> list[list[int]]:
     """Return, for each joint, which of the judged joints it is as uncertain as."""
     joints = judged(skeleton)
     shoulders, hips = (
-        [joints.index(skeleton.index(part + side)) for side in _SIDES]
-        for part in ("Shoulder", "Hip")
+        [joints.index(j) for j in skeleton.sides(part)] for part in ("Shoulder", "Hip")
     )
     upper = {skeleton.girdle, *skeleton.beyond(skeleton.girdle)}
     columns = []

@@ -52,11 +52,8 @@ def measured_body(
     average = standard_body(skeleton).lengths
     known = np.where(lengths > 0, lengths, np.nan)
     known = _mean_of_sides(known, known[skeleton.mirror])
-    stack = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
-    joint = skeleton.index("Head")
-    while joint != skeleton.root:
-        stack.append(joint)
-        joint = skeleton.parents[joint]
+    legs = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
+    stack = [*legs, *skeleton.up_from(skeleton.index("Head"))]
     upright = [j for j in stack if np.isfinite(known[j])]
     share = known[upright].sum() / average[upright].sum() if upright else 1.0
     stature = STANDARD_HEIGHT * float(share)

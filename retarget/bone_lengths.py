@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import Body, InputError
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
@@ -42,11 +42,9 @@ class BoneLengths:
         for hip in skeleton.hips:
             above[skeleton.beyond(int(hip))] = 0.0
         self._together = _TOGETHER * np.outer(self._incidence @ above, above)
-        shoulders = [skeleton.index(f"Shoulder{side}") for side in ("Left", "Right")]
         self._firm = np.ones(len(skeleton))
-        self._firm[[skeleton.root, skeleton.girdle, *skeleton.hips, *shoulders]] = (
-            _TRUNK
-        )
+        middles = [skeleton.root, skeleton.girdle]
+        self._firm[[*middles, *skeleton.hips, *skeleton.sides("Shoulder")]] = _TRUNK
 
     def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions [m] (T, J, 3) with the body's segment lengths.
@@ -58,8 +56,7 @@ class BoneLengths:
         if not np.isfinite(positions).all():
             raise InputError("positions are not finite; fill missing joints")
         projected = positions.copy()
-        for first in range(0, len(positions), _CHUNK):
-            chunk = slice(first, first + _CHUNK)
+        for chunk in chunks(len(positions), _CHUNK):
             projected[chunk] = self._project(positions[chunk], firmness[chunk])
         return projected
 

@@ -18,11 +18,8 @@ class Hands:
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._parents = np.array(skeleton.parents)
-        self._arms = [
-            (skeleton.index(f"Elbow{side}"), wrist, skeleton.beyond(wrist))
-            for side in ("Left", "Right")
-            for wrist in [skeleton.index(f"Wrist{side}")]
-        ]
+        arms = zip(skeleton.sides("Elbow"), skeleton.sides("Wrist"), strict=True)
+        self._arms = [(elbow, wrist, skeleton.beyond(wrist)) for elbow, wrist in arms]
 
     def carried(
         self, before: Array, after: Array, confidence: Array, body: Body

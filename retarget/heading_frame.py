@@ -11,7 +11,7 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_y, inverse, multiply
 
-_ACROSS, _SIDES = ("Hip", "Shoulder"), ("Left", "Right")
+_ACROSS = ("Hip", "Shoulder")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,7 @@ def find_yaw(positions: Array, weights: Array, skeleton: Skeleton) -> Array:
     weighted by how far both ends can be trusted, give the direction. Positions [m], y
     up, NaN where missing, are (..., J, 3), weights (..., J).
     """
-    pairs = np.array([skeleton.index(p + s) for p in _ACROSS for s in _SIDES])
-    left, right = pairs[::2], pairs[1::2]
+    left, right = np.transpose([skeleton.sides(part) for part in _ACROSS])
     lines = positions[..., left, :] - positions[..., right, :]
     confidence = weights[..., left] * weights[..., right]
     lines = np.where(np.isnan(lines), 0.0, lines * confidence[..., None])

@@ -120,9 +120,8 @@ class _Motion:
     def _hips(self) -> Array:
         """Return the path of the target's pelvis [m], shape (T, 3)."""
         clip, rest = self.clip, self.rig.rest.positions
-        hips = [self._our(side, "Hip") for side in SIDES]
-        ankles = [self._our(side, "Ankle") for side in SIDES]
-        path = clip.positions[:, hips].mean(axis=1)
+        path = clip.positions[:, clip.skeleton.hips].mean(axis=1)
+        ankles = clip.skeleton.sides("Ankle")
         path = path - clip.body.rest_positions[ankles, 1].mean() * _UP
         path = path * self._scale
         path += np.mean([self._ankle_height(side) for side in SIDES]) * _UP

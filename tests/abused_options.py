@@ -26,8 +26,8 @@ import kinefilter
 from kinefilter.pipeline.batch import run as batch_run
 from kinefilter.pipeline.cli import _command
 from kinefilter.pipeline.commands import live
-from kinefilter.pipeline.commands.learn import DatabaseBuild, DatabaseInfo
 from kinefilter.pipeline.lab import bench, scripted_database, simulate, studies, teach
+from kinefilter.pipeline.lab.commands.learn import DatabaseBuild, DatabaseInfo
 from kinefilter.pipeline.look.viewer import Viewer
 from kinefilter.pipeline.methods import METHODS
 from kinefilter.retarget.rig_map import RIGS

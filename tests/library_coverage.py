@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
-from kinefilter.pipeline.database.posture_database import FILTERED_POSTURES
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
-from kinefilter.pipeline.lab.database_build import mocap_postures
+from kinefilter.pipeline.lab.database_build import FILTERED_POSTURES, mocap_postures
 from kinefilter.pipeline.lab.scripted_database import (
     BUILTIN_POSTURES,
     scripted_postures,

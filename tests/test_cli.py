@@ -347,7 +347,7 @@ def test_help_has_every_command_in_a_group_with_one_sentence(
         assert group in printed
     listed = re.findall(r"(?m)^[│ ]+(?:• )?(\w+) {2,}[A-Z]", printed)
     assert listed == COMMANDS
-    files = (ROOT / "pipeline" / "commands").glob("*.py")
+    files = (ROOT / "pipeline").rglob("commands/*.py")
     defined = re.findall(
         r"(?m)^class (\w+)", "".join(file.read_text() for file in files)
     )

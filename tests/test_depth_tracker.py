@@ -34,6 +34,7 @@ from kinefilter.scenes.sensor.depth_image import (
     with_noise,
 )
 from kinefilter.scenes.sensor.depth_tracker import propose, steadied
+from kinefilter.scenes.sensor.ray_casting import PosedBody
 
 Array = NDArray[np.float64]
 CMU = Path("../shared/data/mocap/cmu")
@@ -41,7 +42,7 @@ NONE = -1
 
 
 def image_of(act: Motion, sensor: Sensor = EXACT) -> DepthImage:
-    camera = DepthCamera(act.body, sensor)
+    camera = DepthCamera(PosedBody(act.body), sensor)
     return camera.take(act.positions[0], act.rotations[0])
 
 
@@ -98,7 +99,7 @@ def test_the_view_is_that_of_the_sensor_and_nobody_is_mirrored() -> None:
 def test_what_hides_a_limb_and_what_is_out_of_range_shows_nobody() -> None:
     act = posed()
     scene = room_with("box", (0.1, 0.8, 0.3))
-    camera = DepthCamera(act.body, EXACT, scene, ("box",))
+    camera = DepthCamera(PosedBody(act.body, scene, ("box",)), EXACT)
     pose = np.concatenate([to_mujoco(np.array([0.0, 0.3, 0.8])), IDENTITY])
     image = camera.take(act.positions[0], act.rotations[0], [pose])
     assert not np.isin(image.segments, [index("AnkleLeft"), index("FootRight")]).any()

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args, get_type_hints
 
-from kinefilter.pipeline.commands.lab import Reproduce
-from kinefilter.pipeline.commands.learn import Train
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.lab.commands.learn import Train
+from kinefilter.pipeline.lab.commands.measure import Reproduce
 from kinefilter.pipeline.lab.studies import STUDIES
 from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS
 from kinefilter.pipeline.presets import PRESETS

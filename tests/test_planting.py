@@ -14,9 +14,9 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.target import feet
 from kinefilter.pipeline.target.feet import (
-    SIDES,
     ankles_and_toes,
     find_stance,
     plant_feet,

@@ -260,6 +260,13 @@ _SAVED = (  # what would be downloaded
 )
 
 
+def _opened(browser: Browser, folders: Path, *options: str) -> Path:
+    page = folders / "page.html"
+    assert _rate(folders, *options) == 0
+    browser.open(page)
+    return page
+
+
 def _text(browser: Browser, name: str) -> str:
     return str(browser.run(f"return document.getElementById('{name}').textContent"))
 
@@ -267,9 +274,7 @@ def _text(browser: Browser, name: str) -> str:
 def test_a_rater_grades_reloads_goes_back_and_saves(
     browser: Browser, folders: Path
 ) -> None:
-    page = folders / "page.html"
-    assert _rate(folders) == 0
-    browser.open(page)
+    page = _opened(browser, folders)
     seen = browser.run("return document.body.innerText")
     assert "8 steps" in seen
     browser.run(_START, "Zoë")
@@ -309,9 +314,7 @@ def test_a_rater_grades_reloads_goes_back_and_saves(
 def test_raters_differ_in_sides_and_order_and_do_not_see_each_others_answers(
     browser: Browser, folders: Path
 ) -> None:
-    page = folders / "page.html"
-    assert _rate(folders) == 0
-    browser.open(page)
+    page = _opened(browser, folders)
     trials = _key(folders)["trials"]
     orders = [browser.run("return orderFor(arguments[0])", f"r{k}") for k in range(40)]
     ways = [
@@ -331,8 +334,7 @@ def test_raters_differ_in_sides_and_order_and_do_not_see_each_others_answers(
 def test_with_a_reference_the_person_is_seen_beside_one_clip(
     browser: Browser, folders: Path
 ) -> None:
-    assert _rate(folders, "--single", "--reference", str(folders / "newway")) == 0
-    browser.open(folders / "page.html")
+    _opened(browser, folders, "--single", "--reference", str(folders / "newway"))
     browser.run(_START, "ann")
     titles = "return [...document.querySelectorAll('.pane h3')].map(e => e.textContent)"
     assert browser.run(titles) == ["What the person did", "The figure"]

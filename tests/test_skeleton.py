@@ -312,7 +312,7 @@ def test_time_that_goes_backwards_is_refused_naming_the_frame() -> None:
     arguments = take_fields()
     arguments["time"] = np.array([0.0, 0.1, 0.05, 0.01])
     with pytest.raises(
-        InputError, match=r"a\.csv.*frame 3 \(0\.1000 s, then 0\.0500 s\)"
+        InputError, match=r"a\.csv: frame 3: time .* \(0\.1000 s, then 0\.0500 s\)"
     ):
         Take(**arguments)
 

@@ -21,11 +21,12 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import Stage
-from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes, feet_of, find_stance
+from kinefilter.pipeline.target.feet import ankles_and_toes, feet_of, find_stance
 from kinefilter.pipeline.target.stages import Bones, Feet, Floor, Level, Orient, Smooth
 from kinefilter.scenes.library import perform
 

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.extras import require
-from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.formats.files import atomic_path, make_folder
 from kinefilter.pipeline.settings import hash_of
 
 # A scheme has two letters or more: C: is a drive.
@@ -82,12 +82,7 @@ class Store:
     def writing(self, name: str) -> Iterator[Path]:
         """Yield a path of this machine to write a whole file to; folders are made."""
         path = Path(self.path(name))  # also where Windows sees a drive in the name
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
-            ) from error
+        make_folder(path.parent)
         yield path
 
     def sha256(self, name: str) -> str:

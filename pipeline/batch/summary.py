@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from rich.console import Group, RenderableType
 from rich.table import Table
 
+from kinefilter.pipeline.formats.plain import counted
+
 from .manifest import ClipRow, Row
 from .run import Outcome
 
@@ -48,21 +50,17 @@ def _counts(outcome: Outcome) -> str:
     others = sum(row.status == "no take" for row in [*outcome.kept, *outcome.rows])
     frames = sum(clip.frames for row in outcome.rows for clip in row.clips)
     seconds = max(outcome.seconds, 1e-9)
-    words = [f"{_counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]
+    words = [f"{counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]
     words += [f"{kept} done before"] * bool(kept)
     damaged = len(outcome.damaged)
     words += [f"{damaged} with damage, see manifest.csv"] * bool(damaged)
-    words += [f"{_counted(others, 'other file')} skipped"] * bool(others)
+    words += [f"{counted(others, 'other file')} skipped"] * bool(others)
     if outcome.rows:
         words.append(
-            f"{_counted(frames, 'frame')} in {outcome.seconds:.1f} s: "
+            f"{counted(frames, 'frame')} in {outcome.seconds:.1f} s: "
             f"{frames / seconds:.0f} frames/s, {done / seconds:.2f} takes/s"
         )
     return ", ".join(words)
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:

@@ -12,10 +12,8 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.characters.gaps import parts_of
-from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.config_files import overlaid, read_settings
 from kinefilter.pipeline.formats import (
-    Export,
     Recording,
     check_writable,
     read_recording,
@@ -42,6 +40,9 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.cleaner import CleanResult
 
 
+_Settings = OmitArgPrefixes[Annotated[Settings, arg(name="")]]
+
+
 @dataclass(frozen=True)
 class Clean:
     """Clean a Kinect take and write it as an animation clip.
@@ -55,13 +56,7 @@ class Clean:
     out: Annotated[Path, arg(aliases=["-o"])]
     """Clip to write; the extension decides: .usda .usdc .usd .usdz .bvh .csv
     .npz."""
-    config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
-    export: OmitArgPrefixes[Export] = field(default_factory=Export)
-    format: TakeFormat | None = None
-    """Layout of the take; default: detected from its content."""
-    body: int | Literal["all"] | None = None
-    """Which person, counted from 1 in order of appearance, or all: a clip each,
-    clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
+    settings: _Settings = field(default_factory=Settings)
     calibration: Path | None = None
     """Where and when several sensors are, as of 'merge --save-calibration'."""
     save_contacts: Path | None = None
@@ -78,30 +73,37 @@ class Clean:
 
     def run(self) -> int:
         """Clean the take, write the clip, and print its figures."""
-        settings = Settings(self.config, self.export, self.format, self.body)
+        settings = self.settings
         if self.config_file is not None:
             settings = overlaid(settings, [read_settings(self.config_file)], self.given)
-        return replace(self, **vars(settings))._run(settings)
+        return replace(self, settings=settings)._run()
 
-    def _run(self, settings: Settings) -> int:
+    def _run(self) -> int:
         from kinefilter.pipeline.summary import as_json
 
+        settings = self.settings
         if not self.takes:
             raise InputError("no take given; name a recording")
         if self.calibration is not None and len(self.takes) == 1:
             raise InputError("--calibration is for takes of several sensors")
         used = [*self.takes, self.config_file, self.calibration, *settings.files]
         self._check(used)
-        recording = read_recording(self.takes[0], format=self.format)
-        several = len(recording.takes) > 1 and self.body == "all"
+        recording = read_recording(self.takes[0], format=settings.format)
+        several = len(recording.takes) > 1 and settings.body == "all"
         others = (self.json, self.save_contacts, self.report)
-        for body in recording.numbers(self.body):
+        for body in recording.numbers(settings.body):
             number, time = body if several else None, recording.take(body).time
-            parts = parts_of(time) if self.config.gaps == "split" else [slice(None)]
+            split = settings.config.gaps == "split"
+            parts = parts_of(time) if split else [slice(None)]
             paths = part_paths(numbered(self.out, number), len(parts))
             for path, part in zip(paths, parts, strict=True):
                 check_output(path, *used, *others)
-                paced(self.export, self.out.suffix, time[part], str(self.takes[0]))
+                paced(
+                    settings.export,
+                    self.out.suffix,
+                    time[part],
+                    recording.takes[0].source,
+                )
             for written in others[1:] if several else ():
                 if written is not None:
                     check_output(numbered(written, number), *used, self.json)
@@ -117,7 +119,7 @@ class Clean:
         for note in recording.notes:
             out.print(note)
         count = len(recording.takes)
-        if count > 1 and self.body is None:
+        if count > 1 and settings.body is None:
             out.print(
                 f"body {recording.main + 1} of {count}, seen in most frames; --body 1 "
                 f"to {count} cleans another, --body all cleans each"
@@ -128,7 +130,7 @@ class Clean:
 
     def _check(self, used: list[Path | None]) -> None:
         """Raise an InputError for files that cannot be written or must be kept."""
-        check_writable(self.out, self.export)
+        check_writable(self.out, self.settings.export)
         if self.report is not None:
             from kinefilter.pipeline.look.page import check_report
 
@@ -141,15 +143,15 @@ class Clean:
         """Return the result of each person asked for, by their number."""
         from kinefilter.pipeline.cleaner import clean
 
-        numbers = recording.numbers(self.body)
-        if self.config.contacts is not None and len(numbers) > 1:
+        config, numbers = self.settings.config, recording.numbers(self.settings.body)
+        if config.contacts is not None and len(numbers) > 1:
             raise InputError("--contacts is for one person; choose one with --body")
         results: dict[int, CleanResult] = {}
         for number in numbers:
             take = recording.take(number)
             try:
                 with progress_bars() as progress:
-                    results[number] = clean(take, self.config, progress=progress)
+                    results[number] = clean(take, config, progress=progress)
             except InputError as error:
                 if number == numbers[-1] and not results:
                     raise
@@ -160,16 +162,17 @@ class Clean:
         """Return the merged recording of several sensors, and the result."""
         from kinefilter.pipeline.merge import clean_session, read_calibration
 
-        if self.body == "all":
+        settings, body = self.settings, self.settings.body
+        if body == "all":
             raise InputError(
                 "--body all is for one sensor; choose a person of its take"
             )
-        recordings = [read_recording(p, format=self.format) for p in self.takes[1:]]
+        others = [read_recording(p, format=settings.format) for p in self.takes[1:]]
         with progress_bars() as progress:
             result, merged = clean_session(
-                [first, *recordings],
-                self.config,
-                body=self.body,
+                [first, *others],
+                settings.config,
+                body=body,
                 calibration=read_calibration(self.calibration),
                 progress=progress,
             )
@@ -181,7 +184,7 @@ class Clean:
 
         paths = part_paths(numbered(self.out, body), len(result.clips))
         for path, clip in zip(paths, result.clips, strict=True):
-            write_clip(clip, path, self.export)
+            write_clip(clip, path, self.settings.export)
         if self.save_contacts is not None:
             write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))
@@ -235,13 +238,7 @@ class Batch:
     """End with exit code 1 if a take is damaged, see the manifest."""
     config_file: Annotated[Path | None, arg(name="config")] = None
     """TOML file of options for all takes; kinefilter.toml in a folder overrides it."""
-    config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
-    export: OmitArgPrefixes[Export] = field(default_factory=Export)
-    format: TakeFormat | None = None
-    """Layout of the takes; default: detected from the content of each."""
-    body: int | Literal["all"] | None = None
-    """Which person, counted from 1 in order of appearance, or all: a clip each;
-    default: the person seen in most frames."""
+    settings: _Settings = field(default_factory=Settings)
     given: Suppress[frozenset[str]] = frozenset()
 
     def run(self) -> int:
@@ -261,7 +258,7 @@ class Batch:
                 outcome = clean_files(
                     self.inputs,
                     self.out,
-                    Settings(self.config, self.export, self.format, self.body),
+                    self.settings,
                     suffix=f".{self.to}",
                     config_file=self.config_file,
                     given=self.given,

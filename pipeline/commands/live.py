@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats import read_recording
+from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.live.background import meanwhile
 from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.endpoints import read_address
@@ -120,8 +121,8 @@ def status(session: Session) -> str:
     parts = [
         f"{len(crowd)} {'person' if len(crowd) == 1 else 'people'}"
         + (f", measuring {crowd.measuring}" if crowd.measuring else ""),
-        f"{frames} frame{'s' * (frames != 1)} in",
-        f"{poses} pose{'s' * (poses != 1)} out",
+        f"{counted(frames, 'frame')} in",
+        f"{counted(poses, 'pose')} out",
     ]
     if poses:
         half, most = tally.latency.recent(0.5), tally.latency.recent(0.99)
@@ -187,8 +188,7 @@ class Replay:
         address = read_address(self.out, ("udp", "ws", "wss", "-"))
         takes = read_recording(self.take, format=self.format).takes
         sent = asyncio.run(self._sent(takes, address))
-        frames = f"{sent} frame{'s' * (sent != 1)}"
-        err.print(f"sent {frames} of {takes[0].skeleton.name}")
+        err.print(f"sent {counted(sent, 'frame')} of {takes[0].skeleton.name}")
         return 0
 
     async def _sent(self, takes: tuple[Take, ...], address: Address) -> int:

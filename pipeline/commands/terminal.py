@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,8 +16,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import check_folder
 from kinefilter.pipeline.formats.files import new_text
 from kinefilter.pipeline.formats.plain import finite
-from kinefilter.pipeline.pairs import PairedTake, read_pairs
-from kinefilter.pipeline.progress import Progress, over
+from kinefilter.pipeline.progress import Progress
 
 if TYPE_CHECKING:
     import asyncio
@@ -75,29 +74,6 @@ def progress_bars() -> Iterator[Progress]:
     """Yield what shows on the terminal how far long work is."""
     with progress_display() as bars:
         yield lambda stage, count: bars.track(range(count), count, description=stage)
-
-
-def clips_of(files: Sequence[Path], progress: Progress) -> Iterator[PairedTake]:
-    """Yield the clips of pairs files, a file at a time in memory."""
-    for file in over(files, "read", progress):
-        yield from read_pairs(file)
-
-
-def in_folders(paths: Sequence[Path], suffixes: tuple[str, ...]) -> list[Path]:
-    """Return files as they are, and for a folder the files below it with a suffix.
-
-    Raises an InputError if a folder holds no such file.
-    """
-    found: list[Path] = []
-    for path in paths:
-        inside = [path]
-        if path.is_dir():
-            files = (p for p in path.rglob("*") if p.is_file())
-            inside = sorted(f for f in files if f.name.lower().endswith(suffixes))
-        if not inside:
-            raise InputError(f"{path}: no {', '.join(suffixes)} file in this folder")
-        found += inside
-    return found
 
 
 def write_json(figures: object, path: Path | None) -> None:

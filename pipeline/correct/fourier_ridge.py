@@ -13,8 +13,8 @@ as other people. Simulated people teach as well and share an effect of their own
 their sensor is not quite a Kinect.
 
 Limbs on the far side of the body are corrected to what a second sensor, in front, saw
-of people whom the first one saw from aside. A person whom the model learned from gets
-what that person alone has as well, if it is said who it is.
+of people whom the first one saw from the side. A person whom the model learned from
+gets what that person alone has as well, if it is said who it is.
 
 Where nothing like a posture was learned, correction fades to nothing.
 """
@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, Indices, Singles, chunks
 from kinefilter.retarget.body_size import chain_matrix
 from kinefilter.retarget.hands import Hands
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Observation
 from .learned import LearnedCorrector
 from .posture_features import REACH, PostureFeatures
-from .random_features import Floats, RandomFeatures, direction_to, likeness_to
+from .random_features import RandomFeatures, direction_to, likeness_to
 
 # Chosen by leaving one of six people out, and one of their movements.
 _BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
@@ -49,10 +49,10 @@ _WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned
 _FAR, _NEAR = 0.4, 0.8
 # Seconds over which likeness is averaged: for what moves, the far side, the constant.
 _LATELY, _CALM, _CONSTANT = 0.5, 3.0, 10.0
-# Sine of the view's angle from which on people beside a sensor count, and at which they
-# alone do. Chosen by leaving one of fourteen people out.
-_ASIDE, _BESIDE = 0.2, 0.6
-_TURN = 1.0  # s over which the view's angle is averaged
+# Sine of the view angle up to which a view is frontal, and from which on it is fully
+# off-frontal. Chosen by leaving one of fourteen people out.
+_FRONTAL, _OFF_FRONTAL = 0.2, 0.6
+_TURN = 1.0  # s over which the view angle is averaged
 
 _CHUNK = 2048  # frames at a time: features are many times the positions
 
@@ -75,22 +75,22 @@ class FourierRidge(LearnedCorrector):
         *("far_weights", "live_far_weights", "far_centers"),
         *("people", "own_weights", "live_own_weights"),
     )
-    weights_: Floats
-    live_weights_: Floats
-    mean_: Floats
-    offset_: Floats
-    bones_: Floats
-    centers_: Floats
-    seed_: NDArray[np.intp]
-    arm_centers_: Floats
-    leg_centers_: Floats
-    trunk_centers_: Floats
-    far_weights_: Floats
-    live_far_weights_: Floats
-    far_centers_: Floats
+    weights_: Singles
+    live_weights_: Singles
+    mean_: Singles
+    offset_: Singles
+    bones_: Singles
+    centers_: Singles
+    seed_: Indices
+    arm_centers_: Singles
+    leg_centers_: Singles
+    trunk_centers_: Singles
+    far_weights_: Singles
+    live_far_weights_: Singles
+    far_centers_: Singles
     people_: NDArray[np.str_]
-    own_weights_: Floats
-    live_own_weights_: Floats
+    own_weights_: Singles
+    live_own_weights_: Singles
 
     def __init__(self, skeleton: Skeleton) -> None:
         super().__init__(skeleton)
@@ -117,7 +117,7 @@ class FourierRidge(LearnedCorrector):
     def _prepare(self) -> None:
         described = self._described
         self._features = list[list[RandomFeatures]]()
-        self._centers = list[list[tuple[Flags, Floats, Floats]]]()
+        self._centers = list[list[tuple[Flags, Singles, Singles]]]()
         everything = np.ones(len(self.mean_), dtype=bool)
         alike = [
             (everything, self.centers_),
@@ -151,7 +151,7 @@ class FourierRidge(LearnedCorrector):
         """Correct this person, if the model learned from them, or else a stranger."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
-        self._offsets: list[list[tuple[Floats, Array]]] = []
+        self._offsets: list[list[tuple[Singles, Array]]] = []
         for shared, far, own in (
             (self.weights_, self.far_weights_, self.own_weights_),
             (self.live_weights_, self.live_far_weights_, self.live_own_weights_),
@@ -167,7 +167,7 @@ class FourierRidge(LearnedCorrector):
                 sides.append((np.stack([here, beside]), constants))
             self._offsets.append(sides)
 
-    def _told(self, features: Floats, *, live: bool) -> tuple[Array, Array, Array]:
+    def _told(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
         """Return offsets of frames, those of the far side, and their likenesses.
 
         Those are of the whole posture to people with markers and to those beside a
@@ -206,8 +206,7 @@ class FourierRidge(LearnedCorrector):
         found = np.empty((2, *points.shape))
         likeness, alike = np.empty((count, 2)), np.empty(points.shape[:2])
         toward = direction_to(take.sensor, count)
-        for k in range(0, count, _CHUNK):
-            some = slice(k, k + _CHUNK)
+        for some in chunks(count, _CHUNK):
             features = self._described(
                 points[some], points, take.time[some], take.time, toward[some]
             )
@@ -261,13 +260,13 @@ class FourierRidge(LearnedCorrector):
     def _moved(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures, moved as far as their like was learned from."""
         side = found.toward[..., :1] * self._described.sides
-        aside = _asideness(side, found.lately)
-        beside = np.where(side < 0.0, aside, 0.0)
+        off_frontal = _off_frontal_share(side, found.lately)
+        beside = np.where(side < 0.0, off_frontal, 0.0)
         share = _ramp(found.alike, self._strange, self._known)
         if self._person is None:
             share = np.where(self._wrists, _WRISTS_TAKEN * share, share)
         offsets = found.lasting[..., None] * found.constant
-        offsets = offsets + (share * (1.0 - aside))[..., None] * found.moving
+        offsets = offsets + (share * (1.0 - off_frontal))[..., None] * found.moving
         offsets = offsets + beside[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets[..., self._described.follows, :]
@@ -310,15 +309,23 @@ class _Offsets(NamedTuple):
 
 
 def _share_of_constant(likeness: Array, toward: Array) -> Array:
-    """Return it by likeness (..., 2): who is seen from aside is placed otherwise."""
-    aside = _asideness(toward[..., :1], likeness)
-    return _ramp(likeness[..., :1], _FAR, _NEAR) * (1.0 - aside)
+    """Return the share of the constant offset, by likeness (..., 2).
+
+    The sensor misplaces the joints of who is seen from the side in another way.
+    """
+    off_frontal = _off_frontal_share(toward[..., :1], likeness)
+    return _ramp(likeness[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)
 
 
-def _asideness(sine: Array, likeness: Array) -> Array:
-    """Return how far people beside a sensor count, by the sine of the view's angle."""
-    aside = _ramp(np.abs(sine), _ASIDE, _BESIDE)
-    return aside * _ramp(likeness[..., 1:], _FAR, _NEAR)
+def _off_frontal_share(sine: Array, likeness: Array) -> Array:
+    """Return how far a view counts as off-frontal, 0 to 1.
+
+    Args:
+        sine: Of the view angle, 0 where the person faces the sensor.
+        likeness: As ``_Offsets.lately``: no view counts that nothing was learned from.
+    """
+    off_frontal = _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL)
+    return off_frontal * _ramp(likeness[..., 1:], _FAR, _NEAR)
 
 
 def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:

@@ -9,11 +9,10 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 
 from .interface import Correction, Corrector, Observation, measured_only
 
@@ -27,7 +26,7 @@ _FIRMEST = 1e3  # weight of a fully trusted joint against one bone's pull
 
 
 def measurement_confidence(
-    reliability: Array, geometry: Array, missing: NDArray[np.bool_], coverage: float
+    reliability: Array, geometry: Array, missing: Flags, coverage: float
 ) -> Array:
     """Return how far each joint follows its measurement, in [0, 1], shape (J,).
 

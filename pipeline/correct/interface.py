@@ -132,10 +132,7 @@ class InTurn(Corrector):
     """
 
     def __init__(
-        self,
-        *methods: Corrector,
-        skeleton: Skeleton,
-        least_reliability: float = 0.0,
+        self, *methods: Corrector, skeleton: Skeleton, least_reliability: float = 0.0
     ) -> None:
         self.methods = methods
         self._hands, self._body = Hands(skeleton), standard_body(skeleton)

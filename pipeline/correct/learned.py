@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters.arrays import Indices
 from kinefilter.pipeline.field_types import converted, keyword_hints
 
 from .hold import Hold
@@ -28,7 +29,7 @@ class LearnedCorrector(Corrector):
     """Names of the arrays in a model file: ``joints`` is the attribute ``joints_``."""
     adjustable: ClassVar[tuple[str, ...]] = ()
     """Keywords that may differ from those it was fitted with."""
-    joints_: NDArray[np.intp]
+    joints_: Indices
     """The joints that it corrects, shape (M,)."""
 
     def __init__(self, skeleton: Skeleton) -> None:

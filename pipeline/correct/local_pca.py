@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
 
@@ -119,9 +118,7 @@ class LocalPCA(Corrector):
             posture, self.orientation(prior, nearest, reliability), confidence, coverage
         )
 
-    def synthesize(
-        self, measured: Array, reliability: Array
-    ) -> tuple[Array, NDArray[np.intp]]:
+    def synthesize(self, measured: Array, reliability: Array) -> tuple[Array, Indices]:
         """Return the natural posture of least energy [m], (J, 3), and its neighbors.
 
         Args:
@@ -149,7 +146,7 @@ class LocalPCA(Corrector):
         self._last = [*self._last[-1:], posture]
         return posture.reshape(-1, 3), nearest
 
-    def _neighbors(self, measured: Array, reliability: Array) -> NDArray[np.intp]:
+    def _neighbors(self, measured: Array, reliability: Array) -> Indices:
         """Return the database postures nearest to the reliable joints (eq. 9).
 
         The last posture stands in with a small weight, so that joints nobody trusts do
@@ -171,9 +168,7 @@ class LocalPCA(Corrector):
         before, last = self._last
         return 2.0 * last - before
 
-    def _cover(
-        self, measured: Array, reliability: Array, nearest: NDArray[np.intp]
-    ) -> float:
+    def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> float:
         """Return how well the database knows the posture, in [0, 1].
 
         Fully, as far as its own postures lie apart and the sensor errs (both in root
@@ -193,7 +188,7 @@ class LocalPCA(Corrector):
         return self._coverage
 
     def orientation(
-        self, posture: Array, nearest: NDArray[np.intp], reliability: Array
+        self, posture: Array, nearest: Indices, reliability: Array
     ) -> Array:
         """Return the neighbors' rotations, weighted by inverse difference (VII.B)."""
         away = self.database.positions[nearest] - posture

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, Indices, Singles
 
-from .random_features import Floats, values_at
+from .random_features import values_at
 
 _APART = 8.0 / 30.0  # s between a frame and those that say how it moves
 _MOVEMENT, _LENGTHS, _TOWARD = 0.5, 2.0, 0.6  # weights, against 1 of positions [m]
@@ -35,11 +34,11 @@ REACH = 2.0 * _APART
 class Part(NamedTuple):
     """An arm or a leg, by the left one, or the trunk."""
 
-    joints: NDArray[np.intp]
+    joints: Indices
     """Which of the known joints they are, shape (K,)."""
-    own: NDArray[np.bool_]
+    own: Flags
     """The features that are of the part itself, shape (F,)."""
-    weights: Floats
+    weights: Singles
     """How much each feature counts, shape (F,)."""
 
 
@@ -53,9 +52,8 @@ class PostureFeatures:
 
     def __init__(self, skeleton: Skeleton) -> None:
         trunk = [skeleton.root, skeleton.parents[skeleton.girdle], skeleton.girdle]
-        names = [part + side for part in _LIMBS for side in ("Left", "Right")]
-        known = [skeleton.index(joint) for joint in ("Head", *names)]
-        self.joints = np.array([*trunk, *known])
+        limbs = [j for part in _LIMBS for j in skeleton.sides(part)]
+        self.joints = np.array([*trunk, skeleton.index("Head"), *limbs])
         """The joints that are known, shape (M,)."""
         self.limbs = self.joints[len(trunk) + 1 :]
         """Those beyond the trunk."""
@@ -157,7 +155,7 @@ class PostureFeatures:
         toward: Array,
         *,
         live: bool = False,
-    ) -> Floats:
+    ) -> Singles:
         """Return the features of frames, shape (T, F).
 
         Args:
@@ -177,7 +175,7 @@ class PostureFeatures:
         return np.concatenate(rows, axis=1, dtype=np.float32)
 
 
-def _features_of(joints: NDArray[np.intp], size: int, count: int) -> NDArray[np.bool_]:
+def _features_of(joints: Indices, size: int, count: int) -> Flags:
     """Return which of the features are of some joints, or of where the sensor is."""
     own = np.zeros(count, dtype=bool)
     own[:size].reshape(-1, 3)[joints] = True

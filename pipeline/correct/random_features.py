@@ -5,12 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from kinefilter.characters.arrays import Array
-
-Floats = NDArray[np.float32]
+from kinefilter.characters.arrays import Array, Singles
 
 _LINEAR = 0.8  # variance of the linear part, against 1 of the Gaussian one
 
@@ -25,13 +22,13 @@ class RandomFeatures:
         weights: How much each of what they are made of counts, shape (F,).
     """
 
-    def __init__(self, mean: Floats, count: int, seed: int, weights: Floats) -> None:
+    def __init__(self, mean: Singles, count: int, seed: int, weights: Singles) -> None:
         frequencies = _frequencies(len(mean), count // 2, seed)
         self._frequencies = np.ascontiguousarray(frequencies * weights[:, None])
         self._mean, self.size = mean, count + len(mean)
         self._linear = weights * np.float32(np.sqrt(_LINEAR))
 
-    def __call__(self, features: Floats) -> Floats:
+    def __call__(self, features: Singles) -> Singles:
         """Return the random and the linear features of frames, (T, size)."""
         half = self._frequencies.shape[1]
         made = np.empty((len(features), self.size), dtype=np.float32)
@@ -44,7 +41,7 @@ class RandomFeatures:
 
 
 @lru_cache(maxsize=8)  # every clean begins with the same ones
-def _frequencies(size: int, count: int, seed: int) -> Floats:
+def _frequencies(size: int, count: int, seed: int) -> Singles:
     """Return orthogonal random frequencies, shape (size, count), read-only."""
     blocks = -(-count // size)
     # Raw bits and the normal quantile: the same in every version of numpy.
@@ -54,7 +51,7 @@ def _frequencies(size: int, count: int, seed: int) -> Floats:
     turns = np.linalg.qr(square)[0]
     lengths = np.linalg.norm(square, axis=2, keepdims=True)
     rows = (turns * lengths).reshape(-1, size)[:count]
-    frequencies: Floats = rows.T.astype(np.float32)
+    frequencies: Singles = rows.T.astype(np.float32)
     frequencies.flags.writeable = False
     return frequencies
 
@@ -83,7 +80,7 @@ def direction_to(sensor: Array | None, count: int) -> Array:
     return np.where(distance > 0.5, flat / np.maximum(distance, 0.5), [0.0, 1.0])
 
 
-def likeness_to(features: Floats, centers: Floats, squares: Floats) -> Array:
+def likeness_to(features: Singles, centers: Singles, squares: Singles) -> Array:
     """Return how like the nearest center frames are, in [0, 1], shape (T,).
 
     ``squares`` are those of the centers' lengths.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +14,15 @@ from kinefilter.characters.arrays import (
     Array,
     Indices,
     Lengths,
+    Singles,
     check_arrays,
     check_kind,
 )
 from kinefilter.characters.skeleton import check_skeleton
 from kinefilter.pipeline.formats.files import as_path
-from kinefilter.pipeline.formats.npz import read_arrays
+from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 
-Singles = NDArray[np.float32]
-
-FILTERED_POSTURES = 2574
-"""Postures that the threshold rule leaves (Shum 2013, table V)."""
-
+_ARRAYS = ("positions", "rotations", "labels")
 _LARGEST = 10.0  # of coordinates [m] and of quaternions: beyond, one is damaged
 _BLOCK = 128  # postures: fewer fit tighter boxes, more cost fewer calls. Timed.
 _AT_ONCE = 30_000  # postures: below, looking at all is faster than choosing. Timed.
@@ -122,17 +118,9 @@ class PostureDatabase:
 
     def save(self, path: Path) -> None:
         """Write the database as npz: arrays only."""
-        from kinefilter.pipeline.formats.files import atomic_path
-
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(
-                file,
-                positions=self.positions,
-                rotations=self.rotations,
-                labels=self.labels,
-                skeleton=np.array(self.skeleton.name),
-                recorded=np.array(self.recorded),
-            )
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        named = {"skeleton": self.skeleton.name, "recorded": self.recorded}
+        write_arrays(path, arrays | {k: np.array(value) for k, value in named.items()})
 
     @classmethod
     def load(cls, path: Path) -> PostureDatabase:
@@ -277,6 +265,5 @@ def _ordered(flat: Singles, block: int) -> Indices:
 @lru_cache(maxsize=4)
 def builtin_database(skeleton: Skeleton) -> PostureDatabase:
     """Return the database of scripted motions that comes with kinefilter."""
-    folder = resources.files("kinefilter.pipeline").joinpath("embedded")
-    with resources.as_file(folder / f"{skeleton.name}_postures.npz") as path:
-        return PostureDatabase.load(path)
+    folder = Path(__file__).parents[1] / "embedded"
+    return PostureDatabase.load(folder / f"{skeleton.name}_postures.npz")

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take, Term
+from kinefilter.characters.arrays import Flags
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import Scores
 from kinefilter.retarget.runs import runs
 
@@ -123,7 +124,7 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
     take = without_nobody(take, found)
     found += _lasting(take, kind.MIRRORED, "body", _mirrored(take))
     take = unmirrored(take, found)  # sides are named as they are once exchanged back
-    for side in ("Left", "Right"):
+    for side in SIDES:
         for limb, what, frames, shortest in (
             ("arm", kind.THROUGH_HEAD, through_head(take, side), _SHORT),
             ("arm", kind.OUT_OF_RANGE, out_of_range(take, side), _SHORT),
@@ -136,11 +137,7 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
 
 
 def _lasting(
-    take: Take,
-    kind: FailureKind,
-    part: str,
-    frames: NDArray[np.bool_],
-    shortest: float = 0.0,
+    take: Take, kind: FailureKind, part: str, frames: Flags, shortest: float = 0.0
 ) -> Iterable[Failure]:
     """Yield the stretches of a failure in frames (T,), none shorter than that [s]."""
     for run in runs(frames):
@@ -172,7 +169,7 @@ def distrust(
     return replace(scores, reliability=reliability, geometry=geometry, term=term)
 
 
-def _mirrored(take: Take) -> NDArray[np.bool_]:
+def _mirrored(take: Take) -> Flags:
     """Return the frames, fewer than half, between impossible turns, shape (T,)."""
     frames = np.zeros(len(take), dtype=bool)
     left = np.nan_to_num(leftward(take)[:, [0, 2]])

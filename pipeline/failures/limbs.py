@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from kinefilter.characters import Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import unit
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import column_medians
 
 _BACKWARDS = 0.06
@@ -47,14 +47,13 @@ _REST = 0.1
 """Time before and after a leap over which movement counts against it [s]: a quick limb
 is still on its way then."""
 _SLACK = 1.25  # share of _LEAP_TIME that two frames of an uneven clock may take
-_SIDES = ("Left", "Right")
 _SEGMENTS = {
     "arm": (("Shoulder", "Elbow"), ("Elbow", "Wrist")),
     "leg": (("Hip", "Knee"), ("Knee", "Ankle")),
 }
 
 
-def bent_backwards(take: Take, side: str) -> NDArray[np.bool_]:
+def bent_backwards(take: Take, side: str) -> Flags:
     """Return the frames in which a knee is far behind its leg, shape (T,)."""
     hip, knee, ankle = (_joint(take, part, side) for part in ("Hip", "Knee", "Ankle"))
     hips = _joint(take, "Hip", "Left") - _joint(take, "Hip", "Right")
@@ -69,7 +68,7 @@ def bent_backwards(take: Take, side: str) -> NDArray[np.bool_]:
     return np.asarray(_steady(take, share) < -_BACKWARDS)
 
 
-def through_head(take: Take, side: str) -> NDArray[np.bool_]:
+def through_head(take: Take, side: str) -> Flags:
     """Return the frames in which a forearm is inside the neck or head, shape (T,).
 
     Sensors lose an arm behind the head or beyond it, and then see one in the head.
@@ -84,7 +83,7 @@ def through_head(take: Take, side: str) -> NDArray[np.bool_]:
     return np.asarray(_steady(take, apart) < _CLEARANCE)
 
 
-def out_of_range(take: Take, side: str) -> NDArray[np.bool_]:
+def out_of_range(take: Take, side: str) -> Flags:
     """Return the frames in which an upper arm goes through the trunk, shape (T,).
 
     Arms go across the chest, but no farther than to 135 degrees, and behind the back no
@@ -102,7 +101,7 @@ def out_of_range(take: Take, side: str) -> NDArray[np.bool_]:
     return np.asarray(_steady(take, beyond) > np.sin(_TOLERANCE))
 
 
-def leaps(take: Take, side: str, limb: str) -> NDArray[np.bool_]:
+def leaps(take: Take, side: str, limb: str) -> Flags:
     """Return the frames in which a limb, ``arm`` or ``leg``, leaps, shape (T,).
 
     Sensors that lose a limb leave it where it was, or on something else, and find it
@@ -115,7 +114,7 @@ def leaps(take: Take, side: str, limb: str) -> NDArray[np.bool_]:
         return frames
     quick = take.time[lag:] - take.time[:-lag] <= _SLACK * _LEAP_TIME
     for start, end in _SEGMENTS[limb]:
-        bones = {s: _joint(take, end, s) - _joint(take, start, s) for s in _SIDES}
+        bones = {s: _joint(take, end, s) - _joint(take, start, s) for s in SIDES}
         lengths = np.stack([np.linalg.norm(b, axis=1) for b in bones.values()], axis=1)
         # The longer of both sides' medians is the length: lost limbs shrink.
         longest = max(np.nan_to_num(column_medians(lengths)).max(), 1e-3)

@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from kinefilter.characters import KINECT_V2, InputError, State
+from kinefilter.characters.motion import check_order
 
 from .files import read_limited
-from .recording import Recording, Sighting, check_length, check_order, takes_of
+from .recording import Recording, Sighting, check_length, takes_of
 
 _LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with
 

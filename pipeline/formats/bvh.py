@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from kinefilter.characters import Clip, InputError
-from kinefilter.characters.arrays import Array, freeze
+from kinefilter.characters.arrays import Array, chunks, freeze
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_x,
@@ -26,7 +26,7 @@ from kinefilter.characters.rotations import (
 
 from .export import Export
 from .files import AnyPath, new_text, open_text
-from .recording import chunks
+from .recording import FRAMES_AT_ONCE
 from .rig import Rig, RigMotion
 from .rows import LARGEST_NUMBER, LineReader, RowReader
 
@@ -281,7 +281,7 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
         file.write("HIERARCHY\n")
         file.writelines(_hierarchy(rig, offsets, channels, 0, 0))
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
-        for some in chunks(len(motion)):
+        for some in chunks(len(motion), FRAMES_AT_ONCE):
             numbers = motion[some]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 

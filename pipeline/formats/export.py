@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, Origin, Prop, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import LONG_GAP, long_gaps, told_gaps
 from kinefilter.characters.motion import frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.pipeline.field_types import check_fields
 
-from .recording import MOST_FRAMES, chunks
+from .recording import FRAMES_AT_ONCE, MOST_FRAMES
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
@@ -187,7 +187,7 @@ def resampled(clip: Clip, fps: float) -> Clip:
     def arc(rotations: Array) -> Array:
         part = share.reshape(-1, *[1] * (rotations.ndim - 2))
         found = np.empty((count, *rotations.shape[1:]))
-        for some in chunks(count):
+        for some in chunks(count, FRAMES_AT_ONCE):
             start, end = rotations[before[some]], rotations[after[some]]
             found[some] = slerp(start, end, part[some])
         return found

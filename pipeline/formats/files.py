@@ -54,6 +54,15 @@ def check_folder(path: AnyPath) -> Path:
     return path
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, or raise an InputError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = f"cannot be made ({error.strerror})"
+        raise InputError(f"{path}: {reason}; write elsewhere") from error
+
+
 def as_path(path: AnyPath) -> Path:
     """Return a path that the system takes, or raise an InputError."""
     try:

@@ -65,15 +65,6 @@ _TOLERANCE = 1.5
 """Lengths of bodies over those of the standard one, or under, at most."""
 
 
-def sorted_mocap(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Return the files with motion and the ASF files; raises InputError if only ASF."""
-    skeletons = [file for file in files if file.suffix.lower() == ".asf"]
-    motions = [file for file in files if file not in skeletons]
-    if not motions:
-        raise InputError("no BVH, AMC, C3D or TRC files given; name one or more")
-    return motions, skeletons
-
-
 def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
     """Read a BVH, AMC, C3D or TRC file, told apart by content; text may be gzipped.
 

@@ -6,7 +6,7 @@ import math
 import os
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from itertools import count
@@ -100,6 +100,13 @@ def _check_header(file: IO[bytes], size: int) -> None:
         raise ValueError("larger than the archive says, or not numbers or text")
 
 
+def write_arrays(path: AnyPath, arrays: Mapping[str, Any]) -> None:
+    """Write arrays as npz; the file appears whole or not at all."""
+    # An open file, as numpy adds .npz to a name that ends in .NPZ.
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
 def write_npz(clip: Clip, path: AnyPath) -> None:
     """Write every array of a clip and every measure of its body under its own name.
 
@@ -116,9 +123,7 @@ def write_npz(clip: Clip, path: AnyPath) -> None:
         "source": np.array(clip.source),
         **({_ROLL: np.array(clip.roll)} if clip.roll else {}),
     }
-    # An open file, as numpy adds .npz to a name that ends in .NPZ.
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_arrays(path, arrays)
 
 
 def read_npz(path: AnyPath) -> Clip:

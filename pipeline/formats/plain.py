@@ -1,4 +1,4 @@
-"""Figures and names in the form that JSON, tables and terminals can hold."""
+"""Figures, counts and names in the form that JSON, tables and terminals can hold."""
 
 from __future__ import annotations
 
@@ -22,6 +22,11 @@ def finite(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return type(value)(map(finite, value))
     return value
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number of things, such as ``1 frame`` or ``2 frames``."""
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def printable(text: str) -> str:

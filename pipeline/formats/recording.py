@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
@@ -10,13 +10,13 @@ from pathlib import PurePath
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, State, Take, unit_hint
-from kinefilter.characters.arrays import Array, shown
+from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.motion import nominal_step
 
 from .files import open_text
+from .plain import counted
 
 _Path = TypeVar("_Path", bound=PurePath)
 
@@ -30,7 +30,7 @@ _COARSEST = 1e-4  # s: a hundredth of a frame of 100 a second
 _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
 FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
-_FRAMES_AT_ONCE = 1000  # about a megabyte of text
+FRAMES_AT_ONCE = 1000  # that are written: about a megabyte of text
 _AWAY, _NEAR = 2.0, 0.5
 """A body that is new within this time [s] and distance [m] of where another was lost,
 the mean of the joints compared, is the same: half a stride. Guesses."""
@@ -70,12 +70,6 @@ class Recording:
         return self.takes[body - 1]
 
 
-def chunks(frames: int) -> Iterator[slice]:
-    """Yield a thousand frames after the other, to bound the memory of what follows."""
-    for start in range(0, frames, _FRAMES_AT_ONCE):
-        yield slice(start, start + _FRAMES_AT_ONCE)
-
-
 def numbered(path: _Path, body: int | None) -> _Path:
     """Return the path of one of several people: ``clip.2.usda`` for ``clip.usda``."""
     if body is None:
@@ -105,9 +99,7 @@ def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
         raise InputError(f"{source}: the file is empty; expected a recorded take")
 
 
-def missing_marked(
-    positions: Array, state: NDArray[np.uint8]
-) -> tuple[Array, NDArray[np.uint8]]:
+def missing_marked(positions: Array, state: Codes) -> tuple[Array, Codes]:
     """Return positions [m] (..., 3) and states (...), NaN and not tracked if missing.
 
     Missing is what is not tracked, not a number or exactly at the origin, where the
@@ -121,7 +113,7 @@ def missing_marked(
 def recording_of(
     time: Array,
     positions: Array,
-    state: NDArray[np.uint8],
+    state: Codes,
     skeleton: Skeleton,
     source: str,
     layout: str,
@@ -143,8 +135,8 @@ def check_length(frames: int, source: str) -> None:
     """Raise InputError for fewer than two frames or more than any recording's."""
     if frames < 2:
         raise InputError(
-            f"{source}: has {frames} frame{'s' * (frames != 1)}, "
-            "expected at least 2; record a longer take"
+            f"{source}: has {counted(frames, 'frame')}, expected at least 2; record a "
+            "longer take"
         )
     if frames > MOST_FRAMES:
         raise InputError(
@@ -176,17 +168,6 @@ def check_rate(time: Array, source: str) -> None:
         raise InputError(
             f"{source}: numbers near the time stamp {latest:.4g} s are "
             f"{np.spacing(abs(latest)):.2g} s apart; subtract the first from all"
-        )
-
-
-def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
-    """Raise InputError where time stamps [s] (T,) go backwards."""
-    backwards = np.flatnonzero(np.diff(time) < 0)
-    if len(backwards):
-        k = int(backwards[0]) + 1
-        raise InputError(
-            f"{where(k)} goes backwards ({time[k - 1]:.4f} s, then {time[k]:.4f} s); "
-            f"sort the {what} by time or cut the take there"
         )
 
 
@@ -223,7 +204,7 @@ class Sighting:
     frame: int
     body: int  # the tracker's number for the body
     positions: Array  # of joints [m], shape (J, 3)
-    state: NDArray[np.uint8]  # tracking states (State), shape (J,)
+    state: Codes  # tracking states (State), shape (J,)
 
 
 def takes_of(

@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import SKELETONS, Body, Motion, Skeleton, standard_body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.body_size import measured_body
 from kinefilter.retarget.retargeting import Retargeted
@@ -34,7 +33,7 @@ class Rig:
     names: tuple[str, ...]  # the sensor's for a joint, ``<Child>Pivot`` for a helper
     parents: tuple[int, ...]  # index of each node's parent, -1 for the root
     offsets: Array  # vector [m] from the parent in the T-pose, shape (N, 3), root 0
-    segments: NDArray[np.intp]  # the skeleton's that each node turns with, shape (N,)
+    segments: Indices  # the skeleton's that each node turns with, shape (N,)
     root: Array  # position of the root in the T-pose [m], shape (3,)
     axes: Array | None = None
     """World rotation of each node's own axes in the rest pose, wxyz, shape (N, 4);
@@ -66,7 +65,7 @@ class Rig:
         return tuple(order)
 
     @cached_property
-    def starts(self) -> NDArray[np.intp]:
+    def starts(self) -> Indices:
         """Index of the node at each segment's start, which turns it, shape (J,)."""
         segments = self.segments.tolist()
         return np.array([segments.index(j) for j in range(max(segments) + 1)])

@@ -8,10 +8,9 @@ from itertools import islice
 from typing import ClassVar, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, Indices
 
 LARGEST_NUMBER = 1e9
 """Of lengths and angles at most, whatever their unit; a damaged number may be more."""
@@ -22,7 +21,7 @@ _BLOCK_LINES = 2000  # some megabytes of text at a time, whatever the file's len
 class Block:
     """Some rows of a file."""
 
-    rows: NDArray[np.intp]  # line number of each row, counted from 1, shape (R,)
+    rows: Indices  # line number of each row, counted from 1, shape (R,)
     values: Array  # the numbers, NaN where a cell is empty, none infinite, (R, C)
 
 
@@ -48,7 +47,7 @@ class RowReader:
                 texts = [self.normalize(line) for line in filled.values()]
                 yield self._block(np.array(list(filled)), texts)
 
-    def _block(self, rows: NDArray[np.intp], texts: list[str]) -> Block:
+    def _block(self, rows: Indices, texts: list[str]) -> Block:
         try:
             named = [_name_the_empty(text) for text in texts]
             values = np.loadtxt(named, delimiter=",", comments=None, ndmin=2)
@@ -80,9 +79,7 @@ class RowReader:
                 self._fail(row, column, f"is {word!r}, expected a number; {words}")
         return numbers
 
-    def refuse(
-        self, block: Block, column: int, wrong: NDArray[np.bool_], words: str
-    ) -> None:
+    def refuse(self, block: Block, column: int, wrong: Flags, words: str) -> None:
         """Raise InputError for the first wrong row (R,); ``{}`` is its number."""
         if wrong.any():
             k = int(np.argmax(wrong))

@@ -10,7 +10,6 @@ from functools import partial
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import (
     CONTACTS,
@@ -24,16 +23,16 @@ from kinefilter.characters import (
     State,
     Take,
 )
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes, Flags, Indices, chunks
+from kinefilter.characters.motion import check_order
 
 from .files import AnyPath, beginning, new_text, open_text
 from .npz import read_npz
 from .recording import (
+    FRAMES_AT_ONCE,
     MOST_FRAMES,
     Recording,
     check_length,
-    check_order,
-    chunks,
     missing_marked,
     open_rows,
     recording_of,
@@ -73,7 +72,7 @@ def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
     with new_text(path) as file:
         file.write(take_header(motion.skeleton))
-        for some in chunks(len(motion)):
+        for some in chunks(len(motion), FRAMES_AT_ONCE):
             rows = take_rows(motion.time[some], motion.positions[some], state[some])
             file.write(rows)
 
@@ -103,7 +102,7 @@ def take_header(skeleton: Skeleton) -> str:
     return ",".join(_columns(skeleton)) + "\n"
 
 
-def take_rows(time: Array, positions: Array, state: NDArray[np.uint8]) -> str:
+def take_rows(time: Array, positions: Array, state: Codes) -> str:
     """Return the lines of frames, shapes (T,), (T, J, 3) and (T, J)."""
     count, joints = state.shape
     row = ",".join(["%r", *["%.9f,%.9f,%.9f,%d"] * joints]) + "\n"
@@ -253,7 +252,7 @@ read_msrc_12 = partial(_read, _msrc_12)
 
 def _frames(
     block: Block, layout: _Layout, reader: RowReader
-) -> tuple[NDArray[np.intp], Array, Array, NDArray[np.uint8]]:
+) -> tuple[Indices, Array, Array, Codes]:
     """Return row numbers, times [s], positions [m] (R, J, 3) and states (R, J)."""
     skeleton, values = layout.skeleton, block.values
     index = {column: i for i, column in enumerate(layout.columns)}
@@ -289,18 +288,14 @@ def write_contacts(clip: Clip, path: AnyPath) -> None:
             file.write(",".join([repr(time), *map(str, flags)]) + "\n")
 
 
-def read_contacts(path: AnyPath, time: Array) -> NDArray[np.bool_]:
+def read_contacts(path: AnyPath, time: Array) -> Flags:
     """Return the contacts (CONTACTS) of a file at times [s] (T,), shape (T, 4).
 
     The file is one of ``write_contacts``, edited or not, or a clip as npz. Each time
     gets the last row at or before it: a file may have a row per frame, or one per
     change. Raises InputError if it is missing, no such table, or of another time.
     """
-    if os.fspath(path).lower().endswith(".npz"):
-        clip = read_npz(path)
-        stamps, flags = clip.time, clip.contacts
-    else:
-        stamps, flags = contact_table(path)
+    stamps, flags = contact_table(path)
     if stamps[0] > time[-1] + _ROUNDED or (len(stamps) > 1 and stamps[-1] < time[0]):
         raise InputError(
             f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, are "
@@ -315,7 +310,7 @@ def claims_contacts(path: AnyPath) -> bool:
     return beginning(path).startswith(",".join(_CONTACT_HEADER))
 
 
-def contact_table(path: AnyPath) -> tuple[Array, NDArray[np.bool_]]:
+def contact_table(path: AnyPath) -> tuple[Array, Flags]:
     """Return times [s] (T,) and contacts (T, 4) of a table or clip, or InputError."""
     source = os.fspath(path)
     if source.lower().endswith(".npz"):

@@ -46,18 +46,19 @@ from zipfile import is_zipfile
 import numpy as np
 
 from kinefilter.characters import Clip, InputError
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
 
 from .export import Export
 from .files import atomic_path
-from .recording import chunks
+from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion, rig_of
 from .usd_character import (
     ANIMATION,
     CHARACTER,
+    ONCE,
     PER_FRAME,
     SKELETON,
     SKIN,
@@ -110,9 +111,7 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
                 package = Sdf.ZipFileWriter.CreateNew(str(temporary))
                 package.AddFile(str(layer), layer.name)
                 package.Save()
-                if not is_zipfile(
-                    temporary
-                ):  # where a disk was full, it does not say so
+                if not is_zipfile(temporary):  # it does not say that a disk is full
                     raise OSError(ENOSPC, os.strerror(ENOSPC))
     except Tf.ErrorException as error:
         raise InputError(
@@ -194,7 +193,7 @@ def _write_animation(
     binding.CreateAnimationSourceRel().SetTargets([ANIMATION])
     rest = export.points(rig.at_rest[0])
     last = rig.local_rotations(moved.rotations[:1])
-    for some in chunks(len(codes)):
+    for some in chunks(len(codes), FRAMES_AT_ONCE):
         local = rig.local_rotations(moved.rotations[some])
         wxyz = continuous(np.concatenate([last, local]))[1:]
         last = wxyz[-1:]
@@ -221,7 +220,7 @@ def _write_extents(
         segments, parents = clip.skeleton.segments, clip.skeleton.segment_parents
         np.maximum.at(own, parents, margins[segments])
         margins = own[:, None] / export.meters_per_unit
-    for some in chunks(len(clip)):
+    for some in chunks(len(clip), FRAMES_AT_ONCE):
         points = export.points(moved.positions[some])
         joints[some, 0], joints[some, 1] = points.min(axis=1), points.max(axis=1)
         skin[some, 0] = (points - margins).min(axis=1)
@@ -267,10 +266,9 @@ def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
 
     for name, values in name_tables(clip.skeleton).items():
         attribute(name, types.TokenArray).default = Vt.TokenArray(values)
-    frame = {"sensorTilt": clip.tilt, "floorHeight": clip.floor}
-    frame |= {"sensorRoll": clip.roll} if clip.roll else {}
-    for name, number in frame.items():
-        if np.isfinite(number):
+    for name, field in ONCE.items():
+        number = getattr(clip, field)
+        if np.isfinite(number) and (number or field != "roll"):
             attribute(name, types.Double).default = number
     for name, field in PER_FRAME.items():
         rows = getattr(clip, field)

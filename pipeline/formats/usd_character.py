@@ -44,6 +44,8 @@ PER_FRAME = {
     "contacts": "contacts",
 }
 """Attributes of ``/Character`` with a sample per frame, and the clip's fields."""
+ONCE = {"sensorTilt": "tilt", "floorHeight": "floor", "sensorRoll": "roll"}
+"""Attributes that are the same in all frames, and the clip's fields."""
 
 LINEAR = 2.2
 """Exponent from a screen's colors to light, about that of sRGB."""

@@ -33,7 +33,7 @@ from .files import AnyPath, check_file
 from .guarded import read_guarded
 from .npz import props_as_arrays, props_from_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
-from .usd_character import CHARACTER, LINEAR, PER_FRAME, name_tables
+from .usd_character import CHARACTER, LINEAR, ONCE, PER_FRAME, name_tables
 
 _LARGEST = 2**31  # bytes
 _MOST_JOINTS = 1000  # as in BVH
@@ -109,7 +109,7 @@ def read_usd_clip(path: AnyPath) -> Clip:
             motion,
             **known,
             external_force=arrays["external_force"],
-            **{name: arrays[name].item() for name in ("tilt", "floor", "roll")},
+            **{field: arrays[field].item() for field in ONCE.values()},
             props=tuple(props_from_arrays(arrays)),
         )
     except (KeyError, *_BROKEN):
@@ -309,13 +309,10 @@ def _provenance(
     arrays["external_force"] = np.array(
         [force.Get(code) if code in simulated else np.nan for code in codes]
     )
-    for name, field, default in (
-        ("sensorTilt", "tilt", np.nan),
-        ("floorHeight", "floor", np.nan),
-        ("sensorRoll", "roll", 0.0),
-    ):
+    for name, field in ONCE.items():
         number = character.GetAttribute(f"kinefilter:{name}").Get()
-        arrays[field] = np.array(default if number is None else float(number))
+        absent = 0.0 if field == "roll" else np.nan
+        arrays[field] = np.array(absent if number is None else float(number))
     return arrays
 
 

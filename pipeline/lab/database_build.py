@@ -11,17 +11,9 @@ import numpy as np
 from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
-from kinefilter.pipeline.database.posture_database import (
-    FILTERED_POSTURES,
-    PostureDatabase,
-)
+from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
-from kinefilter.pipeline.formats.mocap import (
-    RIGS,
-    kinect_motion,
-    read_mocap,
-    sorted_mocap,
-)
+from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
@@ -38,7 +30,8 @@ from .spool import Spool
 
 POSTURES_PER_SECOND = 30.0
 """Rate [1/s] at which postures are taken from motions."""
-
+FILTERED_POSTURES = 2574
+"""Postures that the threshold rule leaves (Shum 2013, table V)."""
 
 _EVERY_OTHER = 2  # frame of pairs: the filter drops more than that
 _T_POSE_TOLERANCE = np.radians(25.0)
@@ -57,7 +50,10 @@ def database_from_mocap(
     ``retarget/source_rigs``, in whatever unit. The threshold rule keeps about ``count``
     postures. Raises an InputError if there are none, or one lacks a joint.
     """
-    motions, skeletons = sorted_mocap(files)
+    skeletons = [file for file in files if file.suffix.lower() == ".asf"]
+    motions = [file for file in files if file not in skeletons]
+    if not motions:
+        raise InputError("no BVH, AMC, C3D or TRC files given; name one or more")
     parts = (
         (
             file.name.split(".")[0],

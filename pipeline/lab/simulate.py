@@ -9,7 +9,7 @@ import numpy as np
 
 from kinefilter.characters import SKELETONS, InputError, State, Take
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes import load_scene
@@ -206,16 +206,15 @@ def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:
     """
     stop = np.cumsum([len(pair.take) for pair in pairs])
     steps = np.concatenate([np.diff(pair.take.time) for pair in pairs])
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(
-            file,
-            joints=np.array(pairs[0].take.skeleton.joints),
-            fps=np.float32(1.0 / np.median(steps)),
-            subject=np.array(pairs[0].subject),
-            kinect=np.concatenate([pair.take.positions for pair in pairs]),
-            mocap=np.concatenate([pair.truth for pair in pairs]),
-            state=np.concatenate([pair.take.state for pair in pairs]),
-            clip=np.array([pair.clip for pair in pairs]),
-            start=np.concatenate([[0], stop[:-1]]),
-            stop=stop,
-        )
+    arrays = {
+        "joints": np.array(pairs[0].take.skeleton.joints),
+        "fps": np.float32(1.0 / np.median(steps)),
+        "subject": np.array(pairs[0].subject),
+        "kinect": np.concatenate([pair.take.positions for pair in pairs]),
+        "mocap": np.concatenate([pair.truth for pair in pairs]),
+        "state": np.concatenate([pair.take.state for pair in pairs]),
+        "clip": np.array([pair.clip for pair in pairs]),
+        "start": np.concatenate([[0], stop[:-1]]),
+        "stop": stop,
+    }
+    write_arrays(path, arrays)

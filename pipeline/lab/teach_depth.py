@@ -26,7 +26,7 @@ from kinefilter.characters import (
     Skeleton,
     positions_from_rotations,
 )
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.workers import workers
@@ -45,6 +45,7 @@ from kinefilter.scenes.sensor.depth_image import (
     with_noise,
 )
 from kinefilter.scenes.sensor.depth_tracker import behind, constants_of, propose
+from kinefilter.scenes.sensor.ray_casting import PosedBody
 
 from .database_build import mocap_postures
 
@@ -138,7 +139,7 @@ def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
     root[:, [0, 2]] = rng.normal(0.0, 0.3, (len(rotations), 2))
     positions = positions_from_rotations(rotations, root, body)
     positions[..., 1] -= (positions[..., 1] - body.radii).min(axis=1)[:, None]
-    camera = DepthCamera(body, SENSORS["v2"])
+    camera = DepthCamera(PosedBody(body), SENSORS["v2"])
     for joints, turn in zip(positions, rotations, strict=True):
         height, distance = rng.uniform(0.6, 1.6), rng.uniform(2.0, 3.6)
         camera.look_from(
@@ -154,7 +155,7 @@ def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
         yield Shot(image, in_sensor_frame(joints, camera.sensor), body)
 
 
-def features(count: int) -> NDArray[np.float32]:
+def features(count: int) -> Singles:
     """Return offsets u and v of features [m across the view], (F, 2, 2).
 
     Half of them compare a place nearby with the pixel itself, as in the paper. Their
@@ -170,7 +171,7 @@ def features(count: int) -> NDArray[np.float32]:
 
 def lessons(
     seed: int, sizes: Sizes, mocap: dict[str, Array]
-) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+) -> tuple[Singles, NDArray[np.int8]]:
     """Return features and body parts of pixels of one person.
 
     Body parts that few pixels show are drawn more often: by the root of their number.
@@ -194,9 +195,7 @@ def lessons(
     return np.concatenate(told), np.concatenate(shown)
 
 
-def fit_forest(
-    told: NDArray[np.float32], shown: NDArray[np.int8], sizes: Sizes
-) -> BodyPartForest:
+def fit_forest(told: Singles, shown: NDArray[np.int8], sizes: Sizes) -> BodyPartForest:
     """Return a forest that tells body parts; joints have no constants yet."""
     from sklearn.ensemble import RandomForestClassifier
 
@@ -215,7 +214,7 @@ def fit_forest(
 
 
 def converted(
-    trees: Sequence[object], classes: NDArray[np.int8], offsets: NDArray[np.float32]
+    trees: Sequence[object], classes: NDArray[np.int8], offsets: Singles
 ) -> BodyPartForest:
     """Return scikit-learn's trees as arrays; joints have no constants yet."""
     roots, feature, threshold, children, leaves = [], [], [], [], []

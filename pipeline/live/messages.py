@@ -37,10 +37,9 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, KinefilterError, Skeleton, State
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.motion import LATEST
 from kinefilter.pipeline.formats.recording import missing_marked
 
@@ -51,7 +50,6 @@ if TYPE_CHECKING:
 
 LARGEST_MESSAGE = 2**15
 """Bytes: twice six bodies of 25 joints with all digits; less than a datagram holds."""
-States = NDArray[np.uint8]
 
 _FARTHEST = 100.0  # m: no sensor of people sees that far
 _LONGEST_ID = 32
@@ -87,7 +85,7 @@ class SeenBody:
 
     id: str  # the sender's name for the person
     positions: Array  # of joints [m], sensor frame, y up, NaN where missing, (J, 3)
-    state: States  # tracking states (State), shape (J,)
+    state: Codes  # tracking states (State), shape (J,)
 
     @property
     def is_seen(self) -> bool:
@@ -115,7 +113,7 @@ class LivePose:
     latency: float  # time since the frame came in [s]
 
 
-def stacked(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, States]:
+def stacked(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, Codes]:
     """Return stamps [s], positions [m] and states of one person's frames."""
     rows = [(time, seen.positions, seen.state) for time, seen in frames]
     time, positions, state = zip(*rows, strict=True)
@@ -130,7 +128,7 @@ def parse_frame(
         raise MalformedError(Reason.TOO_LONG)
     try:
         text = message.decode("utf-8") if isinstance(message, bytes) else message
-        # Floats alone: a whole number of thousands of digits takes long to read.
+        # Singles alone: a whole number of thousands of digits takes long to read.
         data = json.loads(text, parse_int=float, parse_constant=_no_number)
     except RecursionError:
         raise MalformedError(Reason.TOO_DEEP) from None

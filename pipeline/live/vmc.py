@@ -17,10 +17,9 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Motion
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate, slerp
 from kinefilter.retarget.retargeting import segment_of, turned
 from kinefilter.retarget.rig_map import SIDES, load_rig_map
@@ -87,7 +86,7 @@ class VmcFigure:
         rest, rig, skeleton = self.rig.rest.positions, self.rig, self.body.skeleton
         thighs = [rig.joint(f"{side} thigh") for side in SIDES]
         feet = [rig.joint(f"{side} foot") for side in SIDES]
-        ankles = [skeleton.index(f"Ankle{side.capitalize()}") for side in SIDES]
+        ankles = skeleton.sides("Ankle")
         ours = self.body.rest_positions[ankles, 1].mean()
         higher = rest[feet, 1].mean() - rig.floor - ours
         over = rest[rig.joint("pelvis")] - rest[thighs].mean(axis=0)
@@ -142,7 +141,7 @@ def _message(address: str, *values: str | int | float) -> bytes:
     return bytes(builder.build().dgram)
 
 
-def _bundles(messages: Sequence[bytes]) -> list[NDArray[np.float32]]:
+def _bundles(messages: Sequence[bytes]) -> list[Singles]:
     """Return messages in bundles that fit into packets, as words of four bytes.
 
     Everything in OSC is a multiple of four bytes long. No word is NaN but the floats

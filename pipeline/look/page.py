@@ -111,19 +111,20 @@ def write_page(
 ) -> None:
     """Write contents and the files that show them as one page, whole or not at all.
 
-    ``files`` are its .html, with marks where all else goes, its .css and its .js, which
-    follow ``page.css`` and ``drawing.js`` of all pages. Raises an InputError if the
-    page cannot be written.
+    ``files`` are the .html of its body, its .css and its .js, which follow ``page.css``
+    and ``drawing.js`` of all pages. Raises an InputError if the page cannot be written.
     """
     texts = [(k.suffix, k.read_text(encoding="utf-8")) for k in (*_SHARED, *files)]
-    style, script, page = (
+    style, script, body = (
         "\n".join(text for suffix, text in texts if suffix == wanted)
         for wanted in (".css", ".js", ".html")
     )
-    page = page.replace("@STYLE@", style).replace("@SCRIPT@", script)
+    frame = (_TEMPLATE / "frame.html").read_text(encoding="utf-8")
+    for mark, text in (("@BODY@", body), ("@STYLE@", style), ("@SCRIPT@", script)):
+        frame = frame.replace(mark, text)
     # What comes from files is put in last, so that none of it is taken for a mark.
-    head, body = page.split("@TITLE@")
-    middle, end = body.split("@DATA@")
+    head, rest = frame.split("@TITLE@")
+    middle, end = rest.split("@DATA@")
     data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
     for mark in "<>&":  # none may end the script element
         data = data.replace(mark, f"\\u{ord(mark):04x}")

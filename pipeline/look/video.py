@@ -12,7 +12,7 @@ from itertools import islice
 from pathlib import Path
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.formats import check_folder
+from kinefilter.pipeline.formats.files import check_folder, make_folder
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.workers import cores, workers
 
@@ -131,12 +131,7 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
         )
     for path in paths:
         if numbered:
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(
-                    f"{path.parent}: cannot be made ({error.strerror}); write elsewhere"
-                ) from error
+            make_folder(path.parent)
         check_folder(path)
     return paths
 

@@ -10,10 +10,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Prop, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.characters.skin import skin_of
@@ -137,7 +136,7 @@ class OffscreenRenderer:
         model.vis.global_.fovy = camera.fov
         opaque = bool((model.skin_rgba[:, 3] == 1.0).all())
         samples = model.vis.quality.offsamples
-        self._background: tuple[Pixels, NDArray[np.float32]] | None = None
+        self._background: tuple[Pixels, Singles] | None = None
         if camera.stays and opaque and not (shadows or samples):
             self._pose(0)
             self._background = self._draw(floor=True, rest=False)
@@ -170,7 +169,7 @@ class OffscreenRenderer:
         level = float(np.hypot(toward[0], toward[1]))
         self._camera.elevation = float(np.degrees(np.arctan2(toward[2], level)))
 
-    def _draw(self, *, floor: bool, rest: bool) -> tuple[Pixels, NDArray[np.float32]]:
+    def _draw(self, *, floor: bool, rest: bool) -> tuple[Pixels, Singles]:
         """Return colors and, of floor or rest alone, depths, the lowest row first."""
         options: Any = mujoco.MjvOption()
         options.geomgroup[:] = rest

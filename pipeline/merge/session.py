@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.checks import check_take, selected
+from kinefilter.pipeline.checks import check_take
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import atomic_path
@@ -147,11 +147,7 @@ def _scored(take: Take) -> tuple[Take, Array]:
     """Return a take with gross failures mended, and its reliability (T, J)."""
     check_take(take)
     distinct = np.concatenate([[True], np.diff(take.time) > 0])
-    found = (
-        Cleaner(CleanConfig(tilt=0.0))
-        .until("reliability")
-        .whole(selected(take, distinct))
-    )
+    found = Cleaner(CleanConfig(tilt=0.0)).until("reliability").whole(take.at(distinct))
     return found.take(), found.reliability
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Prop, Shape, ShapeKind, positions_from_rotations
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import continuous
@@ -114,7 +114,7 @@ class PhysicsTrace:
     """Force on the body that no muscle and no floor gives [body weights]."""
     contacts: NDArray[np.int64]
     """Number of points in which the character touches itself or anything else."""
-    reset: NDArray[np.bool_]
+    reset: Flags
     """The step diverged; the character was put back onto its target."""
 
     @property
@@ -147,7 +147,7 @@ class PhysicsFilter(PulledCharacter):
         positions: Array,
         rotations: Array,
         *,
-        stands: NDArray[np.bool_] | None = None,
+        stands: Flags | None = None,
         frames: Iterable[int] | None = None,
     ) -> PhysicsResult:
         """Pull the character through a whole motion; it starts again after long gaps.
@@ -195,8 +195,7 @@ class PhysicsFilter(PulledCharacter):
             things.record(k)
         result = continuous(result)
         joints = np.empty_like(positions)
-        for k in range(0, count, _CHUNK):
-            some = slice(k, k + _CHUNK)
+        for some in chunks(count, _CHUNK):
             joints[some] = positions_from_rotations(
                 result[some], roots[some], self.body
             )

@@ -11,19 +11,14 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
-from kinefilter.characters.arrays import Array, as_number, as_numbers
-from kinefilter.characters.humanoid import (
-    PULLS,
-    build_humanoid,
-    from_mujoco,
-    to_mujoco,
-)
+from kinefilter.characters.arrays import Array, Flags, as_number, as_numbers
+from kinefilter.characters.humanoid import PULLS, build_humanoid, from_mujoco, to_mujoco
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
-from kinefilter.pipeline.target.feet import SIDES, ankles_and_toes
+from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, sunk
 from kinefilter.scenes import load_scene
 
@@ -114,9 +109,10 @@ class PulledCharacter:
         targets = [self.model.body(f"target:{name}").id for name in joints]
         self._mocap = self.model.body_mocapid[targets]
         self._turned = np.array([joints.index(name) for name in turned])
-        self._palms = [body.skeleton.index(f"Hand{side}") for side in SIDES]
+        self._palms = body.skeleton.sides("Hand")
         self._hands = self._bodies[self._palms]
-        self._grips = [self.model.actuator(f"grip:Hand{side}").id for side in SIDES]
+        grips = [f"grip:{joints[palm]}" for palm in self._palms]
+        self._grips = [self.model.actuator(grip).id for grip in grips]
         self._own = np.isin(self.model.geom_bodyid, self._bodies)
         self._props = np.isin(
             self.model.body_rootid,
@@ -199,7 +195,7 @@ class PulledCharacter:
         dt: float,
         *,
         acceleration: Array | None = None,
-        stands: NDArray[np.bool_] | None = None,
+        stands: Flags | None = None,
     ) -> bool:
         """Advance by dt [s] towards a target; return False if it had to be reset.
 
@@ -286,11 +282,7 @@ class PulledCharacter:
         return bool(left & right)
 
     def _bear(
-        self,
-        target: Array,
-        needed: Array,
-        stands: NDArray[np.bool_] | None,
-        dt: float,
+        self, target: Array, needed: Array, stands: Flags | None, dt: float
     ) -> None:
         """Let standing feet press on the floor with what moves and carries the body.
 

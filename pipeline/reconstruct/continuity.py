@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.pipeline.target.smooth import penalty
 
 REFERENCE_RATE = 30.0
 """Frame rate [Hz] that the smoothness is given for."""
@@ -67,12 +68,7 @@ def _between(values: Array, known: Flags, rate: float) -> Array:
     )
     stiffness = _SMOOTHNESS * (rate / REFERENCE_RATE) ** 4
     weights = np.where(known, 1.0, stiffness / (_FORGET * rate) ** 4)
-    difference = (1.0, -2.0, 1.0)
-    bands = np.zeros((3, count))  # lower bands of lambda D'D
-    for a in range(3):
-        for b in range(a + 1):
-            product = stiffness * difference[a] * difference[b]
-            bands[a - b, b : b + count - 2] += product
+    bands = penalty(np.full(count - 2, stiffness), (1.0, -2.0, 1.0))
     bands[0] += weights
     solved = solveh_banded(bands, weights[:, None] * line, lower=True)
     return np.where(known[:, None], values, solved)

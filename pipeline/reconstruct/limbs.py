@@ -8,6 +8,7 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.skeleton import SIDES
 
 from .windows import Limb
 
@@ -25,7 +26,7 @@ def limbs(skeleton: Skeleton) -> tuple[tuple[int, int, int], ...]:
             skeleton.index(middle + side),
             skeleton.index(end + side),
         )
-        for side in ("Left", "Right")
+        for side in SIDES
         for top, middle, end in _LIMBS
     )
 

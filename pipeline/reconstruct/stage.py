@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.takes import read_take
@@ -82,7 +81,7 @@ class Reconstruct(Stage):
 
 def _hidden(
     positions: Array,
-    state: NDArray[np.uint8],
+    state: Codes,
     skeleton: Skeleton,
     tracked: Array | None = None,
 ) -> Flags:

@@ -90,13 +90,7 @@ class Windows:
 
 
 def describe(
-    seen: Seen,
-    limb: Limb,
-    starts: Indices,
-    length: int,
-    at: Indices,
-    *,
-    ahead: bool,
+    seen: Seen, limb: Limb, starts: Indices, length: int, at: Indices, *, ahead: bool
 ) -> Windows:
     """Describe stretches in which a limb is, or is taken to be, hidden.
 
@@ -162,11 +156,7 @@ def describe(
         begin = pointing(after)
         later = pointing(np.minimum(after + SPEED_FRAMES, count - 1))
         begin_speed = per_second * (later - begin)
-        features += [
-            begin / _END,
-            begin_speed / _END_SPEED,
-            time[1][..., None] / _TIME,
-        ]
+        features += [begin / _END, begin_speed / _END_SPEED, time[1][..., None] / _TIME]
     else:
         base, begin = coast(end, end_speed, time[0][..., None]), end
     still = end + share * (begin - end) if ahead else np.broadcast_to(end, base.shape)
@@ -241,8 +231,7 @@ def _on_foot(
         """Return the ankle's place [m] in frames, clipped to the motion."""
         which = np.clip(which, 0, count - 1)
         place = seen.positions[which, ankle][..., None, :]
-        frame = HeadingFrame(seen.heading.root[which], seen.heading.yaw[which])
-        return np.asarray(frame.restore(place)[..., 0, :])
+        return np.asarray(seen.heading.at(which).restore(place)[..., 0, :])
 
     stood = standing(world(last + np.arange(1 - far, 1)), seen.rate, seen.floor)
     stands = standing(world(after + np.arange(far)), seen.rate, seen.floor)
@@ -253,8 +242,7 @@ def _on_foot(
         stands[:, None],
         time,
     )
-    frame = HeadingFrame(seen.heading.root[frames], seen.heading.yaw[frames])
-    place = frame.remove(place[..., None, :])[..., 0, :]
+    place = seen.heading.at(frames).remove(place[..., None, :])[..., 0, :]
     thigh, shin = seen.lengths[knee], seen.lengths[ankle]
     hips = seen.positions[frames, hip]
     if knee not in limb.hidden:

@@ -2,7 +2,7 @@
 
 Time stamps [s] are strictly increasing, shape (T,); joint positions [m] have y up and
 shape (T, J, 3); the confidence of joints has shape (T, J); whether each foot stands has
-shape (T, 2), in the order of SIDES.
+shape (T, 2), left and right.
 """
 
 from __future__ import annotations
@@ -10,17 +10,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.retarget.runs import runs
 from kinefilter.retarget.stance import smooth_step
 
 from .smooth import smooth
-
-SIDES = ("Left", "Right")
-"""Order of the feet."""
 
 _CUTOFF = 3.0  # Hz: slower than Kinect's noise in the feet, faster than stances
 _LEAST_WEIGHT = 0.1  # of an invented ankle in the smoother, against a measured one's 1
@@ -55,17 +51,14 @@ _STEP_CUTOFF = 6.0  # Hz: what rounds the corners of steps
 
 
 def ankles_and_toes(skeleton: Skeleton) -> tuple[list[int], list[int]]:
-    """Return the indices of the ankles and of the feet, in the order of SIDES."""
-    ankles, toes = (
-        [skeleton.index(part + side) for side in SIDES] for part in ("Ankle", "Foot")
-    )
-    return ankles, toes
+    """Return the indices of the ankles and of the feet, left and right."""
+    return skeleton.sides("Ankle"), skeleton.sides("Foot")
 
 
 def find_stance(
     time: Array, positions: Array, confidence: Array, skeleton: Skeleton
-) -> NDArray[np.bool_]:
-    """Return whether each foot stands in each frame, shape (T, 2), order of SIDES.
+) -> Flags:
+    """Return whether each foot stands in each frame, shape (T, 2), left and right.
 
     A foot stands while its ankle rests and is no higher than the other's. The most
     probable sequence of standing and stepping is taken, where every change costs
@@ -82,7 +75,7 @@ def find_stance(
     return _unloaded(time, stands)
 
 
-def feet_of(contacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def feet_of(contacts: Flags) -> Flags:
     """Return whether each foot stands, (T, 2), from its parts (CONTACTS), (T, 4)."""
     return np.asarray(contacts.reshape(-1, 2, 2).any(axis=2))
 
@@ -107,7 +100,7 @@ def _odds(speed: Array, height: Array, above: Array) -> Array:
     )
 
 
-def _most_probable(log_odds: Array) -> NDArray[np.bool_]:
+def _most_probable(log_odds: Array) -> Flags:
     """Return the most probable sequence of two states; each change costs _SWITCH."""
     count = len(log_odds)
     # Only the lead of standing over stepping counts: it is capped by what a change
@@ -138,9 +131,9 @@ class StanceTracker:
         self._paths: Array | None = None
         self._lead = np.full(2, _SWITCH)
         self.stands = np.ones(2, dtype=np.bool_)
-        """Whether each foot stands, order of SIDES, shape (2,)."""
+        """Whether each foot stands, left and right, shape (2,)."""
 
-    def step(self, ankles: Array, flat: float, dt: float) -> NDArray[np.bool_]:
+    def step(self, ankles: Array, flat: float, dt: float) -> Flags:
         """Take in the next frame and return whether each foot stands, shape (2,).
 
         Args:
@@ -163,7 +156,7 @@ class StanceTracker:
         return self.stands
 
 
-def _unloaded(time: Array, stands: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _unloaded(time: Array, stands: Flags) -> Flags:
     """Return stances shortened by the time to set the foot down and to lift it."""
     shorter = stands.copy()
     for foot in range(2):
@@ -179,7 +172,7 @@ def _unloaded(time: Array, stands: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return shorter
 
 
-def _split(time: Array, path: Array, stands: NDArray[np.bool_], stance: slice) -> None:
+def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
     """Split a stance (in place) during which the foot moved to another place."""
     points = path[stance]
     count = len(points)
@@ -207,10 +200,10 @@ def plant_feet(
     time: Array,
     positions: Array,
     confidence: Array,
-    stands: NDArray[np.bool_],
+    stands: Flags,
     body: Body,
-    heels: NDArray[np.bool_] | None = None,
-) -> tuple[Array, NDArray[np.bool_]]:
+    heels: Flags | None = None,
+) -> tuple[Array, Flags]:
     """Return positions (T, J, 3) whose feet rest while they stand, and their heels.
 
     Ankle and toes of a standing foot stay in one place, that of their weighted median,
@@ -306,7 +299,7 @@ def _joined(
     return joined
 
 
-def _lift(time: Array, toe: Array, sole: float, stands: NDArray[np.bool_]) -> Array:
+def _lift(time: Array, toe: Array, sole: float, stands: Flags) -> Array:
     """Return by how much a foot is lifted in each frame [m], shape (T, 1)."""
     steps = np.diff(time)
     speed = np.linalg.norm(np.diff(toe[:, [0, 2]], axis=0), axis=1) / steps

@@ -7,10 +7,9 @@ Joint positions [m] have y up and shape (T, J, 3); the confidence of joints has 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, Skeleton, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.runs import runs
 
@@ -28,7 +27,7 @@ _DEEPEST = 0.01
 
 
 def floor_height(
-    positions: Array, confidence: Array, stands: NDArray[np.bool_], body: Body
+    positions: Array, confidence: Array, stands: Flags, body: Body
 ) -> float:
     """Return the height [m] of the floor under a take.
 
@@ -52,7 +51,7 @@ def floor_height(
 
 
 def sensor_tilt(
-    positions: Array, confidence: Array, stands: NDArray[np.bool_], body: Body
+    positions: Array, confidence: Array, stands: Flags, body: Body
 ) -> float:
     """Return the angle [rad] about x that levels the floor, 0 where it is unknown.
 

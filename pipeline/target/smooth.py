@@ -7,15 +7,16 @@ has little weight (Eilers 2003, A perfect smoother, Anal. Chem. 75).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 
+_THIRD = (-1.0, 3.0, -3.0, 1.0)
 _ORDER = 3
 # Of smooth_by_speed, chosen on simulated takes and three of six recorded people.
 _SLOWEST_CUTOFF = 0.7  # Hz, of a joint at rest
@@ -84,7 +85,7 @@ def smooth_by_speed(
 
 
 def _by_speed(
-    step: float, highest: Array, grid: NDArray[np.intp], values: Array, weights: Array
+    step: float, highest: Array, grid: Indices, values: Array, weights: Array
 ) -> Array:
     """Return the smoothed path of one joint, shape (T, 3)."""
 
@@ -117,7 +118,7 @@ def _root_mean_square(vectors: Array, frames: float) -> Array:
     return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
 
-def _grid(time: Array) -> tuple[NDArray[np.intp], int]:
+def _grid(time: Array) -> tuple[Indices, int]:
     """Return the place of every frame among evenly spaced ones, and their number."""
     if len(time) < 2:
         return np.zeros(len(time), dtype=np.intp), len(time)
@@ -133,30 +134,30 @@ def _stiffness(cutoff: Any, step: float) -> Any:
     return (2.0 * np.sin(np.pi * cutoff * step)) ** (-2 * _ORDER)
 
 
-def _solve(
-    stiffness: Array, grid: NDArray[np.intp], values: Array, weights: Array
-) -> Array:
+def _solve(stiffness: Array, grid: Indices, values: Array, weights: Array) -> Array:
     """Return the smoothed path of one joint on the even grid, shape (length, C)."""
     length = len(stiffness) + _ORDER
-    system = _penalty(stiffness)
+    system = penalty(stiffness, _THIRD)
     system[0, grid] += weights
     right = np.zeros((length, values.shape[1]))
     right[grid] = weights[:, None] * values
     return np.asarray(solveh_banded(system, right, lower=True))
 
 
-def _frames(steps: Array) -> NDArray[np.intp]:
+def _frames(steps: Array) -> Indices:
     """Return how many nominal frames each time step spans, at least one."""
     frames = np.round(steps / np.median(steps))
     return np.clip(frames, 1, _LONGEST_GAP).astype(np.intp)
 
 
-def _penalty(stiffness: Array) -> Array:
-    """Return the lower bands of D'LD, D the third-difference matrix, (4, length)."""
-    row = np.array([-1.0, 3.0, -3.0, 1.0])
-    rows = len(stiffness)
-    bands = np.zeros((_ORDER + 1, rows + _ORDER))
-    for a in range(_ORDER + 1):
+def penalty(stiffness: Array, difference: Sequence[float]) -> Array:
+    """Return the lower bands of D'LD, shape (order + 1, rows + order).
+
+    D takes differences of some order, each of which has its stiffness, shape (rows,).
+    """
+    order, rows = len(difference) - 1, len(stiffness)
+    bands = np.zeros((order + 1, rows + order))
+    for a in range(order + 1):
         for b in range(a + 1):
-            bands[a - b, b : b + rows] += row[a] * row[b] * stiffness
+            bands[a - b, b : b + rows] += difference[a] * difference[b] * stiffness
     return bands

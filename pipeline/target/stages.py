@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, positions_from_rotations
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.pipeline.config import CleanConfig
@@ -19,7 +19,7 @@ from kinefilter.pipeline.correct.one_euro import OneEuro
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.progress import Progress
-from kinefilter.pipeline.stages import Stage, chunks
+from kinefilter.pipeline.stages import CHUNK, Stage
 from kinefilter.retarget import BoneLengths, Hands, rotations_from_positions
 
 from .feet import (
@@ -31,14 +31,7 @@ from .feet import (
     flat_height,
     plant_feet,
 )
-from .floor import (
-    clearances,
-    floor_height,
-    leveled,
-    put_on_floor,
-    sensor_tilt,
-    sunk,
-)
+from .floor import clearances, floor_height, leveled, put_on_floor, sensor_tilt, sunk
 from .smooth import smooth, smooth_by_speed
 from .upright import Turn, find_turn
 
@@ -222,9 +215,7 @@ class Feet(Stage):
     name = "feet"
     in_parts = False  # the contacts that are given are those of the whole take
 
-    def __init__(
-        self, config: CleanConfig, contacts: NDArray[np.bool_] | None = None
-    ) -> None:
+    def __init__(self, config: CleanConfig, contacts: Flags | None = None) -> None:
         self._feet, self._file, self._given = config.feet, config.contacts, contacts
 
     def start(self, body: Body) -> None:
@@ -342,7 +333,7 @@ class Orient(Stage):
         """Turn the segments of a take, continuously over time."""
         twist = _without_jumps(draft.time, draft.twist)
         rotations = np.empty((*draft.positions.shape[:2], 4))
-        for k in chunks(len(rotations)):
+        for k in chunks(len(rotations), CHUNK):
             prior = None if twist is None else normalize(twist[k].astype(float))
             rotations[k] = rotations_from_positions(
                 draft.positions[k], draft.body, prior
@@ -350,7 +341,7 @@ class Orient(Stage):
         draft.rotations, draft.twist = continuous(rotations), None
         roots = draft.positions[:, draft.skeleton.root]
         draft.posed = np.empty_like(draft.positions)
-        for k in chunks(len(roots)):
+        for k in chunks(len(roots), CHUNK):
             draft.posed[k] = positions_from_rotations(
                 draft.rotations[k], roots[k], draft.body
             )

@@ -155,7 +155,7 @@ def _bearing(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]
     body (N, 2), in the frames that show feet and trunk.
     """
     ankle, knee, hip, shoulder, elbow, wrist = (
-        positions[:, [skeleton.index(part + side) for side in ("Left", "Right")]]
+        positions[:, skeleton.sides(part)]
         for part in ("Ankle", "Knee", "Hip", "Shoulder", "Elbow", "Wrist")
     )
     girdle = positions[:, [skeleton.girdle]]
@@ -174,13 +174,8 @@ def _bearing(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]
 
 def _mirrored(positions: Array, skeleton: Skeleton) -> bool:
     """Return whether toes point backwards, by where left and right are."""
-    left, right = (
-        positions[:, [skeleton.index(part + side) for part in parts]]
-        for side, parts in (
-            ("Left", ("Hip", "Shoulder", "Ankle", "Foot")),
-            ("Right", ("Hip", "Shoulder", "Ankle", "Foot")),
-        )
-    )
+    pairs = [skeleton.sides(part) for part in ("Hip", "Shoulder", "Ankle", "Foot")]
+    left, right = (positions[:, joints] for joints in np.transpose(pairs))
     up = positions[:, skeleton.girdle] - positions[:, skeleton.root]
     front = np.cross((left - right)[:, :2].sum(axis=1), up)
     toes = (left + right)[:, 3] - (left + right)[:, 2]

@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import continuous, inverse, normalize, rotate
+from kinefilter.characters.skeleton import SIDES
 
 from .poses import LEFT, RIGHT, Pose
 from .puppet import Puppet
@@ -25,7 +26,6 @@ _SMOOTHING = 0.1  # s, standard deviation of the blur of the way out
 _MOST_STRETCHED = 2.0  # ways out that turn round cancel in the blur: not made good
 _UP = np.array([0.0, 1.0, 0.0])
 _SHARES = np.linspace(0.25, 1.0, 4)  # places on forearm and hand that are looked at
-_NAMES = ("Left", "Right")
 _LEGS = ("Knee", "Ankle")
 _FOREARM = ("Wrist", "Hand")
 
@@ -59,13 +59,13 @@ def _way_out(puppet: Puppet, positions: Array, side: int) -> Array:
     """Return the vector [m] that brings an arm out of what it is deepest in, (T, 3)."""
     body, index = puppet.body, puppet.body.skeleton.index
     elbow, wrist, hand = (
-        positions[:, index(part + _NAMES[side])] for part in ("Elbow", "Wrist", "Hand")
+        positions[:, index(part + SIDES[side])] for part in ("Elbow", "Wrist", "Hand")
     )
     shares = _SHARES[:, None, None]
     points = np.concatenate(
         [elbow + shares * (wrist - elbow), wrist + shares * (hand - wrist)]
     )
-    ends = [index(part + _NAMES[side]) for part in _FOREARM]
+    ends = [index(part + SIDES[side]) for part in _FOREARM]
     radii = np.repeat(body.radii[ends], len(_SHARES))[:, None]
     each = np.arange(len(positions))
     deepest = (radii - points[..., 1]).max(axis=0).clip(min=0.0)
@@ -93,11 +93,9 @@ def _obstacles(skeleton: Skeleton, side: int) -> list[tuple[int, float]]:
 
     A part is named by the joint it ends at; the two arms share the way.
     """
-    trunk = [skeleton.index("Head")]
-    while skeleton.parents[trunk[-1]] != skeleton.root:
-        trunk.append(skeleton.parents[trunk[-1]])
-    legs = [skeleton.index(part + name) for part in _LEGS for name in _NAMES]
-    other = [skeleton.index(part + _NAMES[1 - side]) for part in ("Elbow", *_FOREARM)]
+    trunk = skeleton.up_from(skeleton.index("Head"))
+    legs = [j for part in _LEGS for j in skeleton.sides(part)]
+    other = [skeleton.index(part + SIDES[1 - side]) for part in ("Elbow", *_FOREARM)]
     return [(end, 1.0) for end in trunk + legs] + [(end, 0.5) for end in other]
 
 
@@ -129,7 +127,7 @@ def _pushed(
     """Return the motion with one hand moved by ``push`` [m], the elbow as it was."""
     index = puppet.body.skeleton.index
     shoulder, elbow, wrist = (
-        positions[:, index(part + _NAMES[side])]
+        positions[:, index(part + SIDES[side])]
         for part in ("Shoulder", "Elbow", "Wrist")
     )
     fore = wrist - elbow

@@ -11,6 +11,8 @@ Lymph Flow program; how the arms go is told by their names and by the paper's fi
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
@@ -64,14 +66,20 @@ def _deep_squat(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return _end(score, rng, base)
 
 
-def _hurdle_step(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
-    hold = draw_hold(rng, *_STICKS)
-    score, ready = _begin(puppet, rng, base, hold)
+def _leg_by_leg(
+    puppet: Puppet, rng: Rng, base: Pose, score: Score, length: float
+) -> Iterator[tuple[int, ArmHold, Fault, Pose]]:
+    """Yield which leg moves, how the arms are held, the fault, and the pose before."""
     side = int(rng.integers(2))
     while score.duration < length:
         side = 1 - side if rng.random() < 0.7 else side
         hold, fault = draw_hold(rng, *_STICKS), draw_fault(rng)
-        ready = hold.put(puppet, base, fault)
+        yield side, hold, fault, hold.put(puppet, base, fault)
+
+
+def _hurdle_step(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
+    score, _ = _begin(puppet, rng, base, draw_hold(rng, *_STICKS))
+    for side, hold, fault, ready in _leg_by_leg(puppet, rng, base, score, length):
         lifting = rng.uniform(1.2, 1.9) * (0.4 + 0.6 * fault.short)
         tall = _moved(puppet, ready, hold, fault).over(1 - side, 0.8)
         looking_down = rng.uniform(0.0, 0.6)
@@ -199,13 +207,8 @@ def _sit_to_stand(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 
 
 def _leg_raise(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
-    hold = draw_hold(rng, *_STICKS)
-    score, ready = _begin(puppet, rng, base, hold)
-    side = int(rng.integers(2))
-    while score.duration < length:
-        side = 1 - side if rng.random() < 0.7 else side
-        hold, fault = draw_hold(rng, *_STICKS), draw_fault(rng)
-        ready = hold.put(puppet, base, fault)
+    score, _ = _begin(puppet, rng, base, draw_hold(rng, *_STICKS))
+    for side, hold, fault, ready in _leg_by_leg(puppet, rng, base, score, length):
         top = rng.uniform(1.2, 1.75) * (0.35 + 0.65 * fault.short)
         slump = rng.uniform(-0.45, 0.1) * top / 1.5
         tall = _moved(puppet, ready, hold, fault).over(1 - side, 0.8)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes, Flags, Indices, Singles
 
 from .depth_image import BACKGROUND, DepthImage
 from .tracker_errors import SAME
@@ -29,10 +29,10 @@ _FILE = "embedded/body_parts.npz"
 
 def depth_differences(
     image: DepthImage,
-    rows: NDArray[np.intp],
-    columns: NDArray[np.intp],
+    rows: Indices,
+    columns: Indices,
     offsets: Array,
-) -> NDArray[np.float32]:
+) -> Singles:
     """Return differences of depth [m] around pixels (Shotton et al., eq. 1), (N,).
 
     Between the pixel u / d(x) away and the one v / d(x) away, where d(x) is the pixel's
@@ -59,30 +59,31 @@ def depth_differences(
 
 @dataclass(frozen=True, eq=False)
 class BodyPartForest:
-    """Trees of one after the other, their nodes in one list."""
+    """A random forest that tells body parts apart, as flat arrays.
 
-    offsets: NDArray[np.float32]
+    The nodes of all trees are numbered through, tree by tree, and so are the leaves.
+    """
+
+    offsets: Singles
     """u and v of each feature [m across the view], (F, 2, 2)."""
     roots: NDArray[np.int32]
     """Node at which each tree begins, (T,)."""
     feature: NDArray[np.int16]
     """Feature that a node looks at, -1: it is a leaf, (N,)."""
-    threshold: NDArray[np.float32]
+    threshold: Singles
     """Greatest difference [m] that goes on to the left, (N,)."""
     children: NDArray[np.int32]
     """Nodes to the left and right; of a leaf, its row in ``leaves`` twice, (N, 2)."""
-    leaves: NDArray[np.uint8]
+    leaves: Codes
     """Share of each body part in a leaf, 255: all of it, (L, P)."""
-    push: NDArray[np.float32]
+    push: Singles
     """How far behind the skin the joints of Kinect v1 and v2 lie, along the ray [m],
     by the body part of the same name, (2, P)."""
-    least: NDArray[np.float32]
+    least: Singles
     """Area of skin [m^2] that must be seen around such a joint for it to be tracked,
     (2, P)."""
 
-    def shares(
-        self, image: DepthImage, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> Array:
+    def shares(self, image: DepthImage, rows: Indices, columns: Indices) -> Array:
         """Return the probability of each body part at pixels, (N, P)."""
         found = np.zeros((len(rows), self.leaves.shape[1]))
         for root in self.roots:
@@ -118,7 +119,7 @@ def shipped_forest() -> BodyPartForest:
         return BodyPartForest.load(file)
 
 
-def parts_of_joints(skeleton: Skeleton) -> NDArray[np.bool_]:
+def parts_of_joints(skeleton: Skeleton) -> Flags:
     """Tell which body parts lie around each joint of a skeleton, (P, J).
 
     Kinect v1 has no joints of its own in neck, thumb and tips of the hand.

@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from kinefilter.characters import Body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 
 from .geometry import Sensor, in_sensor_frame, in_world_frame, sensor_axes
 from .ray_casting import PosedBody
@@ -39,12 +37,12 @@ class DepthImage:
 
     depth: Array
     """Distance [m] along the sensor's z axis, BACKGROUND where nobody is, (H, W)."""
-    segments: NDArray[np.intp]
+    segments: Indices
     """Index of the segment that is seen, -1 where nobody is, (H, W)."""
     focal: float
     """Focal length in pixels of this image."""
 
-    def points(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
+    def points(self, rows: Indices, columns: Indices) -> Array:
         """Return where pixels (N,) see something [m], in the sensor's frame, (N, 3)."""
         height, width = self.depth.shape
         x = (0.5 * (width - 1) - columns) / self.focal
@@ -57,23 +55,12 @@ class DepthCamera:
     """A sensor before a body in a scene.
 
     Args:
-        body: Whose segments are put where a motion has them.
+        posed: The body, and what is around it.
         sensor: Where it stands, and what its lens and range allow.
-        scene: The room and its props, z up as MuJoCo has it; by default a bare floor.
-        moving: Names of the props that move.
-
-    Raises:
-        InputError: A moving prop is no body of the scene, not a child of its world.
     """
 
-    def __init__(
-        self,
-        body: Body,
-        sensor: Sensor,
-        scene: mujoco.MjSpec | None = None,
-        moving: tuple[str, ...] = (),
-    ) -> None:
-        self._posed = PosedBody(body, scene, moving)
+    def __init__(self, posed: PosedBody, sensor: Sensor) -> None:
+        self._posed = posed
         self.look_from(sensor)
 
     def look_from(self, sensor: Sensor) -> None:
@@ -117,7 +104,7 @@ class DepthCamera:
         image.segments[rows[seen], columns[seen]] = segments[seen]
         return image
 
-    def _box(self, joints: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _box(self, joints: Array) -> tuple[Indices, Indices]:
         """Return rows and columns of the pixels around the joints [m], (N,) each."""
         x, y, z = joints[joints[:, 2] > self.sensor.depth_range[0]].T
         spans = []
@@ -155,8 +142,8 @@ def with_noise(
 
 
 def nearest_joints(
-    points: Array, segments: NDArray[np.intp], positions: Array, body: Body
-) -> NDArray[np.intp]:
+    points: Array, segments: Indices, positions: Array, body: Body
+) -> Indices:
     """Return the joint that each point of the skin is around, -1: none, (N,).
 
     The nearest of those that are seen on its segment: its two ends or, on the trunk,

@@ -16,15 +16,14 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import SKELETONS, Motion, Skeleton, State
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes
 
 from .body_part_forest import BodyPartForest, parts_of_joints, shipped_forest
 from .depth_image import DepthCamera, DepthImage, with_noise
 from .geometry import Sensor
-from .ray_casting import check_prop_poses
+from .ray_casting import PosedBody, check_prop_poses
 
 _DRAWN = 64  # points of skin that stand for a body part
 _STARTS = 8  # of them from which mean shift starts
@@ -103,7 +102,7 @@ def found_in_depth(
     scene: mujoco.MjSpec | None = None,
     prop_poses: Mapping[str, Array] | None = None,
     forest: BodyPartForest | None = None,
-) -> tuple[Array, NDArray[np.uint8]]:
+) -> tuple[Array, Codes]:
     """Return where joints are found [m], in the sensor's frame, and their states.
 
     Args:
@@ -122,7 +121,7 @@ def found_in_depth(
     forest, skeleton = forest or shipped_forest(), motion.skeleton
     prop_poses = prop_poses or {}
     check_prop_poses(motion, prop_poses)
-    camera = DepthCamera(motion.body, sensor, scene, tuple(prop_poses))
+    camera = DepthCamera(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
     push, least = constants_of(forest, skeleton)
     positions = np.full(motion.positions.shape, np.nan)
     state = np.full(positions.shape[:2], State.NOT_TRACKED, dtype=np.uint8)
@@ -152,7 +151,7 @@ def behind(skin: Array, push: Array) -> Array:
 
 
 def steadied(
-    positions: Array, state: NDArray[np.uint8], skeleton: Skeleton, sensor: Sensor
+    positions: Array, state: Codes, skeleton: Skeleton, sensor: Sensor
 ) -> Array:
     """Return joints as they are told: inferred ones stay where they were.
 

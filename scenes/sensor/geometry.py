@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import about_x, about_y, inverse, multiply, rotate
 
 
@@ -70,7 +69,7 @@ class Sensor:
         wide, high = (2.0 * np.tan(angle / 2.0) for angle in self.field_of_view)
         return np.asarray(columns * rows / (wide * high * depth**2))
 
-    def in_view(self, positions: Array) -> NDArray[np.bool_]:
+    def in_view(self, positions: Array) -> Flags:
         """Return whether points (..., 3) of the sensor frame lie in view and range."""
         x, y, z = np.moveaxis(positions, -1, 0)
         near, far = self.depth_range

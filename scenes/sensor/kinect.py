@@ -17,10 +17,9 @@ from typing import Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, Motion, State, Take, standard_body
-from kinefilter.characters.arrays import Array, check_word
+from kinefilter.characters.arrays import Array, Codes, check_word
 from kinefilter.scenes.library.performers import perform_medley
 
 from .depth_tracker import found_in_depth
@@ -92,7 +91,7 @@ def observe(
 def _recorded(
     motion: Motion,
     positions: Array,
-    state: NDArray[np.uint8],
+    state: Codes,
     sensor: Sensor,
     rng: np.random.Generator,
 ) -> Take:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Motion, Skeleton, State
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.characters.rotations import rotate
 
 from .geometry import Sensor, in_world_frame
@@ -52,10 +51,10 @@ def _limbs(skeleton: Skeleton) -> list[list[int]]:
 def believed(
     motion: Motion,
     sight: Sight,
-    in_view: NDArray[np.bool_],
+    in_view: Flags,
     errors: TrackerErrors,
     rng: np.random.Generator,
-) -> NDArray[np.uint8]:
+) -> Codes:
     """Return the tracking states (T, J).
 
     A joint is tracked while the share of its part that is seen, as the tracker
@@ -89,7 +88,7 @@ def guessed(
     placed: Array,
     motion: Motion,
     sight: Sight,
-    state: NDArray[np.uint8],
+    state: Codes,
     errors: TrackerErrors,
     rng: np.random.Generator,
 ) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Motion, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.rotations import IDENTITY
 
 from .geometry import Sensor, in_world_frame, sensor_axes
@@ -77,10 +77,9 @@ def look(
     check_prop_poses(motion, prop_poses)
     scanner = _Scanner(motion.body, sensor, scene, tuple(prop_poses))
     moving = [np.asarray(poses, float) for poses in prop_poses.values()]
-    chunks = [slice(k, k + _CHUNK) for k in range(0, len(motion), _CHUNK)]
     parts = [
         scanner.scan(motion.positions[c], motion.rotations[c], [p[c] for p in moving])
-        for c in chunks
+        for c in chunks(len(motion), _CHUNK)
     ]
     return Sight(
         *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sight))
@@ -186,7 +185,7 @@ class _Scanner:
         )
 
 
-def _mean_where(values: Array, mask: NDArray[np.bool_]) -> Array:
+def _mean_where(values: Array, mask: Flags) -> Array:
     """Mean of vectors (..., N, 3) over the N that a mask keeps, 0 where none."""
     count = np.maximum(mask.sum(axis=-1), 1)
     total = np.einsum("...nk,...n->...k", values, mask.astype(float))
@@ -205,7 +204,7 @@ def _pattern() -> Array:
     return np.concatenate([disk - disk.mean(axis=0), ring])
 
 
-def own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
+def own_parts(skeleton: Skeleton) -> Flags:
     """Return which segments a joint is seen on, shape (joint J, segment J).
 
     The two that meet there; a joint of the trunk is seen on all of the trunk.
@@ -223,7 +222,7 @@ def own_parts(skeleton: Skeleton) -> NDArray[np.bool_]:
     return own
 
 
-def _kin(skeleton: Skeleton) -> NDArray[np.bool_]:
+def _kin(skeleton: Skeleton) -> Flags:
     """Return which segments are next to a joint's own along the limb, (J, J)."""
     kin = np.zeros((len(skeleton), len(skeleton)), dtype=bool)
     kin[skeleton.segments, skeleton.segment_parents] = True

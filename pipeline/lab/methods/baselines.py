@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,19 @@ from scipy.linalg import cho_factor, cho_solve
 from sklearn.neighbors import NearestNeighbors
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
-from .fused_offsets import FusedOffsets, Inputs, Likelihood
+from .fused_offsets import Energy, FusedOffsets
 from .lessons import Lessons, OffsetCorrector, TrainingSet
 from .local_models import JointFeatures, JointKernels, fit_kernels
 
+_PREDICTION_ALONE: Energy = {
+    "temporal": 0.0,
+    "reliability": 0.0,
+    "likelihood": "density",
+}
 _FOR_VARIANCE = 10  # nearest samples the variance is taken from
 _NO_OFFSET = 0.05  # weight of no offset at all, against 1 for the same posture again
 
@@ -34,23 +39,16 @@ class FullGP(FusedOffsets):
         samples: Most training frames that are kept.
         variance: exact costs a product with a matrix of all samples squared, per joint
             and frame; bound is from the ten most similar samples, and no smaller.
-        spatial: Weight of the predicted offset, as are the next two of eq. 22's terms;
-            by default the prediction alone counts.
-        temporal: Weight of constant velocity.
-        reliability: Weight of staying where a reliable joint was measured.
-        likelihood: How the terms of the energy compare.
-        carry: Share of the velocity that the temporal term expects to be left.
-        spared: Share of the temporal weight that a fully reliable joint is spared.
-        inputs: What offsets are predicted from.
         seed: Draws the frames.
+        energy: Its keywords; by default the prediction alone counts.
     """
 
     fitted = (
         *("postures", "weights", "kernels", "joints", "seen", "movement", "misplaced"),
     )
     adjustable = (*FusedOffsets.adjustable, "variance")
-    postures_: NDArray[np.float32]
-    weights_: NDArray[np.float32]
+    postures_: Singles
+    weights_: Singles
     kernels_: Array
     seen_: NDArray[np.bool_]
 
@@ -60,27 +58,11 @@ class FullGP(FusedOffsets):
         *,
         samples: int = 2500,
         variance: Literal["exact", "bound"] = "bound",
-        spatial: float = 0.6,
-        temporal: float = 0.0,
-        reliability: float = 0.0,
-        likelihood: Likelihood = "density",
-        carry: float = 1.0,
-        spared: float = 0.0,
-        inputs: Inputs = "held",
         seed: int = 0,
+        **energy: Unpack[Energy],
     ) -> None:
-        super().__init__(
-            skeleton,
-            samples=samples,
-            spatial=spatial,
-            temporal=temporal,
-            reliability=reliability,
-            likelihood=likelihood,
-            carry=carry,
-            spared=spared,
-            inputs=inputs,
-            seed=seed,
-        )
+        energy = _PREDICTION_ALONE | energy
+        super().__init__(skeleton, samples=samples, seed=seed, **energy)
         self.variance = variance
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
@@ -102,7 +84,7 @@ class FullGP(FusedOffsets):
         return self
 
     @cached_property
-    def _inverse(self) -> NDArray[np.float32]:
+    def _inverse(self) -> Singles:
         """The inverse of every joint's covariance matrix [1/m^2], (M, N, N)."""
         count = len(self.postures_)
         inverse = np.empty((len(self.joints_), count, count), dtype=np.float32)
@@ -173,8 +155,8 @@ class Exemplar(OffsetCorrector):
     """
 
     fitted = ("postures", "offsets", "joints", "seen", "width")
-    postures_: NDArray[np.float32]
-    offsets_: NDArray[np.float32]
+    postures_: Singles
+    offsets_: Singles
     seen_: NDArray[np.bool_]
     width_: Any
 

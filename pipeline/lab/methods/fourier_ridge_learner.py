@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.correct.posture_features import Part
-from kinefilter.pipeline.correct.random_features import Floats, RandomFeatures
+from kinefilter.pipeline.correct.random_features import RandomFeatures
 from kinefilter.pipeline.progress import Progress, silent
 
 from .lessons import Learner, TrainingSet
@@ -169,7 +169,7 @@ def _of_part(person: Person, joints: NDArray[np.intp]) -> Person:
     return replace(person, offsets=offsets.reshape(len(offsets), -1))
 
 
-def _centers_of(features: Floats, count: int) -> Floats:
+def _centers_of(features: Singles, count: int) -> Singles:
     """Return centers of the frames; those of a few frames alone are left out."""
     from sklearn.cluster import KMeans
 
@@ -181,6 +181,6 @@ def _centers_of(features: Floats, count: int) -> Floats:
     return np.asarray(means.cluster_centers_[common])
 
 
-def _rounded(values: NDArray[Any]) -> Floats:
+def _rounded(values: NDArray[Any]) -> Singles:
     """Return values as a file of half precision has them."""
     return values.astype(np.float16).astype(np.float32)

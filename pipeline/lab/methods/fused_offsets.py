@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,27 @@ Inputs = Literal["measured", "held"]
 """What offsets are predicted from, and added to: the joints as they were measured; or
 those that are not reliable held on their last bones, where there is a reliability
 term."""
+
+
+class Energy(TypedDict, total=False):
+    """Keywords of the energy; those left out are as in ``FusedOffsets``."""
+
+    spatial: float
+    """Weight of the predicted offset, as are the next two of eq. 22's terms."""
+    temporal: float
+    """Weight of constant velocity."""
+    reliability: float
+    """Weight of staying where a reliable joint was measured."""
+    likelihood: Likelihood
+    """How the terms of the energy compare."""
+    carry: float
+    """Share of the velocity that the temporal term expects to be left in the next
+    frame; 1: constant velocity, as printed."""
+    spared: float
+    """Share of the temporal weight that a fully reliable joint is spared."""
+    inputs: Inputs
+    """What offsets are predicted from."""
+
 
 _LARGEST = 100_000  # frames that movement and misplacement are measured on
 _LEAST = 1e-8  # m^2: a tenth of a millimeter, which nobody sees
@@ -77,15 +98,8 @@ class FusedOffsets(OffsetCorrector):
     Args:
         skeleton: The joints.
         samples: Most training frames that are kept.
-        spatial: Weight of the predicted offset.
-        temporal: Weight of constant velocity.
-        reliability: Weight of staying where a reliable joint was measured.
-        likelihood: How the terms of the energy compare.
-        carry: Share of the velocity that the temporal term expects to be left in the
-            next frame; 1: constant velocity, as printed.
-        spared: Share of the temporal weight that a fully reliable joint is spared.
-        inputs: What offsets are predicted from.
         seed: Draws the frames.
+        spatial: See ``Energy``, as for the others.
     """
 
     seen_: NDArray[np.bool_]
@@ -106,14 +120,14 @@ class FusedOffsets(OffsetCorrector):
         skeleton: Skeleton,
         *,
         samples: int,
-        spatial: float,
-        temporal: float,
-        reliability: float,
-        likelihood: Likelihood,
-        carry: float,
-        spared: float,
-        inputs: Inputs,
         seed: int,
+        spatial: float = 0.6,
+        temporal: float = 0.2,
+        reliability: float = 0.2,
+        likelihood: Likelihood = "relative",
+        carry: float = 1.0,
+        spared: float = 0.0,
+        inputs: Inputs = "held",
     ) -> None:
         for name, share in (("carry", carry), ("spared", spared)):
             if not 0.0 <= share <= 1.0:

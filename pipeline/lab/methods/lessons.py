@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.correct import (
-    Correction,
-    Hold,
-    LearnedCorrector,
-    Observation,
-)
+from kinefilter.pipeline.correct import Correction, Hold, LearnedCorrector, Observation
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
 from kinefilter.pipeline.progress import Progress, silent
 

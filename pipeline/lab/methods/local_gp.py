@@ -9,7 +9,7 @@ methods-known-people has it beside one process over all samples (full-gp).
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Self, Unpack
 
 import numpy as np
 from sklearn.cluster import KMeans
@@ -19,7 +19,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
-from .fused_offsets import FusedOffsets, Inputs, Likelihood
+from .fused_offsets import Energy, FusedOffsets
 from .gaussian_process import informative_samples
 from .lessons import Lessons, TrainingSet
 from .local_models import (
@@ -50,18 +50,12 @@ class LocalGP(FusedOffsets):
         trend: Let the processes depart from a linear trend, in the place of 0.
         votes: What local models are blended by: similarity as in eq. 12, or precision
             as well, so that one without a sample nearby has no say.
-        likelihood: How the terms of the energy compare.
-        carry: Share of the velocity that the temporal term expects to be left.
-        spared: Share of the temporal weight that a fully reliable joint is spared.
-        inputs: What offsets are predicted from.
-        spatial: Weight of the predicted offset.
-        temporal: Weight of constant velocity.
-        reliability: Weight of staying where a reliable joint was measured.
         adapt: Learn from the frames themselves, until ``start``.
         adapt_reliability: Least reliability of a joint to learn from.
         spare: Samples a local model, and models a joint, may gain from the frames;
             then a sample that tells less makes way for one that tells more.
         seed: Draws the frames and starts the clusters.
+        energy: Its keywords.
     """
 
     fitted = (
@@ -85,30 +79,13 @@ class LocalGP(FusedOffsets):
         redundancy: float = 0.01,
         trend: bool = True,
         votes: Votes = "precision",
-        likelihood: Likelihood = "relative",
-        carry: float = 1.0,
-        spared: float = 0.0,
-        inputs: Inputs = "held",
-        spatial: float = 0.6,
-        temporal: float = 0.2,
-        reliability: float = 0.2,
         adapt: bool = False,
         adapt_reliability: float = 0.9,
         spare: int = 20,
         seed: int = 0,
+        **energy: Unpack[Energy],
     ) -> None:
-        super().__init__(
-            skeleton,
-            samples=samples,
-            spatial=spatial,
-            temporal=temporal,
-            reliability=reliability,
-            likelihood=likelihood,
-            carry=carry,
-            spared=spared,
-            inputs=inputs,
-            seed=seed,
-        )
+        super().__init__(skeleton, samples=samples, seed=seed, **energy)
         self.clusters = clusters
         self.blended = blended
         self.frames = frames

@@ -11,14 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, cho_factor, cho_solve, cholesky, solve_triangular
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.pipeline.correct import Hold
 from kinefilter.pipeline.correct.posture_features import PostureFeatures
-from kinefilter.pipeline.correct.random_features import (
-    Floats,
-    RandomFeatures,
-    direction_to,
-)
+from kinefilter.pipeline.correct.random_features import RandomFeatures, direction_to
 
 from .lessons import TrainingSet
 
@@ -33,7 +29,7 @@ _BATCH = 2048  # rows whose products are summed at a time
 class Person:
     """Frames of one person, or of their mirror image."""
 
-    features: Floats
+    features: Singles
     offsets: Array
     clips: NDArray[np.intp]
     noise: float
@@ -107,7 +103,7 @@ def ridge_weights(
     columns: NDArray[np.intp],
     recorded: list[Person],
     simulated: list[Person],
-    mean: Floats,
+    mean: Singles,
     steps: Iterator[int],
 ) -> Array:
     """Return the ridge's weights, all random effects marginalized."""
@@ -135,7 +131,7 @@ def own_weights(
     columns: NDArray[np.intp],
     person: Person,
     weights: Array,
-    mean: Floats,
+    mean: Singles,
 ) -> Array:
     """Return what one person alone has with postures, and a constant as the last row.
 
@@ -157,16 +153,16 @@ def own_weights(
 
 
 def _add(
-    information: Floats,
+    information: Singles,
     wanted: Array,
     random: RandomFeatures,
     columns: NDArray[np.intp],
     people: list[Person],
-    mean: Floats,
+    mean: Singles,
     steps: Iterator[int],
 ) -> None:
     """Add what people tell about the weights, and about a constant, in place."""
-    waiting: list[Floats] = []
+    waiting: list[Singles] = []
     for person in people:
         next(steps)
         rows, offsets = _independent(random, columns, person, mean)
@@ -181,8 +177,8 @@ def _independent(
     random: RandomFeatures,
     columns: NDArray[np.intp],
     person: Person,
-    mean: Floats,
-) -> tuple[Floats, Floats]:
+    mean: Singles,
+) -> tuple[Singles, Singles]:
     """Return a person's features and offsets, without what correlates frames."""
     rows = np.ones((len(person.features), random.size + 1), dtype=np.float32)
     rows[:, :-1] = random(person.features[:, columns])
@@ -197,5 +193,5 @@ def _independent(
     return independent[:, : random.size + 1], independent[:, random.size + 1 :]
 
 
-def _symmetric(upper: Floats) -> Floats:
+def _symmetric(upper: Singles) -> Singles:
     return np.asarray(upper + np.triu(upper, 1).T)

@@ -6,10 +6,9 @@ Besides Shum's segment lengths it tests for errors of a single frame.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes
 from kinefilter.pipeline.reliability import Reference, ReliabilityScorer
 
 
@@ -49,9 +48,9 @@ class ChiangReliabilityScorer(ReliabilityScorer):
     def step(
         self,
         positions: Array,
-        state: NDArray[np.uint8],
+        state: Codes,
         time: float | None = None,  # noqa: ARG002 - made for 30 Hz
-    ) -> tuple[Array, NDArray[np.uint8], Array]:
+    ) -> tuple[Array, Codes, Array]:
         """Score the next frame; see ``ReliabilityScorer.step``."""
         temporal = self._temporal(positions)
         kinematics = self._kinematics(positions)  # eq. 6-7

@@ -16,14 +16,12 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from kinefilter.characters import STANDARD_HEIGHT, InputError, Skeleton, State, Term
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.rotations import unit
-from kinefilter.pipeline.formats import atomic_path
-from kinefilter.pipeline.formats.npz import read_arrays
+from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import Reference, measure_reference
@@ -75,8 +73,7 @@ class ClueWeights:
         """Write as npz, one row for each kind of joint."""
         kinds, first = np.unique(_kinds(self.skeleton), return_index=True)
         arrays = {key: getattr(self, key)[first].astype(np.float32) for key in _ARRAYS}
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, kinds=kinds, **arrays)
+        write_arrays(path, {"kinds": kinds, **arrays})
 
     @classmethod
     def load(cls, path: Path, skeleton: Skeleton) -> Self:
@@ -146,8 +143,8 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         self._lost = np.zeros(len(self.skeleton))
 
     def step(
-        self, positions: Array, state: NDArray[np.uint8], time: float | None = None
-    ) -> tuple[Array, NDArray[np.uint8], Array]:
+        self, positions: Array, state: Codes, time: float | None = None
+    ) -> tuple[Array, Codes, Array]:
         """Score the next frame; see ``ReliabilityScorer.step``."""
         learned = self._learned
         parts = (self.clues(positions, state, time) - learned.usual) * learned.weights
@@ -161,9 +158,7 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         term[missing] = Term.TRACKING_STATE
         return reliability, term, geometry
 
-    def clues(
-        self, positions: Array, state: NDArray[np.uint8], time: float | None = None
-    ) -> Array:
+    def clues(self, positions: Array, state: Codes, time: float | None = None) -> Array:
         """Return what counts for or against each joint of the next frame, (J, C).
 
         Logarithms of noise, speed and length errors, the share of lost frames, then the

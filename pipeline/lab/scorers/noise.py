@@ -9,10 +9,9 @@ and length errors together tell how far off a joint may be.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Term
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Codes
 from kinefilter.pipeline.reliability import Reference, ReliabilityScorer
 
 FRAME_TIME = 1.0 / 30.0
@@ -70,8 +69,8 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         self._time: float | None = None
 
     def step(
-        self, positions: Array, state: NDArray[np.uint8], time: float | None = None
-    ) -> tuple[Array, NDArray[np.uint8], Array]:
+        self, positions: Array, state: Codes, time: float | None = None
+    ) -> tuple[Array, Codes, Array]:
         """Score the next frame; see ``ReliabilityScorer.step``."""
         elapsed = self._elapsed(time)
         noise, lengths = self._square_errors(positions, elapsed)

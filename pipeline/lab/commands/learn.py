@@ -10,21 +10,21 @@ from typing import Annotated
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
 from kinefilter.characters import SKELETONS, InputError
-from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.methods import LEARNED, LearnedName
-from kinefilter.pipeline.presets import PresetName
-
-from .terminal import (
+from kinefilter.pipeline.commands.terminal import (
     Skeletons,
     check_output,
-    clips_of,
     err,
-    in_folders,
     out,
     progress_bars,
     write_json,
 )
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.formats.plain import counted
+from kinefilter.pipeline.methods import LEARNED, LearnedName
+from kinefilter.pipeline.presets import PresetName
+
+from .inputs import clips_of, in_folders
 
 _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".trc", ".npz")
 
@@ -70,8 +70,8 @@ class Pair:
 
         if len(self.files) < 2 or len(self.files) % 2:
             raise InputError(
-                f"{len(self.files)} file{'s' * (len(self.files) != 1)} given; give "
-                "takes, and after each its mocap: TAKE MOCAP TAKE MOCAP ..."
+                f"{counted(len(self.files), 'file')} given; give takes, and after each "
+                "its mocap: TAKE MOCAP TAKE MOCAP ..."
             )
         if not 0.0 <= self.least <= 1.0:
             raise InputError(f"--least {self.least:g}: expected a share, 0 to 1")

@@ -1,4 +1,4 @@
-"""The commands of the lab: ``evaluate``, ``reproduce``, ``simulate`` and ``bench``."""
+"""Commands that measure: ``evaluate``, ``reproduce``, ``simulate`` and ``bench``."""
 
 from __future__ import annotations
 
@@ -9,10 +9,18 @@ from typing import Annotated, Literal, get_args
 from tyro.conf import Positional, arg
 
 from kinefilter.characters import InputError, State
+from kinefilter.pipeline.commands.terminal import (
+    Skeletons,
+    check_output,
+    out,
+    progress_bars,
+    write_json,
+)
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.formats.plain import counted
 
-from .terminal import Skeletons, check_output, clips_of, out, progress_bars, write_json
+from .inputs import clips_of
 
 _METHODS = (
     "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,exemplar,"
@@ -338,7 +346,7 @@ class Simulate:
         if self.pairs is not None:
             lab.write_pairs([pair], self.pairs)
         tracked = (pair.take.state == State.TRACKED).mean()
-        frames = f"{len(pair.take)} frame{'s' * (len(pair.take) != 1)}"
+        frames = counted(len(pair.take), "frame")
         out.print(f"wrote {self.out}: {frames}, {tracked:.0%} tracked")
         return 0
 

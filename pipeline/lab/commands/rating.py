@@ -9,8 +9,15 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.commands.terminal import (
+    check_output,
+    keep,
+    out,
+    progress_bars,
+    write_json,
+)
 
-from .terminal import check_output, in_folders, keep, out, progress_bars, write_json
+from .inputs import in_folders
 
 
 @dataclass(frozen=True)
