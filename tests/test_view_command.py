@@ -135,6 +135,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
     for arguments, words in (
         ([str(tmp_path / "absent.npz")], "no such file"),
         ([str(tmp_path / "absent.csv")], "no such file"),
+        ([""], "is a folder"),
         ([clip, "--method", "none"], "options of cleaning"),
         ([take, "--take", take], "is for a clip"),
         ([take, "--save-contacts", take], "would overwrite"),

@@ -65,7 +65,7 @@ class View:
 
         # By default wave.contacts.csv for wave.csv.gz.
         stem = Path(self.motion.name.removesuffix(".gz")).stem
-        beside = self.motion.with_name(f"{stem}.contacts.csv")
+        beside = self.motion.parent / f"{stem}.contacts.csv"
         save = self.save_contacts or beside
         self._check(save)
         try:

@@ -314,7 +314,7 @@ def write_calibration(merged: Merged, path: Path) -> None:
         )
     with atomic_path(path) as temporary:
         text = json.dumps({"file": _KIND, "sensors": sensors}, indent=2) + "\n"
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
