@@ -35,7 +35,8 @@ _FILES = {
     "commands.view": "render, report, view",
     "commands.live": "live, replay",
     "lab.commands.learn": "pair, train, database",
-    "lab.commands.measure": "evaluate, simulate, reproduce, bench",
+    "lab.commands.measure": "evaluate, reproduce, bench",
+    "lab.commands.simulate": "simulate",
     "lab.commands.rating": "rate, ratings",
 }
 """Files in ``pipeline``, with the commands in each."""

@@ -15,15 +15,15 @@ from real_data import DATA
 from scipy.spatial.transform import Rotation
 
 from kinefilter import read_clip, read_take
-from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take
+from kinefilter.characters import KINECT_V2, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.recording import Recording
+from kinefilter.pipeline.lab.simulate import simulate_session
 from kinefilter.pipeline.merge import Fused, Fusion, Sight, align, merge
 from kinefilter.pipeline.merge.rigid import Placement, placement
 from kinefilter.pipeline.target.floor import leveled
-from kinefilter.scenes.library import Area, perform, random_body
-from kinefilter.scenes.sensor import SENSORS, in_sensor_frame, observe
+from kinefilter.scenes.sensor import in_sensor_frame
 
 Array = NDArray[np.float64]
 _LIMBS = [
@@ -46,44 +46,37 @@ class Session(NamedTuple):
 
 @cache
 def session(
-    seed: int, degrees: float = 90.0, kinds: tuple[str, str] = ("v2", "v2")
+    seed: int, degrees: float = 90.0, sensors: tuple[str, str] = ("v2", "v2")
 ) -> Session:
-    rng = np.random.default_rng(seed)
-    skeletons = {"v1": KINECT_V1, "v2": KINECT_V2}
-    within = Area((-0.7, 0.7), (-0.7, 0.7))
-    offset, drift = 3571.4, 60e-6
-    takes, truths, cameras = [], [], []
-    for k, kind in enumerate(kinds):
-        body = random_body(skeletons[kind], np.random.default_rng(seed))
-        act = perform("walk", body, seed=seed, fps=60.0, within=within)
-        part = act.at(slice(k, None, 2))  # the sensors do not expose at the same time
-        camera = replace(
-            SENSORS[kind],
-            azimuth=np.radians(degrees * k),
-            tilt=rng.uniform(-0.07, 0.07),
-            height=rng.uniform(0.8, 1.2),
-        )
-        seen = observe(part, seed=10 * seed + k, person=seed, sensor=camera)
-        time = seen.time + part.time[0]
-        frames = np.searchsorted(part.time, time - 0.5 / 30.0).clip(max=len(part) - 1)
-        truths.append(in_sensor_frame(part.positions, camera)[frames])
-        cameras.append(camera)
-        if k:
-            time = offset + (1.0 + drift) * time
-        takes.append(replace(seen, time=time, source=f"sensor{k + 1}.csv"))
-    points = rng.normal(size=(30, 3))
-    there, here = (in_sensor_frame(points, camera) for camera in cameras[::-1])
+    views = simulate_session(
+        "basic", "walk", sensors=sensors, degrees=degrees, seed=seed
+    )
+    takes = [
+        replace(view.pair.take, source=f"sensor{k}.csv")
+        for k, view in enumerate(views, start=1)
+    ]
+    points = np.random.default_rng(0).normal(size=(30, 3))
+    here, there = (in_sensor_frame(points, view.sensor) for view in views)
+    first, second = (view.clock for view in views)
     middle = takes[0].time.mean()
     return Session(
         (takes[0], takes[1]),
-        (truths[0], truths[1]),
-        offset + drift * middle,
+        (views[0].pair.truth, views[1].pair.truth),
+        second.at(first.undone(middle)) - middle,
         placement(there, here),
     )
 
 
 def recorded(*takes: Take) -> list[Recording]:
     return [Recording((take,), "kinefilter") for take in takes]
+
+
+def truth_at(times: Array, found: Session) -> tuple[NDArray[np.bool_], Array]:
+    """Return which times are in the first take, and the truth then in its frame."""
+    time, truth = found.takes[0].time, found.truths[0]
+    inside = (times >= time[0]) & (times <= time[-1])
+    there = [np.interp(times[inside], time, x) for x in truth.reshape(len(time), -1).T]
+    return inside, np.stack(there, axis=1).reshape(-1, *truth.shape[1:])
 
 
 def error(positions: Array, truth: Array, take: Take) -> float:
@@ -119,11 +112,8 @@ def test_merged_walk_is_truer_than_what_either_sensor_saw() -> None:
         error(take.positions, truth, take)
         for take, truth in zip(found.takes, found.truths, strict=True)
     ]
-    frames = np.searchsorted(found.takes[0].time, made.take.time - 1e-6)
-    frames = frames.clip(max=len(found.takes[0]) - 1)
-    there = np.abs(found.takes[0].time[frames] - made.take.time) < 1e-4
-    truth = found.truths[0][frames[there]]
-    merged = error(made.take.positions[there], truth, made.take)
+    inside, truth = truth_at(made.take.time, found)
+    merged = error(made.take.positions[inside], truth, made.take)
     assert merged < 0.7 * min(single)
     np.testing.assert_allclose(made.shares.sum(axis=1), 1.0, atol=1e-9)
 
@@ -252,17 +242,14 @@ def test_clean_makes_one_clip_of_two_sensors(tmp_path: Path) -> None:
     found = session(9)
     paths = _written(tmp_path, *found.takes)
     errors = []
-    for words in ([paths[0]], [paths[1]], paths):
+    other = found._replace(takes=found.takes[::-1], truths=found.truths[::-1])
+    for words, seen in ((paths[:1], found), (paths[1:], other), (paths, found)):
         out = tmp_path / f"clip{len(errors)}.npz"
         assert main(["clean", *words, "-o", str(out), "--no-physics"]) == 0
-        clip, first = read_clip(out), words[0] == paths[0]
-        take = found.takes[0 if first else 1]
-        truth = found.truths[0 if first else 1].reshape(len(take), -1)
-        inside = (clip.time >= take.time[0]) & (clip.time <= take.time[-1])
-        there = [np.interp(clip.time[inside], take.time, column) for column in truth.T]
-        truths = np.stack(there, axis=1).reshape(-1, len(take.skeleton), 3)
-        truths = leveled(truths, clip.tilt, clip.roll)
-        errors.append(error(clip.positions[inside], truths, take))
+        clip = read_clip(out)
+        inside, truth = truth_at(clip.time, seen)
+        truth = leveled(truth, clip.tilt, clip.roll)
+        errors.append(error(clip.positions[inside], truth, found.takes[0]))
     assert errors[2] < 0.95 * min(errors[:2]), errors
 
 

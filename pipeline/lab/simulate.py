@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from kinefilter.characters import SKELETONS, InputError, State, Take
+from kinefilter.characters import SKELETONS, InputError, Motion, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.npz import write_arrays
+from kinefilter.pipeline.merge.lag import Clock
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes import load_scene
@@ -44,6 +47,7 @@ _HANDLED = (
 """Scenes and what people do with the thing in them."""
 _ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
 """Motions that go through things, or need one."""
+_AMONG = (-0.7, 0.7)  # m: where people walk among several sensors, in view of all
 _ROOM = 0.25  # m around the root of who walks, for feet and elbows: a guess
 
 
@@ -105,12 +109,80 @@ def simulate(
         prop_poses=prop_poses(room, act),
         tracker=tracker,
     )
-    # Frames that never arrived have no truth; stamps tremble far less than a frame.
-    frames = np.searchsorted(act.time, take.time - 0.5 * np.diff(act.time).mean())
-    frames = np.minimum(frames, len(act) - 1)
-    truth = in_sensor_frame(act.positions, SENSORS[sensor])[frames]
+    truth = _truth(act, take, SENSORS[sensor])
     stem = f"{Path(scene).stem}_{motion}_{sensor}"
     return PairedTake(take, truth, f"person {person}", f"{stem}_e{seed:02d}")
+
+
+def _truth(act: Motion, take: Take, sensor: Sensor) -> Array:
+    """Return the true joints [m] at a take's frames, time counted from the first."""
+    # Frames that never arrived have no truth; stamps tremble far less than a frame.
+    stamps = take.time - 0.5 * np.diff(act.time).mean() + act.time[0]
+    frames = np.minimum(np.searchsorted(act.time, stamps), len(act) - 1)
+    return np.asarray(in_sensor_frame(act.positions, sensor)[frames])
+
+
+class SimulatedView(NamedTuple):
+    """What one of several virtual Kinects saw."""
+
+    pair: PairedTake
+    """The take, by the sensor's clock, and the truth in its frame."""
+    sensor: Sensor
+    """Where it stands."""
+    clock: Clock
+    """What its clock shows, for seconds of the performance."""
+
+
+def simulate_session(
+    scene: str | Path,
+    motion: str,
+    *,
+    sensors: Sequence[str] = ("v2", "v2"),
+    degrees: float = 90.0,
+    seed: int = 0,
+) -> list[SimulatedView]:
+    """Return what several virtual Kinects see of a person at once, and the truth.
+
+    Each has its own skeleton, errors, height, tilt and clock, which shows any time and
+    gains or loses up to 0.1 ms a second, and takes its frames between those of the
+    others. The truth of each is in its own frame, at its own frames.
+
+    Args:
+        scene: One of ``SCENES``, or the path of an MJCF file.
+        motion: One of ``MOTIONS``.
+        sensors: Some of ``SENSORS``; the person faces the first.
+        degrees: Angle at which each next sensor stands, around the person.
+        seed: Draws person, performance, errors, places and clocks.
+    """
+    rng, room = np.random.default_rng([seed, 2]), load_scene(scene)
+    views, count = [], len(sensors)
+    for k, name in enumerate(sensors):
+        body = random_body(SKELETONS[_SKELETON[name]], np.random.default_rng(seed))
+        area = Area(_AMONG, _AMONG)
+        whole = perform(motion, body, seed=seed, fps=30.0 * count, within=area)
+        act = whole.at(slice(k, None, count))
+        poses = {prop: rows[k::count] for prop, rows in prop_poses(room, whole).items()}
+        sensor = replace(
+            SENSORS[name],
+            azimuth=np.radians(degrees * k),
+            height=rng.uniform(0.8, 1.2),
+            tilt=rng.uniform(-0.07, 0.07),
+        )
+        seen = observe(
+            act,
+            seed=seed * count + k,
+            person=seed,
+            sensor=sensor,
+            scene=room,
+            prop_poses=poses,
+        )
+        truth = _truth(act, seen, sensor)
+        clock = Clock(0.0, rng.uniform(0.0, 3600.0), rng.uniform(-1e-4, 1e-4))
+        take = replace(seen, time=clock.at(act.time[0] + seen.time))
+        clip = f"{Path(scene).stem}_{motion}_{name}_e{seed:02d}_sensor{k + 1}"
+        pair = PairedTake(take, truth, f"person {seed}", clip)
+        views.append(SimulatedView(pair, sensor, clock))
+    return views
 
 
 def area_in_view(sensor: Sensor, height: float) -> Area:

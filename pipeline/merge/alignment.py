@@ -18,6 +18,7 @@ from scipy.stats import theilslopes
 
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.reliability import column_medians
 
 from .lag import Clock, Track
 from .rigid import SIGMA, Placement, placement
@@ -144,7 +145,10 @@ class _Fit(NamedTuple):
 def _path(take: Take) -> float:
     """Return how far people went over the floor [m]."""
     places = take.positions[:, take.skeleton.root, ::2]
-    low, high = np.nanpercentile(places, (5.0, 95.0), axis=0)
+    places = places[~np.isnan(places).any(axis=1)]
+    if not len(places):
+        return 0.0
+    low, high = np.percentile(places, (5.0, 95.0), axis=0)
     return float(np.hypot(*(high - low)))
 
 
@@ -192,9 +196,7 @@ def _smoothed(take: Take) -> Track:
 
 def _filled(values: Array) -> Array:
     """Return columns with medians in the place of what is missing."""
-    with np.errstate(all="ignore"):
-        middle = np.nan_to_num(np.nanmedian(values, axis=0)) if len(values) else 0.0
-    return np.where(np.isnan(values), middle, values)
+    return np.where(np.isnan(values), np.nan_to_num(column_medians(values)), values)
 
 
 def _passed(values: Array, band: tuple[float | None, float]) -> Array:

@@ -1,4 +1,4 @@
-"""Commands that measure: ``evaluate``, ``reproduce``, ``simulate`` and ``bench``."""
+"""Commands that measure: ``evaluate``, ``reproduce`` and ``bench``."""
 
 from __future__ import annotations
 
@@ -8,17 +8,14 @@ from typing import Annotated, Literal, get_args
 
 from tyro.conf import Positional, arg
 
-from kinefilter.characters import InputError, State
+from kinefilter.characters import InputError
 from kinefilter.pipeline.commands.terminal import (
-    Skeletons,
     check_output,
     out,
     progress_bars,
     write_json,
 )
 from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.formats.plain import counted
 
 from .inputs import clips_of
 
@@ -260,7 +257,8 @@ class Reproduce:
 
         if self.all is not None and (self.studies or self.out is not None):
             raise InputError("give --all FOLDER alone, or studies and -o FOLDER")
-        _check_seed(self.seed)
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed}: expected 0 or more")
         folder = self.out if self.all is None else self.all
         if folder is None or (self.all is None and not self.studies):
             raise InputError("give studies and -o FOLDER, or --all FOLDER")
@@ -295,63 +293,6 @@ class Reproduce:
 
 
 @dataclass(frozen=True)
-class Simulate:
-    """Let a virtual Kinect record a scripted motion, so that the truth is known."""
-
-    scene: Positional[str]
-    """Surroundings of the person: a scene (an unknown name lists the scenes), or an
-    MJCF file (.xml)."""
-    out: Annotated[Path, arg(aliases=["-o"])]
-    """Take to write (.csv)."""
-    motion: str | None = None
-    """What the person does, such as walk, tai_chi or lift_box; default: what fits the
-    scene. People squat, lunge, step_over, sit and raise_leg in everyday life;
-    deep_squat, inline_lunge, hurdle_step, sit_to_stand and leg_raise are exercises,
-    often done wrong. Who walks, runs, marches or carries stays in the sensor's view."""
-    sensor: Literal["v1", "v2", "azure"] = "v2"
-    """Which Kinect records."""
-    tracker: Literal["model", "depth"] = "model"
-    """How joints are found: put beside the truth by a model of Kinect's errors, or
-    looked for in depth images by a second tracker (Shotton et al. 2011), at some 20
-    frames a second."""
-    skeleton: Skeletons | None = None
-    """Skeleton of the take; default: the sensor's."""
-    seed: int = 0
-    """Seed of person, performance and errors: same seed, same bytes."""
-    truth: Path | None = None
-    """Also write the true motion to this file (.csv)."""
-    pairs: Path | None = None
-    """Also write take and truth as a pairs file (.npz), to train and evaluate with."""
-
-    def run(self) -> int:
-        """Simulate the take and write it."""
-        from kinefilter.pipeline.lab import simulate as lab
-
-        _check_seed(self.seed)
-        check_output(self.out, self.truth, self.pairs, suffix=".csv")
-        check_output(self.truth, suffix=".csv")
-        check_output(self.pairs, suffix=".npz")
-        pair = lab.simulate(
-            self.scene,
-            self.motion or lab.motion_for(self.scene),
-            sensor=self.sensor,
-            skeleton=self.skeleton,
-            seed=self.seed,
-            stay_in_view=True,
-            tracker=self.tracker,
-        )
-        write_take_csv(pair.take, self.out)
-        if self.truth is not None:
-            write_take_csv(lab.truth_of(pair), self.truth)
-        if self.pairs is not None:
-            lab.write_pairs([pair], self.pairs)
-        tracked = (pair.take.state == State.TRACKED).mean()
-        frames = counted(len(pair.take), "frame")
-        out.print(f"wrote {self.out}: {frames}, {tracked:.0%} tracked")
-        return 0
-
-
-@dataclass(frozen=True)
 class Bench:
     """Time every stage frame by frame, a live frame in all, and whole takes."""
 
@@ -369,8 +310,3 @@ class Bench:
         write_json(figures, self.json)
         out.print(as_table(figures))
         return 0
-
-
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise InputError(f"--seed {seed}: expected 0 or more")
