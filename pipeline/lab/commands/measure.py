@@ -232,7 +232,7 @@ class Reproduce:
     What people rate, as in Shum's and Liu's figures 6, is for 'kinefilter rate'.
 
     With --all, every study and picture is made and every figure of README compared with
-    what was measured, in about an hour on two cores; the exit code is 1 if one
+    what was measured, in over an hour on two cores; the exit code is 1 if one
     does not hold. The same command again makes only what is missing or was made with
     other code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
     needs OpenGL, pictures of pages need viser, Chromium and a checkout.

@@ -150,23 +150,20 @@ def chiang_table_1(options: Options, *, movements: int = 10) -> Study:
     to the frame: frames next to each other are on both sides (``frames at random``).
     Beside that stand new repetitions by the same people, and a person left out, another
     one in each movement. Each movement has a process of its own, as in the paper; every
-    second of the recorded movements is measured, at most ``movements`` of them. Errors
-    are those of the arms' joints at standard lengths.
+    third of the first ``movements`` is measured. Errors are those of the arms' joints
+    at standard lengths.
     """
     people = recorded_people(options.data)
     found: dict[str, list[list[Array]]] = {}
     clips = clips_of(people, movements, options)
-    names = sorted({pair.movement for pair in clips})[::2]
+    names = sorted({pair.movement for pair in clips})[::3]
     for k, name in enumerate(over(names, "movements", options.progress)):
         some = [pair for pair in clips if pair.movement == name]
         for who, (lessons, tests) in _splits(some, people[k % len(people)]).items():
             group = Group(who, tests, school_of(lessons, options))
-            away = group.accuracy.standardized
+            makers, away = group.makers(_SYSTEMS), group.accuracy.standardized
             for pair in tests:
-                arms = [
-                    away(make(pair.take), pair.truth)[:, :6]
-                    for make in group.makers(_SYSTEMS)
-                ]
+                arms = [away(make(pair.take), pair.truth)[:, :6] for make in makers]
                 found.setdefault(who, []).append(arms)
     rows: list[tuple[Cell, ...]] = []
     for who, takes in found.items():

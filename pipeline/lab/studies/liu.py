@@ -201,7 +201,7 @@ def liu_table_3(options: Options, *, people: int = 8, motions: int = 4) -> Study
 
 
 def liu_table_4(
-    options: Options, *, people: int = 5, motions: int = 6, clips: int = 10
+    options: Options, *, people: int = 5, motions: int = 6, clips: int = 6
 ) -> Study:
     """Correct what a tracker of depth images finds, people in five folds.
 
