@@ -121,7 +121,7 @@ def test_lag_and_transform_are_those_that_were_made(
     begin = max(0, int(np.ceil(-lag * 30)))
     true = positions[30 + begin :][: len(pairing.pair.take)]
     assert np.nanmax(np.linalg.norm(pairing.pair.truth - true, axis=2)) < 0.01
-    assert pairing.explained > 0.98
+    assert pairing.explained > 0.95
     assert any("too short to tell whether" in note for note in pairing.notes)
 
 
@@ -310,6 +310,21 @@ def test_recorded_pairs_are_those_that_were_made_of_them_before(clip: str) -> No
     assert degrees < 1.0
     assert cm < 1.0
     assert len(apart) == 17
+    assert apart.max() < 1.5
+
+
+@paired
+def test_a_limb_that_the_sensor_loses_for_a_while_refuses_no_pair(
+    tmp_path: Path,
+) -> None:
+    """The raised foot points at the sensor, which has it half a meter too low."""
+    clip = RAW / "m06_s07_e05"
+    files = [f"{clip}.kinect.csv", f"{clip}.markers.c3d"]
+    assert main(["pair", *files, "-o", str(tmp_path / "s07.npz")]) == 0
+    ms, degrees, cm, apart = compared(clip.name)
+    assert abs(ms) < 33.3  # a frame: the sensor's leg disturbed their lag, or ours
+    assert degrees < 2.0
+    assert cm < 2.0
     assert apart.max() < 1.5
 
 

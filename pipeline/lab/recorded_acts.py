@@ -8,13 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import KINECT_V1, Motion, State
+from kinefilter.characters import KINECT_V1, Motion, State, Take
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget import measured_body, rotations_from_positions
-from kinefilter.scenes.sensor import Sensor, Tracker, in_world_frame, observe
+from kinefilter.scenes.sensor import (
+    Sensor,
+    Tracker,
+    in_sensor_frame,
+    in_world_frame,
+    observe,
+)
 
 DISTANCE = 2.5
 """Distance [m] from the Kinect at which ui-prmd's people stand."""
+_SENSOR = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
 index = KINECT_V1.index
 UNSEEN = [index(j) for j in ("Spine", "HandLeft", "HandRight")]
 """Joints that the recordings lack."""
@@ -56,13 +64,22 @@ def pairs_of(file: Path, every: int = 1) -> Iterator[Pair]:
 
 def seen_by(pair: Pair, tracker: Tracker = "model") -> Pair:
     """Return the clip as the virtual Kinect sees it, by one of its trackers."""
-    sensor = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
-    person = int(pair.clip[5:7])
-    seed = sum(map(ord, pair.clip)) * 1000 + person
-    take = observe(pair.act, seed=seed, sensor=sensor, person=person, tracker=tracker)
-    kinect = in_world_frame(take.positions, sensor)
+    take = _observed(pair, tracker)
+    kinect = in_world_frame(take.positions, _SENSOR)
     unsure = take.state != State.TRACKED
     return replace(pair, kinect=kinect, mocap=pair.act.positions, inferred=unsure)
+
+
+def paired_by(pair: Pair, tracker: Tracker = "model") -> PairedTake:
+    """Return the same as a pair of a take and its truth, in the sensor's frame."""
+    truth = in_sensor_frame(pair.act.positions, _SENSOR)
+    return PairedTake(_observed(pair, tracker), truth, pair.clip[4:7], pair.clip)
+
+
+def _observed(pair: Pair, tracker: Tracker) -> Take:
+    person = int(pair.clip[5:7])
+    seed = sum(map(ord, pair.clip)) * 1000 + person
+    return observe(pair.act, seed=seed, sensor=_SENSOR, person=person, tracker=tracker)
 
 
 def _completed(mocap: Array) -> Array:

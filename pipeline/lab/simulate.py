@@ -48,6 +48,7 @@ _HANDLED = (
 _ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
 """Motions that go through things, or need one."""
 _AMONG = (-0.7, 0.7)  # m: where people walk among several sensors, in view of all
+_LEARNED_FROM = 100  # seed of the first of the people whom methods learn from
 _ROOM = 0.25  # m around the root of who walks, for feet and elbows: a guess
 
 
@@ -202,12 +203,22 @@ def area_in_view(sensor: Sensor, height: float) -> Area:
     return Area(ends(np.stack([place, zero, middle], axis=-1)), (near, far))
 
 
+def simulated_pair(k: int, skeleton: str, tracker: Tracker = "model") -> PairedTake:
+    """Return the take of a Kinect v2 of person ``k`` of ``simulated_pairs``.
+
+    Args:
+        k: Which person, from 0 on; their motion is the kth of the library.
+        skeleton: Name of the take's skeleton.
+        tracker: How joints are found.
+    """
+    motion = MOTIONS[k % len(MOTIONS)]
+    return simulate(
+        "basic", motion, skeleton=skeleton, seed=_LEARNED_FROM + k, tracker=tracker
+    )
+
+
 def simulated_pairs(
-    skeleton: str,
-    *,
-    people: int = 400,
-    tracker: Tracker = "model",
-    progress: Progress = silent,
+    skeleton: str, *, people: int = 400, progress: Progress = silent
 ) -> list[PairedTake]:
     """Return takes of Kinect v2 to learn from, each of another simulated person.
 
@@ -217,19 +228,10 @@ def simulated_pairs(
     Args:
         skeleton: Name of the takes' skeleton.
         people: How many, at most 900.
-        tracker: How joints are found.
         progress: Wraps the loop over the takes, for a progress bar.
     """
-    return [
-        simulate(
-            "basic",
-            MOTIONS[k % len(MOTIONS)],
-            skeleton=skeleton,
-            seed=100 + k,
-            tracker=tracker,
-        )
-        for k in progress("simulate", min(people, 900))
-    ]
+    people = min(people, 900)
+    return [simulated_pair(k, skeleton) for k in progress("simulate", people)]
 
 
 def furnished_pairs(
@@ -258,7 +260,7 @@ def furnished_pairs(
         else:
             scene, motion = _HANDLED[rng.integers(len(_HANDLED))]
         sensor = _OWN_SENSOR[skeleton]
-        pairs.append(simulate(scene, motion, sensor=sensor, seed=100 + k))
+        pairs.append(simulate(scene, motion, sensor=sensor, seed=_LEARNED_FROM + k))
     return pairs
 
 

@@ -342,7 +342,14 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
             alignments.append(
                 Alignment(Clock(0.0, lag), placed, np.nan, np.inf, np.inf, 0.0)
             )
-    except (OSError, ArithmeticError, LookupError, TypeError, ValueError, RecursionError) as error:
+    except (
+        OSError,
+        ArithmeticError,
+        LookupError,
+        TypeError,
+        ValueError,
+        RecursionError,
+    ) as error:
         raise InputError(
             f"{path}: not a calibration of 'kinefilter merge --save-calibration' "
             f"({str(error)[:80]})"

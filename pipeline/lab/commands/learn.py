@@ -37,8 +37,8 @@ class Pair:
     one rigid transform from where the joints are, which all takes share: sensor and
     mocap have to stand still. What cannot be trusted is left out and told. A take whose
     mocap explains too little of its movement is left out (exit code 1; 2 if none is
-    left). That finds other movements and most other people, but not another repetition
-    of the same short movement.
+    left). That finds other movements and people, but only two in three of other
+    repetitions of the same short movement.
     """
 
     files: Positional[tuple[Path, ...]]
@@ -51,7 +51,7 @@ class Pair:
     markers: Path | None = None
     """Where joints lie among the markers (.toml), as in
     pipeline/lab/embedded/plug_in_gait.toml, which is the default."""
-    least: float = 0.75
+    least: float = 0.55
     """Share of a take's movement that its mocap has to explain, 0 to 1."""
     picture: Path | None = None
     """Also draw how far each joint is from the mocap (.png)."""

@@ -220,14 +220,16 @@ class Reproduce:
     """Measure again what README and the papers say: a table and a plot for each study.
 
     Studies of takes and of marker mocap: cleaned-takes, methods-new-people,
-    methods-known-people, failures, reliability; of speed: speed, million-postures; of
-    the papers, on simulated takes: shum-tables-1-2, shum-table-3, shum-table-4,
-    shum-figure-8, liu-table-3, liu-figure-3, liu-figure-7, chiang-tables-2-3,
-    chiang-figure-5, wang-table-1; on recorded ones too: liu-table-5; of the virtual
-    Kinect's trackers (Liu 2016, section 5.4): tracker-errors, tracker-lessons.
+    methods-known-people, presets, failures, reliability; of speed: speed,
+    million-postures; of the papers, on simulated takes: shum-tables-1-2, shum-table-3,
+    shum-table-4, shum-figure-8, liu-figure-3, liu-figure-7, liu-figure-8, liu-table-2,
+    liu-table-3, chiang-figure-5, chiang-figure-7, wang-table-1; on recorded ones too:
+    liu-table-4, liu-table-5, chiang-table-1, chiang-tables-2-3, wang-figure-1; of the
+    virtual Kinect's trackers (Liu 2016, section 5.4): tracker-errors, tracker-lessons.
+    What people rate, as in Shum's and Liu's figures 6, is for 'kinefilter rate'.
 
     With --all, every study and picture is made and every figure of README compared with
-    what was measured, in about an hour on two cores; the exit code is 1 if one
+    what was measured, in over an hour on two cores; the exit code is 1 if one
     does not hold. The same command again makes only what is missing or was made with
     other code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
     needs OpenGL, pictures of pages need viser, Chromium and a checkout.

@@ -3,8 +3,8 @@
 Liu, Zhou, Leung & Shum 2016, "Kinect posture reconstruction based on a local mixture
 of Gaussian process models", IEEE TVCG 22(11). Beyond the paper, the processes depart
 from a linear trend, which carries what local models cannot tell each other. The studies
-liu-figure-3, liu-figure-7 and liu-table-5 vary what the paper varies;
-methods-known-people has it beside one process over all samples (full-gp).
+liu-figure-3, liu-figure-7 and liu-table-5 vary what the paper varies; liu-table-3 has
+it beside one process over all samples (full-gp).
 """
 
 from __future__ import annotations

@@ -11,15 +11,29 @@ from typing import NamedTuple
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path
 
+from .chiang import (
+    chiang_figure_5,
+    chiang_figure_7,
+    chiang_table_1,
+    chiang_tables_2_3,
+)
 from .cleaned_takes import cleaned_takes
 from .depth_tracker import tracker_errors, tracker_lessons
 from .detection import failures, reliability
-from .learned_methods import chiang_figure_5, liu_figure_3, liu_figure_7, liu_table_5
-from .methods import methods_known_people, methods_new_people
-from .papers import chiang_tables_2_3, liu_table_3, shum_tables_1_2, wang_table_1
-from .shum import shum_figure_8, shum_table_3, shum_table_4
+from .liu import (
+    liu_figure_3,
+    liu_figure_7,
+    liu_figure_8,
+    liu_table_2,
+    liu_table_3,
+    liu_table_4,
+    liu_table_5,
+)
+from .methods import methods_known_people, methods_new_people, presets
+from .shum import shum_figure_8, shum_table_3, shum_table_4, shum_tables_1_2
 from .speed import million_postures, speed
 from .study import Options, Study
+from .wang import wang_figure_1, wang_table_1
 
 _FLOORS = ("characters", "retarget", "scenes", "pipeline")
 _SUFFIXES = (".py", ".toml", ".xml", ".npz", ".csv")
@@ -47,11 +61,20 @@ STUDIES: dict[str, _Entry] = {
     "shum-figure-8": _Entry(shum_figure_8, {"motions": 1, "values": 2}),
     "liu-figure-3": _Entry(liu_figure_3, {"people": 2, "values": 2}),
     "liu-figure-7": _Entry(liu_figure_7, {"people": 2, "values": 1}),
+    "liu-figure-8": _Entry(liu_figure_8, {"people": 2}),
+    "liu-table-2": _Entry(liu_table_2, {"people": 2, "motions": 1}),
     "liu-table-3": _Entry(liu_table_3, {"people": 1, "motions": 1}),
+    "liu-table-4": _Entry(liu_table_4, {"people": 2, "motions": 1, "clips": 1}),
     "liu-table-5": _Entry(liu_table_5, {"people": 2, "count": 2, "clips": 2}),
     "chiang-figure-5": _Entry(chiang_figure_5, {"people": 4, "values": 4}),
-    "chiang-tables-2-3": _Entry(chiang_tables_2_3, {"people": 2, "motions": 1}),
+    "chiang-figure-7": _Entry(chiang_figure_7, {"people": 2}),
+    "chiang-table-1": _Entry(chiang_table_1, {"movements": 1}),
+    "chiang-tables-2-3": _Entry(
+        chiang_tables_2_3, {"people": 2, "motions": 1, "count": 1}
+    ),
+    "wang-figure-1": _Entry(wang_figure_1, {"frames": 241}),
     "wang-table-1": _Entry(wang_table_1, {"sizes": 2}),
+    "presets": _Entry(presets, {"count": 2, "clips": 1}),
     "tracker-errors": _Entry(tracker_errors, {"clips": 1}),
     "tracker-lessons": _Entry(tracker_lessons, {"people": 4, "clips": 1}),
 }

@@ -1,4 +1,4 @@
-"""Takes as correction methods see them, what methods make of them, and its error."""
+"""Takes as correction methods see them, and how far parts are off."""
 
 from __future__ import annotations
 
@@ -6,13 +6,8 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.cleaner import Cleaner
-from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.training import observed
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.stages import Correct
 from kinefilter.retarget import Standardizer
 
 
@@ -33,22 +28,6 @@ class StandardizedTake:
         """Return standard postures (T, J, 3) on the person, in the sensor's frame."""
         draft = self._draft
         return Standardizer(draft.body).undo(positions, draft.heading)
-
-    def distances(self, method: Corrector | None) -> Array:
-        """Return distances of limb joints from the truth [m] (Liu eq. 23-25), (T, 12).
-
-        Relative to the middle of the hips, with the person's own segment lengths.
-
-        Args:
-            method: What corrects the take; None: the raw take.
-        """
-        positions = self.pair.take.positions
-        if method is not None:
-            cleaner = Cleaner().without("failures", "reconstruct").until("correct")
-            correct = Correct(CleanConfig(), method)
-            positions = cleaner.replaced(correct).whole(self.pair.take).positions
-        accuracy = Accuracy(self.pair.take.skeleton)
-        return accuracy.distances(positions, self.pair.truth)
 
 
 def bone_errors(one: Array, other: Array, skeleton: Skeleton) -> Array:

@@ -20,7 +20,7 @@ from kinefilter.pipeline.lab.accuracy import FAR, LIMBS
 from kinefilter.pipeline.lab.evaluate import tallied
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulate import simulated_pair
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress
@@ -48,7 +48,6 @@ _GROUPS = {
 """Groups of limb joints, and how their names begin."""
 _RATE = 30.0  # 1/s, of the clips
 _LONGEST = 45  # frames apart at which errors are still compared
-_FIRST = 100  # seed of the first simulated person, as of ``simulated_pairs``
 
 
 def tracker_errors(options: Options, *, clips: int = 16) -> Study:
@@ -199,7 +198,8 @@ def tracker_lessons(
     with workers() as pool:
         taken: dict[str, list[PairedTake]] = {}
         for tracker in _TRACKERS:
-            found = pool.map(partial(_taken, tracker, skeleton.name), range(people))
+            take = partial(simulated_pair, skeleton=skeleton.name, tracker=tracker)
+            found = pool.map(take, range(people))
             taken[tracker] = [next(found) for _ in options.progress(tracker, people)]
         for tracker in _TRACKERS:
             known_offsets = [_without_offsets(pair) for pair in taken[tracker]]
@@ -231,12 +231,6 @@ def _people(options: Options, clips: int) -> tuple[list[PairedTake], list[Paired
         own = clips_of([who], 10, options)
         test += own[:: max(len(own) // clips, 1)]
     return known, test
-
-
-def _taken(tracker: Tracker, skeleton: str, k: int) -> PairedTake:
-    """Return a take of a simulated person."""
-    motion, seed = MOTIONS[k % len(MOTIONS)], _FIRST + k
-    return simulate("basic", motion, skeleton=skeleton, seed=seed, tracker=tracker)
 
 
 def _without_errors(pair: PairedTake) -> PairedTake:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,20 +14,18 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, Hold
-from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
-from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
 from kinefilter.pipeline.lab.hidden_limbs import middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, Guess, hide
-from kinefilter.pipeline.lab.systems import School, systems_of
+from kinefilter.pipeline.lab.systems import System, systems_of
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import silent
-from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
 from .study import Options
-from .takes import clips_of, recorded_people
+from .takes import recorded_people
+from .trial import corrects, school_of, split
 
 GUESSES: dict[str, Guess | None] = {
     "drifting": "drift",
@@ -41,7 +39,6 @@ hangs down from the first frame on, is not told; nothing is hidden."""
 _LIMBS = ("right-arm", "left-arm", "arms", "left-leg")  # hidden in turn
 _GAP = "55%"
 _EVERY = 20  # one in this many clips is tested
-_LEARN_EVERY = 4  # one in this many clips teaches: the preset draws 2501 frames
 Errors = dict[str, dict[str, float]]
 """Errors [cm] by method and situation."""
 Turn = tuple[float, float]
@@ -51,9 +48,17 @@ Maker = Callable[[Take], tuple[Array, Turn]]
 
 
 def errors_in_doubt(
-    options: Options, terms: Sequence[str], *, count: int, most: int
+    options: Options,
+    *,
+    methods: Sequence[str] = (),
+    presets: Sequence[str] = (),
+    whole: bool = False,
+    guesses: Collection[str] = tuple(GUESSES),
+    every: int = _EVERY,
+    count: int,
+    most: int,
 ) -> Errors:
-    """Return errors of a preset with terms left out, and of its rivals, by situation.
+    """Return errors of systems and of their rivals, by situation.
 
     Means are over frames, joints and clips, then over people. Each of them is tested
     with a limb of every twentieth clip hidden; what learns, learns from the others, in
@@ -65,13 +70,20 @@ def errors_in_doubt(
 
     Args:
         options: Where the recordings are.
-        terms: Presets as ``systems_of`` has them, which are their names.
+        methods: Names as ``systems_of`` has them.
+        presets: Likewise.
+        whole: Measure clips as ``clean`` makes them, in the place of what correction
+            gives.
+        guesses: Which of ``GUESSES``.
+        every: One in this many clips is tested.
         count: People at most.
         most: Clips of a person at most.
     """
     people = recorded_people(options.data)[:count]
     quiet = replace(options, progress=silent)
-    run = partial(_errors_of, people, tuple(terms), most, quiet)
+    systems = systems_of(methods, presets)
+    sizes = every, most, guesses
+    run = partial(_errors_of, people, systems, whole, sizes, quiet)
     with workers() as pool:
         parts = pool.map(run, [*people, None])
         found = [next(parts) for _ in options.progress("people", len(people) + 1)]
@@ -88,32 +100,22 @@ def errors_in_doubt(
 
 def _errors_of(
     people: Sequence[str],
-    terms: Sequence[str],
-    most: int,
+    systems: Sequence[System],
+    whole: bool,
+    sizes: tuple[int, int, Collection[str]],
     options: Options,
     person: str | None,
 ) -> Errors:
     """Return the errors on somebody; None: on everybody's late repetitions."""
-    clips = clips_of(people, 10, options)
-    if person is None:
-        late = [clip for clip in clips if repetition(clip) > LEARNED_REPETITIONS]
-        train, test = [c for c in clips if c not in late], late
-    else:
-        train = [clip for clip in clips if clip.subject != person]
-        test = [clip for clip in clips if clip.subject == person]
-    test = test[::_EVERY][:most]
-    skeleton = test[0].take.skeleton
-    school = School(
-        train[::_LEARN_EVERY],
-        skeleton,
-        people=False,
-        database=builtin_database(skeleton),
-    )
+    train, test = split(people, person, options)
+    test = test[:: sizes[0]][: sizes[1]]
+    school = school_of(train, options)
     makers: dict[str, Maker] = {"raw": _raw, "none": _smoothed}
-    for system in systems_of([], terms):
+    for system in systems:
         corrector = school.corrector(system)
-        makers[system.label] = partial(_corrected, system.config, corrector)
-    return {name: _means(test, maker) for name, maker in makers.items()}
+        make = _cleaned if whole else _corrected
+        makers[system.label] = partial(make, system.config, corrector)
+    return {name: _means(test, maker, sizes[2]) for name, maker in makers.items()}
 
 
 def _raw(take: Take) -> tuple[Array, Turn]:
@@ -122,18 +124,27 @@ def _raw(take: Take) -> tuple[Array, Turn]:
 
 
 def _smoothed(take: Take) -> tuple[Array, Turn]:
-    clip = Cleaner(CleanConfig("none", physics=False)).clean(take).clip
+    return _cleaned(CleanConfig("none", physics=False), None, take)
+
+
+def _cleaned(
+    config: CleanConfig, corrector: Corrector | None, take: Take
+) -> tuple[Array, Turn]:
+    clip = Cleaner(config, corrector=corrector).clean(take).clip
     return clip.positions, (clip.tilt, clip.roll)
 
 
 def _corrected(
     config: CleanConfig, corrector: Corrector, take: Take
 ) -> tuple[Array, Turn]:
-    cleaner = Cleaner(config).replaced(Correct(config, corrector)).until("correct")
-    return cleaner.whole(take).positions, (0.0, 0.0)
+    return corrects(config, corrector)(take), (0.0, 0.0)
 
 
-def _means(clips: Sequence[PairedTake], maker: Maker) -> dict[str, float]:
+def _means(
+    clips: Sequence[PairedTake],
+    maker: Maker,
+    guesses: Collection[str] = tuple(GUESSES),
+) -> dict[str, float]:
     """Return the errors [cm] on some clips, by situation."""
     found: dict[str, list[float]] = {}
     for k, pair in enumerate(clips):
@@ -146,7 +157,8 @@ def _means(clips: Sequence[PairedTake], maker: Maker) -> dict[str, float]:
         skeleton = pair.take.skeleton
         joints = [skeleton.index(j) for j in names if j in skeleton.joints]
         seed = zlib.crc32(pair.clip.encode())
-        for where, guess in GUESSES.items():
+        for where in guesses:
+            guess = GUESSES[where]
             take = pair.take
             if guess is not None:
                 take = hide(take, joints, span, guess, seed)

@@ -1,4 +1,4 @@
-"""Local PCA as in Shum 2013: tables III and IV, table V with figure 8."""
+"""Shum 2013, local PCA: tables I to IV, table V with figure 8."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from kinefilter.pipeline.correct.local_pca import Search
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.lab.scripted_database import scripted_postures
+from kinefilter.pipeline.lab.training import observed, standard_truth
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over
 from kinefilter.retarget import HeadingFrame, Standardizer
 from kinefilter.retarget.heading_frame import find_yaw
@@ -24,6 +26,24 @@ from kinefilter.scenes.library import perform, random_body
 from .corrected import StandardizedTake, bone_errors
 from .study import Cell, Kind, Options, Panel, Study, series_of
 from .takes import CLASSES, first_person, performed_by, study_takes
+
+_SHUM_1 = {
+    "locomotion": (("walk", "run", "march"), 8.1, 15.27),
+    "object handling": (("pick_up", "carry"), 8.9, 11.80),
+    "upper body movement": (("point", "scratch"), 17.8, 6.6),
+    "boxing": (("punch", "kick"), 11.8, 13.7),
+    "sword fighting": (("swing", "dodge"), 16.3, 13.4),
+}
+"""The database's classes: motions, and standard deviations [cm] above and below."""
+_SHUM_2 = {
+    "basic": (13.4, 9.24),
+    "box": (12.26, 6.39),
+    "flip_chart": (13.24, 7.38),
+    "basketball": (11.81, 4.18),
+    "chair": (7.87, 11.86),
+    "office": (13.23, 9.51),
+}
+"""The testing data's scenes: standard deviations [cm] above and below."""
 
 _HANDS, _FEET = ("HandLeft", "HandRight"), ("FootLeft", "FootRight")
 _MIDDLES = ("ElbowLeft", "ElbowRight", "KneeLeft", "KneeRight")
@@ -56,6 +76,60 @@ _PARAMETERS: dict[str, tuple[int, Sequence[int]]] = {
 """The paper's choice (table V) and the values that are tried; the figure has a column
 of panels for each."""
 _OF_SAMPLING = ("steps", "samples")
+
+
+def shum_tables_1_2(options: Options, *, people: int = 4, takes: int = 12) -> Study:
+    """Tell how far joints spread in classes of motion, and in the takes tested on.
+
+    The standard deviation of a joint's place in a take, on the standard body, facing
+    +z, relative to the root; its mean over takes and the joints of arms and of legs.
+    The motions are those that the database is made of; the scenes are recorded by a
+    virtual Kinect.
+    """
+    first, rows = first_person(options.seed), list[tuple[Cell, ...]]()
+    for name, (motions, *paper) in _SHUM_1.items():
+        pairs = performed_by(
+            range(first, first + people), motions, progress=options.progress
+        )
+        postures = [standard_truth(pair, observed(pair)) for pair in pairs]
+        rows.append(("I", name, *_deviations(pairs, postures), *paper))
+    scenes = [s for kind in CLASSES for s in study_takes(kind, options, count=takes)]
+    for scene, figures in _SHUM_2.items():
+        pairs = [pair for pair in scenes if pair.clip.startswith(f"{scene}_")]
+        postures = [observed(pair).standard for pair in pairs]
+        if pairs:
+            rows.append(("II", scene, *_deviations(pairs, postures), *figures))
+    bars = series_of(
+        [(row[1], *row[3:]) for row in rows],
+        {"upper body": 1, "lower body": 2, "paper, upper": 3, "paper, lower": 4},
+        kind="bars",
+    )
+    return Study(
+        title="How far joints spread, class by class (Shum 2013, Tables I and II)",
+        columns=(
+            *("table", "class", "frames", "upper_cm", "lower_cm"),
+            *("paper_upper_cm", "paper_lower_cm"),
+        ),
+        rows=rows,
+        panels=[Panel("class of motion, scene", "standard deviation, cm", bars)],
+    )
+
+
+def _deviations(
+    pairs: Sequence[PairedTake], postures: Sequence[Array]
+) -> tuple[int, float, float]:
+    """Return frames, and standard deviations [cm] of the upper and the lower body."""
+    spread, skeletons = [], [pair.take.skeleton for pair in pairs]
+    for parts in (("Shoulder", "Elbow", "Wrist"), ("Knee", "Ankle", "Foot")):
+        names = [part + side for part in parts for side in ("Left", "Right")]
+        # Take by take: each sensor looks down by an angle of its own.
+        variances = [
+            np.ma.masked_invalid(posture[:, [*map(skeleton.index, names)]]).var(axis=0)
+            for posture, skeleton in zip(postures, skeletons, strict=True)
+        ]
+        deviations = np.ma.sqrt(np.ma.stack(variances).sum(axis=2))
+        spread.append(float(100.0 * deviations.mean()))
+    return sum(map(len, postures)), spread[0], spread[1]
 
 
 def shum_table_3(options: Options, *, motions: int = 10) -> Study:
