@@ -32,6 +32,7 @@ in which people went to and fro. Placements of the same sensor differ by up to 3
 and 0.1 m in two-kinects (p00 to p08)."""
 _NEAREST = 0.6  # of a frame: others of the same moment are no frames of their own
 _KIND = "kinefilter calibration"
+_UNREADABLE = (ArithmeticError, LookupError, TypeError, ValueError, RecursionError)
 
 
 @dataclass(frozen=True, eq=False)
