@@ -178,7 +178,9 @@ def watch(name: str, asked: argparse.Namespace, tally: Tally, first: int) -> Non
             if began is None and process.returncode == 0:
                 return
             said.seek(0)
-            words = f"worker ended with {process.returncode}: {said.read()[:2500]}"
+            text = said.read()  # the thread that ran the command comes last
+            words = f"worker ended with {process.returncode}: {text[:200]}"
+            words += f" ... {text[-2500:]}" if len(text) > 200 else ""
         row = {"part": name, "n": began, "what": "death", "end": "lost"}
         tally.add(row | {"words": words})
         if began is None:

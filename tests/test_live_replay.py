@@ -79,3 +79,22 @@ def test_a_replay_connects_again_when_live_comes_back() -> None:
                 assert asking.result()["body"] == "1"
 
     do(session())
+
+
+def test_a_replay_that_is_always_late_can_be_stopped() -> None:
+    """Whoever takes frames at once leaves the loop no other moment to hear of it."""
+    sent = 0
+
+    async def take(_line: str) -> bool:
+        nonlocal sent
+        sent += 1
+        assert sent < 20_000, "nobody could stop it"
+        return False
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        asyncio.get_running_loop().call_later(0.05, stop.set)
+        await replay([SAMPLE], take, stop, speed=1e9, loop=True)
+
+    asyncio.run(run())
+    assert sent

@@ -181,6 +181,8 @@ async def replay(
             with suppress(TimeoutError):
                 async with asyncio.timeout_at(due):
                     await stop.wait()
+        else:
+            await asyncio.sleep(0.0)  # or nobody who is late could be stopped
         if stop.is_set():
             break
         sent += await send(format_frame(frame))
