@@ -341,7 +341,7 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
                 raise ValueError("numbers are missing")
             placed = Placement(Rotation.from_quat(turn), shift)
             alignments.append(
-                Alignment(Clock(0.0, lag), placed, np.nan, np.inf, np.inf, 0.0)
+                Alignment(Clock(0.0, lag), placed, np.nan, np.inf, np.inf)
             )
     except (
         OSError,
