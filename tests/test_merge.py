@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from real_data import DATA
 from scipy.spatial.transform import Rotation
 
-from kinefilter import read_clip, read_take
+from kinefilter import merge, read_clip, read_take
 from kinefilter.characters import KINECT_V2, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.lab.simulate import simulate_session
-from kinefilter.pipeline.merge import Fused, Fusion, Sight, align, merge
+from kinefilter.pipeline.merge import Fused, Fusion, Sight, align
 from kinefilter.pipeline.merge.rigid import Placement, placement
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.scenes.sensor import in_sensor_frame
@@ -67,10 +66,6 @@ def session(
     )
 
 
-def recorded(*takes: Take) -> list[Recording]:
-    return [Recording((take,), "kinefilter") for take in takes]
-
-
 def truth_at(times: Array, found: Session) -> tuple[NDArray[np.bool_], Array]:
     """Return which times are in the first take, and the truth then in its frame."""
     time, truth = found.takes[0].time, found.truths[0]
@@ -107,7 +102,7 @@ def test_clock_and_place_are_found_from_a_walk(degrees: float) -> None:
 
 def test_merged_walk_is_truer_than_what_either_sensor_saw() -> None:
     found = session(4)
-    made = merge(recorded(*found.takes))
+    made = merge(found.takes)
     single = [
         error(take.positions, truth, take)
         for take, truth in zip(found.takes, found.truths, strict=True)
@@ -121,7 +116,7 @@ def test_merged_walk_is_truer_than_what_either_sensor_saw() -> None:
 def test_20_joints_beside_25() -> None:
     """The merged take has the larger skeleton; what only one has stays that one's."""
     found = session(5, 60.0, ("v1", "v2"))
-    made = merge(recorded(*found.takes))
+    made = merge(found.takes)
     assert made.take.skeleton == KINECT_V2
     neck, knee = KINECT_V2.index("Neck"), KINECT_V2.index("KneeLeft")
     assert (made.shares[:, 0, neck] == 0.0).all()
@@ -227,7 +222,7 @@ def test_command_writes_a_take_that_reads_back(tmp_path: Path) -> None:
     paths = _written(tmp_path, *found.takes)
     out, json_file = tmp_path / "merged.csv", tmp_path / "merged.json"
     assert main(["merge", *paths, "-o", str(out), "--json", str(json_file)]) == 0
-    take, made = read_take(out), merge(recorded(*map(read_take, paths)))
+    take, made = read_take(out), merge([read_take(path) for path in paths])
     np.testing.assert_allclose(take.positions, made.take.positions, atol=1e-8)
     np.testing.assert_array_equal(take.state, made.take.state)
     header = out.read_text().splitlines()[0].split(",")
@@ -317,7 +312,7 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_standing_people_do_not_tell_where_sensors_are() -> None:
-    made = merge(recorded(*map(_standing, session(4).takes)))
+    made = merge([_standing(take) for take in session(4).takes])
     assert ["unsure" in note or "30 degrees" in note for note in made.told()] == [True]
 
 
@@ -329,7 +324,7 @@ def test_recorded_session(name: str, degrees: float) -> None:
     """Two Kinect v2: angle, lag against the recording computer's, and far limbs."""
     folder = DATA / "two-kinects"
     side, front = (read_take(next(folder.glob(f"{name}_{s}*.csv.gz"))) for s in "AB")
-    made = merge(recorded(front, side))
+    made = merge([front, side])
     (found,) = made.alignments
     turn = found.placed.turn.apply([0.0, 0.0, 1.0])
     assert np.degrees(np.arctan2(turn[0], turn[2])) == pytest.approx(-degrees, abs=3.0)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.formats import Export, read_clip, write_clip
     from kinefilter.pipeline.formats.takes import read_take, read_takes
     from kinefilter.pipeline.lab.evaluate import evaluate
+    from kinefilter.pipeline.merge import clean_session, merge
 
 _PLACES = {
     "characters": ("Clip", "InputError", "Motion", "Take"),
@@ -27,6 +28,7 @@ _PLACES = {
     "pipeline.formats": ("Export", "read_clip", "write_clip"),
     "pipeline.formats.takes": ("read_take", "read_takes"),
     "pipeline.lab.evaluate": ("evaluate",),
+    "pipeline.merge": ("clean_session", "merge"),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
@@ -44,7 +46,9 @@ __all__ = [
     "Take",
     "__version__",
     "clean",
+    "clean_session",
     "evaluate",
+    "merge",
     "read_clip",
     "read_take",
     "read_takes",

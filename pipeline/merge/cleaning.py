@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinefilter.characters import Origin, Tracking
+from kinefilter.characters import Origin, Take, Tracking
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
@@ -22,7 +22,7 @@ from .session import Merged, fuse, merge
 
 
 def clean_session(
-    recordings: Sequence[Recording],
+    takes: Sequence[Take | Recording],
     config: CleanConfig | None = None,
     *,
     body: int | None = None,
@@ -37,7 +37,7 @@ def clean_session(
     follow.
 
     Args:
-        recordings: What each sensor recorded; the first one's clock is the clip's.
+        takes: What each sensor recorded; the first one's clock is the clip's.
         config: What to do; by default as ``clean`` does.
         body: Which person of the first recording; see ``merge``.
         calibration: Where and when the other sensors are; see ``merge``.
@@ -48,7 +48,7 @@ def clean_session(
         InputError: As ``merge`` and ``clean``.
     """
     config = CleanConfig() if config is None else config
-    merged = merge(recordings, body=body, calibration=calibration, progress=progress)
+    merged = merge(takes, body=body, calibration=calibration, progress=progress)
     # The frames stay those of the sensors, in which their alignments hold.
     corrector = Cleaner(replace(config, tilt=0.0)).until("correct")
     corrected = []

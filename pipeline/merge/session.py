@@ -106,7 +106,7 @@ class Merged:
 
 
 def merge(
-    recordings: Sequence[Recording],
+    takes: Sequence[Take | Recording],
     *,
     body: int | None = None,
     calibration: Sequence[Alignment] = (),
@@ -115,8 +115,8 @@ def merge(
     """Return one take of a person whom several sensors recorded.
 
     Args:
-        recordings: What each sensor recorded; the first one's clock and frame are those
-            of the merged take.
+        takes: What each sensor recorded, of a person or of everybody; the first one's
+            clock and frame are those of the merged take.
         body: Which person of the first recording, from 1; by default the main one. Of
             the other recordings it is whoever moves most alike.
         calibration: Where and when the other sensors are, as far as these takes do not
@@ -126,6 +126,10 @@ def merge(
     Raises:
         InputError: Fewer than two takes, or takes that do not belong together.
     """
+    recordings = [
+        take if isinstance(take, Recording) else Recording((take,), "take")
+        for take in takes
+    ]
     if len(recordings) < 2:
         raise InputError("one take given; merge needs one of each sensor")
     if calibration and len(calibration) != len(recordings) - 1:
@@ -134,14 +138,14 @@ def merge(
             f"{len(recordings)} takes are given; give them in its order"
         )
     first, score = _scored(recordings[0].take(body))
-    takes, scores, alignments = [first], [score], []
+    mended, scores, alignments = [first], [score], []
     for k, recording in enumerate(recordings[1:]):
         known = calibration[k] if calibration else None
         take, score, found = _same_person(first, recording, known)
-        takes.append(take)
+        mended.append(take)
         scores.append(score)
         alignments.append(found)
-    return fuse(takes, scores, alignments, progress)
+    return fuse(mended, scores, alignments, progress)
 
 
 def _scored(take: Take) -> tuple[Take, Array]:
