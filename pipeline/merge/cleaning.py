@@ -16,9 +16,12 @@ from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
+from kinefilter.pipeline.uncertainty import uncertainty
 
 from .alignment import Alignment
 from .session import Merged, fuse, merge
+
+_SURE = 0.02  # m of uncertainty up to which reliability alone decides
 
 
 def clean_session(
@@ -32,9 +35,9 @@ def clean_session(
 ) -> tuple[CleanResult, Merged]:
     """Return the clip of a person whom several sensors recorded, and what was merged.
 
-    Each sensor's take is corrected by itself, as methods know what a sensor errs by and
-    from where it looks; what they make of it is fused, and goes through the stages that
-    follow.
+    Each sensor's take is corrected by itself, with its sides as all sensors have them,
+    as methods know what a sensor errs by and from where it looks. What they make of it
+    is fused, by their uncertainty, too, and goes through the stages that follow.
 
     Args:
         takes: What each sensor recorded; the first one's clock is the clip's.
@@ -49,20 +52,28 @@ def clean_session(
     """
     config = CleanConfig() if config is None else config
     merged = merge(takes, body=body, calibration=calibration, progress=progress)
-    # The frames stay those of the sensors, in which their alignments hold.
-    corrector = Cleaner(replace(config, tilt=0.0)).until("correct")
-    corrected = []
-    for take in merged.takes:
+    # The frames stay those of the sensors, in which their alignments hold; failures
+    # were mended before sides were settled.
+    corrector = _without_failures(Cleaner(replace(config, tilt=0.0)).until("correct"))
+    corrected, scores = [], []
+    for take in merged.untangled():
         draft = corrector.whole(take, progress)
         places = np.where(draft.missing[..., None], np.nan, draft.positions)
         corrected.append(replace(take, positions=places))
-    fused = fuse(corrected, merged.scores, merged.alignments, progress)
+        scores.append(
+            draft.reliability * np.minimum(_SURE / uncertainty(draft), 1.0) ** 2
+        )
+    fused = fuse(corrected, scores, merged.alignments, progress)
     cleaner = Cleaner(config, tracking=tracking)
-    names = {stage.name for stage in cleaner.stages}
     given = _Corrected(config, fused.take.positions)
     # A person who turns away from one sensor is no failure of all.
-    cleaner = cleaner.replaced(given).without(*({"failures"} & names))
+    cleaner = _without_failures(cleaner.replaced(given))
     return cleaner.clean(merged.take, progress=progress), merged
+
+
+def _without_failures(cleaner: Cleaner) -> Cleaner:
+    names = [stage.name for stage in cleaner.stages]
+    return cleaner.without("failures") if "failures" in names else cleaner
 
 
 class _Corrected(Correct):

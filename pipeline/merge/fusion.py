@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 # Chosen on simulated people (seeds 40 to 55 and 140 to 153) and on p00 to p08 of
 # two-kinects; hardly anything depends on them but the last two of the exchange.
 _FAR = 3.0  # by which the variance of a limb behind the body grows, from the side
-_TURNED = 4.0  # and that of all joints per 90 degrees away from the front
+_TURNED = 1.0  # and that of all joints per 90 degrees away from the front
 _INFERRED = 0.3  # reliability at most of what a sensor only guesses
 _LEAST = 1e-3  # reliability of what a sensor gives at all
 _APART = 0.10  # m between sensors, from which the better one counts twice as clearly
@@ -63,6 +63,8 @@ class Fused(NamedTuple):
     """Mean reliability of the sensors that count, in [0, 1], (J,)."""
     shares: Array
     """How much of each joint is of which sensor, adding up to 1 or 0, (S, J)."""
+    exchanged: Flags
+    """Which sensors had left and right exchanged, (S,)."""
 
 
 class Fusion:
@@ -133,7 +135,9 @@ class Fusion:
         fused[whole == 0.0] = np.nan
         self._last = fused
         best = np.where(shares > _COUNTS, state, 0).max(axis=0).astype(np.uint8)
-        return Fused(fused, best, (shares * given).sum(axis=0), shares)
+        return Fused(
+            fused, best, (shares * given).sum(axis=0), shares, self._exchanged > 0
+        )
 
     def _untangle(
         self, seen: Array, given: Array, state: NDArray[np.uint8], angle: Array
@@ -147,6 +151,9 @@ class Fusion:
         pairs = self._pairs
         both = np.stack([seen[:, pairs], seen[:, self._mirror[pairs]]], axis=1)
         others = [*both] if self._last is None else [*both, self._last[None, pairs]]
+        sure = np.where(state == State.TRACKED, given, 0.0) + _LEAST
+        sure = np.minimum(sure, sure[:, self._mirror])[:, pairs]
+        sure = np.vstack([sure, np.ones(len(pairs))])
         costs = np.zeros(len(self._choices))
         for s, one in enumerate(both):
             for k, other in enumerate(others[s + 1 :], start=s + 1):
@@ -154,7 +161,8 @@ class Fusion:
                 apart = np.minimum(apart, _LOST)
                 known = ~np.isnan(apart).any(axis=(0, 1))
                 if known.any():
-                    cost = apart[..., known].mean(axis=-1)
+                    both_sure = (sure[s] * sure[k])[known]
+                    cost = np.average(apart[..., known], axis=-1, weights=both_sure)
                     if k < len(both):
                         costs += cost[self._choices[:, s], self._choices[:, k]]
                     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.checks import check_take
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
@@ -45,6 +45,8 @@ class Merged:
     """Mean reliability of the sensors that count, shape (T, J)."""
     shares: Array
     """How much of each joint is of which sensor, adding up to 1 or 0, (T, S, J)."""
+    exchanged: Flags
+    """Which sensors had left and right exchanged, shape (T, S)."""
     seen: tuple[Array, ...]
     """Each sensor's joints at the frames of the take, in its frame [m], (T, J, 3)."""
     alignments: tuple[Alignment, ...]
@@ -53,6 +55,19 @@ class Merged:
     """Each sensor's take of the person, with gross failures mended."""
     scores: tuple[Array, ...]
     """The reliability of those, (T, J) each."""
+
+    def untangled(self) -> list[Take]:
+        """Return each sensor's take with its sides as all sensors have them."""
+        takes = []
+        for k, take in enumerate(self.takes):
+            clock = self.alignments[k - 1].clock if k else Clock(0.0, 0.0)
+            frames = np.searchsorted(self.take.time, clock.undone(take.time))
+            swapped = self.exchanged[frames.clip(max=len(self.take) - 1), k]
+            positions, state = take.positions.copy(), take.state.copy()
+            positions[swapped] = positions[swapped][:, take.skeleton.mirror]
+            state[swapped] = state[swapped][:, take.skeleton.mirror]
+            takes.append(replace(take, positions=positions, state=state))
+        return takes
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -225,7 +240,7 @@ def fuse(
             fusion.step([column[k] for column in columns], float(elapsed[k]))
             for k in over(range(len(time)), sweep, progress)
         ]
-    positions, state, reliability, shares = (
+    positions, state, reliability, shares, exchanged = (
         np.array(x) for x in zip(*found, strict=True)
     )
     source = " + ".join(take.source for take in takes)
@@ -233,6 +248,7 @@ def fuse(
         Take(time, positions, state, skeleton, source),
         reliability,
         shares,
+        exchanged,
         tuple(_joints(column, skeleton) for column in columns),
         tuple(alignments),
         tuple(takes),
