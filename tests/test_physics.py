@@ -8,7 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from real_data import TAKES, recorded
 
+from kinefilter import clean, read_take
 from kinefilter.characters import (
     KINECT_V1,
     Body,
@@ -346,3 +348,17 @@ def test_the_result_turns_with_the_target() -> None:
 
 def _tall() -> Body:
     return standard_body(KINECT_V1, height=1.95)
+
+
+@recorded
+def test_a_shank_that_the_tracker_turned_upwards_comes_down_again() -> None:
+    """What pulls it straight down holds a knee that is bent as far as it goes."""
+    take = read_take(next(TAKES.rglob("m03_s06_e02_inc_failure.csv*")))
+    found = clean(take)
+    ankle = take.skeleton.index("AnkleRight")
+    away = np.linalg.norm(found.clip.positions - found.target, axis=2)[:, ankle]
+    longest = max(
+        len(run) for run in "".join("01"[int(d > 0.3)] for d in away).split("0")
+    )
+    assert longest <= 4
+    assert found.stages["physics"].float_mm < 5.0

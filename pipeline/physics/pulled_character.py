@@ -31,6 +31,9 @@ _HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, 
 SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
 in six recorded takes of punches and kicks diverged somewhere."""
+_BACKWARDS, _PATIENCE = -0.7, 0.1
+"""Cosine of the angle to its target beyond which a segment is caught at the end of its
+joint, and seconds after which it is let go. Guesses; nothing else gets there."""
 LOST = 3.0
 """A joint this far [m] from its target means that the simulation went astray: more than
 the longest jump of a tracker that the bounded forces are still catching up with."""
@@ -155,7 +158,7 @@ class PulledCharacter:
             self.data.qpos[:] = there
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
-        self._load[:], self._pressure = 0.0, 0.0
+        self._load[:], self._pressure, self._away = 0.0, 0.0, 0.0
         self._pushes.clear()
         self._place(*self._target)
 
@@ -257,7 +260,7 @@ class PulledCharacter:
             data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
             mujoco.mj_step(self.model, data, nstep=substeps)
         mujoco.mj_kinematics(self.model, data)
-        if self._astray(after_p, began):
+        if self._astray(after_p, began) or self._caught(after_p, dt):
             mujoco.mj_resetData(self.model, data)
             self._place(after_p, after_q)
             return False
@@ -315,6 +318,24 @@ class PulledCharacter:
             return False
         away = np.abs(self.data.site_xpos[self._sites] - target).max()
         return not away < LOST  # also true for NaN
+
+    def _caught(self, target: Array, dt: float) -> bool:
+        """Tell whether a segment has long pointed away from where its target points.
+
+        A knee that was bent as far as it goes, after a leg that the tracker turned
+        upwards, is held there by what pulls it straight down.
+        """
+        there = self.data.site_xpos[self._sites]
+        parts, parents = self._segments, self._parents
+        along = np.vecdot(
+            there[parts] - there[parents], target[parts] - target[parents]
+        )
+        if self.limp or self._pushes or not (along < 0.0).any():
+            self._away = 0.0
+            return False
+        lengths = self.body.lengths[parts]
+        self._away = self._away + dt if (along < _BACKWARDS * lengths**2).any() else 0.0
+        return self._away > _PATIENCE
 
     def _place(self, positions: Array, rotations: Array) -> None:
         root = self.body.skeleton.root
