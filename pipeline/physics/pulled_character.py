@@ -34,6 +34,7 @@ in six recorded takes of punches and kicks diverged somewhere."""
 _BACKWARDS, _PATIENCE = -0.7, 0.1
 """Cosine of the angle to its target beyond which a segment is caught at the end of its
 joint, and seconds after which it is let go. Guesses; nothing else gets there."""
+_LIMB = 0.15  # m: shorter segments, such as thumbs, come back by themselves
 LOST = 3.0
 """A joint this far [m] from its target means that the simulation went astray: more than
 the longest jump of a tracker that the bounded forces are still catching up with."""
@@ -334,7 +335,8 @@ class PulledCharacter:
             self._away = 0.0
             return False
         lengths = self.body.lengths[parts]
-        self._away = self._away + dt if (along < _BACKWARDS * lengths**2).any() else 0.0
+        caught = (along < _BACKWARDS * lengths**2) & (lengths > _LIMB)
+        self._away = self._away + dt if caught.any() else 0.0
         return self._away > _PATIENCE
 
     def _place(self, positions: Array, rotations: Array) -> None:
