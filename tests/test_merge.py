@@ -18,6 +18,7 @@ from kinefilter import merge, read_clip, read_take
 from kinefilter.characters import KINECT_V2, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.lab.accuracy import LIMBS
 from kinefilter.pipeline.lab.simulate import simulate_session
 from kinefilter.pipeline.merge import Fused, Fusion, Sight, align
 from kinefilter.pipeline.merge.rigid import Placement, placement
@@ -25,11 +26,6 @@ from kinefilter.pipeline.target.floor import leveled
 from kinefilter.scenes.sensor import in_sensor_frame
 
 Array = NDArray[np.float64]
-_LIMBS = [
-    limb + side
-    for limb in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
-    for side in ("Left", "Right")
-]
 _HERE = np.array([0.0, 0.0, 0.0])
 _FRONT = Placement(Rotation.identity(), np.zeros(3))
 
@@ -76,7 +72,7 @@ def truth_at(times: Array, found: Session) -> tuple[NDArray[np.bool_], Array]:
 
 def error(positions: Array, truth: Array, take: Take) -> float:
     """Return the mean distance of limb joints from the truth [m], hips taken off."""
-    joints = [take.skeleton.index(joint) for joint in _LIMBS]
+    joints = [take.skeleton.index(joint) for joint in LIMBS]
     hips = list(take.skeleton.hips)
     parts = [p - p[:, hips].mean(axis=1, keepdims=True) for p in (positions, truth)]
     away = np.linalg.norm((parts[0] - parts[1])[:, joints], axis=2)

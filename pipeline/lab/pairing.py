@@ -33,6 +33,7 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
+from .accuracy import LIMBS
 from .marker_sets import MarkerSet, joint_centers
 
 EXPLAINED = 0.55
@@ -44,11 +45,6 @@ another exercise, 5 % with that of another person's same exercise, and 32 % with
 another repetition by the same person: ``python tests/pairing_figures.py ../shared/data
 s06 s07 s08``."""
 
-_LIMBS = [
-    joint + side
-    for joint in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
-    for side in ("Left", "Right")
-]
 _FEWEST_JOINTS = 6
 _SHORTEST = 1.0  # s that both recordings must have in common
 _SHARE = 0.5  # of the shorter recording that must be in the other
@@ -195,7 +191,7 @@ def _match(take: Take, joints: Mocap, least: float) -> _Match:
     _check_size(take, positions, both)
     common = [
         j
-        for j in [skeleton.index(joint) for joint in _LIMBS]
+        for j in [skeleton.index(joint) for joint in LIMBS]
         if not np.isnan(take.positions[:, j]).all()
         and not np.isnan(positions[:, j]).all()
     ]
@@ -271,15 +267,14 @@ def _trusted(positions: Array, skeleton: Skeleton) -> tuple[Array, float]:
 def _placed(matches: Sequence[_Match]) -> Placement:
     """Return the transform that lays the mocap of all matches onto their takes."""
     skeleton = matches[0].take.skeleton
-    used = [*(skeleton.index(joint) for joint in _LIMBS), skeleton.girdle]
+    used = [*(skeleton.index(joint) for joint in LIMBS), skeleton.girdle]
     seen, there = [], []
     for match in matches:
         joints = match.seen()
-        for side in ("Left", "Right"):
-            ankle, knee = (skeleton.index(j + side) for j in ("Ankle", "Knee"))
-            shank = joints[:, knee] - joints[:, ankle]
-            length = np.linalg.norm(shank, axis=1, keepdims=True)
-            joints[:, ankle] += _ANKLE * shank / length
+        knees, ankles = skeleton.sides("Knee"), skeleton.sides("Ankle")
+        shanks = joints[:, knees] - joints[:, ankles]
+        lengths = np.linalg.norm(shanks, axis=2, keepdims=True)
+        joints[:, ankles] += _ANKLE * shanks / lengths
         seen.append(joints[:, used])
         there.append(match.take.positions[:, used])
     return placement(np.concatenate(seen), np.concatenate(there))
@@ -293,7 +288,7 @@ def _explained(match: _Match, placed: Placement) -> float:
     sensor loses for a while tells little of whether the recordings belong together.
     """
     skeleton = match.take.skeleton
-    limbs = [skeleton.index(joint) for joint in _LIMBS]
+    limbs = [skeleton.index(joint) for joint in LIMBS]
     joints = match.take.positions[:, limbs]
     apart = placed.apply(match.seen()[:, limbs]) - joints
     lost = column_medians(np.linalg.norm(apart, axis=2).T) > _LOST_FRAME
@@ -322,15 +317,12 @@ def _on_one_clock(matches: list[_Match]) -> list[_Match]:
         return matches
     if any(match.clock.drift for match in matches):
         return matches
-    offset = float(np.median(offsets))
-    note = (
-        f"the takes share one clock offset; alone they differ by {spread * 1e3:.0f} ms"
-    )
+    offset, apart = float(np.median(offsets)), f"{spread * 1e3:.0f} ms"
+    note = f"the takes share one clock offset; alone they differ by {apart}"
+    clocks = [m.clock._replace(lag=offset + m.clock.start) for m in matches]
     return [
-        m._replace(
-            clock=m.clock._replace(lag=offset + m.clock.start), notes=(*m.notes, note)
-        )
-        for m in matches
+        m._replace(clock=clock, notes=(*m.notes, note))
+        for m, clock in zip(matches, clocks, strict=True)
     ]
 
 
@@ -372,11 +364,8 @@ def _pairing(match: _Match, shared: Placement, subject: str, clip: str) -> Pairi
             + "; ".join(notes)
         )
     inside = slice(rows[0], rows[-1] + 1)
-    if len(take) > rows[-1] + 1 - rows[0]:
-        notes.append(
-            f"{len(take) - (rows[-1] + 1 - rows[0])} frames are before or after the "
-            "mocap"
-        )
+    if outside := len(take) - (inside.stop - inside.start):
+        notes.append(f"{outside} frames are before or after the mocap")
     even, truth = _even(take, truth, inside)
     return Pairing(
         PairedTake(even, truth, subject, clip),

@@ -8,19 +8,18 @@ refines the lag, and how it changes tells the drift of the clocks.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.signal import butter, fftconvolve, find_peaks, sosfiltfilt
-from scipy.stats import theilslopes
+from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from kinefilter.characters import InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.pipeline.reliability import column_medians
 
-from .lag import Clock, Track
+from .lag import FEWEST_WINDOWS, Clock, Track, correlations, drifting
 from .rigid import SIGMA, Placement, placement
 
 _RATE = 20.0  # samples a second in which lags are looked for: joints move below 5 Hz
@@ -45,14 +44,8 @@ _MOVED = 0.01  # m that it may differ by
 _AROUND = 0.12  # s that a first lag may be off
 _PRECISION = 5e-4  # s
 _FEWEST = 10  # joints of frames that tell a lag
-_WINDOW, _FEWEST_WINDOWS, _MOST_WINDOWS = (
-    8.0,
-    5,
-    80,
-)  # s in which a drifting lag is told
-_CONFIDENCE = 0.99  # that there is a drift at all
+_WINDOW, _MOST_WINDOWS = 8.0, 80  # s in which a drifting lag is told
 
-_CORE = ("Head", "ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight")
 _LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 
 
@@ -165,8 +158,8 @@ def _heights(track: Track, take: Take) -> Array:
     columns = [root[:, 1], height[:, skeleton.girdle]]
     columns.append(height[:, skeleton.index("Head")])
     for limb in _LIMBS:
-        sides = [height[:, skeleton.index(limb + side)] for side in ("Left", "Right")]
-        columns += [0.5 * (sides[0] + sides[1]), np.abs(sides[0] - sides[1])]
+        left, right = height[:, skeleton.sides(limb)].T
+        columns += [0.5 * (left + right), np.abs(left - right)]
     values = np.stack(columns, axis=1)
     steps = np.gradient(_filled(root[:, ::2]), 1.0 / _RATE, axis=0)
     speed = np.linalg.norm(_passed(steps, (None, 2.0)), axis=1)
@@ -213,29 +206,13 @@ def _likeness(first: Array, second: Array) -> tuple[Array, Array]:
     """Return lags [s] and how surely two recordings are of the same moments there.
 
     Fisher's z of the correlation times the root of the seconds in common, -inf where
-    those are too few; the lag is how far into the second the first begins.
+    those are too few.
     """
-    lags = np.arange(1 - len(first), len(second)) / _RATE
-    sums, common = np.zeros((3, len(lags))), np.zeros(len(lags))
-    for one, other in zip(first.T, second.T, strict=True):
-        (x, u), (y, v) = _centered(one[::-1]), _centered(other)
-        count = np.maximum(np.round(fftconvolve(v, u)), 1e-9)
-        sum_x, sum_y = fftconvolve(v, x), fftconvolve(y, u)
-        sums[0] += fftconvolve(y, x) - sum_x * sum_y / count
-        sums[1] += np.maximum(fftconvolve(v, x * x) - sum_x**2 / count, 0.0)
-        sums[2] += np.maximum(fftconvolve(y * y, u) - sum_y**2 / count, 0.0)
-        common = np.maximum(common, count / _RATE)
-    scale = np.sqrt(sums[1] * sums[2])
-    known = (common >= _COMMON) & (scale > 1e-9)
-    correlation = np.where(known, sums[0] / np.where(known, scale, 1.0), 0.0)
-    found = np.arctanh(np.clip(correlation, -0.999, 0.999)) * np.sqrt(common)
-    return lags, np.where(known, found, -np.inf)
-
-
-def _centered(values: Array) -> tuple[Array, Array]:
-    known = ~np.isnan(values)
-    mean = values[known].mean() if known.any() else 0.0
-    return np.where(known, values - mean, 0.0), known.astype(float)
+    lags, correlation, common = correlations(first, second)
+    seconds = common / _RATE
+    found = np.arctanh(np.clip(correlation, -0.999, 0.999)) * np.sqrt(seconds)
+    known = (seconds >= _COMMON) & ~np.isnan(found)
+    return lags / _RATE, np.where(known, found, -np.inf)
 
 
 class _Common:
@@ -244,15 +221,15 @@ class _Common:
     def __init__(self, first: Take, second: Take) -> None:
         self._tracks = [Track(take.time, take.positions) for take in (first, second)]
         self._smooth = [_smoothed(take) for take in (first, second)]
-        self._core = _indices(first.skeleton, second.skeleton, _CORE)
-        limbs = [limb + side for limb in _LIMBS for side in ("Left", "Right")]
-        self._all = _indices(first.skeleton, second.skeleton, ("Head", *limbs))
+        both = first.skeleton, second.skeleton
+        self._trunks = np.array([_trunk(skeleton) for skeleton in both])
+        self._all = np.array([_joints(skeleton) for skeleton in both])
         self._mirror = np.array(second.skeleton.mirror)
-        seen = ~np.isnan(first.positions[:, self._core[0]]).all(axis=(1, 2))
+        seen = ~np.isnan(first.positions[:, self._trunks[0]]).all(axis=(1, 2))
         times = np.unique(first.time[seen])
         self._times = times[:: max(len(times) // _FRAMES, 1)]
 
-    def _others(self, joints: NDArray[np.intp], exchanged: bool) -> NDArray[np.intp]:
+    def _others(self, joints: Indices, exchanged: bool) -> Indices:
         return np.asarray(self._mirror[joints[1]] if exchanged else joints[1])
 
     def placed(self, clock: Clock, exchanged: bool) -> tuple[Placement, float, float]:
@@ -260,8 +237,8 @@ class _Common:
 
         The cost is that of a frame, robust to joints that are far apart.
         """
-        others = self._others(self._core, exchanged)
-        seen = self._tracks[0].at(self._times)[:, self._core[0]]
+        others = self._others(self._trunks, exchanged)
+        seen = self._tracks[0].at(self._times)[:, self._trunks[0]]
         there = self._tracks[1].at(clock.at(self._times))[:, others]
         found = placement(there, seen)
         away = np.linalg.norm(found.apply(there) - seen, axis=2)
@@ -308,7 +285,7 @@ class _Common:
         times = self._times[~np.isnan(there).all(axis=(1, 2))]
         length = times[-1] - times[0] if len(times) else 0.0
         count = min(int(length / _WINDOW), _MOST_WINDOWS)
-        if count < _FEWEST_WINDOWS:
+        if count < FEWEST_WINDOWS:
             return clock
         stamps, rows = self._tracks[0].time, []
         for begin in np.linspace(times[0], times[-1] - _WINDOW, count):
@@ -316,21 +293,19 @@ class _Common:
             lag = self.refined(clock, placed, exchanged, window).lag
             if lag != clock.lag:
                 rows.append((window.mean() - clock.start, lag))
-        if len(rows) < _FEWEST_WINDOWS:
-            return clock
-        middles, lags = np.array(rows).T
-        slope, lag, low, high = theilslopes(lags, middles, _CONFIDENCE)
-        if low <= 0.0 <= high:
-            return clock
-        return clock._replace(lag=float(lag), drift=float(slope))
+        return drifting(clock, np.array(rows)) or clock
 
 
-def _indices(
-    first: Skeleton, second: Skeleton, names: tuple[str, ...]
-) -> NDArray[np.intp]:
-    """Return where joints of some names, the root and the girdle are, (2, N)."""
-    rows = [
-        [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
-        for skeleton in (first, second)
-    ]
-    return np.array(rows)
+def _middle(skeleton: Skeleton) -> list[int]:
+    return [skeleton.root, skeleton.girdle, skeleton.index("Head")]
+
+
+def _trunk(skeleton: Skeleton) -> list[int]:
+    """Return the joints that place a sensor."""
+    return [*_middle(skeleton), *skeleton.sides("Shoulder"), *skeleton.hips]
+
+
+def _joints(skeleton: Skeleton) -> list[int]:
+    """Return the joints whose movement tells the lag."""
+    limbs = (skeleton.sides(limb) for limb in _LIMBS)
+    return [*_middle(skeleton), *chain.from_iterable(limbs)]

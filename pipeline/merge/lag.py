@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import fftconvolve
 from scipy.stats import theilslopes
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices, chunks
 
 from .rigid import SIGMA, placement
 
@@ -25,12 +25,14 @@ RATE = 60.0
 SHORTEST_FOR_DRIFT = 20.0
 """Seconds that both recordings need in common to tell a drift. A guess."""
 
+FEWEST_WINDOWS = 5
+"""Windows of some seconds that it takes to tell a drift."""
+
 _LONGEST_GAP = 0.15  # s that are bridged between samples
 _WINDOW, _HOP = 5.0, 2.5  # s in which a drifting lag is told
 _SLOWEST = 0.25  # s that it may be off in a window
 _FASTEST = 2e-3  # s a second of drift at most
 _FOLLOWED = 0.8  # correlation of a window that tells a lag
-_FEWEST_WINDOWS = 5
 _CONFIDENCE = 0.99  # that there is a drift at all
 _PRECISION = 1e-4  # s
 _CELLS = 2_000_000  # of distances at all lags, at once
@@ -115,12 +117,32 @@ def correlated(first: Array, second: Array, least: float) -> Lag | None:
 
     The lag is how far into the second the first begins.
     """
+    lags, correlation, common = correlations(first, second)
+    fit = (common >= least * RATE) & ~np.isnan(correlation)
+    if not fit.any():
+        return None
+    found = np.where(fit, correlation, -np.inf)
+    best = int(np.argmax(found))
+    shift = 0.0
+    if 0 < best < len(lags) - 1 and np.isfinite(found[best - 1 : best + 2]).all():
+        before, at, after = found[best - 1 : best + 2]
+        bend = before - 2.0 * at + after  # of the parabola through the three
+        shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return Lag(float(lags[best] + shift) / RATE, float(found[best]))
+
+
+def correlations(first: Array, second: Array) -> tuple[Indices, Array, Array]:
+    """Return lags in samples, the correlation there and the samples in common.
+
+    Series (N, F) and (M, F) are correlated column by column, each about its mean over
+    what is in common, and pooled; NaN are unknown. A lag is how far into the second the
+    first begins. The correlation is NaN where nothing varies.
+    """
     lags = np.arange(1 - len(first), len(second))
     sums, common = np.zeros((3, len(lags))), np.zeros(len(lags))
-    at_once = max(_CELLS // len(lags), 1)
-    for k in range(0, first.shape[1], at_once):
-        x, u = _centered(first[::-1, k : k + at_once])
-        y, v = _centered(second[:, k : k + at_once])
+    for some in chunks(first.shape[1], max(_CELLS // len(lags), 1)):
+        x, u = _centered(first[::-1, some])
+        y, v = _centered(second[:, some])
         count = np.maximum(np.round(fftconvolve(v, u, axes=0)), 1e-9)
         sum_x, sum_y = fftconvolve(v, x, axes=0), fftconvolve(y, u, axes=0)
         products = [
@@ -130,19 +152,13 @@ def correlated(first: Array, second: Array, least: float) -> Lag | None:
         ]
         sums += np.sum(products, axis=2)
         common = np.maximum(common, count.max(axis=1))
-    fit = common >= least * RATE
     scale = np.sqrt(np.maximum(sums[1], 0.0) * np.maximum(sums[2], 0.0))
-    fit &= scale > 1e-9
-    if not fit.any():
-        return None
-    found = np.where(fit, sums[0] / np.where(fit, scale, 1.0), -np.inf)
-    best = int(np.argmax(found))
-    shift = 0.0
-    if 0 < best < len(lags) - 1 and np.isfinite(found[best - 1 : best + 2]).all():
-        before, at, after = found[best - 1 : best + 2]
-        bend = before - 2.0 * at + after  # of the parabola through the three
-        shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-    return Lag(float(lags[best] + shift) / RATE, float(found[best]))
+    varies = scale > 1e-9
+    return (
+        lags,
+        np.where(varies, sums[0] / np.where(varies, scale, 1.0), np.nan),
+        common,
+    )
 
 
 def _centered(values: Array) -> tuple[Array, Array]:
@@ -197,10 +213,18 @@ def find_drift(first: Array, second: Array, clock: Clock) -> Clock | None:
             middle = (start + width / 2) / RATE
             lag = found.seconds + (begin - start) / RATE
             rows.append((middle, lag))
-    if len(rows) < _FEWEST_WINDOWS:
+    return drifting(clock, np.array(rows))
+
+
+def drifting(clock: Clock, rows: Array) -> Clock | None:
+    """Return a clock with the drift that lags tell, None where they surely tell none.
+
+    Theil and Sen's line through rows (N, 2) of seconds from the clock's start and the
+    lag [s] then.
+    """
+    if len(rows) < FEWEST_WINDOWS:
         return None
-    times, lags = np.array(rows).T
-    slope, lag, low, high = theilslopes(lags, times, _CONFIDENCE)
+    slope, lag, low, high = theilslopes(rows[:, 1], rows[:, 0], _CONFIDENCE)
     if low <= 0.0 <= high:
         return None
     return clock._replace(lag=float(lag), drift=float(slope))
