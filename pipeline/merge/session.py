@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,6 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.checks import check_take
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 
@@ -31,8 +28,6 @@ _TURNED, _SHIFTED = np.radians(8.0), 0.25
 in which people went to and fro. Placements of the same sensor differ by up to 3 degrees
 and 0.1 m in two-kinects (p00 to p08)."""
 _NEAREST = 0.6  # of a frame: others of the same moment are no frames of their own
-_KIND = "kinefilter calibration"
-_UNREADABLE = (ArithmeticError, LookupError, TypeError, ValueError, RecursionError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,60 +314,3 @@ def _mapped(given: Skeleton, wanted: Skeleton) -> NDArray[np.intp]:
 def _joints(column: Sequence[Sight | None], skeleton: Skeleton) -> Array:
     nothing = np.full((len(skeleton), 3), np.nan)
     return np.array([nothing if s is None else s.positions for s in column])
-
-
-def write_calibration(merged: Merged, path: Path) -> None:
-    """Write where and when the sensors are, for other takes of the session (JSON)."""
-    sensors: list[dict[str, Any]] = [{"source": Path(merged.sources[0]).name}]
-    for source, found in zip(merged.sources[1:], merged.alignments, strict=True):
-        sensors.append(
-            {
-                "source": Path(source).name,
-                "lag_seconds": found.clock.lag - found.clock.start,
-                "turn_xyzw": found.placed.turn.as_quat().tolist(),
-                "shift_meters": found.placed.shift.tolist(),
-            }
-        )
-    with atomic_path(path) as temporary:
-        text = json.dumps({"file": _KIND, "sensors": sensors}, indent=2) + "\n"
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-
-
-def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
-    """Read a calibration, if there is a path; raises InputError for what is none."""
-    if path is None:
-        return ()
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if found["file"] != _KIND:
-            raise ValueError(f"not a {_KIND}")
-        alignments = []
-        for sensor in found["sensors"][1:]:
-            turn, shift = (
-                np.array(sensor[key], dtype=float)
-                for key in ("turn_xyzw", "shift_meters")
-            )
-            lag = float(sensor["lag_seconds"])
-            if (
-                turn.shape != (4,)
-                or shift.shape != (3,)
-                or not np.isfinite([*turn, *shift, lag]).all()
-            ):
-                raise ValueError("numbers are missing")
-            placed = Placement(Rotation.from_quat(turn), shift)
-            alignments.append(
-                Alignment(Clock(0.0, lag), placed, np.nan, np.inf, np.inf)
-            )
-    except (
-        OSError,
-        ArithmeticError,
-        LookupError,
-        TypeError,
-        ValueError,
-        RecursionError,
-    ) as error:
-        raise InputError(
-            f"{path}: not a calibration of 'kinefilter merge --save-calibration' "
-            f"({str(error)[:80]})"
-        ) from None
-    return tuple(alignments)
