@@ -33,7 +33,7 @@ class Pose:
     external_force: float
     """Force on the body that no muscle and no floor gives [body weights]."""
     reset: bool
-    """The simulation diverged and was put back onto its target."""
+    """The character was put back onto its target; see ``PhysicsTrace.reset``."""
     impossible: bool = False
     """The frame has a body of a size that is not its own, or where nobody gets so fast:
     the pose goes on without it."""

@@ -102,7 +102,7 @@ class Draft:
     appears: bool = False
     """The person is seen for the first time, or suddenly elsewhere; frames only."""
     reset: bool = False
-    """The simulation diverged and was put back onto its target; frames only."""
+    """The character was put back onto its target, as in PhysicsTrace; frames only."""
     trace: PhysicsTrace | None = None
     """What the simulation did; takes only."""
     props: tuple[Prop, ...] = ()

@@ -1,10 +1,10 @@
 """How well two recorded sensors are laid together: README's figures of ``merge``.
 
-    python tests/merge_figures.py ../shared/data/two-kinects
+    python tests/merge_figures.py ../shared/data/two-kinects [PERSON...]
 
-For each session: what the lag found from motion differs by from the recording
-computer's ticks, the angle between the sensors, and how far the limbs of the merged
-take and of each sensor are apart.
+For each session, of all people or of those named (p10 p12): what the lag found from
+motion differs by from the recording computer's ticks, the angle between the sensors,
+and how far the limbs of the merged take and of each sensor are apart.
 """
 
 from __future__ import annotations
@@ -49,15 +49,19 @@ def main() -> None:
     """Merge all sessions and print them, and how many are where they should be."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("people", nargs="*", metavar="PERSON")
+    asked = parser.parse_args()
     sides = [f"{limb} {sensor}" for limb in LIMBS for sensor in "AB"]
     table = Table("session", "late, ms", "degrees", "path, m", *sides)
     late, off = [], []
-    for session in find_sessions([parser.parse_args().folder], None):
+    for session in find_sessions([asked.folder], None):
+        if asked.people and session.name.split("_")[0] not in asked.people:
+            continue
         recordings = [read_recording(path) for path in (session.first, session.second)]
         try:
             merged = merge(recordings)
         except InputError as refused:
-            table.add_row(session.name, str(refused).rpartition(": ")[2])
+            out.print(f"{session.name}: {refused}")
             continue
         found = row_of(session, merged)
         table.add_row(

@@ -50,7 +50,7 @@ _FAR, _NEAR = 0.4, 0.8
 # Seconds over which likeness is averaged: for what moves, the far side, the constant.
 _LATELY, _CALM, _CONSTANT = 0.5, 3.0, 10.0
 # Sine of the view angle up to which a view is frontal, and from which on it is fully
-# off-frontal. Chosen by leaving one of fourteen people out.
+# off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
 _TURN = 1.0  # s over which the view angle is averaged
 

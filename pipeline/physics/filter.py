@@ -115,13 +115,16 @@ class PhysicsTrace:
     contacts: NDArray[np.int64]
     """Number of points in which the character touches itself or anything else."""
     reset: Flags
-    """The step diverged; the character was put back onto its target."""
+    """The character was put back onto its target: the step had diverged, or a limb was
+    caught where its target pulls it no further."""
 
     @property
     def status(self) -> str:
         """``ok``, or how many frames had to be reset."""
         resets = int(self.reset.sum())
-        return "ok" if resets == 0 else f"{resets} diverging frames reset"
+        if resets == 0:
+            return "ok"
+        return f"character reset onto its target in {resets} frame{'s' * (resets != 1)}"
 
 
 @dataclass(frozen=True, eq=False)
