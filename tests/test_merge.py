@@ -158,8 +158,9 @@ def test_a_sensor_that_has_the_sides_exchanged_is_put_right() -> None:
     np.testing.assert_allclose([f.positions for f in made], walk, atol=1e-9)
 
 
-def test_a_joint_that_one_sensor_sees_stays_that_ones() -> None:
-    walk, hand = _walk(), KINECT_V2.index("HandLeft")
+@pytest.mark.parametrize("joint", ["HandLeft", "SpineBase"])
+def test_a_joint_that_one_sensor_sees_stays_that_ones(joint: str) -> None:
+    walk, hand = _walk(), KINECT_V2.index(joint)
     hidden = walk.copy()
     hidden[:, hand] = np.nan
     made = _steps([[_sight(p), _sight(q)] for p, q in zip(walk, hidden, strict=True)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -89,6 +90,7 @@ def _as_table(merged: Merged) -> Table:
     for heading in (*headings, "share, %", "apart, cm"):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in merged.figures()["sensors"]:
+        apart = row["apart_meters"]
         table.add_row(
             Path(row["source"]).name,
             f"{row['lag_seconds']:.3f}",
@@ -96,6 +98,6 @@ def _as_table(merged: Merged) -> Table:
             f"{row['turned_degrees']:.1f}",
             f"{row['away_meters']:.2f}",
             f"{100.0 * row['share']:.0f}",
-            f"{100.0 * row['apart_meters']:.1f}",
+            "-" if isnan(apart) else f"{100.0 * apart:.1f}",
         )
     return table

@@ -243,7 +243,8 @@ class _Common:
         found = placement(there, seen)
         away = np.linalg.norm(found.apply(there) - seen, axis=2)
         costs = np.fmin(np.log1p((away / SIGMA) ** 2), _MOST)
-        return found, float(costs.mean()), float(np.nanmedian(away))
+        (apart,) = column_medians(away.reshape(-1, 1))
+        return found, float(costs.mean()), float(apart)
 
     def refined(
         self,

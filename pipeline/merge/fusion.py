@@ -174,7 +174,7 @@ class Fusion:
             seen[s], given[s] = seen[s, self._mirror], given[s, self._mirror]
             state[s] = state[s, self._mirror]
         yaw = find_yaw(seen, given, self._skeleton)
-        known = ~np.isnan(yaw)
+        known = ~np.isnan(yaw + angle)
         if known.any():
             # The line through the shoulders is seen best from in front and behind.
             straight = np.cos(angle[known] - yaw[known]) ** 2

@@ -17,6 +17,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reliability import column_medians
 
 from .alignment import Alignment, align
 from .fusion import Fused, Fusion, Sight
@@ -94,7 +95,9 @@ class Merged:
                     if found
                     else 0.0,
                     "share": float(self.shares[:, k].mean()),
-                    "apart_meters": float(np.nanmedian(self.residuals[k])),
+                    "apart_meters": float(
+                        column_medians(self.residuals[k].reshape(-1, 1))[0]
+                    ),
                 }
             )
         return {"frames": len(self.take), "sensors": rows, "notes": list(self.told())}
