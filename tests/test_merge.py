@@ -275,11 +275,20 @@ def test_calibration_places_the_sensors_of_somebody_who_stands(tmp_path: Path) -
     paths, saved = _written(tmp_path, *walked.takes), tmp_path / "session.json"
     out = ["-o", str(tmp_path / "merged.csv")]
     assert main(["merge", *paths, *out, "--save-calibration", str(saved)]) == 0
-    still = map(_standing, walked.takes)
+    still = [_standing(take) for take in walked.takes]
     paths = _written(tmp_path, *still)
     assert main(["merge", *paths, *out, "--calibration", str(saved)]) == 0
     paths = _written(tmp_path, *moved.takes)
     assert main(["merge", *paths, *out, "--calibration", str(saved)]) == 2
+    frozen = [
+        replace(take, positions=take.positions[[0] * len(take)]) for take in still
+    ]
+    paths, text = _written(tmp_path, *frozen), saved.read_text()
+    assert main(["merge", *paths, *out, "--calibration", str(saved)]) == 0
+    for number in ("1e7", "1e300"):
+        wrong = text.replace('"lag_seconds": ', f'"lag_seconds": {number}, "was": ')
+        saved.write_text(wrong)
+        assert main(["merge", *paths, *out, "--calibration", str(saved)]) == 2
 
 
 def test_takes_that_do_not_belong_together_are_refused(
@@ -298,7 +307,13 @@ def test_takes_that_do_not_belong_together_are_refused(
         assert not out.exists()
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"file": "kinefilter calibration"}', "{"])
+_FAR_AWAY = """{"file": "kinefilter calibration", "sensors": [{"source": "a"},
+{"lag_seconds": 0, "turn_xyzw": [0, 0, 0, 1], "shift_meters": [1e300, 0, 0]}]}"""
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"file": "kinefilter calibration"}', "{", _FAR_AWAY]
+)
 def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "session.json"
     path.write_text(text)

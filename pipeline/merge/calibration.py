@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .session import Merged
 
 _KIND = "kinefilter calibration"
+_FARTHEST = 100.0  # m from one sensor to another
 _UNREADABLE = (ArithmeticError, LookupError, TypeError, ValueError, RecursionError)
 
 
@@ -61,6 +62,8 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
                 or not np.isfinite([*turn, *shift, lag]).all()
             ):
                 raise ValueError("numbers are missing")
+            if np.abs(shift).max() > _FARTHEST:
+                raise ValueError(f"a sensor more than {_FARTHEST:g} m away")
             placed = Placement(Rotation.from_quat(turn), shift)
             alignments.append(
                 Alignment(Clock(0.0, lag), placed, np.nan, np.inf, np.inf)

@@ -79,6 +79,7 @@ class Merged:
     def figures(self) -> dict[str, Any]:
         """Return where, when and how much each sensor is, and what is unsure."""
         facing = np.array([0.0, 0.0, 1.0])
+        apart = column_medians(self.residuals.reshape(len(self.takes), -1).T)
         rows = []
         for k, source in enumerate(self.sources):
             found = self.alignments[k - 1] if k else None
@@ -95,9 +96,7 @@ class Merged:
                     if found
                     else 0.0,
                     "share": float(self.shares[:, k].mean()),
-                    "apart_meters": float(
-                        column_medians(self.residuals[k].reshape(-1, 1))[0]
-                    ),
+                    "apart_meters": float(apart[k]),
                 }
             )
         return {"frames": len(self.take), "sensors": rows, "notes": list(self.told())}
@@ -155,6 +154,12 @@ def merge(
     for k, recording in enumerate(recordings[1:]):
         known = calibration[k] if calibration else None
         take, score, found = _same_person(first, recording, known)
+        begin, end = found.clock.undone(take.time[[0, -1]])
+        if not (begin < first.time[-1] and end > first.time[0]):
+            raise InputError(
+                f"{take.source}: is of another time than {first.source} by the clocks "
+                "of the calibration; leave --calibration out"
+            )
         mended.append(take)
         scores.append(score)
         alignments.append(found)
