@@ -21,7 +21,8 @@ from kinefilter.pipeline.uncertainty import uncertainty
 from .alignment import Alignment
 from .session import Merged, fuse, merge
 
-_SURE = 0.02  # m of uncertainty up to which reliability alone decides
+_SURE = 0.01  # m of uncertainty at which reliability alone decides
+_MOVED = 0.1  # m by which correction moved a joint that counts a third
 
 
 def clean_session(
@@ -60,9 +61,9 @@ def clean_session(
         draft = corrector.whole(take, progress)
         places = np.where(draft.missing[..., None], np.nan, draft.positions)
         corrected.append(replace(take, positions=places))
-        scores.append(
-            draft.reliability * np.minimum(_SURE / uncertainty(draft), 1.0) ** 2
-        )
+        moved = np.linalg.norm(draft.positions - take.positions, axis=2)
+        sure = (_SURE / uncertainty(draft)) ** 2
+        scores.append(draft.reliability * sure * np.exp(-np.nan_to_num(moved) / _MOVED))
     fused = fuse(corrected, scores, merged.alignments, progress)
     cleaner = Cleaner(config, tracking=tracking)
     given = _Corrected(config, fused.take.positions)

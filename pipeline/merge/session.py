@@ -235,12 +235,14 @@ def fuse(
         for take, score, (clock, placed) in zip(takes, scores, places, strict=True)
     ]
     fusion = Fusion(skeleton, len(takes))
+    frames = list(zip(*columns, strict=True))
+    sides = fusion.sides(frames)
     elapsed = np.diff(time, prepend=2.0 * time[0] - time[1])
     found: list[Fused] = []
     for sweep in ("learn", "merge"):  # where sensors misplace joints is learned first
         fusion.start()
         found = [
-            fusion.step([column[k] for column in columns], float(elapsed[k]))
+            fusion.step(frames[k], float(elapsed[k]), sides[k])
             for k in over(range(len(time)), sweep, progress)
         ]
     positions, state, reliability, shares, exchanged = (
