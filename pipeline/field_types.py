@@ -18,6 +18,7 @@ _WORDS = {
     bool: "true or false",
     float: "a number",
     int: "a whole number",
+    tuple[str, ...]: 'a list such as ["a", "b"]',
 }
 
 

@@ -9,11 +9,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
+from tyro.conf import Suppress
+
 from kinefilter.characters import InputError
 
 from .config import CleanConfig, TakeFormat
 from .formats.export import Export
 from .formats.files import check_file
+
+_PARTS = ("{name}", "{sensor}")  # of a pattern of sessions
 
 
 @dataclass(frozen=True)
@@ -27,13 +31,30 @@ class Settings:
     body: int | Literal["all"] | None = None
     """Which person, counted from 1 in order of appearance, or all: a clip each,
     clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
+    calibration: Path | None = None
+    """Where and when several sensors are, as of 'merge --save-calibration'."""
+    sessions: Suppress[str | None] = None
+    """Pattern of the names of takes that are of one session (``batch/sessions.py``)."""
+    sensors: Suppress[tuple[str, ...]] = ()
+    """Names of their sensors, in order; default: whatever there is, by the alphabet."""
+
+    def __post_init__(self) -> None:
+        if self.sessions and any(self.sessions.count(part) != 1 for part in _PARTS):
+            raise InputError(
+                f"--sessions {self.sessions}: expected {' and '.join(_PARTS)} once "
+                "each, such as {name}_{sensor}.csv* for walk_left.csv"
+            )
+        if len(set(self.sensors)) != len(self.sensors) or len(self.sensors) == 1:
+            raise InputError(
+                f"--sensors {' '.join(self.sensors)}: expected two or more, each once"
+            )
 
     @property
     def files(self) -> tuple[Path, ...]:
         """The files that the settings name, whether they exist or not."""
         parts = (self.config, self.export)
         values = [getattr(part, f.name) for part in parts for f in fields(part)]
-        values += self.config.same_person
+        values += [*self.config.same_person, self.calibration]
         return tuple(
             Path(value)
             for value in values

@@ -22,7 +22,7 @@ def draw_or_die(task: RenderTask, _: range) -> list[list[Coded]]:
 
 def clean_or_die(job: Job) -> Row:
     """Die over one take whenever it comes, and over another the first time."""
-    name = Path(job.source.take).stem
+    name = Path(job.take).stem
     met = Path(job.store.root) / "met"
     if name == "deadly" or (name == "unlucky" and not met.exists()):
         met.touch()

@@ -320,7 +320,7 @@ def test_the_longest_take_is_begun_first(
 
     class Watched(Here):
         def submit(self, job: Job) -> None:
-            begun.append(job.source.take)
+            begun.append(job.take)
             super().submit(job)
 
     monkeypatch.setattr(run, "open_crew", Watched)

@@ -86,7 +86,7 @@ def _jobs(root: Path, given: frozenset[str] = frozenset()) -> dict[str, Job]:
     files = [read_settings(root / "all.toml")]
     out = store_at(str(root / "out"))
     jobs = plan_jobs(sources, out, own, ".bvh", files=files, given=given)
-    return {job.source.take: job for job in jobs}
+    return {job.take: job for job in jobs}
 
 
 @pytest.fixture

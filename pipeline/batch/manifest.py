@@ -20,7 +20,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from filelock import FileLock, Timeout
 
@@ -73,6 +73,9 @@ class Row:
     seconds: float = 0.0  # that it took
     clips: tuple[ClipRow, ...] = ()  # one per person
     error: str = ""  # why a clip is missing
+    sensors: tuple[dict[str, Any], ...] = ()
+    """Of a session each sensor's take, and when and where it is (``Merged.figures``);
+    one, if it has no partner."""
 
     def as_json(self) -> str:
         """Return the row as a line, without a line end."""
@@ -88,6 +91,7 @@ class Row:
                 ClipRow(**clip | {k: tuple(clip.get(k, ())) for k in _LISTS})
                 for clip in values.pop("clips")
             )
+            values["sensors"] = tuple(values.get("sensors", ()))
             return cls(**values, clips=clips)
         except (TypeError, KeyError, AttributeError) as error:
             raise ValueError(f"not a row of a manifest: {error}") from None
@@ -236,11 +240,13 @@ def write_csv(rows: Iterable[Row], store: Store) -> None:
     columns = [f.name for f in fields(ClipRow) if f.name not in ("stamp", "sha256")]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(("take", "status", *columns, "seconds", "error"))
+    table.writerow(("take", "status", *columns, "seconds", "error", "sensors"))
 
     def cell(value: object) -> str:
         if isinstance(value, tuple):
-            return "; ".join(map(str, value))
+            return "; ".join(map(cell, value))
+        if isinstance(value, dict):
+            return ", ".join(f"{key} {cell(one)}" for key, one in value.items())
         if isinstance(value, float):
             return f"{value:.6g}"
         return "" if value is None else str(value)
@@ -251,6 +257,7 @@ def write_csv(rows: Iterable[Row], store: Store) -> None:
         clips = [[cell(getattr(clip, name)) for name in columns] for clip in row.clips]
         for cells in clips or [[""] * len(columns)]:
             seconds = f"{row.seconds:.3f}"
-            table.writerow((row.take, row.status, *cells, seconds, row.error))
+            ends = (seconds, row.error, cell(row.sensors))
+            table.writerow((row.take, row.status, *cells, *ends))
     # Rows of older versions may hold names that are not UTF-8.
     store.put(_CSV, text.getvalue().encode(errors="backslashreplace"))

@@ -25,11 +25,13 @@ from kinefilter.pipeline.formats.takes import claims_take
 from kinefilter.pipeline.settings import Settings, fingerprint
 
 from .manifest import Row, Status
+from .sessions import find_sessions
 from .store import Store, StoredFile, canonical, is_folder, is_url, store_at
 
 _TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh")
 """Extensions of files that may be takes, zipped (``.gz``) or not."""
 _CERTAIN = (".skeleton", ".bvh")  # extensions that only takes have
+_SESSION = ".session"  # instead of the extension that a session does not have
 _ZIPPED = 4  # size of text over that of its gzip file: numbers give 2 to 10
 _LONGEST_NAME = 230  # bytes, of the 255 of a file's name, for numbers and extensions
 _LONGEST_TAKE, _LONGEST_BYTE = 3600.0, 60.0 / 1e6
@@ -173,12 +175,14 @@ def unique_names(names: Iterable[str], key: Callable[[str], str] = str) -> list[
 
 @dataclass(frozen=True)
 class Job:
-    """A take to clean; can be sent to other processes."""
+    """A take, or a session of several sensors, to clean; can be sent elsewhere."""
 
-    source: Source
+    take: str  # its name in the manifest
+    sources: tuple[Source, ...]  # one, or one of each sensor
+    sensors: tuple[str, ...]  # their names; empty where no pattern says so
+    settings: Settings
     store: Store  # where the clip is written
     output: str  # the clip's path there, without the number of a person or part
-    settings: Settings
     fingerprint: str  # of the settings
     take_timeout: float | None = None  # s; by default it depends on the size
 
@@ -191,14 +195,24 @@ class Job:
     @property
     def size(self) -> int:
         """About how many bytes of text the take has, to estimate its duration."""
-        file = self.source.file
-        return file.size * (_ZIPPED if file.name.lower().endswith(".gz") else 1) + 1
+        return 1 + sum(
+            file.size * (_ZIPPED if file.name.lower().endswith(".gz") else 1)
+            for file in (source.file for source in self.sources)
+        )
+
+    @property
+    def stamp(self) -> str:
+        """Size and time of the take's files."""
+        return " ".join(source.file.stamp for source in self.sources)
 
     def row(self, status: Status, **known: Any) -> Row:
         """Return what became of the take."""
-        known |= {"settings": self.fingerprint}
-        source = self.source
-        return Row(source.take, status, self.output, source.file.stamp, **known)
+        sensors = tuple(
+            {"sensor": sensor, "source": source.take}
+            for sensor, source in zip(self.sensors, self.sources, strict=False)
+        )
+        known = {"settings": self.fingerprint, "sensors": sensors} | known
+        return Row(self.take, status, self.output, self.stamp, **known)
 
     def is_done(self, row: Row, written: Mapping[str, StoredFile]) -> bool:
         """Tell whether an earlier run did this job, and its clips are still there.
@@ -208,9 +222,10 @@ class Job:
         """
         if row.status == "failed" or row.settings != self.fingerprint:
             return False
-        source, file = self.source.store, self.source.file
         try:
-            same = file.stamp == row.stamp or source.sha256(file.name) == row.sha256
+            same = self.stamp == row.stamp or row.sha256 == " ".join(
+                source.store.sha256(source.file.name) for source in self.sources
+            )
             return (same and row.output == self.output) and all(
                 (found := written.get(clip.output)) is not None
                 and (
@@ -233,14 +248,15 @@ def plan_jobs(
     given: Collection[str] = (),
     take_timeout: float | None = None,
 ) -> list[Job]:
-    """Return a job for every file, the longest first.
+    """Return a job for every take and every session, the longest first.
 
     Values of ``settings`` hold where no file sets others: of ``files``, later ones
     override earlier ones, and ``kinefilter.toml`` in a take's folder, and in those
     above it up to the one that was searched, overrides these, the nearest first. No
     file may change the settings ``given`` by the user. Clips end in ``suffix``, such as
-    ``.usdc``. Raises InputError if a file of settings is wrong, contacts of one take
-    are given to several, or a clip would overwrite a take.
+    ``.usdc``. Of a session the settings of its first take hold. Raises InputError if a
+    file of settings is wrong, contacts of one take are given to several, a pattern of
+    sessions is that of no take, or a clip would overwrite a take.
     """
     known: dict[tuple[str, str], Settings] = {}
 
@@ -266,22 +282,31 @@ def plan_jobs(
     ]
     for one in dict.fromkeys(chosen):
         _check(one, store, suffix)
-    fingerprints = {one: fingerprint(one, suffix) for one in dict.fromkeys(chosen)}
-    _check_contacts(zip(sources, chosen, strict=True))
-    several = any(one.body == "all" or one.config.gaps == "split" for one in chosen)
-    names = clip_names([source.take for source in sources], suffix, several=several)
-    jobs = [
-        Job(source, store, name, one, fingerprints[one], take_timeout)
-        for source, name, one in zip(sources, names, chosen, strict=True)
+    found = find_sessions(sources, chosen)
+    takes = unique_names(session.take for session in found)
+    sessions = [
+        session._replace(take=take) for session, take in zip(found, takes, strict=True)
     ]
-    takes, root = {source.place for source in sources}, canonical(store.root)
+    several = any(one.body == "all" or one.config.gaps == "split" for one in chosen)
+    called = [one.take + _SESSION * (len(one.sources) > 1) for one in sessions]
+    names = clip_names(called, suffix, several=several)
+    fingerprints = {
+        one: fingerprint(one, suffix)
+        for one in dict.fromkeys(session.settings for session in sessions)
+    }
+    jobs = [
+        Job(*session, store, name, fingerprints[session.settings], take_timeout)
+        for session, name in zip(sessions, names, strict=True)
+    ]
+    _check_contacts(jobs)
+    places, root = {source.place for source in sources}, canonical(store.root)
     for job in jobs:
-        if f"{root}/{job.output}" in takes:
+        if f"{root}/{job.output}" in places:
             raise InputError(
                 f"{store.path(job.output)}: would overwrite a take; write into another "
                 "folder"
             )
-    return sorted(jobs, key=lambda job: (-job.size, job.source.take))
+    return sorted(jobs, key=lambda job: (-job.size, job.take))
 
 
 def _check(settings: Settings, out: Store, suffix: str) -> None:
@@ -294,12 +319,17 @@ def _check(settings: Settings, out: Store, suffix: str) -> None:
             f"--character {layer}: the clips of a batch can only refer to a layer that "
             "exists on this machine; write it with 'kinefilter clean --character'"
         )
+    if settings.calibration is not None:
+        from kinefilter.pipeline.merge import read_calibration
+
+        read_calibration(settings.calibration)
 
 
-def _check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
+def _check_contacts(jobs: Iterable[Job]) -> None:
     """Raise an InputError if a file of contacts would be used for several people."""
     takes: dict[Path, str] = {}
-    for source, settings in planned:
+    for job in jobs:
+        settings, source = job.settings, job.sources[0]
         file = settings.config.contacts
         if file is None:
             continue
@@ -314,7 +344,7 @@ def _check_contacts(planned: Iterable[tuple[Source, Settings]]) -> None:
         if file in takes:
             raise InputError(
                 f"--contacts {file}: is for one take, not for both {takes[file]} and "
-                f"{source.take}; put that take in a folder of its own, with a "
+                f"{job.take}; put that take in a folder of its own, with a "
                 "kinefilter.toml that sets it, or use 'kinefilter clean'"
             )
-        takes[file] = source.take
+        takes[file] = job.take

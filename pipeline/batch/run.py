@@ -111,7 +111,7 @@ def clean_files(
         written = {file.name: file for file in store.files()} if manifest.rows else {}
         outcome, todo = Outcome(), []
         for job in planned:
-            row = manifest.rows.get(job.source.take)
+            row = manifest.rows.get(job.take)
             if row is not None and job.is_done(row, written):
                 outcome.kept.append(row)
             else:

@@ -51,6 +51,10 @@ def _counts(outcome: Outcome) -> str:
     frames = sum(clip.frames for row in outcome.rows for clip in row.clips)
     seconds = max(outcome.seconds, 1e-9)
     words = [f"{counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]
+    together = [len(row.sensors) for row in [*outcome.kept, *outcome.rows]]
+    sessions, alone = sum(n > 1 for n in together), together.count(1)
+    words += [f"{counted(sessions, 'session')} of several sensors"] * bool(sessions)
+    words += [f"{alone} without a partner, see manifest.csv"] * bool(alone)
     words += [f"{kept} done before"] * bool(kept)
     damaged = len(outcome.damaged)
     words += [f"{damaged} with damage, see manifest.csv"] * bool(damaged)

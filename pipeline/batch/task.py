@@ -7,17 +7,18 @@ models, for the next take; each starts over with every take.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import PurePosixPath
 from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinefilter.characters import Clip, InputError, Take
+from kinefilter.characters import Clip, InputError
 from kinefilter.pipeline.cleaner import Cleaner, CleanResult
-from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.plain import finite, printable
 from kinefilter.pipeline.formats.recording import numbered, part_paths
@@ -25,8 +26,11 @@ from kinefilter.pipeline.formats.takes import read_recording
 from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
-from .manifest import ClipRow, Row, Status
-from .plan import Job
+from .manifest import ClipRow, Row
+from .plan import Job, Source
+
+if TYPE_CHECKING:
+    from kinefilter.pipeline.merge import Merged
 
 _KEPT = 4  # correction methods in memory: two skeletons, of two folders at a time
 _LONGEST = 1000  # characters of an error that a row keeps
@@ -35,37 +39,37 @@ _LONGEST = 1000  # characters of an error that a row keeps
 def clean_file(job: Job) -> Row:
     """Clean a take and write its clips; errors are in the row."""
     start = perf_counter()
-    status: Status = "done"
-    sha256, clips, error = "", tuple[ClipRow, ...](), ""
+    known: dict[str, Any] = {"status": "done"}
     with one_thread():
         try:
             suffix = PurePosixPath(job.output).suffix
             _check_same(job.settings, suffix, job.fingerprint)
-            recording, sha256 = _read(job)
-            if recording is None:
-                status = "no take"
+            read = [_read(source, job.settings.format) for source in job.sources]
+            known["sha256"] = " ".join(sha256 for _, sha256 in read)
+            if any(recording for recording, _ in read):
+                known |= _write_clips([recording for recording, _ in read], job)
             else:
-                clips, error = _write_clips(recording, job)
+                known["status"] = "no take"
         except InputError as refused:
-            error = str(refused)
+            known["error"] = str(refused)
         except Exception as unforeseen:  # the other takes are still to be cleaned
-            error = f"cannot be cleaned ({type(unforeseen).__name__}: {unforeseen})"
-    recording = None
+            wrong = f"cannot be cleaned ({type(unforeseen).__name__}: {unforeseen})"
+            known["error"] = wrong
+    read = []
     give_back_memory()
-    status, error = "failed" if error else status, printable(error)[:_LONGEST]
-    seconds = perf_counter() - start
-    return job.row(status, sha256=sha256, seconds=seconds, clips=clips, error=error)
+    if known.get("error"):
+        known |= {"status": "failed", "error": printable(known["error"])[:_LONGEST]}
+    return job.row(**known, seconds=perf_counter() - start)
 
 
-def _read(job: Job) -> tuple[Recording | None, str]:
+def _read(source: Source, layout: TakeFormat | None) -> tuple[Recording | None, str]:
     """Return a take's content, or None if the file is none, and the file's hash."""
-    source = job.source
     with source.store.reading(source.file.name) as path:
         sha256 = hash_of(path)
         try:
-            if not source.is_take(path, job.settings.format):
+            if not source.is_take(path, layout):
                 return None, sha256
-            recording = read_recording(path, format=job.settings.format)
+            recording = read_recording(path, format=layout)
         except InputError as error:
             # The user does not know the name of a temporary copy.
             where = source.store.path(source.file.name)
@@ -78,18 +82,41 @@ def _read(job: Job) -> tuple[Recording | None, str]:
     return replace(recording, takes=tuple(takes)), sha256
 
 
-def _write_clips(recording: Recording, job: Job) -> tuple[tuple[ClipRow, ...], str]:
+def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     """Clean the people asked for; return what was written, and what went wrong."""
-    bodies = recording.numbers(job.settings.body)
-    clips, errors = [], []
+    recordings = [recording for recording in read if recording is not None]
+    bodies = recordings[0].numbers(job.settings.body)
+    if len(recordings) > 1 and job.settings.body == "all":
+        raise InputError("--body all is for one sensor; choose a person of its take")
+    names = [n for n, take in zip(job.sensors, read, strict=False) if take is not None]
+    told = (*_told_of_sensors(read, job), *recordings[0].notes)
+    known: dict[str, Any] = {"clips": ()}
+    errors = []
     for body in bodies:
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            rows = _write_clip(recording.take(body), path, body, job)
-            clips += [replace(r, notes=(*recording.notes, *r.notes)) for r in rows]
+            result, merged = _cleaned(recordings, body, job)
+            notes = (*told, *(merged.told() if merged else ()), *result.notes)
+            rows = _write_clip(replace(result, notes=notes), path, body, job)
+            known["clips"] += tuple(rows)
+            if merged:
+                figures = zip(names, merged.figures()["sensors"], strict=True)
+                known["sensors"] = tuple({"sensor": n} | row for n, row in figures)
         except InputError as error:
             errors.append(str(error))
-    return tuple(clips), "; ".join(errors)
+    return known | {"error": "; ".join(errors)}
+
+
+def _told_of_sensors(read: Sequence[Recording | None], job: Job) -> Iterator[str]:
+    """Yield which sensors have no take in a session."""
+    for recording, source in zip(read, job.sources, strict=True):
+        if recording is None:
+            yield f"{source.take} is no take: cleaned without it"
+    absent = [name for name in job.settings.sensors if name not in job.sensors]
+    if absent:
+        yield f"there is no take of {' and '.join(absent)}: cleaned without"
+    elif len(job.sensors) == 1:
+        yield "there is no take of another sensor: cleaned by itself"
 
 
 @lru_cache(maxsize=_KEPT)
@@ -98,12 +125,35 @@ def _cleaner(config: CleanConfig, _fingerprint: str) -> Cleaner:
     return Cleaner(config)
 
 
+def _cleaned(
+    recordings: Sequence[Recording], body: int, job: Job
+) -> tuple[CleanResult, Merged | None]:
+    """Clean a person of a take or session; return what was merged, too."""
+    settings = job.settings
+    if len(recordings) == 1:
+        cleaner = _cleaner(settings.config, job.fingerprint)
+        take = recordings[0].take(body)
+        return cleaner.clean(take, progress=_while_awaited), None
+    from kinefilter.pipeline.merge import clean_session, read_calibration
+
+    if len(set(job.sensors)) < len(job.sensors):
+        raise InputError(
+            f"{', '.join(source.take for source in job.sources)}: are not each of "
+            "another sensor by --sessions; narrow the pattern"
+        )
+    return clean_session(
+        recordings,
+        settings.config,
+        body=body,
+        calibration=read_calibration(settings.calibration),
+        progress=_while_awaited,
+    )
+
+
 def _write_clip(
-    take: Take, output: PurePosixPath, body: int, job: Job
+    result: CleanResult, output: PurePosixPath, body: int, job: Job
 ) -> list[ClipRow]:
-    """Clean a take, write its clips, and return its main figures for each."""
-    cleaner = _cleaner(job.settings.config, job.fingerprint)
-    result = cleaner.clean(take, progress=_while_awaited)
+    """Write the clips of a person, and return the main figures of each."""
     paths = part_paths(output, len(result.clips))
     return [
         _written(result, clip, str(path), body, job)

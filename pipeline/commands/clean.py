@@ -57,8 +57,6 @@ class Clean:
     """Clip to write; the extension decides: .usda .usdc .usd .usdz .bvh .csv
     .npz."""
     settings: _Settings = field(default_factory=Settings)
-    calibration: Path | None = None
-    """Where and when several sensors are, as of 'merge --save-calibration'."""
     save_contacts: Path | None = None
     """Also write when which foot stands as a table (CSV), to edit and to use again."""
     report: Path | None = None
@@ -84,9 +82,9 @@ class Clean:
         settings = self.settings
         if not self.takes:
             raise InputError("no take given; name a recording")
-        if self.calibration is not None and len(self.takes) == 1:
+        if settings.calibration is not None and len(self.takes) == 1:
             raise InputError("--calibration is for takes of several sensors")
-        used = [*self.takes, self.config_file, self.calibration, *settings.files]
+        used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
         recording = read_recording(self.takes[0], format=settings.format)
         several = len(recording.takes) > 1 and settings.body == "all"
@@ -173,7 +171,7 @@ class Clean:
                 [first, *others],
                 settings.config,
                 body=body,
-                calibration=read_calibration(self.calibration),
+                calibration=read_calibration(settings.calibration),
                 progress=progress,
             )
         notes = (*first.notes, *merged.told())
@@ -210,6 +208,12 @@ class Batch:
     them and for the folders in it, such as cutoff = 4.0 or rotation-order = "xyz";
     options on the command line override it.
 
+    With --sessions '{name}_{sensor}.csv*' takes whose names differ only in {sensor} are
+    of several sensors at the same time: they become one clip, NAME, as by 'kinefilter
+    clean A B', and one row of the manifest. Other patterns: '{name}/{sensor}.csv' for a
+    folder a session, '{sensor}/{name}.csv' for a folder a sensor. A take without a
+    partner is cleaned by itself; a session whose takes do not belong together fails.
+
     URLs are those that fsspec knows, such as s3://bucket/takes with pip install s3fs;
     run one batch at a time into a store, which cannot be locked. For --scheduler every
     worker needs pip install "kinefilter[cluster]"; workers may come and go. Start them
@@ -223,6 +227,12 @@ class Batch:
     s3://bucket/takes."""
     out: Annotated[str, arg(aliases=["-o"])]
     """Folder to write to, a path or URL: the tree of the takes, and the manifest."""
+    sessions: str | None = None
+    """Names of takes of several sensors, with {name} and {sensor}; * is anything. Also
+    sessions = "..." in kinefilter.toml."""
+    sensors: tuple[str, ...] = ()
+    """What {sensor} may be; the clip has the clock and frame of the first. Default:
+    anything, by the alphabet."""
     to: Literal["usdc", "usda", "usd", "usdz", "bvh", "csv", "npz"] = "usdc"
     """Format of the clips."""
     jobs: int | None = None
@@ -253,12 +263,13 @@ class Batch:
             raise InputError(f"--take-timeout {self.take_timeout:g}: expected over 0 s")
         if self.jobs is not None and self.scheduler is not None:
             raise InputError("--jobs is for this machine; leave it or --scheduler out")
+        settings = replace(self.settings, sessions=self.sessions, sensors=self.sensors)
         try:
             with _bar(self.scheduler) as show:
                 outcome = clean_files(
                     self.inputs,
                     self.out,
-                    self.settings,
+                    settings,
                     suffix=f".{self.to}",
                     config_file=self.config_file,
                     given=self.given,
