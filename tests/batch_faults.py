@@ -1,6 +1,9 @@
 """Kills batches and Dask workers at random moments, and compares what comes out.
 
 Usage: python tests/batch_faults.py FOLDER [--takes 60] [--frames 100] [--kills 20]
+    [--pairs 20]
+
+So many of the takes are of two sensors, and become one clip each.
 
 First a batch runs undisturbed. Then one is killed (SIGKILL) again and again and begun
 again, until it is done; then one runs on a Dask cluster on loopback whose two workers
@@ -291,18 +294,21 @@ def main() -> None:
     parser.add_argument("--takes", type=int, default=60)
     parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--every", type=float, default=4.0)
     options = parser.parse_args()
     folder: Path = options.folder
     takes, whole = folder / "takes", folder / "undisturbed"
-    make_takes(takes, options.takes, options.frames)
-    assert begin(batch(takes, whole, "--jobs", "2")).wait() == 0
+    make_takes(takes, options.takes, options.frames, pairs=options.pairs)
+    pattern = ["--sessions", "{name}_{sensor}.csv", "--sensors", "A", "B"]
+    words = pattern if options.pairs else []
+    assert begin(batch(takes, whole, "--jobs", "2", *words)).wait() == 0
     say, half = sys.stdout.write, options.kills // 2
     say(f"{len(rows_done(whole))} takes undisturbed\n")
     with small_disk(folder / "disk") as disk:
 
         def kill_runs(out: Path, kills: int, seed: int) -> int:
-            command = batch(takes, out, "--jobs", "2")
+            command = batch(takes, out, "--jobs", "2", *words)
             return killed_until_done(
                 command, out, options.takes, kills, seed, disk=disk
             )
@@ -310,7 +316,7 @@ def main() -> None:
         def kill_workers(out: Path, kills: int, seed: int) -> int:
             every = options.every
             return killed_workers(
-                takes, out, every=every, seed=seed, kills=kills, disk=disk
+                takes, out, *words, every=every, seed=seed, kills=kills, disk=disk
             )
 
         say("disk filled before every third kill\n" if disk else "no disk: not root\n")

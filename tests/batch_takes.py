@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import Take
 from kinefilter.pipeline.batch import Row
@@ -17,7 +18,7 @@ from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.scenes.sensor import sample_take
 
-__all__ = ["Here", "make_takes", "short_take"]
+__all__ = ["Here", "make_takes", "second_view", "short_take", "write_session"]
 
 _MOTIONS = ("walk", "squat", "punch", "tai_chi", "wave")
 _TREMBLE = 0.002  # m: takes differ, and stay as hard to clean
@@ -47,13 +48,34 @@ def short_take(frames: int, start: int = 0, seed: int = 0) -> Take:
     return _trembling(_part(_sample(), start, frames), seed)
 
 
+def second_view(take: Take, degrees: float = 60.0, seed: int = 0) -> Take:
+    """Return a take as a second sensor has it, which goes round the person by a turn.
+
+    Its clock is 7 s ahead.
+    """
+    middle, turn = [0.0, 0.0, 2.5], Rotation.from_euler("y", degrees, degrees=True)
+    turned = (take.positions - middle) @ turn.as_matrix().T + middle
+    again = replace(take, time=take.time + 7.0, positions=turned)
+    return _trembling(again, 1000 + seed)
+
+
+def write_session(
+    folder: Path, name: str, take: Take, degrees: float = 60.0
+) -> tuple[Path, Path]:
+    """Write a take and its second view as ``NAME_A.csv`` and ``NAME_B.csv``."""
+    paths = folder / f"{name}_A.csv", folder / f"{name}_B.csv"
+    for path, one in zip(paths, (take, second_view(take, degrees)), strict=True):
+        write_take_csv(one, path)
+    return paths
+
+
 @cache
 def _sample() -> Take:
     return sample_take()
 
 
-def make_takes(folder: Path, count: int, frames: int) -> None:
-    """Write takes of Kinect v1 and v2 into folders of a folder."""
+def make_takes(folder: Path, count: int, frames: int, *, pairs: int = 0) -> None:
+    """Write takes of Kinect v1 and v2 into folders of a folder, some by two sensors."""
     sources = [
         simulate("basic", motion, sensor=sensor, seed=seed).take
         for seed, motion in enumerate(_MOTIONS)
@@ -64,7 +86,10 @@ def make_takes(folder: Path, count: int, frames: int) -> None:
         take = _repeated(long[k % len(long)], frames)
         path = folder / f"day_{k % 7}" / f"take_{k:04d}.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_take_csv(_trembling(take, k), path)
+        if k < pairs:
+            write_session(path.parent, path.stem, _trembling(take, k))
+        else:
+            write_take_csv(_trembling(take, k), path)
 
 
 def _repeated(take: Take, frames: int) -> Take:

@@ -22,7 +22,7 @@ from batch_faults import (
     rows_done,
     scheduler,
 )
-from batch_takes import short_take
+from batch_takes import short_take, write_session
 from dying import clean_or_die
 
 from kinefilter import CleanConfig
@@ -30,16 +30,21 @@ from kinefilter.pipeline.batch import clean_files, crew
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.settings import Settings
 
+TOGETHER = ("--sessions", "{name}_{sensor}.csv", "--sensors", "A", "B")
 QUICK = ("--method", "none", "--no-physics", "--to", "bvh")
 needs_dask = pytest.mark.skipif(
     find_spec("distributed") is None, reason="Dask, of the extra cluster, is not here"
 )
 
 
-def _takes(folder: Path, *names: str) -> Path:
+def _takes(folder: Path, *names: str, pairs: int = 0) -> Path:
+    """Return a folder of takes, the first of which two sensors recorded."""
     folder.mkdir()
     for k, name in enumerate(names):
-        write_take_csv(short_take(100, seed=k), folder / f"{name}.csv")
+        if k < pairs:
+            write_session(folder, name, short_take(100, seed=k))
+        else:
+            write_take_csv(short_take(100, seed=k), folder / f"{name}.csv")
     return folder
 
 
@@ -65,10 +70,10 @@ def test_a_take_that_kills_its_process_fails_and_the_others_are_cleaned(
 
 def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     names = [f"take_{k}" for k in range(8)]
-    takes = _takes(tmp_path / "takes", *names)
-    command = batch(takes, tmp_path / "clips", *QUICK, "--jobs", "2")
+    takes, words = _takes(tmp_path / "takes", *names, pairs=4), (*QUICK, *TOGETHER)
+    command = batch(takes, tmp_path / "clips", *words, "--jobs", "2")
     killed = killed_until_done(command, tmp_path / "clips", len(names), 2)
-    assert begin(batch(takes, tmp_path / "whole", *QUICK, "--jobs", "1")).wait() == 0
+    assert begin(batch(takes, tmp_path / "whole", *words, "--jobs", "1")).wait() == 0
     assert killed >= 1
     assert len(clip_hashes(tmp_path / "clips")) == len(names)
     check(tmp_path / "clips", tmp_path / "whole")
@@ -93,8 +98,8 @@ def test_a_run_that_is_told_to_end_says_so_and_leaves_its_table(tmp_path: Path) 
 
 @needs_dask
 def test_a_cluster_whose_workers_die_does_every_take_once(tmp_path: Path) -> None:
-    takes = _takes(tmp_path / "takes", *(f"take_{k}" for k in range(6)))
-    options = ("--method", "low-rank", "--to", "bvh")
+    takes = _takes(tmp_path / "takes", *(f"take_{k}" for k in range(6)), pairs=2)
+    options = ("--method", "low-rank", "--to", "bvh", *TOGETHER)
     killed = killed_workers(takes, tmp_path / "clips", *options, every=0.0)
     assert begin(batch(takes, tmp_path / "whole", *options)).wait() == 0
     assert killed >= 1
