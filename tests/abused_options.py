@@ -85,6 +85,8 @@ _USED = {
     "takes": (*("{front.csv}", "{side.csv}") * 4, *_TAKES),
     "clean takes": (*_TAKES, *_TAKES, "{front.csv}", "{side.csv}"),
     "calibration": ("{calibration.json}",),
+    "batch sensors": ("front", "side", "take"),
+    "sessions": ("{name}/{sensor}.csv", "{sensor}/{name}.csv", "{name}{sensor}.*"),
     "file": (*_TAKES, *_CLIPS, "{contacts.csv}", "{database.npz}", "{model.npz}"),
     **dict.fromkeys(("clip", "clips", "reference"), (*_CLIPS, "{take.csv}")),
     "systems": (*_CLIPS, "raw={take.csv}", "a={clip.npz}", "b={clip.bvh}", "={valid}"),
@@ -93,9 +95,7 @@ _USED = {
     "repeats": ("0", "2", "-1", "1000000000"),
     "compare": _TAKES,
     "same_person": _TAKES,
-    **dict.fromkeys(
-        ("pairs", "train", "test"), ("{people.npz}",) * 2 + ("{pairs.npz}",)
-    ),
+    **dict.fromkeys(("pairs", "train", "test"), ("{people.npz}", "{pairs.npz}")),
     "files": ("{pairs.npz}", "{clip.bvh}", "{points.c3d}", "{arm.amc}", "{arm.asf}"),
     "model": ("{model.npz}",),
     "person": ("s1", "nobody"),
@@ -192,7 +192,7 @@ def abuse_options(attempt: Attempt) -> None:
     here = attempt.folder / "in"
     here.mkdir()
     if name == "batch":
-        for take in attempt.rng.sample(_TAKES[:9], 3):
+        for take in (*attempt.rng.sample(_TAKES[:9], 3), "{front.csv}", "{side.csv}"):
             shutil.copy(attempt.files[take[1:-1]], here)
     places = {"valid": here, "dask": _cluster() if "{dask}" in words else here}
     words = [attempt.filled(word, **places) for word in words]

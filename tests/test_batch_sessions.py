@@ -111,7 +111,7 @@ def test_a_take_without_a_partner_is_cleaned_by_itself_and_told(
     assert "no take of B" in row["notes"]
     second.write_bytes(kept)
     assert main(words) == 0
-    assert "1 session of several sensors" in capsys.readouterr().out
+    assert "1 clip of several sensors" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("here")
@@ -215,6 +215,12 @@ def _files(root: Path, *names: str) -> Path:
             ("B", "A"),
             ["a_A_person0.csv", "a_B_person0.csv", "a_C.csv", "a_take_A.csv"],
             {"a": "B A", "a_C.csv": "", "a_take_A.csv": "A"},
+        ),
+        (
+            "{name}_{sensor}.csv",
+            (),
+            ["a.1_L.csv", "a.1_R.csv", "b.2_L.csv", "b.2_R.csv"],
+            {"a.1": "L R", "b.2": "L R"},
         ),
         ("{name}?{sensor}.csv", (), ["a-1.csv", "a-2.csv"], {"a": "1 2"}),
         (

@@ -87,7 +87,7 @@ class Row:
         values = json.loads(line)
         try:
             clips = tuple(
-                # Rows of older versions lack the damage.
+                # Rows of older versions lack the damage, and the sensors.
                 ClipRow(**clip | {k: tuple(clip.get(k, ())) for k in _LISTS})
                 for clip in values.pop("clips")
             )

@@ -45,15 +45,16 @@ def as_tables(outcome: Outcome) -> RenderableType:
 
 
 def _counts(outcome: Outcome) -> str:
+    rows = [*outcome.kept, *outcome.rows]
     done = sum(row.status == "done" for row in outcome.rows)
     kept = sum(row.status == "done" for row in outcome.kept)
-    others = sum(row.status == "no take" for row in [*outcome.kept, *outcome.rows])
+    others = sum(row.status == "no take" for row in rows)
     frames = sum(clip.frames for row in outcome.rows for clip in row.clips)
     seconds = max(outcome.seconds, 1e-9)
     words = [f"{counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]
-    together = [len(row.sensors) for row in [*outcome.kept, *outcome.rows]]
+    together = [len(row.sensors) for row in rows if row.status == "done"]
     sessions, alone = sum(n > 1 for n in together), together.count(1)
-    words += [f"{counted(sessions, 'session')} of several sensors"] * bool(sessions)
+    words += [f"{counted(sessions, 'clip')} of several sensors"] * bool(sessions)
     words += [f"{alone} without a partner, see manifest.csv"] * bool(alone)
     words += [f"{kept} done before"] * bool(kept)
     damaged = len(outcome.damaged)
