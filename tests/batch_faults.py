@@ -1,16 +1,14 @@
 """Kills batches and Dask workers at random moments, and compares what comes out.
 
 Usage: python tests/batch_faults.py FOLDER [--takes 60] [--frames 100] [--kills 20]
-    [--pairs 20]
 
-So many of the takes are of two sensors, and become one clip each.
-
-First a batch runs undisturbed. Then one is killed (SIGKILL) again and again and begun
-again, until it is done; then one runs on a Dask cluster on loopback whose two workers
-are killed and replaced in turn. Half of the kills are for each; a batch that is done
-before they are is followed by another. Before every third the disk is full for a while,
-if this user may mount a small one. Every take must have one row that says done, and
-every clip the bytes of the undisturbed run.
+Two of five takes are by two sensors, whose takes become one clip. First a batch runs
+undisturbed. Then one is killed (SIGKILL) again and again and begun again, until it is
+done; then one runs on a Dask cluster on loopback whose two workers are killed and
+replaced in turn. Half of the kills are for each; a batch that is done before they are
+is followed by another. Before every third the disk is full for a while, if this user
+may mount a small one. Every take must have one row that says done, and every clip the
+bytes of the undisturbed run.
 """
 
 from __future__ import annotations
@@ -294,14 +292,12 @@ def main() -> None:
     parser.add_argument("--takes", type=int, default=60)
     parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--every", type=float, default=4.0)
     options = parser.parse_args()
     folder: Path = options.folder
     takes, whole = folder / "takes", folder / "undisturbed"
-    make_takes(takes, options.takes, options.frames, pairs=options.pairs)
-    pattern = ["--sessions", "{name}_{sensor}.csv", "--sensors", "A", "B"]
-    words = pattern if options.pairs else []
+    make_takes(takes, options.takes, options.frames, sessions=True)
+    words = ["--sessions", "{name}_{sensor}.csv", "--sensors", "A", "B"]
     assert begin(batch(takes, whole, "--jobs", "2", *words)).wait() == 0
     say, half = sys.stdout.write, options.kills // 2
     say(f"{len(rows_done(whole))} takes undisturbed\n")

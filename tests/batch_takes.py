@@ -51,11 +51,11 @@ def short_take(frames: int, start: int = 0, seed: int = 0) -> Take:
 def second_view(take: Take, degrees: float = 60.0, seed: int = 0) -> Take:
     """Return a take as a second sensor has it, which goes round the person by a turn.
 
-    Its clock is 7 s ahead.
+    Its clock is 33,657.5 s ahead.
     """
     middle, turn = [0.0, 0.0, 2.5], Rotation.from_euler("y", degrees, degrees=True)
     turned = (take.positions - middle) @ turn.as_matrix().T + middle
-    again = replace(take, time=take.time + 7.0, positions=turned)
+    again = replace(take, time=take.time + 33657.5, positions=turned)
     return _trembling(again, 1000 + seed)
 
 
@@ -74,8 +74,14 @@ def _sample() -> Take:
     return sample_take()
 
 
-def make_takes(folder: Path, count: int, frames: int, *, pairs: int = 0) -> None:
-    """Write takes of Kinect v1 and v2 into folders of a folder, some by two sensors."""
+def make_takes(
+    folder: Path, count: int, frames: int, *, sessions: bool = False
+) -> None:
+    """Write takes of Kinect v1 and v2 into folders of a folder.
+
+    With ``sessions`` two of five are by two sensors, none of them a walk, which leaves
+    the view.
+    """
     sources = [
         simulate("basic", motion, sensor=sensor, seed=seed).take
         for seed, motion in enumerate(_MOTIONS)
@@ -86,7 +92,7 @@ def make_takes(folder: Path, count: int, frames: int, *, pairs: int = 0) -> None
         take = _repeated(long[k % len(long)], frames)
         path = folder / f"day_{k % 7}" / f"take_{k:04d}.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
-        if k < pairs:
+        if sessions and k % 5 > 2:
             write_session(path.parent, path.stem, _trembling(take, k))
         else:
             write_take_csv(_trembling(take, k), path)

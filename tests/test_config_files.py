@@ -26,7 +26,8 @@ def test_every_kind_of_value_is_taken() -> None:
     found = _parsed(
         'method = "none"\ncutoff = 4\nadapt = true\nfloor = 0.1\nseed = 3\n'
         'rotation-order = "xyz"\nfps = 24.0\nbody = 2\nformat = "ntu"\n'
-        'database = "cmu.npz"\nscene = "box"\n'
+        'database = "cmu.npz"\nscene = "box"\ncalibration = "places.json"\n'
+        'sessions = "{name}_{sensor}.csv"\nsensors = ["side", "front"]\n'
     )
     config = CleanConfig(
         method="none",
@@ -38,7 +39,9 @@ def test_every_kind_of_value_is_taken() -> None:
         scene="box",
     )
     export = Export(rotation_order="xyz", fps=24.0)
-    assert found == Settings(config, export, "ntu", 2)
+    names = "{name}_{sensor}.csv", ("side", "front")
+    places = Path("/folder/places.json")
+    assert found == Settings(config, export, "ntu", 2, places, *names)
     assert isinstance(found.config.cutoff, float)
 
 

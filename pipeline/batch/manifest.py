@@ -248,7 +248,7 @@ def write_csv(rows: Iterable[Row], store: Store) -> None:
         if isinstance(value, dict):
             return ", ".join(f"{key} {cell(one)}" for key, one in value.items())
         if isinstance(value, float):
-            return f"{value:.6g}"
+            return f"{value:.3f}" if abs(value) > 1e4 else f"{value:.6g}"
         return "" if value is None else str(value)
 
     for row in sorted(rows, key=lambda row: row.take):

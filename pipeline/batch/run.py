@@ -79,7 +79,8 @@ def clean_files(
     Takes, folders to search for them, and the folder for the clips are paths or URLs;
     ``suffix`` is the extension of the clips. Settings in ``config_file`` (TOML)
     override ``settings``, those of ``kinefilter.toml`` in the takes' folders override
-    both; no file may change those ``given``, by name. ``jobs`` is the number of
+    both; no file may change those ``given``, by name. By ``sessions`` among them takes
+    of several sensors become one clip, see ``find_sessions``. ``jobs`` is the number of
     processes, by default one a core; the workers of a Dask ``scheduler`` clean instead.
     A take that needs more than ``take_timeout`` seconds fails, by default more than an
     hour and a minute for each of its megabytes.
