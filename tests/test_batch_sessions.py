@@ -247,7 +247,7 @@ def test_sessions_are_what_differs_only_in_the_sensor(
     for take, job in jobs.items():
         if len(job.sources) > 1 and "a.csv" not in names:
             assert job.output == f"{take}.bvh"
-            assert job.size > max(source.file.size for source in job.sources)
+            assert job.size > sum(source.file.size for source in job.sources)
 
 
 def test_sessions_of_named_files_and_of_several_folders(tmp_path: Path) -> None:
@@ -256,6 +256,9 @@ def test_sessions_of_named_files_and_of_several_folders(tmp_path: Path) -> None:
     for inputs in (("L", "R"), ("L/a.csv", "R/a.csv")):
         (job,) = _jobs(root, *inputs, settings=settings).values()
         assert (job.take, job.sensors) == ("a", ("L", "R"))
+    sources = find_sources([str(root / f"{sensor}/a.csv") for sensor in "LR"], "out")
+    with pytest.raises(InputError, match="would overwrite a take"):
+        plan_jobs(sources, store_at(str(root / "R")), settings, ".csv")
 
 
 @pytest.mark.usefixtures("here")
