@@ -11,7 +11,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.config_files import (
     FOLDER_FILE,
     SettingsFile,
@@ -21,43 +20,20 @@ from kinefilter.pipeline.config_files import (
 from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import LARGEST_TOML, read_limited
 from kinefilter.pipeline.formats.plain import printable
-from kinefilter.pipeline.formats.takes import claims_take
 from kinefilter.pipeline.settings import Settings, fingerprint
 
 from .manifest import Row, Status
-from .sessions import find_sessions
+from .sessions import Source, find_sessions
 from .store import Store, StoredFile, canonical, is_folder, is_url, store_at
 
 _TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh")
 """Extensions of files that may be takes, zipped (``.gz``) or not."""
-_CERTAIN = (".skeleton", ".bvh")  # extensions that only takes have
 _SESSION = ".session"  # instead of the extension that a session does not have
 _ZIPPED = 4  # size of text over that of its gzip file: numbers give 2 to 10
 _LONGEST_NAME = 230  # bytes, of the 255 of a file's name, for numbers and extensions
 _LONGEST_TAKE, _LONGEST_BYTE = 3600.0, 60.0 / 1e6
 """Time limit [s] of a take, and more for each of its bytes; the default method needs
 3 s for a megabyte of one person. A guess."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """A file that may be a take."""
-
-    take: str  # its name in the manifest: the path below the folder that was searched
-    store: Store
-    place: str  # its path without links, or its URL
-    file: StoredFile
-    named: bool  # by the user, this very file: then it is a take
-
-    def is_take(self, path: Path, layout: TakeFormat | None) -> bool:
-        """Tell a take, even a broken one, from other files.
-
-        The file, or a copy of it, is read at ``path``; ``layout`` is the one that the
-        user gave for all files. Raises InputError if it cannot be read.
-        """
-        name = self.file.name.lower().removesuffix(".gz")
-        certain = self.named or layout is not None or name.endswith(_CERTAIN)
-        return certain or claims_take(path)
 
 
 def find_sources(inputs: Sequence[str], out: str) -> list[Source]:

@@ -1,4 +1,4 @@
-"""Which takes several sensors recorded at the same time, by their names.
+"""Files that may be takes, and which of them are of one session by their names.
 
 By ``{name}_{sensor}.csv*`` takes that differ only in ``{sensor}`` are of one session;
 ``*`` and ``?`` are as in a shell. The pattern is that of the end of a path, so that
@@ -10,19 +10,42 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats.plain import printable
+from kinefilter.pipeline.formats.takes import claims_take
 from kinefilter.pipeline.settings import Settings
 
-if TYPE_CHECKING:
-    from .plan import Source
+from .store import Store, StoredFile
 
+_CERTAIN = (".skeleton", ".bvh")  # extensions that only takes have
 _WILD = {"{name}": "(?P<name>[^/]+)", "*": "[^/]*", "?": "[^/]"}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that may be a take."""
+
+    take: str  # its name in the manifest: the path below the folder that was searched
+    store: Store
+    place: str  # its path without links, or its URL
+    file: StoredFile
+    named: bool  # by the user, this very file: then it is a take
+
+    def is_take(self, path: Path, layout: TakeFormat | None) -> bool:
+        """Tell a take, even a broken one, from other files.
+
+        The file, or a copy of it, is read at ``path``; ``layout`` is the one that the
+        user gave for all files. Raises InputError if it cannot be read.
+        """
+        name = self.file.name.lower().removesuffix(".gz")
+        certain = self.named or layout is not None or name.endswith(_CERTAIN)
+        return certain or claims_take(path)
 
 
 class Session(NamedTuple):

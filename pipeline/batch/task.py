@@ -27,7 +27,8 @@ from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
 from .manifest import ClipRow, Row
-from .plan import Job, Source
+from .plan import Job
+from .sessions import Source
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.merge import Merged
