@@ -144,6 +144,12 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([str(copied), "--contacts", str(contacts)], "would overwrite"),
         ([clip, "--bind", "192.0.2.1"], "no address of this machine"),
         ([clip, "--port", "70000"], "--port 70000"),
+        ([], "nothing to view"),
+        ([clip, clip], "is shown alone"),
+        ([take, clip], "is shown alone"),
+        ([take, "--calibration", clip], "takes of several sensors"),
+        ([clip, "--take", take, "--calibration", take], "takes of several sensors"),
+        ([take, take], "are the same take"),
     ):
         assert words in _refused(arguments, capsys), arguments
 
@@ -154,9 +160,9 @@ def test_csv_and_bvh_are_clips_only_beside_a_take() -> None:
         *(("clip.npz", True), ("clip.usda", True), ("clip.USDZ", True)),
         *(("clip.csv", False), ("clip.csv.gz", False), ("clip.bvh", False)),
     ):
-        assert View(Path(name))._is_clip is alone
-        assert View(Path(name), take=take)._is_clip
-    assert not View(take, take=take)._is_clip
+        assert View((Path(name),))._is_clip is alone
+        assert View((Path(name),), take=(take,))._is_clip
+    assert not View((take,), take=(take,))._is_clip
 
 
 def test_without_viser_the_extra_is_named(

@@ -25,6 +25,7 @@ from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.settings import Settings
 
 from .terminal import (
+    check_calibration,
     check_output,
     err,
     out,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.batch import JobProgress
     from kinefilter.pipeline.batch.run import OnProgress
     from kinefilter.pipeline.cleaner import CleanResult
+    from kinefilter.pipeline.merge import Merged
 
 
 _Settings = OmitArgPrefixes[Annotated[Settings, arg(name="")]]
@@ -82,8 +84,7 @@ class Clean:
         settings = self.settings
         if not self.takes:
             raise InputError("no take given; name a recording")
-        if settings.calibration is not None and len(self.takes) == 1:
-            raise InputError("--calibration is for takes of several sensors")
+        check_calibration(settings.calibration, self.takes)
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
         recording = read_recording(self.takes[0], format=settings.format)
@@ -105,12 +106,14 @@ class Clean:
             for written in others[1:] if several else ():
                 if written is not None:
                     check_output(numbered(written, number), *used, self.json)
+        merged = None
         if len(self.takes) > 1:
-            recording, results = self._together(recording)
+            recording, results, merged = self._together(recording)
         else:
             results = self._cleaned(recording)
         for body, result in results.items():
-            self._write(result, recording.take(body), body if several else None)
+            number = body if several else None
+            self._write(result, recording.take(body), number, merged)
         figures = {body: as_json(result) for body, result in results.items()}
         only = next(iter(figures.values()))
         write_json({"bodies": figures} if several else only, self.json)
@@ -156,8 +159,10 @@ class Clean:
                 err.print(f"kinefilter: {error}; left out")
         return results
 
-    def _together(self, first: Recording) -> tuple[Recording, dict[int, CleanResult]]:
-        """Return the merged recording of several sensors, and the result."""
+    def _together(
+        self, first: Recording
+    ) -> tuple[Recording, dict[int, CleanResult], Merged]:
+        """Return what several sensors recorded as one, and the result."""
         from kinefilter.pipeline.merge import clean_session, read_calibration
 
         settings, body = self.settings, self.settings.body
@@ -175,9 +180,11 @@ class Clean:
                 progress=progress,
             )
         notes = (*first.notes, *merged.told())
-        return Recording((merged.take,), "merged", notes=notes), {1: result}
+        return Recording((merged.take,), "merged", notes=notes), {1: result}, merged
 
-    def _write(self, result: CleanResult, take: Take, body: int | None) -> None:
+    def _write(
+        self, result: CleanResult, take: Take, body: int | None, merged: Merged | None
+    ) -> None:
         from kinefilter.pipeline.summary import as_tables
 
         paths = part_paths(numbered(self.out, body), len(result.clips))
@@ -192,7 +199,8 @@ class Clean:
             from kinefilter.pipeline.look.page import read_limits, write_report
 
             path = numbered(self.report, body)
-            write_report(compare(result.clip, take), path, read_limits())
+            comparison = compare(result.clip, take, merged)
+            write_report(comparison, path, read_limits())
             out.print(f"wrote {path}")
 
 

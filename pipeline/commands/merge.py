@@ -7,7 +7,7 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rich.table import Table
+from rich.table import Column, Table
 from tyro.conf import Positional, arg
 
 from kinefilter.pipeline.config import TakeFormat
@@ -85,7 +85,8 @@ class Merge:
 
 
 def _as_table(merged: Merged) -> Table:
-    table = Table("sensor", title=f"{len(merged.take)} frames merged")
+    sensor = Column("sensor", overflow="fold")  # what differs may be at the end
+    table = Table(sensor, title=f"{len(merged.take)} frames merged")
     headings = ("lag, s", "ms a minute", "degrees", "m")
     for heading in (*headings, "share, %", "apart, cm"):
         table.add_column(heading, justify="right", no_wrap=True)

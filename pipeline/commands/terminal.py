@@ -76,6 +76,12 @@ def progress_bars() -> Iterator[Progress]:
         yield lambda stage, count: bars.track(range(count), count, description=stage)
 
 
+def check_calibration(path: Path | None, takes: Collection[Path]) -> None:
+    """Raise an InputError if the place of sensors is given for a take of one."""
+    if path is not None and len(takes) < 2:
+        raise InputError("--calibration is for takes of several sensors")
+
+
 def write_json(figures: object, path: Path | None) -> None:
     """Write figures as JSON, whole or not at all, if a file for them is given."""
     if path is not None:

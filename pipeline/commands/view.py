@@ -13,11 +13,23 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.look.drawing import Drawing, cleaned, read_finite_clip
+from kinefilter.pipeline.look.drawing import (
+    Drawing,
+    cleaned,
+    cleaned_session,
+    read_finite_clip,
+)
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.progress import Progress
 
-from .terminal import check_output, err, keep, out, progress_bars
+from .terminal import (
+    check_calibration,
+    check_output,
+    err,
+    keep,
+    out,
+    progress_bars,
+)
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.look.viewer import CleanAgain
@@ -36,17 +48,21 @@ class View:
     "kinefilter[view]".
     """
 
-    motion: Annotated[Positional[Path], arg(metavar="TAKE|CLIP")]
-    """A take in any of the formats of --format, which is cleaned first; or a clip,
-    .npz or USD, which is shown as it is. With --take, .bvh and .csv are clips too."""
+    motion: Annotated[Positional[tuple[Path, ...]], arg(metavar="TAKE...|CLIP")]
+    """A take in any of the formats of --format, which is cleaned first, or one of each
+    of several sensors; or a clip, .npz or USD, which is shown as it is. With --take,
+    .bvh and .csv are clips too."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
     body: int | None = None
     """Which person of the take, counted from 1; default: who is seen in most
     frames."""
-    take: Path | None = None
-    """The take that a clip was made of, to see beside it."""
+    take: UseAppendAction[tuple[Path, ...]] = ()
+    """The take that a clip was made of, to see beside it. Of several sensors give
+    each, in the order of clean."""
+    calibration: Path | None = None
+    """Where and when several sensors are, as of 'merge --save-calibration'."""
     save_contacts: Path | None = None
     """Where the page saves contacts, for clean --contacts, and nothing else; default:
     beside what is shown, NAME.contacts.csv."""
@@ -63,9 +79,12 @@ class View:
         require("viser", "viewing", "view")
         from kinefilter.pipeline.look.viewer import opened_viewer
 
+        if not self.motion:
+            raise InputError("nothing to view; name a take or a clip")
         # By default wave.contacts.csv for wave.csv.gz.
-        stem = Path(self.motion.name.removesuffix(".gz")).stem
-        beside = self.motion.parent / f"{stem}.contacts.csv"
+        first = self.motion[0]
+        stem = Path(first.name.removesuffix(".gz")).stem
+        beside = first.parent / f"{stem}.contacts.csv"
         save = self.save_contacts or beside
         self._check(save)
         try:
@@ -73,7 +92,8 @@ class View:
             with opened_viewer(
                 drawing, save, again=again, bind=self.bind, port=self.port
             ) as viewer:
-                out.print(f"{viewer.address} shows {self.motion}; Ctrl-C ends")
+                shown = ", ".join(map(str, self.motion))
+                out.print(f"{viewer.address} shows {shown}; Ctrl-C ends")
                 if self.open:
                     webbrowser.open(viewer.address)
                 viewer.run()
@@ -89,46 +109,77 @@ class View:
         check_output(self.save_contacts)
         if save.suffix.lower() != ".csv":
             raise InputError(f"{save}: contacts are saved as a table; name it .csv")
-        config = self.config
-        used = (self.motion, self.take, config.database, config.model, config.contacts)
-        keep(save, *used)
+        config, takes = self.config, self.take or self.motion
+        used = (config.database, config.model, config.contacts, self.calibration)
+        keep(save, *self.motion, *self.take, *used)
         if self._is_clip and config != CleanConfig():
             raise InputError(
-                f"{self.motion}: a clip is shown as it is; options of cleaning are for "
-                "takes"
+                f"{self.motion[0]}: a clip is shown as it is; options of cleaning are "
+                "for takes"
             )
-        if self.take is not None and not self._is_clip:
+        if self.take and not self._is_clip:
             raise InputError(
-                f"--take {self.take} is for a clip; {self.motion} is taken for a take "
-                "itself"
+                f"--take {self.take[0]} is for a clip; {self.motion[0]} is taken for a "
+                "take itself"
             )
+        if self._is_clip and len(self.motion) > 1:
+            raise InputError(
+                f"{self.motion[0]}: a clip is shown alone; give the takes that it was "
+                "made of with --take"
+            )
+        check_calibration(self.calibration, takes)
 
     @property
     def _is_clip(self) -> bool:
         """Whether the motion is shown as it is; .bvh and .csv may be either."""
-        suffix = Path(self.motion.name.removesuffix(".gz")).suffix.lower()
-        with_take = self.take is not None and self.take != self.motion
-        return suffix in _CLIPS or (with_take and suffix in (".bvh", ".csv"))
+        suffixes = {
+            Path(path.name.removesuffix(".gz")).suffix.lower() for path in self.motion
+        }
+        with_take = bool(self.take) and self.take != self.motion
+        kinds = (*_CLIPS, ".bvh", ".csv") if with_take else _CLIPS
+        return not suffixes.isdisjoint(kinds)
 
     def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
         """Return what is looked at, and how it is cleaned again."""
-        if self._is_clip:
-            from kinefilter.pipeline.look.comparison import read_comparison
+        from kinefilter.pipeline.look.comparison import read_comparison
+        from kinefilter.pipeline.merge import read_calibration
 
-            if self.take is None:
-                return Drawing(read_finite_clip(self.motion)), None
-            return read_comparison(self.motion, self.take, body=self.body), None
-        recording = read_recording(self.motion, format=self.format)
-        take = recording.take(self.body)
-        for note in recording.notes:
+        if self._is_clip:
+            if not self.take:
+                return Drawing(read_finite_clip(self.motion[0])), None
+            with progress_bars() as progress:
+                return read_comparison(
+                    self.motion[0],
+                    *self.take,
+                    body=self.body,
+                    calibration=read_calibration(self.calibration),
+                    progress=progress,
+                ), None
+        recordings = [read_recording(path, format=self.format) for path in self.motion]
+        known = read_calibration(self.calibration)
+        for note in recordings[0].notes:
             out.print(note)
 
+        def made(config: CleanConfig, progress: Progress) -> Drawing:
+            if len(recordings) == 1:
+                take = recordings[0].take(self.body)
+                return cleaned(take, config, progress=progress)
+            drawing, merged = cleaned_session(
+                recordings,
+                config,
+                body=self.body,
+                calibration=known,
+                progress=progress,
+            )
+            for note in merged.told():
+                out.print(note)
+            return drawing
+
         def again(contacts: Path, progress: Progress) -> Drawing:
-            config = replace(self.config, contacts=contacts)
-            return cleaned(take, config, progress=progress)
+            return made(replace(self.config, contacts=contacts), progress)
 
         with progress_bars() as progress:
-            return cleaned(take, self.config, progress=progress), again
+            return made(self.config, progress), again
 
 
 @dataclass(frozen=True)
@@ -185,13 +236,16 @@ class Report:
 
     clip: Positional[Path]
     """Clip: .npz, USD, .bvh or .csv."""
-    take: Path
-    """The take that the clip was made of."""
+    take: UseAppendAction[tuple[Path, ...]]
+    """The take that the clip was made of. Of several sensors give each, in the order of
+    clean: where they stand, and how far apart their joints are, is on the page too."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Page to write, .html."""
     body: int | None = None
     """Which person of the take, counted from 1; default: who is seen in most
     frames."""
+    calibration: Path | None = None
+    """Where and when several sensors are, as of 'merge --save-calibration'."""
     thresholds: Path | None = None
     """TOML file of limits, as fail_on = ["skate > 0.003"]; default: those that ship
     with kinefilter. They color the table of metrics."""
@@ -203,12 +257,23 @@ class Report:
         """Compare, write, say what failed."""
         from kinefilter.pipeline.look import page
         from kinefilter.pipeline.look.comparison import read_comparison
+        from kinefilter.pipeline.merge import read_calibration
 
+        if not self.take:
+            raise InputError("no --take given; give the take that the clip was made of")
+        check_calibration(self.calibration, self.take)
         page.check_report(self.out)
-        check_output(self.out, self.clip, self.take, self.thresholds)
+        check_output(self.out, self.clip, *self.take, self.calibration, self.thresholds)
         gates = [page.parse_limit(text) for text in self.fail_on]
         limits = page.read_limits(self.thresholds)
-        comparison = read_comparison(self.clip, self.take, body=self.body)
+        with progress_bars() as progress:
+            comparison = read_comparison(
+                self.clip,
+                *self.take,
+                body=self.body,
+                calibration=read_calibration(self.calibration),
+                progress=progress,
+            )
         # A gate that is a threshold too stands once in the table.
         limits = tuple(dict.fromkeys((*limits, *gates)))
         page.write_report(comparison, self.out, limits)

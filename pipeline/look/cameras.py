@@ -16,6 +16,7 @@ _FOV = 28.0  # degrees, vertical: a normal lens, 48 mm on 35 mm film
 # Degrees to the left of where the character faces, and up. Guesses by eye.
 _DIRECTIONS = {"front": (0.0, 6.0), "side": (90.0, 6.0)}
 _DIRECTIONS |= dict.fromkeys(("three-quarter", "orbit", "follow"), (35.0, 12.0))
+_OVER = 35.0  # degrees up, from where sensors do not hide the person. A guess by eye
 CAMERAS = tuple(_DIRECTIONS)
 """Cameras that place themselves."""
 
@@ -91,6 +92,18 @@ def camera_path(
     angles = azimuth + 2.0 * np.pi * whole * np.arange(count) / count
     positions = target + away * np.stack([_direction(a, up) for a in angles])
     return CameraPath(positions, np.broadcast_to(target, positions.shape), _FOV)
+
+
+def camera_over(points: Array, sensors: Array, *, aspect: float) -> CameraPath:
+    """Return a camera that stays, and looks down from where most sensors look from.
+
+    It shows points [m] (N, 3), sensors [m] (S, 3) among them.
+    """
+    target = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    x, _, z = (sensors - np.median(points, axis=0)).mean(axis=0)
+    toward = _direction(np.arctan2(x, z), np.radians(_OVER))
+    target, away = _framed(points, target, toward, aspect)
+    return CameraPath((target + away * toward)[None], target[None], _FOV)
 
 
 def axes_toward(toward: Array) -> tuple[Array, Array]:

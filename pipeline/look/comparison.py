@@ -5,8 +5,10 @@ The take is brought to the clip: leveled, its floor at y = 0, frame for frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,20 +21,26 @@ from kinefilter.pipeline.failures import (
     told_failures,
     unmirrored,
 )
-from kinefilter.pipeline.formats import read_take
+from kinefilter.pipeline.formats import read_recording, read_take
 from kinefilter.pipeline.metrics import METRICS, measure
+from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.feet import feet_of
 from kinefilter.pipeline.target.floor import in_world, leveled, to_world
 from kinefilter.pipeline.target.upright import find_turn
 from kinefilter.retarget import find_yaw
 
 from .drawing import Drawing, read_finite_clip
+from .sensors import sensors_of
+
+if TYPE_CHECKING:
+    from kinefilter.pipeline.merge import Alignment, Merged
 
 _TRY = "give the take that the clip was made of"
 _SKEW = 1e-6  # s between stamps of the same frames: rounding
 _DRIFT = 0.1  # s between stamps and the constant rate of a file without them
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall is as large
 _ROUNDING = 1e-3  # m: some takes are kept in whole millimeters
+_HALF = 2.0**-11  # relative: USD keeps distances moved in half precision
 _APART = 0.1  # s, at most, between a frame and the measurement shown for it
 _LEAST_TILT = np.radians(1.5)  # a smaller tilt comes from what cleaning moved
 _STEPS = 8  # of Newton's method: each squares the error of the angle
@@ -43,7 +51,8 @@ class Comparison(Drawing):
     """A clip beside its measurement, with the metrics before and after cleaning.
 
     They are by their name in ``METRICS``, NaN where unknown. ``damage`` says in
-    sentences what was wrong with the take, when, and what was done about it.
+    sentences what was wrong with the take, when, and what was done about it, and what
+    is unsure of where its sensors are.
     """
 
     raw: Array
@@ -53,21 +62,36 @@ class Comparison(Drawing):
 
 
 def read_comparison(
-    clip_path: Path, take_path: Path, *, body: int | None = None
+    clip_path: Path,
+    *take_paths: Path,
+    body: int | None = None,
+    calibration: Sequence[Alignment] = (),
+    progress: Progress = silent,
 ) -> Comparison:
     """Read a clip and its take, of which ``body`` is the person, counted from 1.
 
-    Raises an InputError if one cannot be read, or they do not belong together.
+    The takes of several sensors are merged as they were for the clip, with the same
+    calibration. Raises an InputError if one cannot be read, or they do not belong
+    together.
     """
-    clip, take = read_finite_clip(clip_path), read_take(take_path, body=body)
+    clip, merged = read_finite_clip(clip_path), None
+    if len(take_paths) > 1:
+        from kinefilter.pipeline.merge import merge
+
+        takes = [read_recording(path) for path in take_paths]
+        merged = merge(takes, body=body, calibration=calibration, progress=progress)
+        take = merged.take
+    else:
+        take = read_take(take_paths[0], body=body)
     try:
-        return compare(clip, take)
+        return compare(clip, take, merged)
     except InputError as error:
-        raise InputError(f"{clip_path} with --take {take_path}: {error}") from None
+        given = " ".join(f"--take {path}" for path in take_paths)
+        raise InputError(f"{clip_path} with {given}: {error}") from None
 
 
-def compare(clip: Clip, take: Take) -> Comparison:
-    """Put a take where its clip is and measure both.
+def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
+    """Put a take, which may be one of several sensors, where its clip is; measure both.
 
     For both, feet stand where the clip has contacts. Repeated time stamps count once.
     Raises an InputError if the clip was not made from the take, does not say where its
@@ -85,8 +109,15 @@ def compare(clip: Clip, take: Take) -> Comparison:
         return {name: float(found[name]) for name in METRICS}
 
     before, after = figures(raw), figures(clip.positions)
-    damage = _damage(clip, raw, distinct)
-    return Comparison(clip=clip, raw=raw, damage=damage, before=before, after=after)
+    unsure = () if merged is None else merged.told()
+    return Comparison(
+        clip=clip,
+        raw=raw,
+        sensors=() if merged is None else sensors_of(merged, raw),
+        damage=(*_damage(clip, raw, distinct), *unsure),
+        before=before,
+        after=after,
+    )
 
 
 def _damage(clip: Clip, raw: Array, distinct: Flags) -> tuple[str, ...]:
@@ -279,6 +310,6 @@ def _disagreement(clip: Clip, measured: Array) -> Array:
     """
     away = np.linalg.norm(clip.positions - measured, axis=2)
     off = np.abs(away - clip.moved_by_correction)
-    off -= np.nan_to_num(clip.moved_by_physics)
+    off -= np.nan_to_num(clip.moved_by_physics) + _HALF * away
     off[1:][np.diff(clip.time) == 0.0] = np.nan
     return np.asarray(off)

@@ -5,10 +5,11 @@ Videos, the viewer and the report page all draw a ``Drawing`` in the same colors
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,13 @@ from kinefilter.characters.rotations import between, rotate
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip
 from kinefilter.pipeline.progress import Progress, silent
+
+from .sensors import Sensor, sensors_of
+
+if TYPE_CHECKING:
+    from kinefilter.pipeline.cleaner import CleanResult
+    from kinefilter.pipeline.formats import Recording
+    from kinefilter.pipeline.merge import Alignment, Merged
 
 Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
@@ -93,12 +101,14 @@ class StickFigure:
 class Drawing:
     """A clip and joint positions [m] that it was made from, in the clip's frame.
 
-    They are measured (NaN where missing) and before physics, shape (T, J, 3).
+    They are measured (NaN where missing) and before physics, shape (T, J, 3). Where
+    several sensors measured, ``sensors`` are these, and what they measured is merged.
     """
 
     clip: Clip
     raw: Array | None = None
     target: Array | None = None
+    sensors: tuple[Sensor, ...] = ()
 
     @property
     def simulated(self) -> bool:
@@ -107,7 +117,7 @@ class Drawing:
 
     @cached_property
     def figures(self) -> dict[str, StickFigure]:
-        """The stick figures by name: raw, cleaned (before physics) and physics."""
+        """Stick figures by name: raw, cleaned (before physics), physics, sensors."""
         clip = self.clip
         found = {}
         if self.raw is not None:
@@ -117,6 +127,10 @@ class Drawing:
             found["cleaned"] = StickFigure(clip.skeleton, before, CLEANED)
         if self.simulated:
             found["physics"] = StickFigure(clip.skeleton, clip.positions, PHYSICS)
+        for sensor in self.sensors:
+            found[sensor.name] = StickFigure(
+                sensor.skeleton, sensor.joints, sensor.color
+            )
         return found
 
     @property
@@ -125,8 +139,9 @@ class Drawing:
         names = ["skin", *self.figures, "contacts"]
         names += ["forces"] if self.simulated else []
         names += ["things"] if self.clip.props else []
-        # The skin shows where the figures are.
-        return {name: name not in ("cleaned", "physics") for name in names}
+        # The skin shows where the figures are, and forces would hide sensors' figures.
+        hidden = {"cleaned", "physics", *(("forces",) if self.sensors else ())}
+        return {name: name not in hidden for name in names}
 
     @property
     def raw_offset(self) -> Array:
@@ -157,12 +172,36 @@ def left_of(motion: Motion) -> Array:
 def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> Drawing:
     """Clean a take (``clean``) and keep its motion before correction and physics."""
     from kinefilter.pipeline.cleaner import clean
+
+    return _drawn(clean(take, config, progress=progress), take, config)
+
+
+def cleaned_session(
+    takes: Sequence[Take | Recording],
+    config: CleanConfig,
+    *,
+    body: int | None = None,
+    calibration: Sequence[Alignment] = (),
+    progress: Progress = silent,
+) -> tuple[Drawing, Merged]:
+    """Clean what several sensors recorded (``clean_session``), and keep them, too."""
+    from kinefilter.pipeline.merge import clean_session
+
+    result, merged = clean_session(
+        takes, config, body=body, calibration=calibration, progress=progress
+    )
+    return _drawn(result, merged.take, config, merged), merged
+
+
+def _drawn(
+    result: CleanResult, take: Take, config: CleanConfig, merged: Merged | None = None
+) -> Drawing:
     from kinefilter.pipeline.target.floor import in_world
 
-    result = clean(take, config, progress=progress)
+    raw = in_world(take, result.clip)
     target = result.target if config.physics else None
-    clip = result.clip
-    return Drawing(clip, in_world(take, clip), target)
+    sensors = () if merged is None else sensors_of(merged, raw)
+    return Drawing(result.clip, raw, target, sensors)
 
 
 def read_finite_clip(path: Path) -> Clip:

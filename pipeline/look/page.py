@@ -33,7 +33,8 @@ _FORM = re.compile(rf"\s*(\w+)\s*([<>])\s*({_NUMBER})\s*")
 _EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
 _TEMPLATE = Path(__file__).parent / "template"
 _SHARED = (_TEMPLATE / "page.css", _TEMPLATE / "drawing.js")  # by all pages
-_FILES = ("page.html", "arrays.js", "figures.js", "maps.js", "tables.js", "page.js")
+_SCRIPTS = ("arrays", "sensors", "figures", "maps", "tables", "session", "page")
+_FILES = ("page.html", *(f"{name}.js" for name in _SCRIPTS))
 _MISSING = -(2**15)  # of the int16 that a position is written as
 _FARTHEST = 2**15 - 1  # mm from the origin
 _NO_RATE = 255  # of the uint8 that reliability is written as, where it is unknown
@@ -191,6 +192,18 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
         ],
         "metrics": finite(metrics),
+        "sensors": [
+            {
+                "name": sensor.name,
+                "color": "#{:02x}{:02x}{:02x}".format(*sensor.color),
+                "edges": millimeters(sensor.edges).tolist(),
+                "joints": packed(millimeters(sensor.joints), "<i2"),
+                "residuals": packed(millimeters(sensor.residuals), "<i2"),
+                "shares": packed(sensor.shares * 100.0, "u1"),
+                "figures": finite(sensor.figures),
+            }
+            for sensor in comparison.sensors
+        ],
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import queue
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from kinefilter.pipeline.progress import Progress
 
 from .contact_editing import PARTS, ContactEdits, timeline_html
 from .drawing import Drawing
+from .sensors import Sensor
 from .viewer_scene import ViewerScene
 from .viewer_server import opened_server
 
@@ -187,7 +188,7 @@ class Viewer:
             self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
         shown = dict(drawing.layers)
         if "raw" in shown:
-            shown[_BESIDE] = True
+            shown[_BESIDE] = not drawing.sensors  # they are where the room has them
         shown[_SHADOWS] = True
         with gui.add_folder("Show"):
             self._boxes = {n: gui.add_checkbox(n, on) for n, on in shown.items()}
@@ -202,7 +203,7 @@ class Viewer:
         register(ask)
 
     def _look_at(self, drawing: Drawing) -> None:
-        self._clip = drawing.clip
+        self._clip, self._sensors = drawing.clip, drawing.sensors
         with self._server.atomic():
             self._scene = ViewerScene(self._server, drawing, self._edits)
         self._choose()
@@ -214,7 +215,7 @@ class Viewer:
             self._scene.show(frame)
             if self._asked.empty():  # or a slider that is being pulled would jump back
                 self._frame.value = frame + 1
-            self._status.content = status_html(self._clip, frame)
+            self._status.content = status_html(self._clip, frame, self._sensors)
             chosen = self._first_and_last
             self._picture.content = timeline_html(self._edits.contacts, frame, chosen)
             self._play.label = "Pause" if playing else "Play"
@@ -307,8 +308,8 @@ class Viewer:
         )
 
 
-def status_html(clip: Clip, frame: int) -> str:
-    """Return time, least reliable joint and external force of a frame as HTML."""
+def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
+    """Return time, least reliable joint, force and sensors of a frame as HTML."""
     seconds = clip.time[frame] - clip.time[0]
     rows = {"time": f"{seconds:.2f} s, frame {frame + 1} of {len(clip)}"}
     rates = clip.reliability[frame]
@@ -324,6 +325,17 @@ def status_html(clip: Clip, frame: int) -> str:
         f'<div style="opacity:0.6">{name}</div><div>{html.escape(text)}</div>'
         for name, text in rows.items()
     )
+    for sensor in sensors:
+        apart = sensor.residuals[frame]
+        seen = np.isfinite(apart)
+        text = "sees nobody"
+        if seen.any():
+            text = f"share {sensor.shares[frame].mean():.0%}, "
+            text += f"{np.median(apart[seen]) * 100.0:.1f} cm apart"
+        cells += (
+            f'<div style="font-weight:600;color:rgb{sensor.color};'
+            f'overflow-wrap:anywhere">{html.escape(sensor.name)}</div><div>{text}</div>'
+        )
     return (
         '<div id="status" style="display:grid;grid-template-columns:auto 1fr;'
         f'gap:1px 8px;font-size:12px;margin:2px 8px">{cells}</div>'

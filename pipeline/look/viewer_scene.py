@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -11,14 +11,14 @@ import viser
 from numpy.typing import NDArray
 
 from kinefilter.characters import Clip, Shape
-from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
-from .cameras import camera_path
+from .cameras import camera_over, camera_path
 from .contact_editing import ContactEdits
 from .drawing import Color, Drawing, StickFigure, left_of, segment_starts
+from .sensors import Sensor
 
 Update = Callable[[int], None]
 """Puts something where it is in a frame."""
@@ -37,6 +37,8 @@ _LEAST_FORCE = 0.01  # body weights: a shorter bar could not be seen
 _ASPECT = 1.0  # of the scene beside the panel, or more: there is room for a label
 _FRAMES = 1000  # at least, of a long motion, that the first view is to hold
 _ROOM = 0.15  # m between a joint and the skin's farthest point
+_EDGE = 0.012  # m, thickness of the edges of sensors' frusta
+_NAME, _TOGETHER = 0.2, 1.0  # m that names are lower, of sensors nearer than this
 _SKY = ((0.80, 0.86, 0.92), (0.97, 0.98, 0.99))  # overhead, at the horizon
 _SKY_ROWS = 64
 _FLOOR = 12.0  # m, the side of what catches shadows
@@ -52,11 +54,13 @@ class ViewerScene:
         scene = server.scene
         scene.reset()
         self._offset = drawing.raw_offset
-        self._sun = _set_stage(server, drawing.clip, self._offset)
+        self._sun = _set_stage(server, drawing)
         self._skin, update = _add_skin(scene, drawing.clip)
         self._layers: dict[str, Layer] = {"skin": (self._skin, update)}
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
+        _add_frusta(scene, drawing.sensors)
+        self._figures = {"cleaned", "physics", *(s.name for s in drawing.sensors)}
         self._layers["contacts"] = _add_contacts(scene, drawing.clip, edits)
         for name, add in (("forces", _add_force), ("things", _add_props)):
             if name in drawing.layers:
@@ -72,7 +76,7 @@ class ViewerScene:
         if "raw" in self._layers:
             self._layers["raw"][0].position = self._offset * beside
         apart = beside and self._offset.any()
-        inside = {"cleaned", "physics", *(() if apart else ("raw",))}
+        inside = self._figures | (set() if apart else {"raw"})
         self._skin.opacity = _TRANSLUCENT if self._shown & inside else None
 
     def show(self, frame: int) -> None:
@@ -115,6 +119,22 @@ def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
             joints.batched_colors = _bytes(now.joint_colors)
 
     return group, update
+
+
+def _add_frusta(scene: viser.SceneApi, sensors: Sequence[Sensor]) -> None:
+    """Add sensors to their figures, and names where they stand, under each other."""
+    for k, sensor in enumerate(sensors):
+        foot = sensor.edges[-1, 1]
+        away = [np.linalg.norm(foot - other.edges[-1, 1]) for other in sensors[:k]]
+        scene.add_line_segments(
+            f"/{sensor.name}/frustum", sensor.edges, sensor.color, thickness=_EDGE
+        )
+        scene.add_label(
+            f"/{sensor.name}/name",
+            sensor.name,
+            position=foot - [0.0, _NAME * sum(a < _TOGETHER for a in away), 0.0],
+            anchor="top-center",
+        )
 
 
 def _add_skin(scene: viser.SceneApi, clip: Clip) -> Layer:
@@ -188,9 +208,9 @@ def _add_force(scene: viser.SceneApi, clip: Clip) -> Layer:
 
 
 def _set_stage(
-    server: viser.ViserServer, clip: Clip, offset: Array
+    server: viser.ViserServer, drawing: Drawing
 ) -> viser.DirectionalLightHandle:
-    scene = server.scene
+    scene, clip = server.scene, drawing.clip
     scene.set_up_direction("+y")
     top, bottom = (np.array(color) for color in _SKY)
     share = np.linspace(0.0, 1.0, _SKY_ROWS)[:, None, None]
@@ -216,9 +236,15 @@ def _set_stage(
         "/sky", sky_color=(255,) * 3, ground_color=(190, 186, 180), intensity=1.7
     )
     some = clip.positions[:: max(1, len(clip) // _FRAMES)]
-    joints = np.concatenate([some, some + offset], axis=1)
+    joints = np.concatenate([some, some + drawing.raw_offset], axis=1)
     points = np.concatenate([joints + _ROOM, joints - _ROOM], axis=1)
-    camera = camera_path("front", clip, points, aspect=_ASPECT, rate=clip.fps)
+    if drawing.sensors:
+        edges = np.array([sensor.edges for sensor in drawing.sensors])
+        under = edges[:, -1, 1] - [0.0, _NAME * len(edges), 0.0]  # their names
+        points = np.vstack([some.reshape(-1, 3), edges.reshape(-1, 3), under])
+        camera = camera_over(points, edges[:, 0, 0], aspect=_ASPECT)
+    else:
+        camera = camera_path("front", clip, points, aspect=_ASPECT, rate=clip.fps)
     server.initial_camera.position, server.initial_camera.look_at = camera.at(0)
     server.initial_camera.fov = np.radians(camera.fov)
     front = camera.toward * [1.0, 0.0, 1.0]

@@ -12,6 +12,10 @@ for (const curve of report.curves) {
   curve.raw = unpacked(curve.raw, Float32Array);
   curve.clean = unpacked(curve.clean, Float32Array);
 }
+for (const sensor of report.sensors) {
+  for (const name of ["joints", "residuals"]) sensor[name] = unpacked(sensor[name], Int16Array);
+  sensor.shares = unpacked(sensor.shares, Uint8Array);
+}
 const frames = report.time.length, joints = report.joints.length;
 const duration = report.time[frames - 1];
 const span = duration + 1 / report.fps; // s that all frames last, the last one too

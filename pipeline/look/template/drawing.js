@@ -54,8 +54,8 @@ function projection({ yaw, pitch, zoom }, tall, shown, center, left, width, heig
   };
 }
 
-function drawFloor(context, project, center) {
-  const step = 500, count = 4;
+function drawFloor(context, project, center, count = 4) {
+  const step = 500;
   const [x, z] = [center[0], center[2]].map((v) => Math.round(v / step) * step);
   const far = step * count;
   context.strokeStyle = "#ccd2dc";

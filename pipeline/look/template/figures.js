@@ -76,7 +76,10 @@ function drawFigures(frame) {
       const points = drawFigure(context, project, report.clean, parents, frame, CLEAN);
       drawContacts(context, points, frame);
     }
-    if (raw) drawFigure(context, project, report.raw, parents, frame, RAW);
+    if (raw) {
+      drawFigure(context, project, report.raw, parents, frame, RAW);
+      drawSensorFigures(context, project, frame);
+    }
     context.fillStyle = "#1d2330";
     context.font = "600 15px system-ui, 'DejaVu Sans', sans-serif";
     context.fillText(name, left + 14, 26);

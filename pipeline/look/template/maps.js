@@ -126,7 +126,8 @@ function addMap(parent, map, go) {
 }
 
 function addCurve(parent, curve, go) {
-  const known = [...curve.raw, ...curve.clean].filter(isFinite).sort((a, b) => a - b);
+  const known = curve.lines.flatMap(([, values]) => [...values]).filter(isFinite)
+    .sort((a, b) => a - b);
   // Single leaps would press all else to the floor.
   const most = known.length ? 1.1 * known[Math.floor(0.995 * (known.length - 1))] : 1;
   const top = most || 1, tall = 150;
@@ -138,7 +139,7 @@ function addCurve(parent, curve, go) {
     context.fillText("0", LABELS - 6, tall);
     context.strokeStyle = "#d9dde5";
     context.strokeRect(LABELS + 0.5, 0.5, width - LABELS - 1, tall);
-    for (const [values, color] of [[curve.raw, "#d9731a"], [curve.clean, "#2a63b0"]]) {
+    for (const [, values, color] of curve.lines) {
       context.strokeStyle = color;
       context.lineWidth = 1.3;
       context.beginPath();
@@ -157,9 +158,9 @@ function addCurve(parent, curve, go) {
   const said = (value) => (isFinite(value) ? value.toPrecision(3) : "unknown");
   const tip = (share) => {
     const f = frameAt(report.time, share * span);
-    return `${clock(f)}\nraw ${said(curve.raw[f])}\nclean ${said(curve.clean[f])}`;
+    return [clock(f), ...curve.lines.map(([name, v]) => `${name} ${said(v[f])}`)].join("\n");
   };
-  return addPlot(parent, curve.name, [], tall + AXIS, draw, tip, go);
+  return addPlot(parent, curve.name, curve.legend || [], tall + AXIS, draw, tip, go);
 }
 
 function clock(frame) {

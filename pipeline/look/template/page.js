@@ -14,11 +14,11 @@ const tip = (k) =>
   `origin: ${word(report.origins, report.origin[k])}\n` +
   `moved by correction ${cm(report.correction[k])}, by physics ${cm(report.physics[k])}\n` +
   `may be off by ${cm(report.uncertainty[k])}`;
-const distanceMap = (title, name, hex, far = FAR) => ({
-  title, rows: report.joints, tip,
-  badness: (k) => report[name][k],
-  color: (k) => report[name][k] === MISSING ? [120, 120, 128]
-    : mixed(WHITE, rgb(hex), Math.min(report[name][k] / far, 1)),
+const distanceMap = (title, values, hex, far = FAR, said = tip) => ({
+  title, rows: report.joints, tip: said,
+  badness: (k) => values[k],
+  color: (k) => values[k] === MISSING ? [120, 120, 128]
+    : mixed(WHITE, rgb(hex), Math.min(values[k] / far, 1)),
   legend: [[WHITE, "0"], [hex, `${far / 10} cm or more`], ["#787880", "unknown"]],
 });
 const MAPS = [
@@ -36,9 +36,9 @@ const MAPS = [
       : mixed(rgb(TERM_COLORS[report.term[k]] || UNKNOWN), WHITE,
         report.reliability[k] / 100),
     legend: report.terms.map((name, k) => [TERM_COLORS[k] || UNKNOWN, name]) },
-  distanceMap("Uncertainty", "uncertainty", "#7b3fa0", 100),
-  distanceMap("Moved by correction", "correction", "#b45309"),
-  distanceMap("Moved by physics", "physics", "#0f6e6c"),
+  distanceMap("Uncertainty", report.uncertainty, "#7b3fa0", 100),
+  distanceMap("Moved by correction", report.correction, "#b45309"),
+  distanceMap("Moved by physics", report.physics, "#0f6e6c"),
   { title: "Contacts", rows: report.parts,
     tip: (k) => (report.contacts[k] ? "on the floor" : "in the air"),
     badness: (k) => -report.contacts[k],
@@ -54,13 +54,17 @@ const go = (to) => {
 };
 for (const map of MAPS) plots.push(addMap(document.getElementById("maps"), map, go));
 for (const curve of report.curves) {
-  plots.push(addCurve(document.getElementById("curves"), curve, go));
+  const lines = [["raw", curve.raw, "#d9731a"], ["clean", curve.clean, "#2a63b0"]];
+  const plot = { name: curve.name, lines };
+  plots.push(addCurve(document.getElementById("curves"), plot, go));
 }
+if (report.sensors.length) plots.push(...addSession(go));
 
 function show() {
   drawFigures(frame);
   scrubber.value = frame;
   document.getElementById("clock").textContent = `${clock(frame)} of ${frames}`;
+  if (report.sensors.length) drawRoom(frame);
   for (const plot of plots) plot.show(frame);
 }
 
@@ -109,6 +113,7 @@ document.addEventListener("keydown", (e) => {
   e.preventDefault();
 });
 turnByMouse(canvas, view, show);
+turnByMouse(room, roomView, show);
 window.addEventListener("resize", redraw);
 document.getElementById("source").textContent = report.source;
 document.getElementById("facts").textContent =
