@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -142,8 +141,7 @@ def test_a_page_has_what_each_sensor_saw(
     page = tmp_path / "report.html"
     takes = ["--take", files[0], "--take", files[1]]
     assert main(["report", files[2], *takes, "-o", str(page)]) == 0
-    text = page.read_text(encoding="utf-8")
-    found = json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])  # type: ignore[index]
+    found = _contents(page)
     _, merged = session
     for k, sensor in enumerate(found["sensors"]):
         shape = merged.residuals[k].shape
@@ -159,14 +157,18 @@ def test_a_page_has_what_each_sensor_saw(
         assert sensor["figures"]["source"].endswith(Path(files[k]).name)
 
 
+def _contents(page: Path) -> dict[str, Any]:
+    text = page.read_text(encoding="utf-8")
+    return json.loads(text.split('id="data">')[1].split("</script>")[0])
+
+
 def test_clean_and_report_write_the_same_sensors(
     files: list[str], tmp_path: Path
 ) -> None:
     page = tmp_path / "report.html"
     takes = ["--take", files[0], "--take", files[1]]
     assert main(["report", files[2], *takes, "-o", str(page)]) == 0
-    texts = [path.read_text(encoding="utf-8") for path in (page, Path(files[3]))]
-    ours, theirs = (re.search(r'"sensors":.*', text)[0] for text in texts)  # type: ignore[index]
+    ours, theirs = (_contents(path)["sensors"] for path in (page, Path(files[3])))
     assert ours == theirs
 
 
@@ -188,15 +190,36 @@ def test_takes_that_do_not_fit_the_clip_are_refused(
         assert not page.exists()
 
 
-def test_what_is_unsure_is_on_the_page(views: list[Any], tmp_path: Path) -> None:
-    """People who stand do not tell where the sensors are."""
-    paths = [tmp_path / "front.csv", tmp_path / "side.csv"]
+def test_people_who_stand_need_the_calibration_of_their_clip(
+    files: list[str],
+    views: list[Any],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without it the page says what is unsure."""
+    folder = tmp_path
+    paths = [str(folder / "front.csv"), str(folder / "side.csv")]
     for view, path in zip(views, paths, strict=True):
-        write_take_csv(_standing(view.pair.take), path)
-    page = tmp_path / "page.html"
-    clip = ["-o", str(tmp_path / "clip.npz"), "--method", "none", "--no-physics"]
-    assert main(["clean", *map(str, paths), *clip, "--report", str(page)]) == 0
-    assert "give a --calibration from another take" in page.read_text(encoding="utf-8")
+        write_take_csv(_standing(view.pair.take), Path(path))
+    known, page = str(folder / "known.json"), folder / "page.html"
+    clip, unsure = str(folder / "clip.npz"), folder / "unsure.html"
+    quick = ["--method", "none", "--no-physics"]
+    merged = ["-o", str(folder / "m.csv"), "--save-calibration", known]
+    assert main(["merge", *files[:2], *merged]) == 0
+    assert main(["clean", *paths, "-o", clip, *quick, "--report", str(unsure)]) == 0
+    told = "give a --calibration from another take"
+    assert told in unsure.read_text(encoding="utf-8")
+    assert main(["clean", *paths, "-o", clip, *quick, "--calibration", known]) == 0
+    takes = ["--take", paths[0], "--take", paths[1]]
+    capsys.readouterr()
+    assert main(["report", clip, *takes, "-o", str(page)]) == 2
+    assert "with its --calibration" in capsys.readouterr().err
+    with_it = ["--calibration", known]
+    assert main(["report", clip, *takes, *with_it, "-o", str(page)]) == 0
+    assert told not in page.read_text(encoding="utf-8")
+    shift = json.loads(Path(known).read_text())["sensors"][1]["shift_meters"]
+    away = _contents(page)["sensors"][1]["figures"]["away_meters"]
+    assert away == pytest.approx(np.linalg.norm(shift))
 
 
 def _standing(take: Take) -> Take:

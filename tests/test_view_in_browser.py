@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -20,8 +22,9 @@ from numpy.typing import NDArray
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look.drawing import Drawing, cleaned
-from kinefilter.pipeline.look.viewer import Viewer, opened_viewer
+from kinefilter.pipeline.lab.simulate import simulate_session
+from kinefilter.pipeline.look.drawing import Drawing, cleaned, cleaned_session
+from kinefilter.pipeline.look.viewer import CleanAgain, Viewer, opened_viewer
 from kinefilter.pipeline.progress import Progress
 
 WINDOW = {"size": (900, 640), "webgl": True}  # of the browser
@@ -59,12 +62,22 @@ def viewer(viewed: Drawing, saved: Path) -> Iterator[Viewer]:
         take = read_take(sample_path())
         return cleaned(take, CleanConfig(contacts=contacts), progress=progress)
 
-    with opened_viewer(viewed, saved, again=again) as opened:
+    with _running(viewed, saved, again) as opened:
+        yield opened
+
+
+@contextmanager
+def _running(
+    drawing: Drawing, saved: Path, again: CleanAgain | None = None
+) -> Iterator[Viewer]:
+    with opened_viewer(drawing, saved, again=again) as opened:
         work = threading.Thread(target=opened.run)
         work.start()
-        yield opened
-        opened.stop()
-        work.join()
+        try:
+            yield opened
+        finally:
+            opened.stop()
+            work.join()
 
 
 @pytest.fixture
@@ -175,3 +188,27 @@ def _connects(browser: Browser, address: str) -> bool:
     )
     words = f"viser-v{viser.__version__}"
     return bool(browser.run(script, address.replace("http:", "ws:"), words))
+
+
+def test_sensors_are_shown_where_they_stand_each_in_its_color(
+    browser: Browser, saved: Path
+) -> None:
+    views = simulate_session("basic", "walk", sensors=("v2", "v2"), seed=3)
+    takes = [
+        replace(view.pair.take, source=f"sensor.{name}.csv")
+        for view, name in zip(views, ("<i>", "b"), strict=True)
+    ]
+    drawing, _ = cleaned_session(takes, CleanConfig("none", physics=False))
+    with _running(drawing, saved) as viewer:
+        browser.open(viewer.address)
+        _wait(lambda: "2: sensor.b" in browser.run(_TEXT))
+        assert "1: sensor.<i>" in browser.run(_TEXT)
+        pixels = _seen(browser, lambda seen: _pinks(seen) > 100)
+        browser.run(_CHECK, "2: sensor.b")
+        _seen(browser, lambda seen: _pinks(seen) < 0.1 * _pinks(pixels))
+
+
+def _pinks(pixels: NDArray[np.float64]) -> int:
+    """Return how many pixels are as pink as what is of the second sensor."""
+    red, green, blue = np.moveaxis(pixels, 2, 0)
+    return int(((red > blue + 30.0) & (blue > green + 30.0)).sum())

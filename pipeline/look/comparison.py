@@ -87,7 +87,8 @@ def read_comparison(
         return compare(clip, take, merged)
     except InputError as error:
         given = " ".join(f"--take {path}" for path in take_paths)
-        raise InputError(f"{clip_path} with {given}: {error}") from None
+        same = "" if merged is None else ", in its order, with its --calibration"
+        raise InputError(f"{clip_path} with {given}: {error}{same}") from None
 
 
 def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
