@@ -44,8 +44,9 @@ class View:
 
     Prints the address of a page: play and scrub raw, cleaned and simulated motion,
     skin, contacts and forces, turn them with the mouse, edit when which part of a foot
-    stands, save that for clean --contacts, or clean again at once. Needs pip install
-    "kinefilter[view]".
+    stands, save that for clean --contacts, or clean again at once. Takes of several
+    sensors become one motion, as of clean, and the page shows where each sensor stands
+    and what it saw. Needs pip install "kinefilter[view]".
     """
 
     motion: Annotated[Positional[tuple[Path, ...]], arg(metavar="TAKE...|CLIP")]
@@ -59,8 +60,8 @@ class View:
     """Which person of the take, counted from 1; default: who is seen in most
     frames."""
     take: UseAppendAction[tuple[Path, ...]] = ()
-    """The take that a clip was made of, to see beside it. Of several sensors give
-    each, in the order of clean."""
+    """The take that a clip was made of, to see beside it; of several sensors each, in
+    the order of clean."""
     calibration: Path | None = None
     """Where and when several sensors are, as of 'merge --save-calibration'."""
     save_contacts: Path | None = None
@@ -230,15 +231,16 @@ class Report:
     """Show a clip beside its take in one web page, which needs no network.
 
     Raw and clean play side by side over reliability and origin of every joint,
-    contacts, distances moved, and the metrics, passed or failed. clean --report writes
-    it too.
+    contacts, distances moved, and the metrics, passed or failed; where there were
+    several sensors, also over where each stands, what it saw, how far that is from the
+    merged take, and how much of each joint is of it. clean --report writes it too.
     """
 
     clip: Positional[Path]
     """Clip: .npz, USD, .bvh or .csv."""
     take: UseAppendAction[tuple[Path, ...]]
-    """The take that the clip was made of. Of several sensors give each, in the order of
-    clean: where they stand, and how far apart their joints are, is on the page too."""
+    """The take that the clip was made of; of several sensors each, in the order of
+    clean."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Page to write, .html."""
     body: int | None = None
