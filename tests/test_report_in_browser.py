@@ -47,6 +47,7 @@ def test_a_page_plays_and_scrubs_without_network_and_errors(
     assert browser.run(_PIXELS) != scrubbed
     rows = "return document.querySelectorAll('#metrics .pass, #metrics .fail').length"
     assert browser.run(rows) == 8
+    assert browser.run("return document.getElementById('session').hidden")  # one sensor
     assert browser.console() == []
     assert set(browser.requests()) <= {page.as_uri(), "data:,"}
 
