@@ -23,7 +23,7 @@ from kinefilter.characters import KINECT_V2, InputError, State
 from kinefilter.characters.motion import check_order
 
 from .files import read_limited
-from .recording import Recording, Sighting, check_length, takes_of
+from .recording import Recording, Sighting, check_length, recording_of_people
 
 _LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with
 
@@ -112,8 +112,9 @@ def read_azure(source: str) -> Recording:
         "Azure Kinect: 32 joints taken for the 25 of Kinect v2, whose offsets they "
         "need not have; compare with --method local-pca"
     )
-    takes = takes_of(time, sightings, KINECT_V2, source)
-    return Recording(takes, "azure", "mm", (note,))
+    return recording_of_people(
+        time, sightings, KINECT_V2, source, "azure", unit="mm", notes=(note,)
+    )
 
 
 def _slim(value: dict[str, Any]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from .recording import (
     check_length,
     open_rows,
     recording_of,
-    takes_of,
+    recording_of_people,
 )
 from .rows import LineReader, RowReader
 
@@ -96,7 +96,7 @@ def read_ntu(source: str) -> Recording:
         if next(reader.filled(), None):
             reader.fail(f"goes on after {count} frames; correct row 1")
     time = np.arange(count) / _NTU_FRAMES_PER_SECOND
-    return Recording(takes_of(time, sightings, KINECT_V2, source), "ntu")
+    return recording_of_people(time, sightings, KINECT_V2, source, "ntu")
 
 
 @dataclass

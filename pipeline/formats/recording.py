@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise
 from pathlib import PurePath
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
 from kinefilter.characters import InputError, Skeleton, State, Take, unit_hint
 from kinefilter.characters.arrays import Array, Codes, shown
+from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.motion import nominal_step
 
 from .files import open_text
 from .plain import counted
+
+if TYPE_CHECKING:
+    from kinefilter.pipeline.people import Part, Track
 
 _Path = TypeVar("_Path", bound=PurePath)
 
@@ -31,10 +35,13 @@ _LARGEST_PERSON = 10.0  # m; no one spans that, in centimeters everyone does
 FARTHEST = 10_000.0  # m; no sensor sees that far, a damaged number may say so
 _FRAMES_MEASURED = 1000  # enough for a median
 FRAMES_AT_ONCE = 1000  # that are written: about a megabyte of text
-_AWAY, _NEAR = 2.0, 0.5
-"""A body that is new within this time [s] and distance [m] of where another was lost,
-the mean of the joints compared, is the same: half a stride. Guesses."""
 _FEWEST = 2  # frames of a person; what is seen once moves nothing
+_GHOST, _BRIEF = 0.02, 15
+"""Share of the frames of who is seen most, and frames, under which what is seen is a
+leap of the tracker and nobody. Guesses."""
+_TOLD = 5  # times of changes; of more their number says enough
+_OTHER = 0.1  # m between bodies of one time stamp that are not the same
+_SHARED = 0.1  # of the time stamps, from which on a table has several people's rows
 
 
 @dataclass(frozen=True)
@@ -119,14 +126,18 @@ def recording_of(
     layout: str,
     **known: Any,
 ) -> Recording:
-    """Return the recording of one person; raises InputError where it can be none.
+    """Return the recording of a table; raises InputError where it can be none.
 
     Time [s] is (T,), positions [m] are (T, J, 3), states (State) are (T, J); the rest
-    are fields of the take and of the recording.
+    are fields of the take and of the recording. Rows of one person, unless many have
+    the time stamp of another in another place: those are of several.
     """
     check_length(len(time), source)
     check_rate(time, source)
     positions, state = missing_marked(positions, state)
+    stamps, sightings = _sightings(time, positions, state)
+    if len(sightings) > (1.0 + _SHARED) * len(stamps):
+        return recording_of_people(stamps, sightings, skeleton, source, layout, **known)
     check_extent(positions, source)
     return Recording((Take(time, positions, state, skeleton, source),), layout, **known)
 
@@ -207,76 +218,113 @@ class Sighting:
     state: Codes  # tracking states (State), shape (J,)
 
 
-def takes_of(
-    time: Array, sightings: Sequence[Sighting], skeleton: Skeleton, source: str
-) -> tuple[Take, ...]:
-    """Return a take for every person, in the order in which they appear.
+def _sightings(
+    time: Array, positions: Array, state: Codes
+) -> tuple[Array, list[Sighting]]:
+    """Return distinct time stamps, and every body at each, numbered as they come."""
+    stamps, frames = np.unique(time, return_inverse=True)
+    if len(stamps) == len(time):
+        return stamps, []
+    known = ~np.isnan(positions[..., :1])
+    count = np.maximum(known.sum(axis=1), 1)
+    places = np.where(known, positions, 0.0).sum(axis=1) / count
+    found: list[Sighting] = []
+    rows: list[int] = []  # of the bodies at a time stamp
+    for row in np.flatnonzero(known.any(axis=(1, 2))).tolist():
+        if rows and frames[rows[0]] != frames[row]:
+            rows = []
+        if all(np.linalg.norm(places[row] - places[k]) > _OTHER for k in rows):
+            body = Sighting(int(frames[row]), len(rows), positions[row], state[row])
+            found.append(body)
+            rows.append(row)
+    return stamps, found
 
-    A person is the bodies of one number, and those that are new near to where and soon
-    after one was lost. A take goes from its person's first frame to the last. Sightings
-    are in the order of the frames, whose time stamps [s] have shape (T,). Raises
-    InputError if nobody is seen, a body is in a frame twice, or it is not a take.
+
+def recording_of_people(
+    time: Array,
+    sightings: Sequence[Sighting],
+    skeleton: Skeleton,
+    source: str,
+    layout: str,
+    *,
+    notes: tuple[str, ...] = (),
+    **known: Any,
+) -> Recording:
+    """Return the recording of several people, in the order in which they appear.
+
+    The tracker's numbers are no more than a hint at who is who (``people``). A take
+    goes from its person's first frame to the last, without long gaps. Sightings are in
+    the order of the frames, whose time stamps [s] have shape (T,). Raises InputError if
+    nobody is seen, a body is in a frame twice, or it is not a take.
     """
+    from kinefilter.pipeline.people import Track, people_of
+
     check_length(len(time), source)
     check_rate(time, source)
-    people = [p for p in _people(time, sightings, source) if len(p) >= _FEWEST]
+    bodies: dict[int, list[Sighting]] = {}
+    for sighting in sightings:
+        body = bodies.setdefault(sighting.body, [])
+        if body and body[-1].frame == sighting.frame:
+            raise InputError(
+                f"{source}: frame {sighting.frame + 1} has body {sighting.body} twice; "
+                "delete one of them"
+            )
+        body.append(sighting)
+    tracks, frames, states = [], [], []
+    for body in bodies.values():
+        frames.append(np.array([sighting.frame for sighting in body]))
+        positions, state = missing_marked(
+            np.array([sighting.positions for sighting in body]),
+            np.array([sighting.state for sighting in body]),
+        )
+        tracks.append(Track(time[frames[-1]], positions, skeleton))
+        states.append(state)
+    found = people_of(tracks)
+    counts = [sum(len(part.rows) for part in parts) for parts in found]
+    least = max(_FEWEST, min(_GHOST * max(counts, default=0), _BRIEF))
+    people = [p for p, count in zip(found, counts, strict=True) if count >= least]
     if not people:
         raise InputError(
             f"{source}: nobody is tracked for two frames or more; record again with "
             "the person in view"
         )
     takes = []
-    for number, person in enumerate(people, start=1):
+    for number, parts in enumerate(people, start=1):
         name = f"{source}, body {number}" if len(people) > 1 else source
-        frames = np.array([sighting.frame for sighting in person])
-        span = slice(frames[0], frames[-1] + 1)
-        positions = np.full((span.stop - span.start, len(skeleton), 3), np.nan)
+        seen = np.concatenate([frames[part.track][part.rows] for part in parts])
+        span = np.arange(seen[0], seen[-1] + 1)
+        last = seen[np.searchsorted(seen, span, "right") - 1]
+        gap = time[seen[np.searchsorted(seen, span)]] - time[last]
+        span = span[gap <= LONG_GAP]
+        rows = np.searchsorted(span, seen)
+        positions = np.full((len(span), len(skeleton), 3), np.nan)
         state = np.zeros(positions.shape[:2], dtype=np.uint8)
-        positions[frames - span.start], state[frames - span.start] = missing_marked(
-            np.array([sighting.positions for sighting in person]),
-            np.array([sighting.state for sighting in person]),
-        )
+        for values, given in (
+            (positions, [track.positions for track in tracks]),
+            (state, states),
+        ):
+            values[rows] = np.concatenate([given[p.track][p.rows] for p in parts])
         check_extent(positions, name)
         takes.append(Take(time[span], positions, state, skeleton, name))
-    return tuple(takes)
+    notes += tuple(_told(people, tracks))
+    return Recording(tuple(takes), layout, notes=notes, **known)
 
 
-def _people(
-    time: Array, sightings: Sequence[Sighting], source: str
-) -> list[list[Sighting]]:
-    tracks: dict[int, list[Sighting]] = {}
-    for sighting in sightings:
-        track = tracks.setdefault(sighting.body, [])
-        if track and track[-1].frame == sighting.frame:
-            raise InputError(
-                f"{source}: frame {sighting.frame + 1} has body {sighting.body} twice; "
-                "delete one of them"
-            )
-        track.append(sighting)
-    parts, pairs = list(tracks.values()), []
-    for (k, lost), (m, new) in product(enumerate(parts), repeat=2):
-        gap = time[new[0].frame] - time[lost[-1].frame]
-        if new[0].frame > lost[-1].frame and gap <= _AWAY:
-            away = float(np.linalg.norm(_place(new[0]) - _place(lost[-1])))
-            pairs += [(away, k, m)] * (away <= _NEAR)
-    after: dict[int, int] = {}
-    for _, k, m in sorted(pairs):
-        if k not in after and m not in after.values():
-            after[k] = m
-    people = []
-    for k in sorted(set(range(len(parts))) - set(after.values())):
-        people.append(list(parts[k]))
-        while k in after:
-            k = after[k]
-            people[-1] += parts[k]
-    return people
-
-
-def _place(sighting: Sighting) -> Array:
-    """Return the mean of the joints that are seen [m], NaN without one."""
-    positions, _ = missing_marked(sighting.positions, sighting.state)
-    known = positions[~np.isnan(positions[:, 0])]
-    return known.mean(axis=0) if len(known) else np.full(3, np.nan)
+def _told(people: Sequence[Sequence[Part]], tracks: Sequence[Track]) -> Iterator[str]:
+    """Yield where the tracker has taken one person for another."""
+    when = sorted(
+        float(tracks[part.track].time[part.rows[0]])
+        for parts in people
+        for last, part in pairwise(parts)
+        if last.track != part.track
+    )
+    if when:
+        some = ", ".join(f"{time:.1f}" for time in when[:_TOLD])
+        more = f" and {len(when) - _TOLD} more times" if len(when) > _TOLD else ""
+        yield (
+            f"the tracker's numbers of people change at {some} s{more}: people were "
+            "told apart by place, time and body lengths"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,26 +8,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.pipeline.checks import check_take
-from kinefilter.pipeline.cleaner import Cleaner
-from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
 
-from .alignment import Alignment, align
+from .alignment import Alignment
 from .fusion import Fused, Fusion, Sight
 from .lag import Clock, Track
+from .person import HERE, find_person
 from .rigid import Placement
 
-_TURNED, _SHIFTED = np.radians(8.0), 0.25
-"""Angle, and distance [m], by which a sensor may seem to have moved between two takes
-in which people went to and fro. Placements of the same sensor differ by up to 3 degrees
-and 0.1 m in two-kinects (p00 to p08)."""
 _NEAREST = 0.6  # of a frame: others of the same moment are no frames of their own
 
 
@@ -51,6 +44,8 @@ class Merged:
     """Each sensor's take of the person, with gross failures mended."""
     scores: tuple[Array, ...]
     """The reliability of those, (T, J) each."""
+    notes: tuple[str, ...] = ()
+    """What users should know about who is who."""
 
     def untangled(self) -> list[Take]:
         """Return each sensor's take with its sides as all sensors have them."""
@@ -103,6 +98,7 @@ class Merged:
 
     def told(self) -> Iterator[str]:
         """Yield what is unsure, and what to do about it."""
+        yield from self.notes
         for source, found in zip(self.sources[1:], self.alignments, strict=True):
             if not found.clock_is_sure:
                 yield (
@@ -129,8 +125,9 @@ def merge(
     Args:
         takes: What each sensor recorded, of a person or of everybody; the first one's
             clock and frame are those of the merged take.
-        body: Which person of the first recording, from 1; by default the main one. Of
-            the other recordings it is whoever moves most alike.
+        body: Which person of the first recording, from 1; by default the main one. In
+            the others it is whoever is there at the same time; sensors that do not see
+            the person are left out.
         calibration: Where and when the other sensors are, as far as these takes do not
             tell it.
         progress: Wraps the loop over frames, for a progress bar.
@@ -149,67 +146,9 @@ def merge(
             f"the calibration is of {len(calibration) + 1} sensors, and "
             f"{len(recordings)} takes are given; give them in its order"
         )
-    first, score = _scored(recordings[0].take(body))
-    mended, scores, alignments = [first], [score], []
-    for k, recording in enumerate(recordings[1:]):
-        known = calibration[k] if calibration else None
-        take, score, found = _same_person(first, recording, known)
-        begin, end = found.clock.undone(take.time[[0, -1]])
-        if not (begin < first.time[-1] and end > first.time[0]):
-            raise InputError(
-                f"{take.source}: is of another time than {first.source} by the clocks "
-                "of the calibration; leave --calibration out"
-            )
-        mended.append(take)
-        scores.append(score)
-        alignments.append(found)
-    return fuse(mended, scores, alignments, progress)
-
-
-def _scored(take: Take) -> tuple[Take, Array]:
-    """Return a take with gross failures mended, and its reliability (T, J)."""
-    check_take(take)
-    distinct = np.concatenate([[True], np.diff(take.time) > 0])
-    found = Cleaner(CleanConfig(tilt=0.0)).until("reliability").whole(take.at(distinct))
-    return found.take(), found.reliability
-
-
-def _same_person(
-    first: Take, recording: Recording, known: Alignment | None
-) -> tuple[Take, Array, Alignment]:
-    """Return the person of a recording who moves like that of the first take."""
-    found, refused = [], []
-    for take in recording.takes:
-        try:
-            other, score = _scored(take)
-            found.append((other, score, align(first, other)))
-        except InputError as error:
-            refused.append(error)
-    if found:
-        other, score, alike = max(found, key=lambda one: one[2].common)
-        return other, score, _checked(alike, known, other.source)
-    if known is None or len(recording.takes) > 1:
-        raise refused[0]
-    return *_scored(recording.take()), known
-
-
-def _checked(found: Alignment, known: Alignment | None, source: str) -> Alignment:
-    """Return an alignment, with what a calibration knows better."""
-    if known is None:
-        return found
-    if found.place_is_sure and found.clock_is_sure:
-        angle = (found.placed.turn * known.placed.turn.inv()).magnitude()
-        shift = np.linalg.norm(found.placed.shift - known.placed.shift)
-        if angle > _TURNED or shift > _SHIFTED:
-            raise InputError(
-                f"{source}: its sensor stands {np.degrees(angle):.0f} degrees and "
-                f"{shift:.2f} m away from where the calibration has it; it was moved, "
-                "so leave --calibration out"
-            )
-    clock = found.clock if found.clock_is_sure else known.clock
-    return found._replace(
-        clock=clock, placed=known.placed, likeness=np.inf, path=np.inf
-    )
+    person = find_person(recordings, body, calibration)
+    merged = fuse(person.takes, person.scores, person.alignments, progress)
+    return replace(merged, notes=person.notes)
 
 
 def fuse(
@@ -228,8 +167,7 @@ def fuse(
     """
     skeleton = max((take.skeleton for take in takes), key=len)
     time = _frames(takes, alignments)
-    origin = Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3))
-    places = [origin, *((found.clock, found.placed) for found in alignments)]
+    places = [HERE, *((found.clock, found.placed) for found in alignments)]
     columns = [
         _at(time, take, score, clock, placed, skeleton)
         for take, score, (clock, placed) in zip(takes, scores, places, strict=True)
