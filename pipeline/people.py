@@ -28,19 +28,23 @@ _LOST = 0.25  # s without a body, from which on it may be somebody else
 _LEAP, _FAST = 0.1, 3.0  # m, and m/s beyond it, that bodies do not move in a step
 _NEAR = 0.6  # m from each other at which bodies may be exchanged
 _END = 0.4  # s at either end of a piece that tell where a person comes from and goes
-_PLACE, _SPREAD, _ROOM = 0.08, 0.6, 1.5
+_PLACE, _SPREAD, _ROOM = 0.08, 0.6, 2.0
 """Deviation of where a person is from where they would be [m], how it grows [m/s], and
 at most: people come back anywhere."""
-_SPEED, _CHANGE = 0.4, 1.5  # the same of their velocity [m/s], and how it grows [m/s^2]
-_LENGTH, _BRIEF = 0.02, 0.03
-"""Deviation of a segment's length between two pieces [m], and what one of a second has
-more."""
-_TOGETHER = 3.0  # by which six lengths are off together count less than each by itself
-_STRANGER = 6.0  # what a piece may cost before it is of somebody new
+_SPEED, _CHANGE = (
+    0.25,
+    1.0,
+)  # the same of their velocity [m/s], and how it grows [m/s^2]
+_SIDES = ("Elbow", "Wrist", "Knee", "Ankle")
+_DEVIATIONS = np.array([0.024, 0.014, 0.02, 0.017, 0.02, 0.013, 0.03])
+"""Of these lengths, trunk, neck and how high the head is over the feet [m], between two
+pieces of a person."""
+_BRIEF = 1.0  # s of a piece whose lengths deviate by as much again
+_TOGETHER = 2.0  # lengths are off together: by this they count less than by themselves
+_STRANGER = 9.0  # what a piece may cost before it is of somebody new
 _ACROSS, _APART = 0.15, 0.8  # m by which sensors place one person apart; at most
 _ENOUGH = 300  # frames of a piece that are measured
 _IMPOSSIBLE = 1e6
-_SIDES = ("Elbow", "Wrist", "Knee", "Ankle")
 
 
 class Track(NamedTuple):
@@ -189,6 +193,9 @@ def _lengths(positions: Array, skeleton: Skeleton) -> Array:
     girdle = positions[:, skeleton.girdle]
     for joint in (skeleton.root, skeleton.index("Head")):
         columns.append(np.linalg.norm(positions[:, joint] - girdle, axis=1))
+    heights = positions[..., 1]
+    feet = np.fmin.reduce(heights[:, skeleton.sides("Ankle")], axis=1)
+    columns.append(heights[:, skeleton.index("Head")] - feet)
     return column_medians(np.stack(columns, axis=1))
 
 
@@ -256,6 +263,6 @@ def _of_another_body(person: Sequence[_Piece], piece: _Piece) -> float:
     whole = known.sum(axis=0)
     usual = (known * np.nan_to_num(lengths)).sum(axis=0) / np.maximum(whole, 1.0)
     seconds = [max(sum(p.end - p.start for p in some), 0.1) for some in (own, [piece])]
-    variance = _LENGTH**2 + _BRIEF**2 * sum(1.0 / s for s in seconds)
+    variance = _DEVIATIONS**2 * (1.0 + sum(_BRIEF / s for s in seconds))
     off = np.where(whole > 0.0, (piece.lengths - usual) ** 2 / variance, 0.0)
     return 0.5 * float(np.nansum(off)) / _TOGETHER

@@ -22,7 +22,8 @@ def made_up(
 ) -> Take:
     rng = np.random.default_rng(seed)
     place = np.array([0.8 * seed, 0.2, 2.5])
-    positions = place + rng.uniform(-0.5, 0.5, (frames, len(skeleton), 3))
+    shape = rng.uniform(-0.5, 0.5, (len(skeleton), 3))
+    positions = place + shape + rng.normal(0.0, 0.01, (frames, *shape.shape))
     state = rng.integers(1, 3, positions.shape[:2]).astype(np.uint8)
     return Take(np.arange(frames) / fps, positions, state, skeleton)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,13 @@ from text_files import write_text
 
 from kinefilter.characters import KINECT_V2, InputError, State, Take
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.formats import read_clip, read_recording, read_take, read_takes
+from kinefilter.pipeline.formats import (
+    read_clip,
+    read_recording,
+    read_take,
+    read_takes,
+    write_take_csv,
+)
 from kinefilter.pipeline.lab.simulate import simulate
 
 
@@ -48,9 +55,10 @@ def test_frames_that_lack_a_person_are_missing_in_their_take(tmp_path: Path) -> 
     np.testing.assert_array_equal(again.state, take.state)
 
 
-def moving(frames: int, start: float, speed: float) -> Take:
+def moving(frames: int, start: float, speed: float, size: float = 1.0) -> Take:
     """Return a body that moves along x at a speed [m/s] from a place [m]."""
-    shape = made_up(1).positions[0] - made_up(1).positions[0].mean(axis=0)
+    body = made_up(1).positions[0]
+    shape = size * (body - body.mean(axis=0))
     time = np.arange(frames) / 30.0
     path = np.stack([start + speed * time, 0.0 * time, 2.0 + 0.0 * time], axis=-1)
     state = np.full((frames, len(KINECT_V2)), State.TRACKED, dtype=np.uint8)
@@ -58,19 +66,83 @@ def moving(frames: int, start: float, speed: float) -> Take:
 
 
 @pytest.mark.parametrize(
-    ("gap", "jump", "people"), [(10, 0.3, 1), (10, 0.7, 2), (75, 0.3, 2)]
+    ("gap", "jump", "size", "people"),
+    [(10, 0.3, 1.0, 1), (75, 0.3, 1.0, 1), (10, 2.5, 1.0, 2), (75, 0.3, 1.6, 2)],
 )
-def test_a_body_that_comes_back_soon_and_near_is_the_same_person(
-    tmp_path: Path, gap: int, jump: float, people: int
+def test_who_comes_back_is_the_same_person_by_place_time_and_body_lengths(
+    tmp_path: Path, gap: int, jump: float, size: float, people: int
 ) -> None:
-    frames = 20 + gap + 20
-    before, after = moving(frames, 0.0, 0.0), moving(frames, jump, 0.0)
-    before = without(before, list(range(20, frames)))
-    after = without(after, list(range(20 + gap)))
+    """Nobody gets 2.5 m away in a third of a second, or grows by half."""
+    frames = 60 + gap + 60
+    before, after = moving(frames, 0.0, 0.0), moving(frames, jump, 0.0, size)
+    before = without(before, list(range(60, frames)))
+    after = without(after, list(range(60 + gap)))
     path = write_text(tmp_path / "a", ntu_text([before, after]))
+    recording = read_recording(path)
+    assert len(recording.takes) == people
+    count = (
+        60 if people == 2 else frames if gap == 10 else 120
+    )  # no frames in long gaps
+    assert len(recording.takes[0]) == count
+    told = " ".join(recording.notes)
+    assert ("numbers of people change" in told) == (people == 1)
+
+
+@pytest.mark.parametrize("far", [0.0, 0.35])
+def test_who_is_passed_stays_who_they_are(tmp_path: Path, far: float) -> None:
+    """The tracker exchanges the two, or loses both and gives them new numbers."""
+    frames, hidden = 120, list(range(54, 67)) if far == 0.0 else []
+    one, other = moving(frames, -2.0, 1.0), moving(frames, 2.0, -1.0)
+    other = replace(other, positions=other.positions + np.array([0.0, 0.0, far]))
+    one, other = without(one, hidden), without(other, hidden)
+    first, last = list(range(60)), list(range(60, frames))
+    bodies = [without(take, cut) for cut in (last, first) for take in (one, other)]
+    numbers = (1, 2, 3, 4)
+    if far:  # the same numbers, exchanged
+        a, b, c, d = bodies
+        bodies = [
+            replace(
+                a,
+                positions=np.where(np.isnan(a.positions), e.positions, a.positions),
+                state=np.maximum(a.state, e.state),
+            )
+            for a, e in ((a, d), (b, c))
+        ]
+        numbers = (1, 2)
+    path = write_text(tmp_path / "a", ntu_text(bodies, numbers))
     takes = read_takes(path)
-    assert len(takes) == people
-    assert len(takes[0]) == (frames if people == 1 else 20)
+    assert len(takes) == 2
+    for take, truth in zip(takes, (one, other), strict=True):
+        np.testing.assert_allclose(take.positions, truth.positions, atol=1e-9)
+
+
+def test_rows_of_one_time_in_two_places_are_two_people(tmp_path: Path) -> None:
+    """As in tables that a tracker of several sensors wrote: a row a body."""
+    one, other = moving(60, -1.0, 0.2), moving(60, 1.0, -0.2, 1.1)
+    both = Take(
+        np.repeat(one.time, 2),
+        np.stack([one.positions, other.positions], axis=1).reshape(120, -1, 3),
+        np.repeat(one.state, 2, axis=0),
+        KINECT_V2,
+    )
+    write_take_csv(both, tmp_path / "a.csv")
+    takes = read_takes(tmp_path / "a.csv")
+    assert len(takes) == 2
+    for take, truth in zip(takes, (one, other), strict=True):
+        np.testing.assert_allclose(take.positions, truth.positions, atol=1e-8)
+
+
+def test_a_frame_that_was_polled_twice_is_one_persons(tmp_path: Path) -> None:
+    take = moving(60, 0.0, 1.0)
+    twice = Take(
+        np.repeat(take.time, 2),
+        np.repeat(take.positions, 2, axis=0),
+        np.repeat(take.state, 2, axis=0),
+        KINECT_V2,
+    )
+    write_take_csv(twice, tmp_path / "a.csv")
+    (again,) = read_takes(tmp_path / "a.csv")
+    assert len(again) == 120
 
 
 def test_two_who_come_back_at_once_go_on_as_who_was_nearest(tmp_path: Path) -> None:

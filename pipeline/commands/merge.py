@@ -38,7 +38,9 @@ class Merge:
     sensor that has the largest share in it."""
     body: int | None = None
     """Which person of the first take, counted from 1; default: the one seen in most
-    frames. Of the other takes it is whoever moves most alike."""
+    frames. Who that is in the other takes, and who is who after people pass each other
+    or come back, is found by place, time and body lengths. Sensors that do not see the
+    person are left out; for somebody whom only one sensor sees, name its take first."""
     calibration: Path | None = None
     """Where and when the sensors are, from --save-calibration of another take of the
     session: for takes in which people stand. It is refused if a sensor was moved."""
