@@ -24,10 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from kinefilter.characters import KINECT_V2, Body, Motion
+from kinefilter.characters import KINECT_V2, Body, InputError, Motion
 from kinefilter.characters.rotations import about_y, multiply, rotate
 from kinefilter.pipeline.commands.terminal import out
+from kinefilter.pipeline.formats import read_recording
+from kinefilter.pipeline.lab.two_views import find_sessions
+from kinefilter.pipeline.merge import merge
 from kinefilter.pipeline.people import Track, people_of
+from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.scenes.library import perform, random_body
 from kinefilter.scenes.sensor import SENSORS, in_world_frame, observe
 
@@ -211,6 +215,36 @@ def tell(seeds: range, sensors: int, anywhere: bool) -> None:
     out.print(table)
 
 
+def tell_recorded(folder: Path) -> None:
+    """Print how people fare in sessions of pairs, of whom each file has both."""
+    headings = ("both see, %", "apart, cm", "over 40 cm, %", "fastest, m/s")
+    table = Table("session", "body", *headings, "thigh and shin off, %")
+    for session in find_sessions([folder], None):
+        recordings = [read_recording(path) for path in (session.first, session.second)]
+        if all(len(recording.takes) == 1 for recording in recordings):
+            continue
+        for body in range(1, 1 + len(recordings[0].takes)):
+            try:
+                merged = merge(recordings, body=body)
+            except InputError as refused:
+                table.add_row(session.name, str(body), str(refused)[-60:])
+                continue
+            take, root = merged.take, merged.take.skeleton.root
+            apart = np.linalg.norm(np.ptp(np.stack(merged.seen)[:, :, root], 0), axis=1)
+            known = ~np.isnan(apart)
+            places = take.positions[:, root, ::2]
+            speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(take.time)
+            legs = take.skeleton.sides("Knee") + take.skeleton.sides("Ankle")
+            leg = segment_lengths(take.positions, take.skeleton)[:, legs].mean(axis=1)
+            leg = leg[~np.isnan(leg)]
+            off = np.abs(leg / np.nanmedian(leg) - 1.0)
+            numbers = (100.0 * known.mean(), 100.0 * np.median(apart[known]))
+            jumps = (100.0 * np.mean(apart[known] > 0.4), np.nanmax(speed))
+            row = (*numbers, *jumps, 100.0 * np.nanmedian(off))
+            table.add_row(session.name, str(body), *(f"{x:.1f}" for x in row))
+    out.print(table)
+
+
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -219,7 +253,10 @@ def main() -> None:
     parser.add_argument("--anywhere", action="store_true")
     parser.add_argument("--recorded", type=Path)
     options = parser.parse_args()
-    tell(range(*options.seeds), options.sensors, options.anywhere)
+    if options.recorded is not None:
+        tell_recorded(options.recorded)
+    else:
+        tell(range(*options.seeds), options.sensors, options.anywhere)
 
 
 if __name__ == "__main__":

@@ -132,6 +132,13 @@ def test_rows_of_one_time_in_two_places_are_two_people(tmp_path: Path) -> None:
         np.testing.assert_allclose(take.positions, truth.positions, atol=1e-8)
 
 
+def test_a_clock_that_stands_still_makes_no_crowd(tmp_path: Path) -> None:
+    take = moving(60, 0.0, 1.0)
+    write_take_csv(replace(take, time=np.floor(take.time)), tmp_path / "a.csv")
+    (again,) = read_takes(tmp_path / "a.csv")
+    assert len(again) == 60
+
+
 def test_a_frame_that_was_polled_twice_is_one_persons(tmp_path: Path) -> None:
     take = moving(60, 0.0, 1.0)
     twice = Take(

@@ -40,7 +40,9 @@ _GHOST, _BRIEF = 0.02, 15
 """Share of the frames of who is seen most, and frames, under which what is seen is a
 leap of the tracker and nobody. Guesses."""
 _TOLD = 5  # times of changes; of more their number says enough
-_OTHER = 0.1  # m between bodies of one time stamp that are not the same
+_OTHER, _BESIDE = 0.1, 0.3
+"""Distance [m] of bodies of one time stamp that are not the same, and that nobody moves
+from one row to the next. Guesses."""
 _SHARED = 0.1  # of the time stamps, from which on a table has several people's rows
 
 
@@ -136,7 +138,7 @@ def recording_of(
     check_rate(time, source)
     positions, state = missing_marked(positions, state)
     stamps, sightings = _sightings(time, positions, state)
-    if len(sightings) > (1.0 + _SHARED) * len(stamps):
+    if sightings:
         return recording_of_people(stamps, sightings, skeleton, source, layout, **known)
     check_extent(positions, source)
     return Recording((Take(time, positions, state, skeleton, source),), layout, **known)
@@ -221,13 +223,17 @@ class Sighting:
 def _sightings(
     time: Array, positions: Array, state: Codes
 ) -> tuple[Array, list[Sighting]]:
-    """Return distinct time stamps, and every body at each, numbered as they come."""
+    """Return distinct time stamps, and every body at each, numbered as they come.
+
+    No body where rows of one time are of one person, who moves little from row to row.
+    """
     stamps, frames = np.unique(time, return_inverse=True)
-    if len(stamps) == len(time):
-        return stamps, []
     known = ~np.isnan(positions[..., :1])
     count = np.maximum(known.sum(axis=1), 1)
     places = np.where(known, positions, 0.0).sum(axis=1) / count
+    leaps = np.linalg.norm(np.diff(places, axis=0), axis=1) > _BESIDE
+    if np.sum(leaps & (np.diff(time) == 0)) <= max(_SHARED * len(stamps), _FEWEST):
+        return stamps, []
     found: list[Sighting] = []
     rows: list[int] = []  # of the bodies at a time stamp
     for row in np.flatnonzero(known.any(axis=(1, 2))).tolist():

@@ -65,6 +65,7 @@ def read_take(
 
     - ``kinefilter``: header ``time,Joint.x,Joint.y,Joint.z,Joint.state,...``, seconds
       and meters. An empty cell is missing; joints in any order; states may be left out.
+      Rows of one time in several places are several people.
     - ``kinect-v2``: no header, time in units of 100 ns, then x, y, z and state of the
       25 joints in the SDK's order. Time is counted from the first frame.
     - ``kinect-v1``: header of 20 joint names split by ``;``, then ``x y z`` per joint;
