@@ -232,6 +232,9 @@ def tell_recorded(folder: Path) -> None:
             take, root = merged.take, merged.take.skeleton.root
             apart = np.linalg.norm(np.ptp(np.stack(merged.seen)[:, :, root], 0), axis=1)
             known = ~np.isnan(apart)
+            if not known.any():
+                table.add_row(session.name, str(body), "one sensor sees them")
+                continue
             places = take.positions[:, root, ::2]
             speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(take.time)
             legs = take.skeleton.sides("Knee") + take.skeleton.sides("Ankle")

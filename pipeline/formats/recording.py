@@ -137,10 +137,10 @@ def recording_of(
     check_length(len(time), source)
     check_rate(time, source)
     positions, state = missing_marked(positions, state)
+    check_extent(positions, source)
     stamps, sightings = _sightings(time, positions, state)
     if sightings:
         return recording_of_people(stamps, sightings, skeleton, source, layout, **known)
-    check_extent(positions, source)
     return Recording((Take(time, positions, state, skeleton, source),), layout, **known)
 
 
@@ -283,6 +283,8 @@ def recording_of_people(
             np.array([sighting.positions for sighting in body]),
             np.array([sighting.state for sighting in body]),
         )
+        if state.any():
+            check_extent(positions, source)
         tracks.append(Track(time[frames[-1]], positions, skeleton))
         states.append(state)
     found = people_of(tracks)
