@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import MakeClip
 
-from kinefilter import read_take
-from kinefilter.characters import SKELETONS, InputError, Motion, State
+from kinefilter import read_take, write_clip
+from kinefilter.characters import (
+    KINECT_V2,
+    SKELETONS,
+    InputError,
+    Motion,
+    State,
+    standard_body,
+)
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.lab.recorded_acts import mocap_act
 from kinefilter.pipeline.lab.simulate import area_in_view, motion_for, simulate
 from kinefilter.pipeline.pairs import read_pairs
+from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.scenes import SCENES
 from kinefilter.scenes.library import perform, random_body
 from kinefilter.scenes.sensor import SENSORS, in_sensor_frame
@@ -129,3 +140,30 @@ def test_gaits_turn_before_they_leave_the_view(name: str, sensor: str) -> None:
         inside = SENSORS[sensor].in_view(place)
         assert inside[:, act.skeleton.root].all()
         assert inside.mean() > 0.95
+
+
+def test_mocap_is_performed_before_sensors(make_clip: MakeClip, tmp_path: Path) -> None:
+    """As it is, but in the middle of the room, and facing the first sensor."""
+    act = perform("wave", standard_body(KINECT_V2), seed=2)
+    made = make_clip(skeleton=KINECT_V2, time=act.time, body=act.body)
+    turned = HeadingFrame(np.array([30.0, 1.0, -7.0]), np.array(1.3))
+    path = tmp_path / "wave.bvh"
+    root = turned.restore(act.root)
+    turns = turned.restore_rotations(act.rotations)
+    write_clip(replace(made, root=root, rotations=turns), path)
+    found = mocap_act(path, KINECT_V2, 30.0)
+    np.testing.assert_allclose(found.body.lengths, act.body.lengths, atol=0.01)
+    hip = KINECT_V2.hips[0]
+    postures = [x.positions - x.positions[:, [hip]] for x in (found, act)]
+    facing = HeadingFrame(
+        np.zeros(3), find_yaw(act.positions[0], np.ones(25), KINECT_V2)
+    )
+    away = np.linalg.norm(
+        postures[0] - facing.remove(postures[1])[: len(found)], axis=2
+    )
+    assert np.median(away) < 0.01
+    assert found.positions[..., 1].min() == pytest.approx(0.0, abs=0.1)
+    assert np.abs(found.root[:, [0, 2]]).max() < 0.5
+    pair = simulate("basic", str(path), seed=1)
+    apart = np.linalg.norm(pair.take.positions - pair.truth, axis=2)
+    assert 0.005 < np.nanmedian(apart) < 0.15

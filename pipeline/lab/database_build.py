@@ -90,7 +90,7 @@ def _truths(
             )
         people.add(pair.subject)
         truth = pair.truth[::_EVERY_OTHER]
-        truth = truth[_whole(truth)]
+        truth = truth[whole_frames(truth)]
         if not len(truth):
             continue
         missing = np.asarray(np.isnan(truth).any(axis=2))
@@ -157,17 +157,11 @@ def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     """Return the normalized postures of mocap, 30 a second."""
     motion = kinect_motion(mocap, skeleton, RIGS)
     positions, step = motion.positions, 1.0 / POSTURES_PER_SECOND
-    whole = _whole(positions)
+    whole = whole_frames(positions)
     frames = np.flatnonzero(whole)[:: max(1, round(step / mocap.frame_time))]
     if not len(frames):
         raise InputError(f"{mocap.source}: no frame has all joints; give whole bodies")
-    lengths = column_medians(segment_lengths(positions, skeleton))
-    ends, average = skeleton.segments, standard_body(skeleton)
-    # Meters per unit of the file; mocap's own lengths are taken as they are.
-    with np.errstate(divide="ignore"):  # some rigs have joints at the same place
-        unit = np.nanmedian(average.lengths[ends] / lengths[ends])
-    known = unit * lengths > 1e-3
-    body = replace(average, lengths=np.where(known, unit * lengths, average.lengths))
+    unit, body = mocap_body(positions, skeleton)
     prior = None
     if motion.turns is not None and whole[0]:
         prior = _since_t_pose(motion.turns, positions[0], body)
@@ -175,7 +169,21 @@ def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
     return standard_postures(unit * positions[frames], prior, body)
 
 
-def _whole(positions: Array) -> Flags:
+def mocap_body(positions: Array, skeleton: Skeleton) -> tuple[float, Body]:
+    """Return the meters per unit of a file, and the body of who moves in it.
+
+    Mocap's own lengths are taken as they are; joints are (T, J, 3).
+    """
+    lengths = column_medians(segment_lengths(positions, skeleton))
+    ends, average = skeleton.segments, standard_body(skeleton)
+    with np.errstate(divide="ignore"):  # some rigs have joints at the same place
+        unit = float(np.nanmedian(average.lengths[ends] / lengths[ends]))
+    known = unit * lengths > 1e-3
+    lengths = np.where(known, unit * lengths, average.lengths)
+    return unit, replace(average, lengths=lengths)
+
+
+def whole_frames(positions: Array) -> Flags:
     """Return the frames that have every joint the motion ever has, shape (T,).
 
     Joints that it never has are put in their rest positions later.

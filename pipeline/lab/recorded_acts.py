@@ -8,10 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import KINECT_V1, Motion, State, Take
+from kinefilter.characters import KINECT_V1, InputError, Motion, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.retarget import measured_body, rotations_from_positions
+from kinefilter.pipeline.target.floor import clearances
+from kinefilter.retarget import (
+    HeadingFrame,
+    find_yaw,
+    measured_body,
+    rotations_from_positions,
+)
+from kinefilter.retarget.orientation import hang_missing
 from kinefilter.scenes.sensor import (
     Sensor,
     Tracker,
@@ -19,6 +27,8 @@ from kinefilter.scenes.sensor import (
     in_world_frame,
     observe,
 )
+
+from .database_build import mocap_body, whole_frames
 
 DISTANCE = 2.5
 """Distance [m] from the Kinect at which ui-prmd's people stand."""
@@ -80,6 +90,45 @@ def _observed(pair: Pair, tracker: Tracker) -> Take:
     person = int(pair.clip[5:7])
     seed = sum(map(ord, pair.clip)) * 1000 + person
     return observe(pair.act, seed=seed, sensor=_SENSOR, person=person, tracker=tracker)
+
+
+def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
+    """Return the motion of a mocap file, in the middle of the world's floor.
+
+    The body is that of the recording, on another skeleton. It faces +z to begin with.
+
+    Args:
+        path: A file that ``database build`` reads, such as one of CMU's.
+        skeleton: The joints of the motion; those that the file has not hang at rest.
+        fps: Frames a second, between which joints go straight.
+
+    Raises:
+        InputError: It is no mocap, of unknown joints, or has too few whole frames.
+    """
+    mocap = read_mocap(path)
+    positions = kinect_motion(mocap, skeleton, RIGS).positions
+    unit, body = mocap_body(positions, skeleton)
+    whole = whole_frames(positions)
+    stamps = mocap.frame_time * np.flatnonzero(whole)
+    if len(stamps) < 2:
+        raise InputError(f"{path}: no two frames have all joints; give whole bodies")
+    flat = unit * positions[whole].reshape(len(stamps), -1)
+    time = np.arange(stamps[0], stamps[-1], 1.0 / fps)
+    even = np.stack([np.interp(time, stamps, column) for column in flat.T], axis=1)
+    joints = even.reshape(len(time), len(skeleton), 3)
+    joints = hang_missing(joints, body)
+    yaw = find_yaw(joints[0], np.ones(len(skeleton)), skeleton)
+    joints = HeadingFrame(np.zeros(3), np.nan_to_num(yaw)).remove(joints)
+    joints -= 0.5 * (joints.min(axis=(0, 1)) + joints.max(axis=(0, 1)))
+    joints[..., 1] -= (joints[..., 1] - clearances(body)).min()
+    turns = rotations_from_positions(joints, body)
+    return Motion(
+        time=time - time[0],
+        body=body,
+        root=joints[:, skeleton.root],
+        rotations=turns,
+        source=path.name,
+    )
 
 
 def _completed(mocap: Array) -> Array:

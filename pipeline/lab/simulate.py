@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinefilter.characters import SKELETONS, InputError, Motion, State, Take
+from kinefilter.characters import SKELETONS, Body, InputError, Motion, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.merge.lag import Clock
@@ -24,6 +24,8 @@ from kinefilter.scenes.sensor import (
     in_sensor_frame,
     observe,
 )
+
+from .recorded_acts import mocap_act
 
 _IN_SCENE = {
     "basketball": "basketball",
@@ -75,7 +77,7 @@ def simulate(
 
     Args:
         scene: One of ``SCENES``, or the path of an MJCF file.
-        motion: One of ``MOTIONS``.
+        motion: One of ``MOTIONS``, or the path of a mocap file.
         sensor: One of ``SENSORS``.
         skeleton: Name of the take's skeleton; by default the sensor's own (for Azure
             Kinect, Kinect v2's).
@@ -91,16 +93,14 @@ def simulate(
     Raises:
         InputError: An unknown scene, motion, sensor, skeleton or tracker.
     """
-    for name, known in ((motion, MOTIONS), (sensor, tuple(SENSORS))):
-        if name not in known:
-            raise InputError(f"unknown name {name!r}; known: {', '.join(known)}")
+    if sensor not in SENSORS:
+        raise InputError(f"unknown name {sensor!r}; known: {', '.join(SENSORS)}")
     room = load_scene(scene)
     person = seed if person is None else person
-    body = random_body(
-        SKELETONS[skeleton or _SKELETON[sensor]], np.random.default_rng(person)
-    )
+    joints = SKELETONS[skeleton or _SKELETON[sensor]]
+    body = random_body(joints, np.random.default_rng(person))
     area = area_in_view(SENSORS[sensor], body.height) if stay_in_view else None
-    act = perform(motion, body, seed=seed, within=area)
+    act = _performed(motion, body, seed, 30.0, area)
     take = observe(
         act,
         seed=seed,
@@ -111,8 +111,21 @@ def simulate(
         tracker=tracker,
     )
     truth = _truth(act, take, SENSORS[sensor])
-    stem = f"{Path(scene).stem}_{motion}_{sensor}"
+    stem = f"{Path(scene).stem}_{_named(motion)}_{sensor}"
     return PairedTake(take, truth, f"person {person}", f"{stem}_e{seed:02d}")
+
+
+def _performed(
+    motion: str, body: Body, seed: int, fps: float, within: Area | None
+) -> Motion:
+    """Return what a person does, or somebody else did before a mocap system."""
+    if motion in MOTIONS or not Path(motion).suffix:
+        return perform(motion, body, seed=seed, fps=fps, within=within)
+    return mocap_act(Path(motion), body.skeleton, fps)
+
+
+def _named(motion: str) -> str:
+    return Path(motion).name.partition(".")[0]
 
 
 def _truth(act: Motion, take: Take, sensor: Sensor) -> Array:
@@ -150,7 +163,7 @@ def simulate_session(
 
     Args:
         scene: One of ``SCENES``, or the path of an MJCF file.
-        motion: One of ``MOTIONS``.
+        motion: One of ``MOTIONS``, or the path of a mocap file.
         sensors: Some of ``SENSORS``; the person faces the first.
         degrees: Angle at which each next sensor stands, around the person.
         seed: Draws person, performance, errors, places and clocks.
@@ -160,7 +173,7 @@ def simulate_session(
     for k, name in enumerate(sensors):
         body = random_body(SKELETONS[_SKELETON[name]], np.random.default_rng(seed))
         area = Area(_AMONG, _AMONG)
-        whole = perform(motion, body, seed=seed, fps=30.0 * count, within=area)
+        whole = _performed(motion, body, seed, 30.0 * count, area)
         act = whole.at(slice(k, None, count))
         poses = {prop: rows[k::count] for prop, rows in prop_poses(room, whole).items()}
         sensor = replace(
@@ -180,7 +193,7 @@ def simulate_session(
         truth = _truth(act, seen, sensor)
         clock = Clock(0.0, rng.uniform(0.0, 3600.0), rng.uniform(-1e-4, 1e-4))
         take = replace(seen, time=clock.at(act.time[0] + seen.time))
-        clip = f"{Path(scene).stem}_{motion}_{name}_e{seed:02d}_sensor{k + 1}"
+        clip = f"{Path(scene).stem}_{_named(motion)}_{name}_e{seed:02d}_sensor{k + 1}"
         pair = PairedTake(take, truth, f"person {seed}", clip)
         views.append(SimulatedView(pair, sensor, clock))
     return views

@@ -31,7 +31,9 @@ class Simulate:
     """What the person does, such as walk, tai_chi or lift_box; default: what fits the
     scene. People squat, lunge, step_over, sit and raise_leg in everyday life;
     deep_squat, inline_lunge, hurdle_step, sit_to_stand and leg_raise are exercises,
-    often done wrong. Who walks, runs, marches or carries stays in the sensor's view."""
+    often done wrong. Who walks, runs, marches or carries stays in the sensor's view.
+    Or a mocap file (BVH, AMC, C3D or TRC with joint centers), whose motion the sensors
+    see from the middle of the room."""
     sensor: Literal["v1", "v2", "azure"] = "v2"
     """Which Kinect records."""
     tracker: Literal["model", "depth"] = "model"
