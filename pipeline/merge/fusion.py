@@ -1,10 +1,10 @@
 """One skeleton of what several sensors see of a person at a moment.
 
 Each joint is the weighted mean of where the sensors put it. A sensor counts by the
-reliability of the joint, and the less the more it sees the person from the side. Each
-sensor's own constant misplacement of a joint is learned on the way and taken off.
-Errors along the line of sight are no larger than across it, on UI-PRMD's people as in
-the virtual Kinect.
+reliability of the joint, and the less the more it sees the person from the side, least
+of all for the limbs behind the body. Each sensor's own constant misplacement of a joint
+is learned on the way and taken off. Errors along the line of sight are no larger than
+across it, on UI-PRMD's people as in the virtual Kinect.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .sides import Sides
 
 # Chosen on simulated people (seeds 40 to 55 and 140 to 153) and on p00 to p08 of
-# two-kinects; hardly anything depends on them but the first, and the last two of the
-# exchange.
-_BESIDE = 3.5  # exponent of the share by which a sensor beside the person counts less
+# two-kinects; hardly anything depends on them but the first two.
+_BESIDE = 2.0  # exponent by which a sensor at right angles to the person counts less
+_BEHIND = 2.0  # and by which it counts less again for a limb behind the body
 _INFERRED = 0.3  # reliability at most of what a sensor only guesses
 _LEAST = 1e-3  # reliability of what a sensor gives at all
 _BLEND = 0.08  # s in which weights follow
@@ -72,6 +73,11 @@ class Fusion:
     def __init__(self, skeleton: Skeleton, sensors: int) -> None:
         self._skeleton, self._mirror = skeleton, np.array(skeleton.mirror)
         self._sides = Sides(skeleton, sensors)
+        left, right = (
+            np.array([joint.endswith(side) for joint in skeleton.joints], dtype=float)
+            for side in SIDES
+        )
+        self._side = left - right
         self._shape = (sensors, len(skeleton))
         self._offsets = np.zeros((*self._shape, 3))
         self._known = np.zeros(self._shape)
@@ -132,9 +138,10 @@ class Fusion:
         most = np.where(state == State.INFERRED, _INFERRED, 1.0)
         reliability = np.where(missing, 0.0, np.clip(given, _LEAST, most))
         seen = np.where(missing[..., None], 0.0, seen)
-        beside = np.abs(np.sin(np.nan_to_num(angle - self._yaw)))[:, None]
+        across = np.sin(np.nan_to_num(angle - self._yaw))[:, None]
+        doubt = _BESIDE * np.abs(across) + _BEHIND * np.maximum(-across * self._side, 0)
         placed = seen - self._heading.restore(self._offsets)
-        weights = reliability * np.exp(-_BESIDE * beside)
+        weights = reliability * np.exp(-doubt)
         share = 1.0 - np.exp(-elapsed / _BLEND)
         both = (self._weights > 0.0) & (weights > 0.0)
         weights = np.where(
