@@ -124,7 +124,14 @@ _USED = {
     "gap": ("55%", "0.2", "5%", "200%", "x"),
     "count": ("20", "2", "1", "10000000"),
     "speed": ("1000", "1e9", "50", "0", "nan", "inf"),
-    "source": ("-", "-", "udp://127.0.0.1:0", "ws://127.0.0.1:0", "udp://h:99999", "x"),
+    "sources": (
+        "-",
+        "-",
+        "udp://127.0.0.1:0",
+        "ws://127.0.0.1:0",
+        "udp://h:99999",
+        "x",
+    ),
     "bind": ("127.0.0.1", "127.0.0.1", "127.0.0.2", "192.0.2.1", "x y"),
     "port": ("0", "0", "-1", "65536"),
     "origin": ("https://studio.example", "x"),
@@ -177,7 +184,7 @@ _INSTEAD = {
     "evaluate": "--hide",
 }
 _OUT_OF_ALL = ("reproduce", "--out")
-_FLAGS = {"start": "from", "config_file": "config", "source": "in"}
+_FLAGS = {"start": "from", "config_file": "config", "sources": "in"}
 _ENDED_AFTER = 0.5  # s; what would otherwise go on until Ctrl-C
 _ODD = st.characters(exclude_categories=["Cs"], exclude_characters="/\0{}")
 
@@ -283,6 +290,9 @@ def _option(name: str, field: str, hint: Any) -> Strategy:
         return st.just(["--quick"])
     if hint is bool:
         return st.sampled_from([[f"--{flag}"], [f"--{flag}"], [f"--no-{flag}"]])
+    if field == "sources":  # each by a flag of its own
+        words = _values(name, field, hint)
+        return words.map(lambda given: [w for word in given for w in ("--in", word)])
     return _values(name, field, hint).map(lambda words: [f"--{flag}", *words])
 
 

@@ -32,10 +32,11 @@ def sample_frame(row: int, *bodies: str, time: float | None = None) -> Frame:
     return Frame(row / 30.0 if time is None else time, seen)
 
 
-def config(*out: str, source: str = UDP, **others: Any) -> LiveConfig:
+def config(*out: str, source: str | tuple[str, ...] = UDP, **others: Any) -> LiveConfig:
     """Return a session of the sample's skeleton."""
     others = {"height": 1.8, **others}
-    return LiveConfig(source, out or (WS,), skeleton="kinect_v1", **others)
+    sources = (source,) if isinstance(source, str) else source
+    return LiveConfig(sources, out or (WS,), skeleton="kinect_v1", **others)
 
 
 def do(work: Coroutine[Any, Any, None]) -> None:

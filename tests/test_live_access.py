@@ -144,16 +144,16 @@ def test_what_is_no_certificate_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("what", "words"),
     [
-        (LiveConfig("udp://0.0.0.0:1", ("-",)), "--bind 0.0.0.0"),
-        (LiveConfig("http://x:1", ("-",)), "udp://HOST:PORT"),
-        (LiveConfig("vmc://127.0.0.1:1", ("-",)), "udp://HOST:PORT"),
-        (LiveConfig("-", ("udp://127.0.0.1:1",)), "vmc://HOST:PORT"),
-        (LiveConfig("-", ("wss://127.0.0.1:1",)), "--certificate"),
-        (LiveConfig("-", ()), "--out"),
-        (LiveConfig("-", ("-",), bodies=0), "--bodies 0"),
-        (LiveConfig("-", ("-",), height=175.0), "outside 0.3 to 3 m"),
-        (LiveConfig("-", ("-",), mass=1e9), "mass"),
-        (LiveConfig("-", ("-",), scene="nowhere"), "nowhere"),
+        (LiveConfig(("udp://0.0.0.0:1",), ("-",)), "--bind 0.0.0.0"),
+        (LiveConfig(("http://x:1",), ("-",)), "udp://HOST:PORT"),
+        (LiveConfig(("vmc://127.0.0.1:1",), ("-",)), "udp://HOST:PORT"),
+        (LiveConfig(("-",), ("udp://127.0.0.1:1",)), "vmc://HOST:PORT"),
+        (LiveConfig(("-",), ("wss://127.0.0.1:1",)), "--certificate"),
+        (LiveConfig(("-",), ()), "--out"),
+        (LiveConfig(("-",), ("-",), bodies=0), "--bodies 0"),
+        (LiveConfig(("-",), ("-",), height=175.0), "outside 0.3 to 3 m"),
+        (LiveConfig(("-",), ("-",), mass=1e9), "mass"),
+        (LiveConfig(("-",), ("-",), scene="nowhere"), "nowhere"),
     ],
 )
 def test_what_cannot_run_is_refused_before_anything_listens(

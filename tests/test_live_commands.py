@@ -136,10 +136,10 @@ def test_the_commands_of_the_readme_are_possible() -> None:
     following = tyro.cli(Live, args=live[2:])
     session = Session(replace(following.config, record=None), following.access)
     ends = session.endpoints
-    schemes = [place.scheme for place in (ends.source, *ends.targets)]
+    schemes = [place.scheme for place in (*ends.sources, *ends.targets)]
     assert schemes == ["udp", "vmc", "ws"]
     sending = tyro.cli(Replay, args=replay[2:])
-    assert str(ends.source) == sending.out
+    assert str(ends.sources[0]) == sending.out
 
 
 @pytest.mark.parametrize(
@@ -164,10 +164,10 @@ def test_a_token_is_printed_where_nobody_knows_it_yet(
     secret = tmp_path / "token"
     secret.write_text("0123456789abcdef", encoding="utf-8")
     access = AccessConfig(bind, secret if given else None)
-    live = Live(LiveConfig("udp://127.0.0.1:1", (out,)), access)
+    live = Live(LiveConfig(("udp://127.0.0.1:1",), (out,)), access)
     session = Session(live.config, live.access)
     ends = session.endpoints
-    live._print_places(session, [ends.source, *ends.targets])
+    live._print_places(session, [*ends.sources, *ends.targets])
     said = capsys.readouterr().err
     assert ("\ntoken " in said) is told
     assert "0123456789abcdef" not in said
@@ -191,7 +191,7 @@ def test_each_way_of_asking_to_end_is_heard_and_then_forgotten(name: str) -> Non
 
 
 def test_status_and_summary_tell_what_happened() -> None:
-    session = Session(LiveConfig("-", ("-",), skeleton="kinect_v1"))
+    session = Session(LiveConfig(("-",), ("-",), skeleton="kinect_v1"))
     session.receive(format_frame(sample_frame(0)))
     session.receive("nonsense")
     session.tally.count(Event.POSES)

@@ -117,7 +117,7 @@ def test_there_is_room_for_as_many_as_allowed_and_ids_do_not_pile_up() -> None:
 
 
 def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> None:
-    person = Person(LiveConfig("-", ("-",), skeleton="kinect_v1"))
+    person = Person(LiveConfig(("-",), ("-",), skeleton="kinect_v1"))
     poses = []
     for row in range(60):
         (seen,) = sample_frame(row).bodies
@@ -134,7 +134,7 @@ def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> N
 
 
 def test_who_is_half_hidden_is_measured_after_three_seconds_all_the_same() -> None:
-    person = Person(LiveConfig("-", ("-",), skeleton="kinect_v1"))
+    person = Person(LiveConfig(("-",), ("-",), skeleton="kinect_v1"))
     legs = [
         KINECT_V1.index(f"{j}{s}")
         for j in ("Knee", "Ankle", "Foot", "Hip")

@@ -41,7 +41,11 @@ class Live:
     JSON.parse(e.data). Each person is measured in the first second, unless --height is
     given. A sensor that is upside down or tilted far is told and put right. The newest
     frame wins; late, missing, malformed and dropped frames are counted, and those with
-    an impossible body. Needs pip install "kinefilter[live]".
+    an impossible body. Several sensors, each by an --in of its own, follow people
+    together: where they stand and how their clocks differ is found while somebody walks
+    to and fro before them, and told. Poses are at the frames of the first one and never
+    wait for another; people whom it loses go on by those that see them. Needs pip
+    install "kinefilter[live]".
     """
 
     config: OmitArgPrefixes[LiveConfig]
@@ -60,9 +64,9 @@ class Live:
         for path in session.recorded:
             err.print(f"wrote {path}")
         write_json(session.tally.as_json(), self.json)
-        if session.recorder is None or session.recorder.failure is None:
+        if session.failure is None:
             return 0
-        err.print(f"kinefilter: {session.recorder.failure}")
+        err.print(f"kinefilter: {session.failure}")
         return 1
 
     async def _follow(self, session: Session) -> None:
@@ -73,8 +77,11 @@ class Live:
 
     def _print_places(self, session: Session, used: list[Address]) -> None:
         """Print where frames are expected and poses go, and a token that is new."""
-        source, *targets = used
-        err.print(f"from {source} to {', '.join(map(str, targets))}")
+        count = len(session.endpoints.sources)
+        sources, targets = (
+            ", ".join(map(str, u)) for u in (used[:count], used[count:])
+        )
+        err.print(f"from {sources} to {targets}")
         sockets = [address for address in used if address.scheme in ("ws", "wss")]
         token = session.endpoints.access.token
         if sockets and token is not None and self.access.token_file is None:
@@ -138,7 +145,7 @@ def status(session: Session) -> str:
     parts += [f"{events[event]} {event}" for event in noted if events[event]]
     if tally.malformed:
         parts.append(f"{tally.malformed.total()} malformed")
-    if session.recorder is not None and session.recorder.failure is not None:
+    if session.failure is not None:
         parts.append("recording ended")
     return ", ".join(parts)
 

@@ -39,16 +39,22 @@ class AccessConfig:
 class LiveConfig:
     """Where frames come from, who is in them, and where poses go."""
 
-    source: Annotated[str, arg(name="in", metavar="ADDRESS")]
+    sources: UseAppendAction[
+        Annotated[tuple[str, ...], arg(name="in", metavar="ADDRESS")]
+    ]
     """Where to listen for frames: udp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT, or
-    - for the standard input."""
+    - for the standard input; may be given once for each of several sensors before the
+    same people, the one whose frames come last first."""
     out: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="ADDRESS")]]
     """Where to send poses: vmc://HOST:PORT for an engine, ws://HOST:PORT or
     wss://HOST:PORT to listen for browsers, or - for the standard output; may be given
     several times."""
     record: Path | None = None
     """Also write the raw frames to this take (.csv); for several bodies to take.1.csv,
-    take.2.csv and so on."""
+    take.2.csv and so on, of several sensors to take.sensor1.csv and so on."""
+    calibration: Path | None = None
+    """Where the sensors are, from --save-calibration of merge; default: found from how
+    people go to and fro."""
     skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
     """The joints of the frames."""
     scene: str | None = None

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kinefilter.characters import Body, State, Take, skeleton_named, standard_body
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.target.upright import Turn
@@ -19,6 +20,7 @@ from .config import LiveConfig
 from .messages import Frame, SeenBody, stacked
 from .tally import Event, Tally
 
+_UNSEEN = 0.12  # s after which another sensor's frames count for those that lead
 _GONE = 2.0  # s unseen after which a person is dropped
 _RESTARTED = 2.0  # s before the last stamp: the sender's clock restarted
 _STEPS = 15  # steps of which the median is the sender's: half a second
@@ -40,6 +42,10 @@ class Person:
     begin after it.
     """
 
+    place: Array | None = None
+    """The mean of the joints that were seen last [m], where several sensors may see the
+    person, shape (3,)."""
+
     def __init__(self, config: LiveConfig) -> None:
         self._config, self._skeleton = config, skeleton_named(config.skeleton)
         self._avatar: Avatar | None = None
@@ -47,7 +53,7 @@ class Person:
         if config.height is not None:
             height, mass = config.height, config.mass
             body = standard_body(self._skeleton, height=height, mass=mass)
-            self._avatar = Avatar(body, config.scene, floor=config.floor)
+            self._avatar = self._follow(body)
 
     @property
     def body(self) -> Body | None:
@@ -84,9 +90,12 @@ class Person:
             frames = stacked(good if enough else self._frames)
             take = Take(*frames, self._skeleton, "live")
             body = measure_body(take, mass=self._config.mass)
-            self._avatar = Avatar(body, self._config.scene, floor=self._config.floor)
+            self._avatar = self._follow(body)
             self._frames.clear()
         return None
+
+    def _follow(self, body: Body) -> Avatar:
+        return Avatar(body, self._config.scene, floor=self._config.floor)
 
 
 class Stamps:
@@ -139,6 +148,7 @@ class Presence:
     slot: int  # the lowest number, from 0, that was free when the person came
     last_seen: float  # when a frame with the person came [s], of our own clock
     person: Person | None = None  # from the first pose on
+    led: float = 0.0  # when the leading sensor last saw the person [s], of our clock
     stamps: Stamps = field(default_factory=Stamps)
     waiting: Waiting | None = None  # the newest frame without a pose
 
@@ -171,6 +181,14 @@ class Crowd:
         self._tally.count(Event.FRAMES)
         return [seen for seen in frame.bodies if self._take_in(seen, frame.time, now)]
 
+    def unseen(self, now: float) -> list[Presence]:
+        """Return those whom the leading sensor has not seen for some frames."""
+        return [p for p in self._here.values() if now - p.led > _UNSEEN]
+
+    def carry(self, seen: SeenBody, time: float, now: float) -> None:
+        """Take in a person of whom another sensor has a frame; see ``arrive``."""
+        self._take_in(seen, time, now)
+
     def next(self) -> tuple[Presence, Waiting] | None:
         """Take the frame of the person who has waited longest; None: none waits."""
         waiting = [(p, p.waiting) for p in self._here.values() if p.waiting is not None]
@@ -202,6 +220,7 @@ class Crowd:
             self._here[seen.id] = Presence(seen.id, slot, now)
         presence = self._here[seen.id]
         presence.last_seen = now
+        presence.led = presence.led if seen.carried else now
         event, missing = presence.stamps.arrive(time)
         self._tally.count(Event.MISSING, missing)
         if event is not None:

@@ -120,7 +120,7 @@ class Access:
 class Endpoints:
     """Both ends of a session."""
 
-    source: Address  # of frames
+    sources: tuple[Address, ...]  # of frames
     targets: tuple[Address, ...]  # of poses
     access: Access  # to either
 
@@ -132,9 +132,15 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     Raises InputError if an address or a file is wrong, others could reach it though the
     user did not allow it, or a package is not installed.
     """
-    ends = [read_address(config.source, _SOURCES)]
+    ends = [read_address(source, _SOURCES) for source in config.sources]
+    count = len(ends)
+    if not count:
+        raise InputError("--in is missing; give one, such as --in -")
+    fixed = [end for end in ends if end.port or end.scheme == STANDARD]
+    if again := [end for end in fixed if fixed.count(end) > 1]:
+        raise InputError(f"--in {again[0]} twice; each sensor needs a port of its own")
     ends += [read_address(out, _TARGETS) for out in config.out]
-    if len(ends) < 2:
+    if len(ends) == count:
         raise InputError("--out is missing; give one, such as --out -")
     for k, end in enumerate(ends):
         if end.scheme in ("udp", "ws", "wss"):
@@ -161,7 +167,8 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
             ) from None
     elif "wss" in schemes:
         raise InputError("wss:// needs --certificate; give one, or write ws://")
-    return Endpoints(ends[0], tuple(ends[1:]), Access(token, access.origin, tls))
+    access_granted = Access(token, access.origin, tls)
+    return Endpoints(tuple(ends[:count]), tuple(ends[count:]), access_granted)
 
 
 def read_token(path: Path) -> str:

@@ -86,6 +86,7 @@ class SeenBody:
     id: str  # the sender's name for the person
     positions: Array  # of joints [m], sensor frame, y up, NaN where missing, (J, 3)
     state: Codes  # tracking states (State), shape (J,)
+    carried: bool = False  # another sensor saw it than the one that leads
 
     @property
     def is_seen(self) -> bool:

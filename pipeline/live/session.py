@@ -7,11 +7,17 @@ import gc
 import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from kinefilter.characters import (
     STANDARD_HEIGHT,
     InputError,
+    Skeleton,
     skeleton_named,
     standard_body,
 )
@@ -26,6 +32,9 @@ from .recorder import Recorder
 from .sinks import Broadcast, Engine, open_sink
 from .sources import Intake, open_source
 from .tally import Event, Tally
+
+if TYPE_CHECKING:
+    from .sensors import Sensors, Stream
 
 _TICK = 0.25  # s between checks of who is gone
 _FLUSH = 1.0  # s between writes of the recording: what a kill may cost
@@ -52,19 +61,34 @@ class Session:
             raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
         self._config, self._skeleton = config, skeleton_named(config.skeleton)
         self.crowd = Crowd(config.bodies, self.tally)
-        self.recorder: Recorder | None = None
-        if config.record is not None:
-            self.recorder = Recorder(config.record, self._skeleton, self.tally)
+        count = len(self.endpoints.sources)
+        self.sensors = _sensors(config, self._skeleton, self.tally)
+        self.recorders: list[Recorder] = []
+        if (path := config.record) is not None:
+            paths = [path]
+            if count > 1:
+                stems = [
+                    f"{path.stem}.sensor{number}" for number in range(1, count + 1)
+                ]
+                paths = [path.with_stem(stem) for stem in stems]
+            self.recorders = [
+                Recorder(path, self._skeleton, self.tally) for path in paths
+            ]
         self._sinks: list[Broadcast | Engine] = []
         self._came, self._idle = asyncio.Event(), asyncio.Event()
         self._idle.set()
+
+    @property
+    def failure(self) -> str | None:
+        """Why a recording ended, if it did."""
+        return next((r.failure for r in self.recorders if r.failure), None)
 
     async def run(
         self, stop: asyncio.Event, started: _Started = lambda _: None
     ) -> None:
         """Follow people until ``stop`` is set or the input ends; end the recording.
 
-        ``started`` is called with the addresses in use, of the input, then the outputs.
+        ``started`` is called with the addresses in use, of inputs, then of outputs.
         Raises InputError if a port is taken, or a host not known.
         """
         access, used = self.endpoints.access, []
@@ -77,11 +101,18 @@ class Session:
                     )
                     self._sinks.append(sink)
                     used.append(place)
-                work = (self._pump(), self._tick(), self._record(), stop.wait())
+                work = [self._pump(), self._tick(), self._record(), stop.wait()]
+                if self.sensors is not None:
+                    work.append(self.sensors.follow())
                 tasks = await stack.enter_async_context(meanwhile(*work))
-                intake = Intake(self.receive, self._done, stop.set, self.tally)
-                async with open_source(self.endpoints.source, access, intake) as place:
-                    started([place, *used])
+                async with AsyncExitStack() as inputs:
+                    places = []
+                    for number, source in enumerate(self.endpoints.sources):
+                        receive = partial(self.receive, number=number)
+                        intake = Intake(receive, self._done, stop.set, self.tally)
+                        opened = open_source(source, access, intake)
+                        places.append(await inputs.enter_async_context(opened))
+                    started([*places, *used])
                     await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 for task in tasks:
                     if task.done():
@@ -89,21 +120,45 @@ class Session:
                 await self._idle.wait()
         finally:
             gc.unfreeze()
-            if self.recorder is not None:
-                self.recorded = self.recorder.finish()
+            for recorder in self.recorders:
+                self.recorded += recorder.finish()
 
-    def receive(self, message: bytes | str) -> None:
-        """Take in a message; one that is not a frame is counted."""
+    def receive(self, message: bytes | str, number: int = 0) -> None:
+        """Take in a message of a sensor; one that is not a frame is counted."""
         try:
             frame = parse_frame(message, self._skeleton, self._config.bodies)
         except MalformedError as error:
             self.tally.malformed[error.reason] += 1
             return
-        for seen in self.crowd.arrive(frame, time.perf_counter()):
-            if self.recorder is not None:
-                self.recorder.add(frame.time, seen)
+        now = time.perf_counter()
+        if self.sensors is None or self.sensors.arrive(number, frame, now):
+            new = self.crowd.arrive(frame, now)
+            waits = bool(new)
+        else:
+            self.tally.count(Event.FRAMES)
+            new = [seen for seen in frame.bodies if seen.is_seen]
+            if self.sensors.streams[number].frames[-1] is not frame:
+                new = []  # late or repeated
+            waits = self._carry(self.sensors, self.sensors.streams[number], now)
+        for seen in new:
+            if self.recorders:
+                self.recorders[number].add(frame.time, seen)
+        if waits:
             self._idle.clear()
             self._came.set()
+
+    def _carry(self, sensors: Sensors, stream: Stream, now: float) -> bool:
+        """Follow people whom the leading sensor does not see by one that does."""
+        waits = False
+        for presence in self.crowd.unseen(now) if stream in sensors.joined else []:
+            frame, person = stream.frames[-1], presence.person
+            found = person and sensors.match(stream, frame, person)
+            if found and stream.clock is not None:
+                seen = replace(found[0], id=presence.id, positions=found[1])
+                time = float(stream.clock.undone(np.asarray(frame.time)))
+                self.crowd.carry(replace(seen, carried=True), time, now)
+                waits = True
+        return waits
 
     async def _done(self) -> None:
         await self._idle.wait()
@@ -131,7 +186,7 @@ class Session:
     def _pose(self, presence: Presence, waiting: Waiting) -> None:
         """Make a person's pose and send it."""
         if presence.person is None:
-            presence.person = Person(self._config)
+            presence.person = self._person()
         person, turn = presence.person, presence.person.turn
         if waiting.restarted:
             person.start()
@@ -157,9 +212,18 @@ class Session:
         self.tally.count(Event.IMPOSSIBLE, int(pose.impossible))
         self.tally.latency.add(time.perf_counter() - waiting.arrived)
 
+    def _person(self) -> Person:
+        if self.sensors is None:
+            return Person(self._config)
+        from .fusing import FusedPerson
+
+        return FusedPerson(self._config, self.sensors)
+
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(_TICK)
+            if self.sensors is not None:
+                self.sensors.tell(time.perf_counter())
             for gone in self.crowd.drop_gone(time.perf_counter()):
                 for sink in self._sinks:
                     sink.gone(gone.id, gone.slot)
@@ -167,8 +231,8 @@ class Session:
     async def _record(self) -> None:
         while True:
             await asyncio.sleep(_FLUSH)
-            if self.recorder is not None:
-                await asyncio.to_thread(self.recorder.flush)
+            for recorder in self.recorders:
+                await asyncio.to_thread(recorder.flush)
 
     def _warm_up(self) -> None:
         """Load what the first pose needs, and exempt it from garbage collection."""
@@ -180,3 +244,23 @@ class Session:
             avatar.step(body.rest_positions, k / 30.0)
         gc.collect()
         gc.freeze()
+
+
+def _sensors(config: LiveConfig, skeleton: Skeleton, tally: Tally) -> Sensors | None:
+    """Return the sensors, None for one; raises InputError for a wrong calibration."""
+    count = len(config.sources)
+    if count == 1:
+        if config.calibration is not None:
+            raise InputError("--calibration is for several --in; leave it out")
+        return None
+    from kinefilter.pipeline.merge import read_calibration
+
+    from .sensors import Sensors
+
+    known = read_calibration(config.calibration)
+    if known and len(known) != count - 1:
+        raise InputError(
+            f"the calibration is of {len(known) + 1} sensors, and {count} --in are "
+            "given; give them in its order"
+        )
+    return Sensors(skeleton, count, known, tally)

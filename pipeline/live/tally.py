@@ -20,6 +20,7 @@ class Event(StrEnum):
 
     FRAMES = "frames in"
     POSES = "poses out"
+    FUSED = "of several sensors"
     DROPPED = "dropped, newer came"
     LATE = "late"
     REPEATED = "repeated"
@@ -74,7 +75,8 @@ class Tally:
         self.latency = Latency()
         """From a frame's coming in to its pose's going out."""
         self.notes: dict[int, tuple[str, ...]] = {}
-        """What the user should know of the frames of the person in each slot."""
+        """What the user should know of the frames of the person in each slot; below 0,
+        of each sensor."""
 
     def count(self, event: Event, times: int = 1) -> None:
         """Count that something happened."""

@@ -1,0 +1,225 @@
+"""A person whom several sensors see, followed by what all of them see.
+
+Frame by frame, as ``merge.clean_session`` does it with takes: each sensor's joints are
+scored, sides are settled among the sensors, joints are corrected sensor by sensor, as
+methods know from where a sensor looks, and fused.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array, Codes
+from kinefilter.pipeline.avatar import Avatar, Pose
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.correct import Corrector
+from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.merge import Fusion, Sight
+from kinefilter.pipeline.merge.rigid import Placement
+from kinefilter.pipeline.stages import Correct
+from kinefilter.pipeline.target.floor import leveled
+
+from .config import LiveConfig
+from .crowd import Person
+from .messages import SeenBody
+from .sensors import OLDEST, Sensors
+from .tally import Event
+
+_LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which weights follow
+_BY_JOINT = ("measured", "state", "reliability", "geometry", "deciding_term")
+
+
+class FusedPerson(Person):
+    """Follows one person by all sensors that see them.
+
+    Until a second sensor is placed, as ``Person`` does.
+    """
+
+    def __init__(self, config: LiveConfig, sensors: Sensors) -> None:
+        self._sensors = sensors
+        self._given = _Corrected(CleanConfig())
+        self._views: list[_View] = []
+        self._fusions: list[Fusion] = []
+        self._last: float | None = None
+        super().__init__(config)
+        sensors.followed.add(self)
+
+    def start(self) -> None:
+        """Start over, as the leading sensor's clock does."""
+        super().start()
+        self._views, self._fusions, self._last = [], [], None
+        self._given.places = None
+
+    def step(self, seen: SeenBody, time: float) -> Pose | None:
+        """Return the pose after a frame of the leading sensor, or of another one.
+
+        Raises InputError, as ``Person.step`` does.
+        """
+        self.place = np.nanmean(seen.positions, axis=0)
+        if self._avatar is None or not (self._sensors.joined or self._views):
+            return super().step(seen, time)
+        if not self._views:
+            self._begin(self._avatar.body)
+        before, self._last = self._last, time
+        elapsed = 1.0 / 30.0 if before is None else min(time - before, _LONGEST_STEP)
+        moments = self._moments(seen, time)
+        fused = []
+        for fusion, corrected in zip(self._fusions, (False, True), strict=True):
+            sights = [
+                None if moment is None else view.sight(*moment, corrected=corrected)
+                for view, moment in zip(self._views, moments, strict=True)
+            ]
+            fused.append(fusion.step(sights, elapsed))
+            for view, exchanged in zip(self._views, fused[0].exchanged, strict=True):
+                view.correct(exchanged=bool(exchanged))
+        if sum(sight is not None for sight in sights) > 1:
+            self._sensors.tally.count(Event.FUSED)
+        self._given.places = fused[1].positions
+        return self._avatar.step(fused[0].positions, time, fused[0].state)
+
+    def _follow(self, body: Body) -> Avatar:
+        avatar = super()._follow(body)
+        avatar.cleaner = avatar.cleaner.replaced(self._given)
+        avatar.start()
+        return avatar
+
+    def _begin(self, body: Body) -> None:
+        count = len(self._sensors.streams)
+        self._views = [_View(body, own) for own in self._given.copies(count)]
+        # Raw joints settle the sides, corrected ones are followed.
+        self._fusions = [
+            Fusion(body.skeleton, count, mended=mended) for mended in (False, True)
+        ]
+
+    def _moments(
+        self, seen: SeenBody, time: float
+    ) -> list[tuple[float, Placement | None] | None]:
+        """Take what sensors saw until now; return when that is, and where they are.
+
+        By each sensor's clock [s]; None of those of which that is not known.
+        """
+        moments: list[tuple[float, Placement | None] | None] = []
+        joined = self._sensors.joined
+        for view, stream in zip(self._views, self._sensors.streams, strict=True):
+            if stream is self._sensors.lead:
+                if not seen.carried:
+                    view.take(seen, time)
+                moments.append((time, None))
+            elif stream in joined and stream.clock is not None:
+                now = float(stream.clock.at(np.asarray(time)))
+                for frame in stream.until(now, view.time):
+                    found = self._sensors.match(stream, frame, self)
+                    if found is not None:
+                        view.take(found[0], frame.time)
+                moments.append((now, stream.placed))
+            else:
+                view.start()
+                moments.append(None)
+        return moments
+
+
+class _Row(NamedTuple):
+    """What a sensor sees of a person at a moment, in its own frame."""
+
+    time: float
+    positions: Array
+    reliability: Array
+    state: Codes
+
+
+class _View:
+    """What one sensor sees of a person, frame by frame.
+
+    Args:
+        body: The person.
+        corrector: What corrects it.
+    """
+
+    def __init__(self, body: Body, corrector: Corrector) -> None:
+        cleaner = Cleaner(CleanConfig(tilt=0.0), corrector=corrector).until("correct")
+        self._body, self._head = body, cleaner.until("reliability")
+        self._tail = cleaner.stages[len(self._head.stages) :]
+        self.start()
+
+    def start(self) -> None:
+        """Forget all frames."""
+        self.time = -np.inf  # of the last frame [s]
+        self._scored: _Row | None = None
+        self._corrected: _Row | None = None
+        self._waiting: Draft | None = None
+        self._exchanged = False
+        self._head.start(self._body)
+        for stage in self._tail:
+            stage.start(self._body)
+
+    def take(self, seen: SeenBody, time: float) -> None:
+        """Score the next frame, with a stamp later than the last [s]."""
+        self.correct(exchanged=self._exchanged)
+        draft = self._head.step(seen.positions, time, seen.state)
+        self.time, self._waiting = time, draft
+        self._scored = _Row(time, draft.measured, draft.reliability, draft.state)
+
+    def correct(self, *, exchanged: bool) -> None:
+        """Correct the last frame, if need be with left and right exchanged."""
+        draft, self._waiting, self._exchanged = self._waiting, None, exchanged
+        if draft is None:
+            return
+        if exchanged:
+            for name in _BY_JOINT:
+                setattr(draft, name, getattr(draft, name)[draft.skeleton.mirror])
+        for stage in self._tail:
+            if draft.appears and not stage.goes_on:
+                stage.start(self._body)
+            stage.step(draft)
+        places = np.where(draft.missing[:, None], np.nan, draft.positions)
+        self._corrected = _Row(self.time, places, draft.reliability, draft.state)
+
+    def sight(
+        self, time: float, placed: Placement | None, *, corrected: bool = False
+    ) -> Sight | None:
+        """Return what it saw last, None if that is long before a time of its clock [s].
+
+        Joints that go on as they went until then are no nearer to the truth.
+        """
+        last = self._corrected if corrected else self._scored
+        if last is None or abs(time - last.time) > OLDEST:
+            return None
+        places, sensor = last.positions, np.zeros(3)
+        if placed is not None:
+            places, sensor = placed.apply(places), placed.shift
+        return Sight(places, last.reliability, last.state, sensor)
+
+
+class _Corrected(Correct):
+    """Puts joints where they were corrected already; without any, corrects them."""
+
+    def __init__(self, config: CleanConfig) -> None:
+        super().__init__(config)
+        self._plain = Correct(replace(config, method="none"))
+        self.places: Array | None = None
+        """Corrected joints of the next frame [m], NaN where none is, (J, 3)."""
+
+    def start(self, body: Body) -> None:
+        """Forget all frames."""
+        super().start(body)
+        self._plain.start(body)
+
+    def copies(self, count: int) -> list[Corrector]:
+        """Return correctors with states of their own; to read one takes long."""
+        return [deepcopy(self._corrector) for _ in range(count)]
+
+    def step(self, draft: Draft) -> None:
+        """Correct the next frame."""
+        if self.places is None:
+            super().step(draft)
+            return
+        self._plain.step(draft)
+        places = leveled(self.places, draft.turn.tilt, draft.turn.roll)
+        known = ~np.isnan(places[:, :1])
+        draft.positions = np.where(known, places, draft.positions)
