@@ -20,7 +20,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
-from kinefilter.pipeline.merge import Fusion, Sight
+from kinefilter.pipeline.merge import Fused, Fusion, Sight
 from kinefilter.pipeline.merge.rigid import Placement
 from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
@@ -69,15 +69,16 @@ class FusedPerson(Person):
         before, self._last = self._last, time
         elapsed = 1.0 / 30.0 if before is None else min(time - before, _LONGEST_STEP)
         moments = self._moments(seen, time)
-        fused = []
+        fused, settled = list[Fused](), np.zeros(len(moments), dtype=np.bool_)
         for fusion, corrected in zip(self._fusions, (False, True), strict=True):
             sights = [
                 None if moment is None else view.sight(*moment, corrected=corrected)
                 for view, moment in zip(self._views, moments, strict=True)
             ]
-            fused.append(fusion.step(sights, elapsed))
-            for view, exchanged in zip(self._views, fused[0].exchanged, strict=True):
-                view.correct(exchanged=bool(exchanged))
+            exchanged = settled if corrected else None
+            fused.append(fusion.step(sights, elapsed, exchanged))
+            for view, mirrored in zip(self._views, fused[0].exchanged, strict=True):
+                view.correct(exchanged=bool(mirrored))
         if sum(sight is not None for sight in sights) > 1:
             self._sensors.tally.count(Event.FUSED)
         self._given.places = fused[1].positions
@@ -93,9 +94,7 @@ class FusedPerson(Person):
         count = len(self._sensors.streams)
         self._views = [_View(body, own) for own in self._given.copies(count)]
         # Raw joints settle the sides, corrected ones are followed.
-        self._fusions = [
-            Fusion(body.skeleton, count, mended=mended) for mended in (False, True)
-        ]
+        self._fusions = [Fusion(body.skeleton, count) for _ in range(2)]
 
     def _moments(
         self, seen: SeenBody, time: float
