@@ -290,10 +290,12 @@ def _option(name: str, field: str, hint: Any) -> Strategy:
         return st.just(["--quick"])
     if hint is bool:
         return st.sampled_from([[f"--{flag}"], [f"--{flag}"], [f"--no-{flag}"]])
-    if field == "sources":  # each by a flag of its own
-        words = _values(name, field, hint)
-        return words.map(lambda given: [w for word in given for w in ("--in", word)])
-    return _values(name, field, hint).map(lambda words: [f"--{flag}", *words])
+    words = _values(name, field, hint)
+    if field in ("sources", "take"):  # each by a flag of its own
+        return words.map(
+            lambda given: [w for word in given for w in (f"--{flag}", word)]
+        )
+    return words.map(lambda given: [f"--{flag}", *given])
 
 
 def _options(kind: Any) -> Iterator[tuple[str, Any, bool]]:

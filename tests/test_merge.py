@@ -173,7 +173,7 @@ def test_who_looks_ahead_knows_the_sides_from_the_first_frame() -> None:
     there = walk[:, KINECT_V2.mirror].copy()
     there[:20, elbows] = walk[:20, elbows] = np.nan
     frames = [[_sight(p), _sight(q)] for p, q in zip(walk, there, strict=True)]
-    sides = Fusion(KINECT_V2, 2).sides(frames)
+    sides, _ = Fusion(KINECT_V2, 2).ahead(frames, np.full(60, 1.0 / 30.0))
     np.testing.assert_array_equal(sides, [[False, True]] * 60)
 
 

@@ -9,7 +9,7 @@ across it, on UI-PRMD's people as in the virtual Kinect.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame, find_yaw
 
+from .facing import Facing
 from .sides import Sides
 
 # Chosen on simulated people (seeds 40 to 55 and 140 to 153) and on p00 to p08 of
@@ -72,7 +73,7 @@ class Fusion:
 
     def __init__(self, skeleton: Skeleton, sensors: int) -> None:
         self._skeleton, self._mirror = skeleton, np.array(skeleton.mirror)
-        self._sides = Sides(skeleton, sensors)
+        self._sides, self._facing = Sides(skeleton, sensors), Facing()
         left, right = (
             np.array([joint.endswith(side) for joint in skeleton.joints], dtype=float)
             for side in SIDES
@@ -85,18 +86,51 @@ class Fusion:
 
     def start(self) -> None:
         """Forget all frames, but not where sensors misplace joints."""
-        self._weights, self._yaw = np.zeros(self._shape), 0.0
+        self._weights = np.zeros(self._shape)
         self._sides.start()
+        self._facing.start()
 
-    def sides(self, frames: Iterable[Sequence[Sight | None]]) -> Flags:
-        """Return which sensors have left and right exchanged in each frame, (T, S)."""
+    def ahead(
+        self, frames: Sequence[Sequence[Sight | None]], elapsed: Array
+    ) -> tuple[Flags, Array]:
+        """Return what only all frames together tell, for ``step``.
 
-        def told() -> Iterator[tuple[Array, Array]]:
-            for sights in frames:
-                seen, given, state = self._gathered(sights)
-                yield seen, _sure(given, state)
+        Which sensors have left and right exchanged, (T, S), and which way the person
+        faces [rad], (T,), 0 along +z.
 
-        return self._sides.whole(told())
+        Args:
+            frames: What each sensor sees, frame by frame.
+            elapsed: Time since the frame before [s], (T,).
+        """
+        gathered = [self._gathered(sights) for sights in frames]
+        sides = self._sides.whole(
+            (seen, _sure(given, state)) for seen, given, state in gathered
+        )
+        for parts, exchanged in zip(gathered, sides, strict=True):
+            self._mirrored(*parts, exchanged)
+        headings = self._facing.whole(
+            (find_yaw(seen, given, self._skeleton), self._angles(sights), float(since))
+            for sights, (seen, given, _), since in zip(
+                frames, gathered, elapsed, strict=True
+            )
+        )
+        return sides, headings
+
+    def _mirrored(
+        self, seen: Array, given: Array, state: NDArray[np.uint8], exchanged: Flags
+    ) -> None:
+        """Exchange left and right of what some sensors see."""
+        for part in (seen, given, state):
+            part[exchanged] = part[exchanged][:, self._mirror]
+
+    def _angles(self, sights: Sequence[Sight | None]) -> Array:
+        """Return where sensors are from the person [rad], NaN where unknown, (S,)."""
+        root = self._skeleton.root
+        there = [
+            np.full(3, np.nan) if one is None else one.sensor - one.positions[root]
+            for one in sights
+        ]
+        return np.array([np.arctan2(x, z) for x, _, z in there])
 
     def _gathered(
         self, sights: Sequence[Sight | None]
@@ -114,33 +148,33 @@ class Fusion:
         sights: Sequence[Sight | None],
         elapsed: float,
         exchanged: Flags | None = None,
+        heading: float | None = None,
     ) -> Fused:
         """Merge the next frame.
 
         Args:
             sights: What each sensor sees, None where it sees nobody.
             elapsed: Time since the last frame [s].
-            exchanged: Which sensors have left and right exchanged, (S,); by default as
-                the frames so far tell.
+            exchanged: Which sensors have left and right exchanged, (S,).
+            heading: Which way the person faces [rad]; both by default as the frames so
+                far tell.
         """
         seen, given, state = self._gathered(sights)
         if exchanged is None:
             exchanged, _ = self._sides.step(seen, _sure(given, state))
-        for part in (seen, given, state):
-            part[exchanged] = part[exchanged][:, self._mirror]
-        angle = np.full(self._shape[0], np.nan)
-        for s, sight in enumerate(sights):
-            if sight is not None:
-                there = sight.sensor - seen[s, self._skeleton.root]
-                angle[s] = np.arctan2(there[0], there[2])
-        self._face(seen, given, angle)
+        self._mirrored(seen, given, state, exchanged)
+        angles = self._angles(sights)
+        if heading is None:
+            yaws = find_yaw(seen, given, self._skeleton)
+            heading, _ = self._facing.step(yaws, angles, elapsed)
         missing = np.isnan(seen[..., 0])
         most = np.where(state == State.INFERRED, _INFERRED, 1.0)
         reliability = np.where(missing, 0.0, np.clip(given, _LEAST, most))
         seen = np.where(missing[..., None], 0.0, seen)
-        across = np.sin(np.nan_to_num(angle - self._yaw))[:, None]
+        across = np.sin(np.nan_to_num(angles - heading))[:, None]
         doubt = _BESIDE * np.abs(across) + _BEHIND * np.maximum(-across * self._side, 0)
-        placed = seen - self._heading.restore(self._offsets)
+        frame = HeadingFrame(np.zeros(3), np.array(heading))
+        placed = seen - frame.restore(self._offsets)
         weights = reliability * np.exp(-doubt)
         share = 1.0 - np.exp(-elapsed / _BLEND)
         both = (self._weights > 0.0) & (weights > 0.0)
@@ -153,40 +187,25 @@ class Fusion:
             weights, whole, out=np.zeros_like(weights), where=whole > 0.0
         )
         fused = np.einsum("sj,sji->ji", shares, placed)
-        self._learn(seen - fused, reliability, elapsed)
+        self._learn(frame.remove(seen - fused), reliability, elapsed)
         fused[whole == 0.0] = np.nan
         best = np.where(shares > _COUNTS, state, 0).max(axis=0).astype(np.uint8)
         return Fused(fused, best, (shares * given).sum(axis=0), shares, exchanged)
 
-    def _face(self, seen: Array, given: Array, angle: Array) -> None:
-        """Find out which way the person faces."""
-        yaw = find_yaw(seen, given, self._skeleton)
-        known = ~np.isnan(yaw + angle)
-        if known.any():
-            # The line through the shoulders is seen best from in front and behind.
-            straight = np.cos(angle[known] - yaw[known]) ** 2
-            self._yaw = _mean_angle(yaw[known], 0.1 + straight)
-
-    @property
-    def _heading(self) -> HeadingFrame:
-        return HeadingFrame(np.zeros(3), np.array(self._yaw))
-
     def _learn(self, away: Array, reliability: Array, elapsed: float) -> None:
-        """Learn where sensors misplace joints that several of them see."""
+        """Learn where sensors misplace joints that several of them see.
+
+        How far they are away [m] is in the heading frame.
+        """
         several = (reliability > _INFERRED).sum(axis=0) > 1
         use = several & (reliability > _INFERRED)
         size = np.linalg.norm(away, axis=2)
         away = away * np.minimum(1.0, _LARGEST / np.maximum(size, 1e-9))[..., None]
         self._known += np.where(use, elapsed, 0.0)
         share = np.where(use, elapsed, 0.0) / np.clip(self._known, 1e-9, _LEARNING)
-        toward = self._heading.remove(away) - self._offsets
-        self._offsets += share[..., None] * toward
+        self._offsets += share[..., None] * (away - self._offsets)
 
 
 def _sure(given: Array, state: NDArray[np.uint8]) -> Array:
     """Return how much joints tell of the sides, (S, J)."""
     return np.where(state == State.TRACKED, given, 0.0) + _LEAST
-
-
-def _mean_angle(angles: Array, weights: Array) -> float:
-    return float(np.angle(np.sum(weights * np.exp(1j * angles))))

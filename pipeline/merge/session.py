@@ -174,13 +174,13 @@ def fuse(
     ]
     fusion = Fusion(skeleton, len(takes))
     frames = list(zip(*columns, strict=True))
-    sides = fusion.sides(frames)
     elapsed = np.diff(time, prepend=2.0 * time[0] - time[1])
+    sides, headings = fusion.ahead(frames, elapsed)
     found: list[Fused] = []
     for sweep in ("learn", "merge"):  # where sensors misplace joints is learned first
         fusion.start()
         found = [
-            fusion.step(frames[k], float(elapsed[k]), sides[k])
+            fusion.step(frames[k], float(elapsed[k]), sides[k], headings[k])
             for k in over(range(len(time)), sweep, progress)
         ]
     positions, state, reliability, shares, exchanged = (
