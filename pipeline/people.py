@@ -31,10 +31,8 @@ _END = 0.4  # s at either end of a piece that tell where a person comes from and
 _PLACE, _SPREAD, _ROOM = 0.08, 0.6, 2.0
 """Deviation of where a person is from where they would be [m], how it grows [m/s], and
 at most: people come back anywhere."""
-_SPEED, _CHANGE = (
-    0.25,
-    1.0,
-)  # the same of their velocity [m/s], and how it grows [m/s^2]
+_SPEED, _CHANGE = 0.25, 1.0
+"""The same of their velocity [m/s], and how it grows [m/s^2]."""
 _SIDES = ("Elbow", "Wrist", "Knee", "Ankle")
 _DEVIATIONS = np.array([0.024, 0.014, 0.02, 0.017, 0.02, 0.013, 0.03])
 """Of these lengths, trunk, neck and how high the head is over the feet [m], between two
@@ -45,6 +43,7 @@ _STRANGER = 9.0  # what a piece may cost before it is of somebody new
 _ACROSS, _APART = 0.15, 0.8  # m by which sensors place one person apart; at most
 _ENOUGH = 300  # frames of a piece that are measured
 _IMPOSSIBLE = 1e6
+_MOST = 1000  # cuts: who is who after them takes seconds
 
 
 class Track(NamedTuple):
@@ -73,9 +72,16 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
     """Return the parts of tracks that are of each person, in the order of time.
 
     People are in the order in which they appear. Frames without any joint are nobody's.
-    Of a sensor, nobody has two parts at the same time.
+    Of a sensor, nobody has two parts at the same time. Tracks that leap so often that
+    nothing tells who is who are a person each.
     """
     left = sorted(_pieces(tracks), key=lambda piece: piece.start)
+    if not left:
+        seen = [
+            np.flatnonzero(~np.isnan(track.positions).all(axis=(1, 2)))
+            for track in tracks
+        ]
+        return [[Part(k, rows)] for k, rows in enumerate(seen) if len(rows)]
     people: list[list[_Piece]] = []
     while left:
         group = _beginning(left)
@@ -134,7 +140,10 @@ def _going(time: Array, places: Array, when: float) -> tuple[Array, Array]:
 
 
 def _pieces(tracks: Sequence[Track]) -> list[_Piece]:
-    """Return tracks cut wherever somebody may be somebody else from there on."""
+    """Return tracks cut wherever somebody may be somebody else from there on.
+
+    Nothing where that is too often.
+    """
     seen, places, cuts = [], [], []
     for track in tracks:
         known = ~np.isnan(track.positions[..., 0])
@@ -154,6 +163,8 @@ def _pieces(tracks: Sequence[Track]) -> list[_Piece]:
             for at in _exchanges(places[k][one], places[m][other]):
                 cuts[k].add(int(one[at]))
                 cuts[m].add(int(other[at]))
+    if sum(map(len, cuts)) > _MOST:
+        return []
     found = []
     for k, track in enumerate(tracks):
         every = np.arange(len(seen[k]))

@@ -21,6 +21,7 @@ from kinefilter.pipeline.formats import (
     write_take_csv,
 )
 from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.people import Track, people_of
 
 
 def test_two_people_are_two_takes_in_the_order_in_which_they_appear(
@@ -165,6 +166,18 @@ def test_two_who_come_back_at_once_go_on_as_who_was_nearest(tmp_path: Path) -> N
     for take, places in zip(takes, [(0.0, 0.1), (0.45, 0.5)], strict=True):
         centers = take.positions[[0, -1]].mean(axis=1)[:, 0]
         np.testing.assert_allclose(centers, places, atol=1e-9)
+
+
+def test_bodies_that_leap_all_the_time_are_who_the_tracker_says() -> None:
+    rng = np.random.default_rng(0)
+    body = rng.normal(size=(1, 25, 3))
+    tracks = [
+        Track(np.arange(900) / 30.0, body + rng.normal(size=(900, 1, 3)), KINECT_V2)
+        for _ in range(2)
+    ]
+    found = people_of(tracks)
+    assert [[part.track for part in person] for person in found] == [[0], [1]]
+    assert all(len(person[0].rows) == 900 for person in found)
 
 
 def test_what_is_seen_in_one_frame_is_nobody(tmp_path: Path) -> None:
