@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array
 
 # Chosen on simulated people (seeds 140 to 145) and on p00 to p08 of two-kinects.
 _COUNT = 72  # headings that are told apart
@@ -32,7 +33,9 @@ class Facing:
         """Forget all frames."""
         self._costs = np.zeros(_COUNT)
 
-    def step(self, yaws: Array, angles: Array, elapsed: float) -> tuple[float, Indices]:
+    def step(
+        self, yaws: Array, angles: Array, elapsed: float
+    ) -> tuple[float, NDArray[np.uint8]]:
         """Return the heading [rad], 0 along +z, as far as frames tell so far.
 
         And which of all headings led to each, for ``whole``.
@@ -49,7 +52,7 @@ class Facing:
         views = np.cos(angles[:, None] - _GRID) ** 2
         costs = whole.min(axis=0) + np.nansum(views * away, axis=0)
         self._costs = costs - costs.min()
-        return float(_GRID[costs.argmin()]), whole.argmin(axis=0)
+        return float(_GRID[costs.argmin()]), whole.argmin(axis=0).astype(np.uint8)
 
     def whole(self, frames: Iterable[tuple[Array, Array, float]]) -> Array:
         """Return the heading in each frame [rad], (T,), of what ``step`` takes."""
