@@ -21,6 +21,7 @@ from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.accuracy import LIMBS
 from kinefilter.pipeline.lab.simulate import simulate_session
 from kinefilter.pipeline.merge import Fused, Fusion, Sight, align
+from kinefilter.pipeline.merge.facing import Facing
 from kinefilter.pipeline.merge.rigid import Placement, placement
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.scenes.sensor import in_sensor_frame
@@ -175,6 +176,18 @@ def test_who_looks_ahead_knows_the_sides_from_the_first_frame() -> None:
     frames = [[_sight(p), _sight(q)] for p, q in zip(walk, there, strict=True)]
     sides, _ = Fusion(KINECT_V2, 2).ahead(frames, np.full(60, 1.0 / 30.0))
     np.testing.assert_array_equal(sides, [[False, True]] * 60)
+
+
+def test_a_sensor_beside_a_person_does_not_turn_them() -> None:
+    """It sees them turned toward itself; who turns toward it is seen to."""
+    angles, beside = np.radians([0.0, 90.0]), np.radians(60.0)
+    turning = np.linspace(0.0, np.radians(90.0), 120)
+    headings = np.concatenate([np.zeros(90), turning, np.full(90, turning[-1])])
+    seen = [np.minimum(headings, np.radians(30.0)), np.maximum(headings, beside)]
+    frames = [(yaws, angles, 1.0 / 30.0) for yaws in np.transpose(seen)]
+    away = np.abs(Facing().whole(frames) - headings)
+    assert away.max() < np.radians(30.0)
+    assert away[[*range(70), *range(230, 300)]].max() < np.radians(6.0)
 
 
 @pytest.mark.parametrize("joint", ["HandLeft", "SpineBase"])
