@@ -30,7 +30,8 @@ from kinefilter.characters.rotations import (
 )
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.physics import PhysicsFilter
-from kinefilter.pipeline.physics.pulled_character import substeps_in
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter, substeps_in
+from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.bent_limb import bent_limb
 from kinefilter.scenes.library import perform
 
@@ -120,13 +121,30 @@ def test_no_knee_folds_farther_than_people_can() -> None:
     )
     foot = KINECT_V1.index("FootLeft")
     positions[:, foot] = positions[:, ankle] + [0.0, -0.1, 0.0]
+    rotations[:, ankle, 0], rotations[:, ankle, 1] = (
+        np.cos(angle / 2),
+        np.sin(angle / 2),
+    )
     result = PhysicsFilter(BODY).run(time, positions, rotations)
+    assert not result.trace.reset.any()
     thigh = result.positions[-1, knee] - result.positions[-1, hip]
     lower = result.positions[-1, ankle] - result.positions[-1, knee]
     cosine = thigh @ lower / (np.linalg.norm(thigh) * np.linalg.norm(lower))
     folded = np.degrees(np.arccos(cosine))
     # Ligaments give way a little under the strongest pull that there is.
     assert 130.0 < folded < np.degrees(joint_range("AnkleLeft")) + 10.0
+
+
+def test_limbs_that_are_left_behind_when_the_body_turns_at_once_are_let_go() -> None:
+    """Forearms twisted by more than elbows allow would stay so for ever."""
+    _, positions, rotations = _standing(60, lift=1.0)
+    character, root = PulledCharacter(BODY), positions[0, BODY.skeleton.root]
+    character.start(positions[0], rotations[0])
+    for k in range(1, 60):
+        turned = HeadingFrame(root, np.array(np.pi * (k > 5)))
+        target = turned.restore_rotations(rotations[k])
+        character.step(turned.restore(positions[k] - root), target, 1 / 30)
+    assert np.abs(np.vecdot(character.rotations, target)).min() > 0.95
 
 
 def test_a_hand_pulled_into_the_trunk_stays_outside() -> None:

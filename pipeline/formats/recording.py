@@ -138,7 +138,7 @@ def recording_of(
     check_rate(time, source)
     positions, state = missing_marked(positions, state)
     check_extent(positions, source)
-    stamps, sightings = _sightings(time, positions, state)
+    stamps, sightings = _sightings(time, positions, state, skeleton.root)
     if sightings:
         return recording_of_people(stamps, sightings, skeleton, source, layout, **known)
     return Recording((Take(time, positions, state, skeleton, source),), layout, **known)
@@ -221,7 +221,7 @@ class Sighting:
 
 
 def _sightings(
-    time: Array, positions: Array, state: Codes
+    time: Array, positions: Array, state: Codes, root: int
 ) -> tuple[Array, list[Sighting]]:
     """Return distinct time stamps, and every body at each, numbered as they come.
 
@@ -231,6 +231,7 @@ def _sightings(
     known = ~np.isnan(positions[..., :1])
     count = np.maximum(known.sum(axis=1), 1)
     places = np.where(known, positions, 0.0).sum(axis=1) / count
+    places = np.where(known[:, root], positions[:, root], places)
     leaps = np.linalg.norm(np.diff(places, axis=0), axis=1) > _BESIDE
     if np.sum(leaps & (np.diff(time) == 0)) <= max(_SHARED * len(stamps), _FEWEST):
         return stamps, []

@@ -31,9 +31,9 @@ _HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, 
 SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
 in six recorded takes of punches and kicks diverged somewhere."""
-_BACKWARDS, _PATIENCE = -0.7, 0.1
-"""Cosine of the angle to its target beyond which a segment is caught at the end of its
-joint, and seconds after which it is let go. Guesses; nothing else gets there."""
+_CAUGHT, _PATIENCE = np.radians(110.0), 0.15
+"""Angle to its target beyond which a segment is caught at the end of its joint [rad],
+and seconds after which it is let go. Guesses; nothing else gets there."""
 _LIMB = 0.15  # m: shorter segments, such as thumbs, come back by themselves
 LOST = 3.0
 """A joint this far [m] from its target means that the simulation went astray: more than
@@ -261,7 +261,7 @@ class PulledCharacter:
             data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
             mujoco.mj_step(self.model, data, nstep=substeps)
         mujoco.mj_kinematics(self.model, data)
-        if self._astray(after_p, began) or self._caught(after_p, dt):
+        if self._astray(after_p, began) or self._caught(after_q, dt):
             mujoco.mj_resetData(self.model, data)
             self._place(after_p, after_q)
             return False
@@ -321,21 +321,19 @@ class PulledCharacter:
         return not away < LOST  # also true for NaN
 
     def _caught(self, target: Array, dt: float) -> bool:
-        """Tell whether a segment has long pointed away from where its target points.
+        """Tell whether a segment has long been turned far from its target rotation.
 
         A knee that was bent as far as it goes, after a leg that the tracker turned
-        upwards, is held there by what pulls it straight down.
+        upwards, is held there by what pulls it straight down; and so is a thigh that
+        was left behind when the hips were turned around at once.
         """
-        there = self.data.site_xpos[self._sites]
-        parts, parents = self._segments, self._parents
-        along = np.vecdot(
-            there[parts] - there[parents], target[parts] - target[parents]
-        )
-        if self.limp or self._pushes or not (along < 0.0).any():
+        if self.limp or self._pushes:
             self._away = 0.0
             return False
-        lengths = self.body.lengths[parts]
-        caught = (along < _BACKWARDS * lengths**2) & (lengths > _LIMB)
+        parts = self._segments
+        alike = np.vecdot(self.data.xquat[self._bodies[parts]], target[parts])
+        long = self.body.lengths[parts] > _LIMB
+        caught = long & (np.abs(alike) < np.cos(0.5 * _CAUGHT))
         self._away = self._away + dt if caught.any() else 0.0
         return self._away > _PATIENCE
 
