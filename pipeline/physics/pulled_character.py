@@ -31,9 +31,11 @@ _HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, 
 SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
 in six recorded takes of punches and kicks diverged somewhere."""
-_CAUGHT, _PATIENCE = np.radians(110.0), 0.15
-"""Angle to its target beyond which a segment is caught at the end of its joint [rad],
-and seconds after which it is let go. Guesses; nothing else gets there."""
+_AWAY, _TURNED = np.radians(134.0), np.radians(110.0)
+"""Angles beyond which a segment that points away from where its target points, or is
+turned about itself, too, is caught at the end of its joint [rad]."""
+_PATIENCE = np.array([0.1, 0.5])
+"""Time after which either is let go [s]. Guesses; nothing else gets there."""
 _LIMB = 0.15  # m: shorter segments, such as thumbs, come back by themselves
 LOST = 3.0
 """A joint this far [m] from its target means that the simulation went astray: more than
@@ -159,7 +161,7 @@ class PulledCharacter:
             self.data.qpos[:] = there
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
-        self._load[:], self._pressure, self._away = 0.0, 0.0, 0.0
+        self._load[:], self._pressure, self._off = 0.0, 0.0, np.zeros(2)
         self._pushes.clear()
         self._place(*self._target)
 
@@ -261,7 +263,7 @@ class PulledCharacter:
             data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
             mujoco.mj_step(self.model, data, nstep=substeps)
         mujoco.mj_kinematics(self.model, data)
-        if self._astray(after_p, began) or self._caught(after_q, dt):
+        if self._astray(after_p, began) or self._caught(after_p, after_q, dt):
             mujoco.mj_resetData(self.model, data)
             self._place(after_p, after_q)
             return False
@@ -320,22 +322,29 @@ class PulledCharacter:
         away = np.abs(self.data.site_xpos[self._sites] - target).max()
         return not away < LOST  # also true for NaN
 
-    def _caught(self, target: Array, dt: float) -> bool:
-        """Tell whether a segment has long been turned far from its target rotation.
+    def _caught(self, positions: Array, rotations: Array, dt: float) -> bool:
+        """Tell whether a segment has long been turned far from its target.
 
         A knee that was bent as far as it goes, after a leg that the tracker turned
         upwards, is held there by what pulls it straight down; and so is a thigh that
         was left behind when the hips were turned around at once.
         """
         if self.limp or self._pushes:
-            self._away = 0.0
+            self._off[:] = 0.0
             return False
-        parts = self._segments
-        alike = np.vecdot(self.data.xquat[self._bodies[parts]], target[parts])
-        long = self.body.lengths[parts] > _LIMB
-        caught = long & (np.abs(alike) < np.cos(0.5 * _CAUGHT))
-        self._away = self._away + dt if caught.any() else 0.0
-        return self._away > _PATIENCE
+        parts, parents = self._segments, self._parents
+        there = self.data.site_xpos[self._sites]
+        along = np.vecdot(
+            there[parts] - there[parents], positions[parts] - positions[parents]
+        )
+        alike = np.vecdot(self.data.xquat[self._bodies[parts]], rotations[parts])
+        lengths = self.body.lengths[parts]
+        off = np.array(
+            [along < np.cos(_AWAY) * lengths**2, np.abs(alike) < np.cos(0.5 * _TURNED)]
+        )
+        far = (off & (lengths > _LIMB)).any(axis=1)
+        self._off = np.where(far, self._off + dt, 0.0)
+        return bool((self._off > _PATIENCE).any())
 
     def _place(self, positions: Array, rotations: Array) -> None:
         root = self.body.skeleton.root
