@@ -26,6 +26,7 @@ _BEND = 0.15  # m by which limbs are in front of the body where it surely faces 
 _FACING = 0.1  # m of mean distance that such a body weighs
 _EXCHANGED = 0.02  # m that sides have to agree better by for as long as exchanged
 _CHANGE = 0.02  # m more that a change costs than the way the joints take
+_GOES_ON = 5.0  # weight of the way that joints take from frame to frame
 
 
 class Sides:
@@ -66,7 +67,9 @@ class Sides:
                     _distance(now, last[0], sure[s] * last[1])
                     for now in (as_given[s], mirrored[s])
                 )
-                ways += np.where(self._changes[..., s], other + _CHANGE, same)
+                ways += _GOES_ON * np.where(
+                    self._changes[..., s], other + _CHANGE, same
+                )
             if not np.isnan(as_given[s]).all():
                 self._last[s] = as_given[s], sure[s]
         whole = self._costs[:, None] + ways
