@@ -7,9 +7,9 @@ import json
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Suppress
+from tyro.conf import Suppress, arg
 
 from kinefilter.characters import InputError
 
@@ -33,9 +33,10 @@ class Settings:
     clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
     calibration: Path | None = None
     """Where and when several sensors are, as of 'merge --save-calibration'."""
-    sessions: Suppress[str | None] = None
+    # Options of batch; the names keep them apart from these.
+    sessions: Suppress[Annotated[str | None, arg(name="own-sessions")]] = None
     """Pattern of the names of takes that are of one session (``batch/sessions.py``)."""
-    sensors: Suppress[tuple[str, ...]] = ()
+    sensors: Suppress[Annotated[tuple[str, ...], arg(name="own-sensors")]] = ()
     """Names of their sensors, in order; default: whatever there is, by the alphabet."""
 
     def __post_init__(self) -> None:
