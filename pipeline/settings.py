@@ -7,9 +7,9 @@ import json
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from tyro.conf import Suppress, arg
+from tyro.conf import Suppress
 
 from kinefilter.characters import InputError
 
@@ -33,10 +33,9 @@ class Settings:
     clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
     calibration: Path | None = None
     """Where and when several sensors are, as of 'merge --save-calibration'."""
-    # Options of batch; the names keep them apart from these.
-    sessions: Suppress[Annotated[str | None, arg(name="own-sessions")]] = None
+    sessions: Suppress[str | None] = None
     """Pattern of the names of takes that are of one session (``batch/sessions.py``)."""
-    sensors: Suppress[Annotated[tuple[str, ...], arg(name="own-sensors")]] = ()
+    sensors: Suppress[tuple[str, ...]] = ()
     """Names of their sensors, in order; default: whatever there is, by the alphabet."""
 
     def __post_init__(self) -> None:

@@ -39,27 +39,15 @@ for module in walk_packages(kinefilter.__path__, "kinefilter."):
 
 Strategy = st.SearchStrategy[list[str]]
 
-_WEIGHTS = {
-    "clean": 12,
-    "info": 3,
-    "report": 4,
-    "character": 3,
-    "replay": 2,
-    "live": 2,
-    "view": 1,
-    "render": 1,
-    "batch": 3,
-    "merge": 2,
-    "pair": 1,
-    "train": 2,
-    "evaluate": 2,
-    "simulate": 2,
-    "database build": 2,
-    "database info": 1,
-    "rate": 2,
-    "ratings": 2,
-    "reproduce": 1,
-    "bench": 1,
+_WEIGHTS = {"clean": 12, "report": 4} | {
+    name: weight
+    for weight, names in (
+        (3, ("info", "character", "batch")),
+        (2, ("replay", "live", "merge", "train", "evaluate", "simulate")),
+        (2, ("database build", "rate", "ratings")),
+        (1, ("view", "render", "pair", "database info", "reproduce", "bench")),
+    )
+    for name in names
 }
 _MOST = 4  # options that may be left out
 _QUICK = ("reliability", "failures", "shum-table-3", "shum-figure-8", "chiang-figure-5")

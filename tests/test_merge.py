@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from live_sensors import error
 from numpy.typing import NDArray
 from real_data import DATA
 from scipy.spatial.transform import Rotation
@@ -18,7 +19,6 @@ from kinefilter import merge, read_clip, read_take
 from kinefilter.characters import KINECT_V2, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.lab.accuracy import LIMBS
 from kinefilter.pipeline.lab.simulate import simulate_session
 from kinefilter.pipeline.merge import Fused, Fusion, Sight, align
 from kinefilter.pipeline.merge.facing import Facing
@@ -69,15 +69,6 @@ def truth_at(times: Array, found: Session) -> tuple[NDArray[np.bool_], Array]:
     inside = (times >= time[0]) & (times <= time[-1])
     there = [np.interp(times[inside], time, x) for x in truth.reshape(len(time), -1).T]
     return inside, np.stack(there, axis=1).reshape(-1, *truth.shape[1:])
-
-
-def error(positions: Array, truth: Array, take: Take) -> float:
-    """Return the mean distance of limb joints from the truth [m], hips taken off."""
-    joints = [take.skeleton.index(joint) for joint in LIMBS]
-    hips = list(take.skeleton.hips)
-    parts = [p - p[:, hips].mean(axis=1, keepdims=True) for p in (positions, truth)]
-    away = np.linalg.norm((parts[0] - parts[1])[:, joints], axis=2)
-    return float(np.nanmean(away))
 
 
 @pytest.mark.parametrize("degrees", [45.0, 90.0, -90.0, 180.0])

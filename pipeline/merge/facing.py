@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from kinefilter.characters.arrays import Array
 
+from .sides import path_to
+
 # Chosen on simulated people (seeds 140 to 145) and on p00 to p08 of two-kinects.
 _COUNT = 72  # headings that are told apart
 _TOLERANCE = np.radians(45.0)  # by which a heading may be off
@@ -58,10 +60,7 @@ class Facing:
         """Return the heading in each frame [rad], (T,), of what ``step`` takes."""
         self.start()
         came = [self.step(*frame)[1] for frame in frames]
-        path = [int(self._costs.argmin())]
-        for before in came[:0:-1]:
-            path.append(int(before[path[-1]]))
-        return np.asarray(_GRID[path[::-1]])
+        return np.asarray(_GRID[path_to(int(self._costs.argmin()), came)])
 
 
 def _wrapped(angles: Array) -> Array:

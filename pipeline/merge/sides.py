@@ -3,14 +3,14 @@
 A sensor takes people whom it sees from behind for people who face it. Where the limbs
 are it still sees, and limbs tell which way a body faces: knees bend forward, elbows
 backward, hands and head are in front. So the sides are those on which the sensors agree
-with each other and with the way the body bends, and which change as rarely as the
-person lets them: the cheapest path over all frames (Viterbi 1967), or what is the
-cheapest so far, for who cannot look ahead.
+with each other and with the way the body bends, without joints that leap from one side
+to the other: the cheapest path over all frames (Viterbi 1967). Live, it is the cheapest
+path so far.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -95,10 +95,7 @@ class Sides:
         """
         self.start()
         came = [self.step(seen, sure)[1] for seen, sure in frames]
-        path = [int(self._costs.argmin())]
-        for before in came[:0:-1]:
-            path.append(int(before[path[-1]]))
-        return self._choices[path[::-1]] > 0
+        return self._choices[path_to(int(self._costs.argmin()), came)] > 0
 
     def _forward(self, seen: Array) -> Array:
         """Return how far limbs bend to where bodies face by their sides [m], (S,).
@@ -124,6 +121,17 @@ class Sides:
         head = seen[:, skeleton.index("Head")] - seen[:, skeleton.girdle]
         bends += 0.5 * head
         return np.asarray(bends[:, 2] * across[:, 0] - bends[:, 0] * across[:, 1])
+
+
+def path_to(end: int, came: Sequence[NDArray[np.integer]]) -> list[int]:
+    """Return the choice in each frame on the cheapest path to the last one (Viterbi).
+
+    Of each frame ``came`` has for every choice the one of the frame before.
+    """
+    path = [end]
+    for before in came[:0:-1]:
+        path.append(int(before[path[-1]]))
+    return path[::-1]
 
 
 def _distance(points: Array, others: Array, weights: Array) -> float:

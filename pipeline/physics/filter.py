@@ -116,7 +116,7 @@ class PhysicsTrace:
     """Number of points in which the character touches itself or anything else."""
     reset: Flags
     """The character was put back onto its target: the step had diverged, or a limb was
-    caught where its target pulls it no further."""
+    stuck at the end of its joint's range (``stuck_limbs``)."""
 
     @property
     def status(self) -> str:

@@ -22,6 +22,8 @@ from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, sunk
 from kinefilter.scenes import load_scene
 
+from .stuck_limbs import StuckLimbs
+
 _UP = np.array([0.0, 0.0, 1.0])
 UPDATE = 1.0 / 60.0
 """Longest time [s] between two updates of what the actuators pull to."""
@@ -31,12 +33,6 @@ _HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, 
 SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
 in six recorded takes of punches and kicks diverged somewhere."""
-_AWAY, _TURNED = np.radians(134.0), np.radians(110.0)
-"""Angles beyond which a segment that points away from where its target points, or is
-turned about itself, too, is caught at the end of its joint [rad]."""
-_PATIENCE = np.array([0.1, 0.5])
-"""Time after which either is let go [s]. Guesses; nothing else gets there."""
-_LIMB = 0.15  # m: shorter segments, such as thumbs, come back by themselves
 LOST = 3.0
 """A joint this far [m] from its target means that the simulation went astray: more than
 the longest jump of a tracker that the bounded forces are still catching up with."""
@@ -130,7 +126,7 @@ class PulledCharacter:
         self._weight = float(body.mass * GRAVITY)
         self._masses = joint_masses(body)[:, None]
         self._shares = self._masses[:, 0] / self._masses.sum()
-        self._clearance = clearances(body)
+        self._clearance, self._limbs = clearances(body), StuckLimbs(body)
         ankles, toes = ankles_and_toes(body.skeleton)
         self._feet = np.stack([ankles, toes], axis=1)
         self._soles = self._bodies[toes]
@@ -161,7 +157,8 @@ class PulledCharacter:
             self.data.qpos[:] = there
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
-        self._load[:], self._pressure, self._off = 0.0, 0.0, np.zeros(2)
+        self._load[:], self._pressure = 0.0, 0.0
+        self._limbs.start()
         self._pushes.clear()
         self._place(*self._target)
 
@@ -263,7 +260,7 @@ class PulledCharacter:
             data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
             mujoco.mj_step(self.model, data, nstep=substeps)
         mujoco.mj_kinematics(self.model, data)
-        if self._astray(after_p, began) or self._caught(after_p, after_q, dt):
+        if self._astray(after_p, began) or self._stuck(dt):
             mujoco.mj_resetData(self.model, data)
             self._place(after_p, after_q)
             return False
@@ -322,29 +319,13 @@ class PulledCharacter:
         away = np.abs(self.data.site_xpos[self._sites] - target).max()
         return not away < LOST  # also true for NaN
 
-    def _caught(self, positions: Array, rotations: Array, dt: float) -> bool:
-        """Tell whether a segment has long been turned far from its target.
-
-        A knee that was bent as far as it goes, after a leg that the tracker turned
-        upwards, is held there by what pulls it straight down; and so is a thigh that
-        was left behind when the hips were turned around at once.
-        """
+    def _stuck(self, dt: float) -> bool:
+        """Tell whether a limb is stuck, unless it may hang or was pushed away."""
         if self.limp or self._pushes:
-            self._off[:] = 0.0
+            self._limbs.start()
             return False
-        parts, parents = self._segments, self._parents
-        there = self.data.site_xpos[self._sites]
-        along = np.vecdot(
-            there[parts] - there[parents], positions[parts] - positions[parents]
-        )
-        alike = np.vecdot(self.data.xquat[self._bodies[parts]], rotations[parts])
-        lengths = self.body.lengths[parts]
-        off = np.array(
-            [along < np.cos(_AWAY) * lengths**2, np.abs(alike) < np.cos(0.5 * _TURNED)]
-        )
-        far = (off & (lengths > _LIMB)).any(axis=1)
-        self._off = np.where(far, self._off + dt, 0.0)
-        return bool((self._off > _PATIENCE).any())
+        there = self.data.site_xpos[self._sites], self.data.xquat[self._bodies]
+        return self._limbs.step(there, self._target, dt)
 
     def _place(self, positions: Array, rotations: Array) -> None:
         root = self.body.skeleton.root
