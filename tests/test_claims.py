@@ -51,6 +51,10 @@ def _table(file: str, *headings: str) -> dict[str, list[str]]:
     ("file", "headings"),
     [
         ("README.md", ["Figures"]),
+        (
+            "pipeline/lab/RESULTS.md",
+            ["Clips, reliability, failures, papers, speed"],
+        ),
         ("pipeline/lab/DEPARTURES.md", ["Presets on recorded people", "Trackers"]),
     ],
 )

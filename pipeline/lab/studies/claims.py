@@ -30,7 +30,7 @@ _COLUMNS = ("claim", "README", "measured", "held")
 
 @dataclass(frozen=True)
 class Claim:
-    """A figure of README or DEPARTURES.md, with what ``claims.toml`` says of it."""
+    """A figure of README or the lab's texts, with what ``claims.toml`` says of it."""
 
     says: str
     figure: str
@@ -48,7 +48,8 @@ class Claim:
     recordings: bool
     """Whether it takes recordings to measure it."""
     where: str = "README.md"
-    """Which text states it; the other is ``pipeline/lab/DEPARTURES.md``."""
+    """Which text states it; the others are ``RESULTS.md`` and ``DEPARTURES.md`` of
+    ``pipeline/lab``."""
 
     @property
     def name(self) -> str:
