@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from pxr import Usd, UsdGeom, UsdSkel, UsdValidation
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdValidation
 from skeletons import every_skeleton
 
 from kinefilter.characters import (
@@ -361,3 +362,15 @@ def test_a_package_for_which_there_is_no_room_is_refused_and_not_left(
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert [path.name for path in tmp_path.iterdir()] == ["clip.usdc"]
+
+
+def test_a_package_that_is_interrupted_leaves_nothing(
+    make_clip: MakeClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Sdf.ZipFileWriter, "AddFile", ended)
+    with suppress(KeyboardInterrupt):  # whose traceback has to be gone, too
+        write_clip(make_clip(3), tmp_path / "clip.usdz")
+    assert list(tmp_path.iterdir()) == []

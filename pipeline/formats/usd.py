@@ -108,9 +108,9 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
                 Sdf.Layer.FindOrOpen(str(layer)).Export(str(temporary))
             elif suffix == ".usdz":
                 os.utime(layer, (time.mktime(_STAMP),) * 2)
-                package = Sdf.ZipFileWriter.CreateNew(str(temporary))
-                package.AddFile(str(layer), layer.name)
-                package.Save()
+                # Left without an end, it would write even after an interrupt.
+                with Sdf.ZipFileWriter.CreateNew(str(temporary)) as package:
+                    package.AddFile(str(layer), layer.name)
                 if not is_zipfile(temporary):  # it does not say that a disk is full
                     raise OSError(ENOSPC, os.strerror(ENOSPC))
     except Tf.ErrorException as error:
