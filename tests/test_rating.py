@@ -119,7 +119,7 @@ def test_the_page_names_nothing_and_holds_what_the_key_says(folders: Path) -> No
     assert sorted(key["motions"]) == ["day/waving", "squatting"]
     places: dict[tuple[str, str], Any] = {}
     for clip, told in zip(page["clips"], key["clips"], strict=True):
-        data = np.frombuffer(base64.b64decode(clip["positions"]), "<i2")
+        data = np.frombuffer(base64.b64decode(clip["positions"]["i2"]), "<i2")
         places[told["motion"], told["system"]] = data.reshape(-1, 3)
         assert told["motion"] == key["motions"][clip["motion"]]
     for motion in key["motions"]:

@@ -145,12 +145,12 @@ def test_a_page_has_what_each_sensor_saw(
     _, merged = session
     for k, sensor in enumerate(found["sensors"]):
         shape = merged.residuals[k].shape
-        apart = np.frombuffer(base64.b64decode(sensor["residuals"]), "<i2")
+        apart = np.frombuffer(base64.b64decode(sensor["residuals"]["i2"]), "<i2")
         known = np.isfinite(merged.residuals[k])
         np.testing.assert_allclose(
             apart.reshape(shape)[known], merged.residuals[k][known] * 1e3, atol=1.0
         )
-        shares = np.frombuffer(base64.b64decode(sensor["shares"]), "u1")
+        shares = np.frombuffer(base64.b64decode(sensor["shares"]["u1"]), "u1")
         np.testing.assert_allclose(
             shares.reshape(shape), merged.shares[:, k] * 100.0, atol=0.51
         )

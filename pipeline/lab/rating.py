@@ -25,7 +25,7 @@ from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.formats.files import as_path, new_text
 from kinefilter.pipeline.look.comparison import leveled_to_clip
 from kinefilter.pipeline.look.drawing import read_finite_clip
-from kinefilter.pipeline.look.page import millimeters, packed, write_page
+from kinefilter.pipeline.look.page import facing, millimeters, packed, write_page
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.target.floor import leveled
 
@@ -257,20 +257,11 @@ def _staged(files: Sequence[Path]) -> tuple[dict[str, Any], list[Clip | Take]]:
     low, high = 1e3 * np.nanpercentile(near, (1, 99), axis=0)
     return {
         "seconds": seconds,
-        "yaw": _facing(standing) + _TURNED,
+        "yaw": facing(standing) + _TURNED,
         "tall": round(max(high[1] + _HEAD, _LEAST)),
         "center": [round((low[axis] + high[axis]) / 2) for axis in (0, 2)],
         "wide": round(max(high[0] - low[0], high[2] - low[2])),
     }, clips
-
-
-def _facing(clip: Clip | Take) -> float:
-    """Return the yaw [rad] of a camera that looks into the face, over a clip."""
-    names = clip.skeleton.joints
-    left, right = (names.index(f"Shoulder{side}") for side in ("Left", "Right"))
-    across = clip.positions[:, left] - clip.positions[:, right]
-    x, _, z = np.nan_to_num(across).sum(axis=0)
-    return float(np.arctan2(-z, -x))
 
 
 def _read(path: Path) -> Clip | Take:
@@ -319,8 +310,8 @@ def _foot_height(positions: Array) -> float:
     return float(np.median(np.nanmin(heights[there], axis=1))) if there.any() else 0.0
 
 
-def _packed(clip: Clip | Take) -> dict[str, str]:
+def _packed(clip: Clip | Take) -> dict[str, dict[str, str]]:
     return {
-        "time": packed(clip.time, "<f8"),
-        "positions": packed(millimeters(clip.positions), "<i2"),
+        "time": packed(clip.time, "f8"),
+        "positions": packed(millimeters(clip.positions), "i2"),
     }

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import CONTACTS, InputError, Origin, Term
+from kinefilter.characters import CONTACTS, Clip, InputError, Origin, Take, Term
 from kinefilter.characters.arrays import Array, shown
 from kinefilter.pipeline.formats.files import atomic_path, read_toml
 from kinefilter.pipeline.formats.plain import finite
@@ -33,7 +33,7 @@ _FORM = re.compile(rf"\s*(\w+)\s*([<>])\s*({_NUMBER})\s*")
 _EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
 _TEMPLATE = Path(__file__).parent / "template"
 _SHARED = (_TEMPLATE / "page.css", _TEMPLATE / "drawing.js")  # by all pages
-_SCRIPTS = ("arrays", "sensors", "figures", "maps", "tables", "session", "page")
+_SCRIPTS = ("arrays", "figures", "sensors", "maps", "tables", "page")
 _FILES = ("page.html", *(f"{name}.js" for name in _SCRIPTS))
 _MISSING = -(2**15)  # of the int16 that a position is written as
 _FARTHEST = 2**15 - 1  # mm from the origin
@@ -137,10 +137,11 @@ def write_page(
 def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:
     """Return everything that a page shows, ready for ``json.dumps``.
 
-    Arrays are base64 of little-endian numbers, frame by frame: positions and distances
-    int16 [mm], -32768 where missing; reliability uint8 [%], 255 where unknown.
+    Arrays (``packed``) go frame by frame: positions and distances are int16 [mm],
+    -32768 where missing; reliability uint8 [%], 255 where unknown.
     """
     clip = comparison.clip
+    corners = np.stack([f(clip.positions, axis=(0, 1)) for f in (np.min, np.max)])
     rates = np.where(np.isnan(clip.reliability), _NO_RATE, clip.reliability * 100.0)
     metrics = [
         {
@@ -173,21 +174,23 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             "terms": TERMS,
             "unknown": UNKNOWN,
         },
-        "time": packed(clip.time - clip.time[0], "<f8"),
-        "raw": packed(millimeters(comparison.raw), "<i2"),
-        "clean": packed(millimeters(clip.positions), "<i2"),
+        "facing": facing(clip),
+        "bounds": millimeters(corners).tolist(),
+        "time": packed(clip.time - clip.time[0], "f8"),
+        "raw": packed(millimeters(comparison.raw), "i2"),
+        "clean": packed(millimeters(clip.positions), "i2"),
         "reliability": packed(rates, "u1"),
         "term": packed(clip.deciding_term, "u1"),
         "origin": packed(clip.origin, "u1"),
-        "correction": packed(millimeters(clip.moved_by_correction), "<i2"),
-        "physics": packed(millimeters(clip.moved_by_physics), "<i2"),
-        "uncertainty": packed(millimeters(clip.uncertainty), "<i2"),
+        "correction": packed(millimeters(clip.moved_by_correction), "i2"),
+        "physics": packed(millimeters(clip.moved_by_physics), "i2"),
+        "uncertainty": packed(millimeters(clip.uncertainty), "i2"),
         "contacts": packed(clip.contacts, "u1"),
         "curves": [
             {
                 "name": name,
-                "raw": packed(_derivative(clip.time, comparison.raw, order), "<f4"),
-                "clean": packed(_derivative(clip.time, clip.positions, order), "<f4"),
+                "raw": packed(_derivative(clip.time, comparison.raw, order), "f4"),
+                "clean": packed(_derivative(clip.time, clip.positions, order), "f4"),
             }
             for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
         ],
@@ -197,9 +200,10 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
                 "name": sensor.name,
                 "color": "#{:02x}{:02x}{:02x}".format(*sensor.color),
                 "edges": millimeters(sensor.edges).tolist(),
-                "joints": packed(millimeters(sensor.joints), "<i2"),
-                "residuals": packed(millimeters(sensor.residuals), "<i2"),
+                "joints": packed(millimeters(sensor.joints), "i2"),
+                "residuals": packed(millimeters(sensor.residuals), "i2"),
                 "shares": packed(sensor.shares * 100.0, "u1"),
+                "share": packed(sensor.shares.mean(axis=1) * 100.0, "f4"),
                 "figures": finite(sensor.figures),
             }
             for sensor in comparison.sensors
@@ -207,11 +211,20 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
     }
 
 
-def packed(values: NDArray[Any], kind: str) -> str:
-    """Return numbers as base64 of a type such as "<i2", integers rounded."""
+def packed(values: NDArray[Any], kind: str) -> dict[str, str]:
+    """Return base64 of numbers under their little-endian type, integers rounded."""
     if np.issubdtype(np.dtype(kind), np.integer):
         values = np.rint(values)
-    return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")
+    data = values.astype(f"<{kind}").tobytes()
+    return {kind: base64.b64encode(data).decode("ascii")}
+
+
+def facing(motion: Clip | Take) -> float:
+    """Return the yaw [rad] of a camera that looks into the face, over a motion."""
+    left, right = motion.skeleton.sides("Shoulder")
+    across = motion.positions[:, left] - motion.positions[:, right]
+    x, _, z = np.nan_to_num(across).sum(axis=0)
+    return float(np.arctan2(-z, -x))
 
 
 def millimeters(meters: Array) -> Array:

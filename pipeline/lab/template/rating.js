@@ -1,16 +1,10 @@
 // Shows one trial after another, keeps the grades, and saves them in the end.
 
-const kit = JSON.parse(document.getElementById("data").textContent);
-const at = (id) => document.getElementById(id);
+const kit = JSON.parse(at("data").textContent, unpacked);
 const LOOK = { Left: "#2a63b0", Right: "#d9731a", "": "#465066" };
 const sides = kit.joints.map((name) => (name.match(/Left$|Right$/) || [""])[0]);
 const [NOT, WELL] = [`1, not ${kit.word} at all`, `${kit.highest}, very ${kit.word}`];
 const PAUSE = 0.5; // s at the end, before a motion begins anew
-
-for (const clip of [...kit.clips, ...kit.motions.flatMap((m) => m.reference || [])]) {
-  clip.time = unpacked(clip.time, Float64Array);
-  clip.positions = unpacked(clip.positions, Int16Array);
-}
 
 let rater = "", order = [], answers = [], trial = 0, framed = 0, panes = [];
 let view = null, motion = null, playing = false, seconds = 0, stamp = null;
@@ -117,9 +111,7 @@ function mark() {
 
 function draw() {
   for (const { clip, canvas } of panes) {
-    const { context, width, height } = sharp(canvas);
-    context.fillStyle = "#eef1f5";
-    context.fillRect(0, 0, width, height);
+    const { context, width, height } = stage(canvas);
     const { tall, center: [x, z] } = motion, center = [x, 0.5 * tall, z];
     const pixel = Math.min((0.75 * height) / tall, (0.9 * width) / motion.wide); // per mm
     const shown = (0.85 * Math.min(width, height)) / pixel, thick = 75 * pixel * view.zoom;

@@ -1,21 +1,6 @@
-// The data of the page, its arrays unpacked.
+// The data of the page, and the colors that say how reliable a joint is.
 
-const report = JSON.parse(document.getElementById("data").textContent);
-for (const [Numbers, names] of [
-  [Float64Array, ["time"]],
-  [Int16Array, ["raw", "clean", "correction", "physics", "uncertainty"]],
-  [Uint8Array, ["reliability", "term", "origin", "contacts"]],
-]) {
-  for (const name of names) report[name] = unpacked(report[name], Numbers);
-}
-for (const curve of report.curves) {
-  curve.raw = unpacked(curve.raw, Float32Array);
-  curve.clean = unpacked(curve.clean, Float32Array);
-}
-for (const sensor of report.sensors) {
-  for (const name of ["joints", "residuals"]) sensor[name] = unpacked(sensor[name], Int16Array);
-  sensor.shares = unpacked(sensor.shares, Uint8Array);
-}
+const report = JSON.parse(at("data").textContent, unpacked);
 const frames = report.time.length, joints = report.joints.length;
 const duration = report.time[frames - 1];
 const span = duration + 1 / report.fps; // s that all frames last, the last one too

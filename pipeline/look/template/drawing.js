@@ -1,10 +1,15 @@
 // What pages draw: figures of joints and bones on a floor, seen by one camera.
 
 const MISSING = -32768;
+const NUMBERS = { u1: Uint8Array, i2: Int16Array, f4: Float32Array, f8: Float64Array };
+const at = (id) => document.getElementById(id);
 
-function unpacked(text, Numbers) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  return new Numbers(bytes.buffer);
+// For JSON.parse: arrays of numbers are base64 under the name of their type.
+function unpacked(_, value) {
+  const kind = Object.keys(NUMBERS).find((name) => value?.[name] !== undefined);
+  if (!kind) return value;
+  const bytes = Uint8Array.from(atob(value[kind]), (c) => c.charCodeAt(0));
+  return new NUMBERS[kind](bytes.buffer);
 }
 
 // A canvas's context in CSS pixels, sharp on any screen, and its size.
@@ -16,6 +21,14 @@ function sharp(canvas) {
   const context = canvas.getContext("2d");
   context.setTransform(scale, 0, 0, scale, 0, 0);
   return { context, width, height };
+}
+
+// The same, for figures.
+function stage(canvas) {
+  const sized = sharp(canvas);
+  sized.context.fillStyle = "#eef1f5";
+  sized.context.fillRect(0, 0, sized.width, sized.height);
+  return sized;
 }
 
 // An element with text, which is never markup.

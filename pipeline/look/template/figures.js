@@ -1,41 +1,18 @@
 // The raw and the clean figure, seen from a camera that the mouse turns.
 
-const canvas = document.getElementById("figures");
-const view = { yaw: facing() + 0.35, pitch: 0.16, zoom: 1, over: false, follow: false };
-// The yaw [rad] that looks into the figure's face, over the clip.
-function facing() {
-  const [left, right] = ["Left", "Right"].map((s) => report.joints.indexOf(`Shoulder${s}`));
-  let x = 0, z = 0;
-  for (let f = 0; f < frames; f++) {
-    const [a, b] = [3 * (f * joints + left), 3 * (f * joints + right)];
-    x += report.clean[a] - report.clean[b];
-    z += report.clean[a + 2] - report.clean[b + 2];
-  }
-  return Math.atan2(-z, -x);
-}
-
+const canvas = at("figures");
 const TALL = report.height * 1000; // mm
+const [lowest, highest] = report.bounds; // corners of a box around the whole clip [mm]
+const spread = Math.max(highest[0] - lowest[0], highest[2] - lowest[2]);
+const view = { yaw: report.facing + 0.35, pitch: 0.16, zoom: 1, over: false,
+  follow: spread > 1.6 * TALL };
 
-const bounds = (() => {
-  const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
-  for (let k = 0; k < frames * joints; k++) {
-    for (const [n, axis] of [[0, 0], [1, 2]]) {
-      low[n] = Math.min(low[n], report.clean[3 * k + axis]);
-      high[n] = Math.max(high[n], report.clean[3 * k + axis]);
-    }
-  }
-  return { low, high, wide: Math.max(high[0] - low[0], high[1] - low[1]) };
-})();
-view.follow = bounds.wide > 1.6 * TALL;
-
+// What is in the middle of the picture [mm].
 function middle(frame) {
-  const height = 0.5 * TALL;
-  if (!view.follow) {
-    const { low, high } = bounds;
-    return [(low[0] + high[0]) / 2, height, (low[1] + high[1]) / 2];
-  }
   const root = 3 * (frame * joints + report.parents.indexOf(-1));
-  return [report.clean[root], height, report.clean[root + 2]];
+  const [x, z] = [0, 2].map((n) =>
+    view.follow ? report.clean[root + n] : (lowest[n] + highest[n]) / 2);
+  return [x, 0.5 * TALL, z];
 }
 
 const RAW = { width: 3, radius: 5, bone: () => "#8a8f99",
@@ -57,11 +34,9 @@ function drawContacts(context, points, frame) {
 }
 
 function drawFigures(frame) {
-  const { context, width, height } = sharp(canvas);
-  context.fillStyle = "#eef1f5";
-  context.fillRect(0, 0, width, height);
+  const { context, width, height } = stage(canvas);
   const center = middle(frame), half = width / 2, parents = report.parents;
-  const shown = view.follow ? TALL : Math.max(TALL, 0.8 * bounds.wide);
+  const shown = view.follow ? TALL : Math.max(TALL, 0.8 * spread);
   const panes = view.over
     ? [["raw over clean", 0, width, true, true]]
     : [["raw", 0, half, true, false], ["clean", half, half, false, true]];
@@ -80,8 +55,7 @@ function drawFigures(frame) {
       drawFigure(context, project, report.raw, parents, frame, RAW);
       drawSensorFigures(context, project, frame);
     }
-    context.fillStyle = "#1d2330";
-    context.font = "600 15px system-ui, 'DejaVu Sans', sans-serif";
+    lettering(context, "left", "#1d2330", "600 15px");
     context.fillText(name, left + 14, 26);
     context.restore();
   }

@@ -48,12 +48,16 @@ function legend(entries) {
   return line;
 }
 
+function lettering(context, align, color = "#667085", font = "11px") {
+  context.fillStyle = color;
+  context.font = `${font} system-ui, 'DejaVu Sans', sans-serif`;
+  context.textAlign = align;
+}
+
 function timeAxis(context, width, height) {
   const step = [0.5, 1, 2, 5, 10, 30, 60, 120, 300, 600, 1800].find(
     (s) => span / s <= 10) || 3600;
-  context.fillStyle = "#667085";
-  context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
-  context.textAlign = "center";
+  lettering(context, "center");
   for (let t = 0; t <= duration; t += step) {
     const x = LABELS + ((width - LABELS) * t) / span;
     context.fillText(t === 0 ? "0 s" : String(t), Math.min(x, width - 10), height - 4);
@@ -92,7 +96,7 @@ function addPlot(parent, title, entries, height, draw, tip, go) {
 }
 
 function showTip(e, text) {
-  const tip = document.getElementById("tip");
+  const tip = at("tip");
   tip.hidden = text === null;
   if (text === null) return;
   tip.textContent = text;
@@ -108,9 +112,7 @@ function addMap(parent, map, go) {
     columns = Math.max(1, Math.min(frames, Math.floor(width - LABELS)));
     context.imageSmoothingEnabled = false;
     context.drawImage(picture(map, columns), LABELS, 0, width - LABELS, high);
-    context.fillStyle = "#1d2330";
-    context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
-    context.textAlign = "right";
+    lettering(context, "right", "#1d2330");
     map.rows.forEach((row, k) => context.fillText(row, LABELS - 6, ROW * (k + 0.8)));
     timeAxis(context, width, height);
   };
@@ -132,9 +134,7 @@ function addCurve(parent, curve, go) {
   const most = known.length ? 1.1 * known[Math.floor(0.995 * (known.length - 1))] : 1;
   const top = most || 1, tall = 150;
   const draw = ({ context, width, height }) => {
-    context.fillStyle = "#667085";
-    context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
-    context.textAlign = "right";
+    lettering(context, "right");
     context.fillText(String(Number(top.toPrecision(2))), LABELS - 6, 10);
     context.fillText("0", LABELS - 6, tall);
     context.strokeStyle = "#d9dde5";

@@ -1,7 +1,7 @@
 // Puts the page together and plays it.
 
-const scrubber = document.getElementById("scrubber");
-const playButton = document.getElementById("play");
+const scrubber = at("scrubber");
+const playButton = at("play");
 let frame = 0, playing = false, seconds = 0, stamp = null;
 
 const WHITE = [246, 247, 249], FAR = 200; // mm that are shown in full color
@@ -52,18 +52,18 @@ const go = (to) => {
   seconds = report.time[frame];
   show();
 };
-for (const map of MAPS) plots.push(addMap(document.getElementById("maps"), map, go));
+for (const map of MAPS) plots.push(addMap(at("maps"), map, go));
 for (const curve of report.curves) {
   const lines = [["raw", curve.raw, "#d9731a"], ["clean", curve.clean, "#2a63b0"]];
   const plot = { name: curve.name, lines };
-  plots.push(addCurve(document.getElementById("curves"), plot, go));
+  plots.push(addCurve(at("curves"), plot, go));
 }
 if (report.sensors.length) plots.push(...addSession(go));
 
 function show() {
   drawFigures(frame);
   scrubber.value = frame;
-  document.getElementById("clock").textContent = `${clock(frame)} of ${frames}`;
+  at("clock").textContent = `${clock(frame)} of ${frames}`;
   if (report.sensors.length) drawRoom(frame);
   for (const plot of plots) plot.show(frame);
 }
@@ -75,7 +75,7 @@ function redraw() {
 
 function tick(now) {
   if (!playing) return;
-  const pace = Number(document.getElementById("pace").value);
+  const pace = Number(at("pace").value);
   seconds += stamp === null ? 0 : ((now - stamp) / 1000) * pace;
   stamp = now;
   if (seconds > duration) seconds = 0;
@@ -97,7 +97,7 @@ scrubber.max = frames - 1;
 scrubber.addEventListener("input", () => go(Number(scrubber.value)));
 playButton.addEventListener("click", play);
 for (const name of ["over", "follow"]) {
-  const box = document.getElementById(name);
+  const box = at(name);
   box.checked = view[name];
   box.addEventListener("change", () => {
     view[name] = box.checked;
@@ -115,15 +115,13 @@ document.addEventListener("keydown", (e) => {
 turnByMouse(canvas, view, show);
 turnByMouse(room, roomView, show);
 window.addEventListener("resize", redraw);
-document.getElementById("source").textContent = report.source;
-document.getElementById("facts").textContent =
+at("source").textContent = report.source;
+at("facts").textContent =
   `${report.skeleton}, ${frames} frames, ${duration.toFixed(1)} s, ` +
   `${report.fps.toFixed(1)} frames a second`;
 for (const sentence of report.damage) {
-  const item = document.createElement("li");
-  item.textContent = sentence;
-  document.getElementById("damage").append(item);
+  at("damage").append(element("li", sentence));
 }
-fillMetrics(document.getElementById("metrics"));
-fillMoved(document.getElementById("moved"));
+fillMetrics(at("metrics"));
+fillMoved(at("moved"));
 redraw();
