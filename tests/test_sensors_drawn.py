@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,12 @@ import pytest
 from browser import Browser
 from real_data import DATA
 
-from kinefilter import CleanConfig, read_take
+from kinefilter import CleanConfig, clean_session, read_take
 from kinefilter.characters import KINECT_V1, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulate import simulate_session
-from kinefilter.pipeline.look.drawing import Drawing, cleaned_session
+from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.sensors import Sensor
 from kinefilter.pipeline.look.viewer import status_html
 from kinefilter.pipeline.merge import Merged
@@ -49,7 +50,12 @@ def files(tmp_path_factory: pytest.TempPathFactory, views: list[Any]) -> list[st
 
 @pytest.fixture(scope="module")
 def session(files: list[str]) -> tuple[Drawing, Merged]:
-    return cleaned_session([read_take(path) for path in files[:2]], QUICK)
+    return _drawn(files[:2])
+
+
+def _drawn(paths: Iterable[str | Path]) -> tuple[Drawing, Merged]:
+    result, merged = clean_session([read_take(path) for path in paths], QUICK)
+    return Drawing.of(result, merged.take, merged), merged
 
 
 def _in_own_frame(points: Any, sensor: Sensor) -> Any:
@@ -265,7 +271,7 @@ def test_the_page_draws_the_room_and_turns_it(
 def test_recorded_sensors_look_at_the_person() -> None:
     folder = DATA / "two-kinects"
     names = [f"p02_90deg_walk_{which}.csv.gz" for which in "AB"]
-    drawing, _ = cleaned_session([read_take(folder / n) for n in names], QUICK)
+    drawing, _ = _drawn(folder / name for name in names)
     for sensor in drawing.sensors:
         root = _in_own_frame(sensor.joints[:, sensor.skeleton.root], sensor)
         left, _, away = root[~np.isnan(root[:, 0])].T

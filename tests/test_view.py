@@ -21,7 +21,7 @@ from kinefilter.pipeline.formats.sheets import read_contacts, write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import read_comparison
 from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, timeline_html
-from kinefilter.pipeline.look.drawing import Drawing, cleaned
+from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.viewer import Playback, opened_viewer, status_html
 
 QUICK = CleanConfig(method="none", physics=False)
@@ -173,7 +173,7 @@ def test_the_status_names_the_least_reliable_joint_and_the_force(
 def test_a_take_is_viewed_with_its_target_where_the_clip_is() -> None:
     take = read_take(sample_path())
     result = clean(take, CleanConfig())
-    drawing = cleaned(take, CleanConfig())
+    drawing = Drawing.of(result, take)
     assert drawing.target is not None
     assert drawing.raw is not None
     np.testing.assert_array_equal(drawing.target, result.target)
@@ -190,7 +190,8 @@ def test_a_take_is_viewed_with_its_target_where_the_clip_is() -> None:
 
 
 def test_without_physics_there_is_no_force_and_no_second_figure() -> None:
-    drawing = cleaned(read_take(sample_path()), QUICK)
+    take = read_take(sample_path())
+    drawing = Drawing.of(clean(take, QUICK), take)
     assert drawing.target is None
     assert drawing.layers.keys() == {"skin", "raw", "cleaned", "contacts"}
 
@@ -207,8 +208,8 @@ def test_the_take_beside_a_clip_never_touches_it(make_clip: MakeClip) -> None:
 
 def test_a_clip_is_read_with_its_take(tmp_path: Path) -> None:
     take = read_take(sample_path())
-    clip = clean(take, QUICK).clip
-    expected = cleaned(take, QUICK).raw
+    result = clean(take, QUICK)
+    clip, expected = result.clip, Drawing.of(result, take).raw
     for suffix, off in (
         (".npz", 1e-9),
         (".usdc", 1e-6),

@@ -19,11 +19,11 @@ import viser
 from browser import Browser
 from numpy.typing import NDArray
 
-from kinefilter import CleanConfig, clean, read_take
+from kinefilter import CleanConfig, clean, clean_session, read_take
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulate import simulate_session
-from kinefilter.pipeline.look.drawing import Drawing, cleaned, cleaned_session
+from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.viewer import CleanAgain, Viewer, opened_viewer
 from kinefilter.pipeline.progress import Progress
 
@@ -48,7 +48,8 @@ _TEXT = "return document.body.innerText"
 
 @pytest.fixture(scope="module")
 def viewed() -> Drawing:
-    return cleaned(read_take(sample_path()), CleanConfig())
+    take = read_take(sample_path())
+    return Drawing.of(clean(take), take)
 
 
 @pytest.fixture
@@ -60,7 +61,8 @@ def saved(tmp_path: Path) -> Path:
 def viewer(viewed: Drawing, saved: Path) -> Iterator[Viewer]:
     def again(contacts: Path, progress: Progress) -> Drawing:
         take = read_take(sample_path())
-        return cleaned(take, CleanConfig(contacts=contacts), progress=progress)
+        config = CleanConfig(contacts=contacts)
+        return Drawing.of(clean(take, config, progress=progress), take)
 
     with _running(viewed, saved, again) as opened:
         yield opened
@@ -198,7 +200,8 @@ def test_sensors_are_shown_where_they_stand_each_in_its_color(
         replace(view.pair.take, source=f"sensor.{name}.csv")
         for view, name in zip(views, ("<i>", "b"), strict=True)
     ]
-    drawing, _ = cleaned_session(takes, CleanConfig("none", physics=False))
+    result, merged = clean_session(takes, CleanConfig("none", physics=False))
+    drawing = Drawing.of(result, merged.take, merged)
     with _running(drawing, saved) as viewer:
         browser.open(viewer.address)
         _wait(lambda: "2: sensor.b" in browser.run(_TEXT))

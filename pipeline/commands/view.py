@@ -13,12 +13,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.look.drawing import (
-    Drawing,
-    cleaned,
-    cleaned_session,
-    read_finite_clip,
-)
+from kinefilter.pipeline.look.drawing import Drawing, read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.progress import Progress
 
@@ -142,9 +137,11 @@ class View:
 
     def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
         """Return what is looked at, and how it is cleaned again."""
+        from kinefilter.pipeline.cleaner import clean
         from kinefilter.pipeline.look.comparison import read_comparison
-        from kinefilter.pipeline.merge import read_calibration
+        from kinefilter.pipeline.merge import clean_session, read_calibration
 
+        known = read_calibration(self.calibration)
         if self._is_clip:
             if not self.take:
                 return Drawing(read_finite_clip(self.motion[0])), None
@@ -153,19 +150,18 @@ class View:
                     self.motion[0],
                     *self.take,
                     body=self.body,
-                    calibration=read_calibration(self.calibration),
+                    calibration=known,
                     progress=progress,
                 ), None
         recordings = [read_recording(path, format=self.format) for path in self.motion]
-        known = read_calibration(self.calibration)
         for note in recordings[0].notes:
             out.print(note)
 
         def made(config: CleanConfig, progress: Progress) -> Drawing:
             if len(recordings) == 1:
                 take = recordings[0].take(self.body)
-                return cleaned(take, config, progress=progress)
-            drawing, merged = cleaned_session(
+                return Drawing.of(clean(take, config, progress=progress), take)
+            result, merged = clean_session(
                 recordings,
                 config,
                 body=self.body,
@@ -174,7 +170,7 @@ class View:
             )
             for note in merged.told():
                 out.print(note)
-            return drawing
+            return Drawing.of(result, merged.take, merged)
 
         def again(contacts: Path, progress: Progress) -> Drawing:
             return made(replace(self.config, contacts=contacts), progress)

@@ -5,27 +5,23 @@ Videos, the viewer and the report page all draw a ``Drawing`` in the same colors
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, Motion, Prop, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import between, rotate
-from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip
-from kinefilter.pipeline.progress import Progress, silent
 
 from .sensors import Sensor, sensors_of
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.cleaner import CleanResult
-    from kinefilter.pipeline.formats import Recording
-    from kinefilter.pipeline.merge import Alignment, Merged
+    from kinefilter.pipeline.merge import Merged
 
 Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
@@ -110,6 +106,16 @@ class Drawing:
     target: Array | None = None
     sensors: tuple[Sensor, ...] = ()
 
+    @classmethod
+    def of(cls, result: CleanResult, take: Take, merged: Merged | None = None) -> Self:
+        """Return a cleaned take, which may be one merged of several sensors'."""
+        from kinefilter.pipeline.target.floor import in_world
+
+        raw = in_world(take, result.clip)
+        target = None if result.trace is None else result.target
+        sensors = () if merged is None else sensors_of(merged, raw)
+        return cls(clip=result.clip, raw=raw, target=target, sensors=sensors)
+
     @property
     def simulated(self) -> bool:
         """Whether the clip went through physics."""
@@ -167,41 +173,6 @@ def left_of(motion: Motion) -> Array:
     length = float(np.linalg.norm(left))
     # Somebody who turned all the way around has no mean left.
     return np.asarray(left / length) if length > 0.1 else np.array([1.0, 0.0, 0.0])
-
-
-def cleaned(take: Take, config: CleanConfig, *, progress: Progress = silent) -> Drawing:
-    """Clean a take (``clean``) and keep its motion before correction and physics."""
-    from kinefilter.pipeline.cleaner import clean
-
-    return _drawn(clean(take, config, progress=progress), take, config)
-
-
-def cleaned_session(
-    takes: Sequence[Take | Recording],
-    config: CleanConfig,
-    *,
-    body: int | None = None,
-    calibration: Sequence[Alignment] = (),
-    progress: Progress = silent,
-) -> tuple[Drawing, Merged]:
-    """Clean what several sensors recorded (``clean_session``), and keep them, too."""
-    from kinefilter.pipeline.merge import clean_session
-
-    result, merged = clean_session(
-        takes, config, body=body, calibration=calibration, progress=progress
-    )
-    return _drawn(result, merged.take, config, merged), merged
-
-
-def _drawn(
-    result: CleanResult, take: Take, config: CleanConfig, merged: Merged | None = None
-) -> Drawing:
-    from kinefilter.pipeline.target.floor import in_world
-
-    raw = in_world(take, result.clip)
-    target = result.target if config.physics else None
-    sensors = () if merged is None else sensors_of(merged, raw)
-    return Drawing(result.clip, raw, target, sensors)
 
 
 def read_finite_clip(path: Path) -> Clip:

@@ -20,11 +20,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from browser import Browser
 
-from kinefilter import CleanConfig, read_take
+from kinefilter import clean, read_take
 from kinefilter.characters import Clip, Take
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
-from kinefilter.pipeline.look.drawing import cleaned
+from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.page import read_limits, write_report
 from kinefilter.pipeline.look.viewer import opened_viewer
 from kinefilter.pipeline.workers import one_thread
@@ -41,7 +41,7 @@ CLOSE = "document.querySelectorAll('.mantine-CloseButton-root').forEach(b => b.c
 
 def take_view(take: Take, out: Path) -> Clip:
     """Write the picture of view; return the clip."""
-    drawing = cleaned(take, CleanConfig())
+    drawing = Drawing.of(clean(take), take)
     with opened_viewer(drawing, Path("wave_punch_bend.contacts.csv")) as viewer:
         work = threading.Thread(target=viewer.run)
         work.start()
