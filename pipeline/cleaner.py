@@ -132,8 +132,7 @@ class Cleaner:
     def replaced(self, *stages: Stage) -> Cleaner:
         """Return a cleaner with other stages in the place of those of their names.
 
-        Raises:
-            InputError: There is no stage of that name.
+        Raises an InputError if there is no stage of that name.
         """
         for stage in stages:
             check_kind(stage, Stage, "a stage")
@@ -211,15 +210,7 @@ class Cleaner:
         return draft
 
     def whole(self, take: Take, progress: Progress = silent) -> Draft:
-        """Pass a take through the stages.
-
-        Args:
-            take: The recording, with strictly increasing time stamps.
-            progress: Wraps the frame loops, for a progress bar.
-
-        Returns:
-            What the stages found.
-        """
+        """Pass a take with strictly increasing time stamps through the stages."""
         check_kind(take, Take, "the take")
         draft = Draft.of(take)
         for stage in self.stages:
@@ -234,15 +225,10 @@ class Cleaner:
         return draft
 
     def clean(self, take: Take, *, progress: Progress = silent) -> CleanResult:
-        """Clean a take.
+        """Clean a take; ``progress`` wraps the frame loops, for a progress bar.
 
-        Args:
-            take: The recording.
-            progress: Wraps the frame loops, for a progress bar.
-
-        Raises:
-            InputError: The take holds nothing to clean, or a long gap that is not to
-                be, or the database does not fit.
+        Raises an InputError if the take holds nothing to clean, or a long gap that is
+        not to be, or the database does not fit.
         """
         check_take(take)
         if self._gaps == "refuse" and (gaps := long_gaps(take.time)):
@@ -311,16 +297,7 @@ class Cleaner:
 def clean(
     take: Take, config: CleanConfig | None = None, *, progress: Progress = silent
 ) -> CleanResult:
-    """Clean a take; a ``Cleaner`` does many and makes its methods once.
-
-    Args:
-        take: The recording.
-        config: What to do; by default as learned, local PCA, then physics.
-        progress: Wraps the frame loops, for a progress bar.
-
-    Raises:
-        InputError: The take holds nothing to clean, or the database does not fit it.
-    """
+    """Clean a take as ``Cleaner.clean``, which does many and makes its methods once."""
     return Cleaner(config).clean(take, progress=progress)
 
 

@@ -54,7 +54,8 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
         if field not in _HINTS:
             known = ", ".join(sorted(name.replace("_", "-") for name in _HINTS))
             raise InputError(f"{name}: unknown key {key!r}; known: {known}")
-        values[field] = _converted(value, field, f"{name}: {key}", folder)
+        where = f"{name}: {key}"
+        values[field] = _placed(converted(value, _HINTS[field], where), where, folder)
     return SettingsFile(name, values)
 
 
@@ -80,23 +81,15 @@ def overlaid(
     return settings
 
 
-def _converted(value: object, field: str, where: str, folder: Path | None) -> Any:
-    found = converted(value, _HINTS[field], where)
-    if isinstance(found, tuple) and any(isinstance(one, Path) for one in found):
-        return tuple(_placed(str(name), where, folder) for name in found)
-    if isinstance(found, Path):
-        return _placed(str(found), where, folder)
-    if isinstance(found, str) and names_file(found):
-        return str(_placed(found, where, folder))
-    return found
-
-
-def _placed(path: str, where: str, folder: Path | None) -> Path:
-    if folder is not None:
-        return (folder / path).absolute()
-    if not Path(path).is_absolute():
+def _placed(value: Any, where: str, folder: Path | None) -> Any:
+    """Return a value with the absolute path of each file that it names."""
+    if isinstance(value, tuple):
+        return tuple(_placed(one, where, folder) for one in value)
+    if not names_file(value):
+        return value
+    if folder is None and not Path(value).is_absolute():
         raise InputError(
-            f"{where} = {path!r}: expected an absolute path, since this file is in a "
-            "store, and every worker must find the path on its disk"
+            f"{where} = {str(value)!r}: expected an absolute path, since this file is "
+            "in a store, and every worker must find the path on its disk"
         )
-    return Path(path)
+    return type(value)(Path(folder or "", value).absolute())

@@ -152,7 +152,6 @@ class Draft:
         """Whether a joint was not measured, shape (J,)."""
         return np.asarray(np.isnan(self.measured[..., 0]))
 
-    def take(self, positions: Array | None = None) -> Take:
-        """Return the draft's take, or one with other positions [m], (T, J, 3)."""
-        positions = self.measured if positions is None else positions
-        return Take(self.time, positions, self.state, self.skeleton, self.source)
+    def take(self) -> Take:
+        """Return the draft's take."""
+        return Take(self.time, self.measured, self.state, self.skeleton, self.source)

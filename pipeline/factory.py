@@ -1,4 +1,4 @@
-"""Correction methods and reliability scorers, made as a config asks for them."""
+"""Correction methods, made as a config asks for them."""
 
 from __future__ import annotations
 
@@ -10,28 +10,18 @@ from kinefilter.characters import InputError, Skeleton
 from .config import CleanConfig
 from .correct import Corrector, InTurn, LocalPCA
 from .database import PostureDatabase, builtin_database
-from .methods import METHODS, SCORERS, load
+from .methods import METHODS
 from .models import Model, load_model
-from .reliability import Reference, ReliabilityScorer
 
 _MODEL_RELIABILITY = 0.5
 """Least reliability of what a model made of a measured joint: it then counts a fifth.
 In simulated takes 0.5 to 0.75 do about as well."""
 
 
-def make_scorer(
-    name: str, skeleton: Skeleton, reference: Reference, **settings: Any
-) -> ReliabilityScorer:
-    """Return a reliability scorer by its name, for one person's segment lengths."""
-    scorer: ReliabilityScorer = load(SCORERS[name])(skeleton, reference, **settings)
-    return scorer
-
-
 def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
     """Return the correction method that a config names, for a skeleton.
 
-    Raises:
-        InputError: The database or model is of another skeleton, or missing.
+    Raises an InputError if the database or model is of another skeleton, or missing.
     """
     if config.model is not None:
         return _from_model(skeleton, config, load_model(config.model))
@@ -40,25 +30,26 @@ def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
     if config.person is not None:
         raise InputError("--person needs --model, of 'kinefilter train --people'")
     name = config.method or "default"
-    method = METHODS[name]
-    if method.made_of == "pairs":
+    if METHODS[name].made_of == "pairs":
         asked = f"--preset {config.preset}" if config.preset else f"--method {name}"
         raise InputError(
             f"{asked} learns: give --model with a file of 'kinefilter train {asked}'"
         )
+    return _named(name, skeleton, config, **config.parameters.method)
+
+
+def _named(
+    name: str, skeleton: Skeleton, config: CleanConfig, **constants: Any
+) -> Corrector:
+    method = METHODS[name]
     of = skeleton if method.made_of == "skeleton" else _database(skeleton, config)
     options = {option: getattr(config, option) for option in method.options}
-    made: Corrector = method.load()(of, **(options | config.parameters.method))
+    made: Corrector = method.load()(of, **(options | constants))
     return made
 
 
 def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
-    """Return the shipped learned corrector, then local PCA for unreliable joints.
-
-    Args:
-        database: Natural postures.
-        options: Of local PCA.
-    """
+    """Return the shipped learned corrector, then local PCA (``options``)."""
     return InTurn(
         shipped_model(database.skeleton),
         LocalPCA(database, **options),
@@ -125,12 +116,9 @@ def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Correc
                 "train one of method local-gp"
             )
         corrector.adapt = True
-    if config.method != "local-pca":
-        learned: Corrector = corrector
-        return learned
-    database, pca = _database(skeleton, config), METHODS["local-pca"]
-    options = {option: getattr(config, option) for option in pca.options}
-    follower = pca.load()(database, **options)
-    return InTurn(
-        corrector, follower, skeleton=skeleton, least_reliability=_MODEL_RELIABILITY
-    )
+    if config.method == "local-pca":
+        follower = _named("local-pca", skeleton, config)
+        least = _MODEL_RELIABILITY
+        return InTurn(corrector, follower, skeleton=skeleton, least_reliability=least)
+    learned: Corrector = corrector
+    return learned

@@ -16,6 +16,8 @@ from .formats.npz import read_arrays, write_arrays
 from .methods import LEARNED
 
 _VERSION = 1
+_DAMAGED = (ArithmeticError, AttributeError, IndexError, MemoryError, TypeError)
+"""What wrong arrays lead to, besides errors in their values and names."""
 _FARTHEST = 1.0  # m: no sensor misplaces a joint of a T-pose by more
 
 
@@ -71,8 +73,7 @@ def _try_out(corrector: LearnedCorrector) -> None:
 def load_model(path: Path) -> Model:
     """Read a model that ``save_model`` wrote.
 
-    Raises:
-        InputError: The file is missing, not a model, or of a newer kinefilter.
+    Raises an InputError if it is missing, not a model, or of a newer kinefilter.
     """
     if not as_path(path).is_file():
         raise InputError(f"{path}: no such model; make one with 'kinefilter train'")
@@ -103,15 +104,7 @@ def load_model(path: Path) -> Model:
         corrector = LEARNED[method].load().from_arrays(skeleton, fitted)
         with np.errstate(all="ignore"):
             _try_out(corrector)
-    except InputError as error:
-        raise InputError(f"{path}: a damaged model: {error}; train again") from None
-    except KeyError as error:
-        raise InputError(
-            f"{path}: a damaged model: no array {error}; train again"
-        ) from None
-    except (
-        *(ArithmeticError, AttributeError, IndexError, MemoryError, TypeError),
-        ValueError,
-    ) as error:
-        raise InputError(f"{path}: a damaged model ({error}); train again") from None
+    except (InputError, KeyError, ValueError, *_DAMAGED) as error:
+        wrong = f"no array {error}" if isinstance(error, KeyError) else error
+        raise InputError(f"{path}: a damaged model: {wrong}; train again") from None
     return Model(corrector, method, skeleton, source, preset)

@@ -122,16 +122,10 @@ def parameters(
 ) -> Parameters:
     """Return the parameters of a method or preset, those that are assigned changed.
 
-    Args:
-        preset: Name of the preset; None: there is none.
-        method: Name of the method.
-        scoring: Name of the scorer.
-        assigned: Assignments NAME=VALUE, of the constructor's keywords of the method or
-            the scorer, the gains of the simulated character, or the stages.
-        stages: Fields of the config that a preset decides, and their types.
-
-    Raises:
-        InputError: An unknown name, or a value that does not fit.
+    Assignments are NAME=VALUE, of a keyword of the method's or the scorer's
+    constructor, a gain of the simulated character, or one of ``stages``: fields of the
+    config that the preset decides, with their types. Raises an InputError for an
+    unknown name, or a value that does not fit.
     """
     of_method = dict(PRESETS[preset].settings) if preset else {}
     found = Parameters(of_method, {}, {}, {}, {})

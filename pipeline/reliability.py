@@ -46,12 +46,9 @@ class Scores:
 
 def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
     """Return the length [m] of each joint's segment, root 0, shape (..., J)."""
-    lengths = np.zeros(positions.shape[:-1])
-    bones = (
-        positions[..., skeleton.segments, :]
-        - positions[..., skeleton.segment_parents, :]
-    )
-    lengths[..., skeleton.segments] = np.sqrt(np.sum(bones * bones, axis=-1))
+    lengths, ends = np.zeros(positions.shape[:-1]), skeleton.segments
+    bones = positions[..., ends, :] - positions[..., skeleton.segment_parents, :]
+    lengths[..., ends] = np.sqrt(np.sum(bones * bones, axis=-1))
     return lengths
 
 
@@ -81,14 +78,6 @@ def measure_reference(take: Take) -> Reference:
     return Reference(best, _trunk_directions(take), found)
 
 
-def rest_reference(body: Body) -> Reference:
-    """Return the segment lengths of a body that is known already."""
-    joints = (2, len(body.skeleton))
-    still = np.broadcast_to(body.rest_positions, (*joints, 3)).copy()
-    state = np.full(joints, State.TRACKED, dtype=np.uint8)
-    return measure_reference(Take(np.array([0.0, 1.0]), still, state, body.skeleton))
-
-
 def measure_body(
     take: Take,
     reference: Reference | None = None,
@@ -98,14 +87,9 @@ def measure_body(
 ) -> Body:
     """Return the body of the person in a take.
 
-    Args:
-        take: The recording.
-        reference: The person's segment lengths; by default measured on the take.
-        height: Stature [m]; by default from the lengths.
-        mass: Body mass [kg]; by default from the stature.
-
-    Raises:
-        InputError: Height or mass is not a human's.
+    The reference is by default measured on the take, the height [m] that of its
+    lengths, and the mass [kg] that of the height. Raises an InputError if height or
+    mass is not a human's.
     """
     measured = reference or measure_reference(take)
     return measured_body(
@@ -231,16 +215,10 @@ class ReliabilityScorer:
         state: Codes,
         time: float | None = None,  # noqa: ARG002 - Shum's terms count frames
     ) -> tuple[Array, Codes, Array]:
-        """Score the next frame.
+        """Return reliability, deciding term and geometry of the next frame, (J,).
 
-        Args:
-            positions: Joint positions [m], NaN where missing, shape (J, 3).
-            state: Tracking states (State), shape (J,).
-            time: Time stamp [s], later than the last, for scorers that go by it;
-                without, 30 frames a second.
-
-        Returns:
-            Reliability, deciding term and geometry, each of shape (J,); see Scores.
+        Joint positions [m] (J, 3) are NaN where missing; states (J,) are State's. The
+        time stamp [s] is for scorers that go by it; without, 30 frames a second.
         """
         behavior = self._behavior(positions)
         kinematics = self._kinematics(positions)

@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeGuard
 
 from tyro.conf import Suppress
 
@@ -55,11 +55,7 @@ class Settings:
         parts = (self.config, self.export)
         values = [getattr(part, f.name) for part in parts for f in fields(part)]
         values += [*self.config.same_person, self.calibration]
-        return tuple(
-            Path(value)
-            for value in values
-            if isinstance(value, Path) or (isinstance(value, str) and names_file(value))
-        )
+        return tuple(Path(value) for value in values if names_file(value))
 
 
 def fingerprint(settings: Settings, suffix: str) -> str:
@@ -71,9 +67,9 @@ def fingerprint(settings: Settings, suffix: str) -> str:
     """
     known = asdict(settings)
     known |= {"suffix": suffix, "kinefilter": version("kinefilter")}
-    text = json.dumps(known, sort_keys=True, default=_by_content)
+    text = json.dumps(known, sort_keys=True, default=hash_of)
     names = (settings.config.scene, settings.export.rig)
-    files = [hash_of(Path(name)) for name in names if name and names_file(name)]
+    files = [hash_of(Path(name)) for name in names if names_file(name)]
     return hashlib.sha256("\n".join([text, *files]).encode()).hexdigest()[:32]
 
 
@@ -89,12 +85,8 @@ def hash_of(path: Path) -> str:
         ) from error
 
 
-def _by_content(path: object) -> str:
-    if not isinstance(path, Path):
-        raise TypeError(f"{path!r} is not a setting")
-    return hash_of(path)
-
-
-def names_file(name: str) -> bool:
-    """Tell a file from the name of a scene or rig that comes with kinefilter."""
-    return Path(name).suffix in (".xml", ".toml")
+def names_file(value: object) -> TypeGuard[str | Path]:
+    """Tell files, also of scenes and rigs, from other settings."""
+    if isinstance(value, str):
+        return Path(value).suffix in (".xml", ".toml")
+    return isinstance(value, Path)

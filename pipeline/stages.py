@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,9 +19,9 @@ from kinefilter.characters.arrays import Array, chunks
 from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
 
 from .config import CleanConfig
-from .correct import Corrector, Hold, Observation
+from .correct import Correction, Corrector, Hold, Observation
 from .draft import Draft
-from .factory import make_corrector, make_scorer
+from .factory import make_corrector
 from .failures import (
     ImpossibleBodies,
     distrust,
@@ -28,16 +29,11 @@ from .failures import (
     unmirrored,
     without_nobody,
 )
+from .methods import SCORERS, load
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
-from .reliability import (
-    Reference,
-    ReliabilityScorer,
-    measure_body,
-    measure_reference,
-    rest_reference,
-)
+from .reliability import Reference, measure_body, measure_reference
 from .target.floor import place_of
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take is to fit a gigabyte
@@ -174,11 +170,12 @@ class Score(Stage):
     adds = ("reliability", "deciding_term", "geometry")
 
     def __init__(self, config: CleanConfig) -> None:
-        self._scoring, self._settings = config.scoring, config.parameters.scorer
+        scorer = load(SCORERS[config.scoring])
+        self._made = partial(scorer, **config.parameters.scorer)
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
-        reference = rest_reference(body)
+        reference = Reference(body.lengths, body.directions, True)
         self._scorer = self._made(body.skeleton, reference)
 
     def step(self, draft: Draft) -> None:
@@ -188,14 +185,10 @@ class Score(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Score a take, and distrust limbs where the tracker failed."""
-        scorer = self._made(draft.skeleton, draft.reference)
-        found = scorer.score(draft.take())
+        found = self._made(draft.skeleton, draft.reference).score(draft.take())
         found = distrust(found, draft.failures, draft.skeleton)
         draft.reliability, draft.geometry = found.reliability, found.geometry
         draft.deciding_term = found.term
-
-    def _made(self, skeleton: Skeleton, reference: Reference) -> ReliabilityScorer:
-        return make_scorer(self._scoring, skeleton, reference, **self._settings)
 
 
 class Standardize(Stage):
@@ -219,11 +212,9 @@ class Standardize(Stage):
 
 
 class Correct(Stage):
-    """Corrects unreliable joints by a method, and brings the postures back.
+    """Corrects unreliable joints by the method that the config names, or a given one.
 
-    Args:
-        config: Names the method.
-        corrector: The method itself, in place of the named one.
+    Then it brings the postures back.
     """
 
     name = "correct"
@@ -232,48 +223,39 @@ class Correct(Stage):
         self._config, self._given = config, corrector
         self._made: dict[str, Corrector] = {}
 
-    def corrector(self, draft: Draft) -> Corrector:
-        """Return the method for a draft's skeleton, made once for many takes."""
+    def _method(self, skeleton: Skeleton) -> Corrector:
+        """Return the method for a skeleton, made once for many takes."""
         if self._given is not None:
             return self._given
-        name = draft.skeleton.name
-        if name not in self._made:
-            self._made[name] = make_corrector(draft.skeleton, self._config)
-        return self._made[name]
+        if skeleton.name not in self._made:
+            self._made[skeleton.name] = make_corrector(skeleton, self._config)
+        return self._made[skeleton.name]
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
         self._body, self._standardizer = body, Standardizer(body)
-        nobody = np.full((len(body.skeleton), 3), np.nan)
-        state = np.zeros(len(body.skeleton), dtype=np.uint8)
-        self._corrector = self.corrector(Draft(body.skeleton, 0.0, nobody, state))
+        self._corrector = self._method(body.skeleton)
         self._corrector.start()
 
     def step(self, draft: Draft) -> None:
         """Correct the next frame."""
         found = self._corrector.step(self._seen(draft, self._body))
         draft.positions = self._standardizer.undo(found.positions, draft.heading)
-        draft.confidence, draft.coverage = found.confidence, found.coverage
-        if draft.hidden is not None:
-            draft.confidence = np.where(draft.hidden, 0.0, found.confidence)
-        draft.twist = None
+        self._note(draft, found)
         if found.rotations is not None:
             draft.twist = draft.heading.restore_rotations(found.rotations)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Correct a take; what the method leaves open keeps its last bones."""
-        corrector = self.corrector(draft)
+        steps = progress(self.name, len(draft.time))
         seen = self._seen(draft, draft.body)
-        found = corrector.whole(seen, progress(self.name, len(draft.time)))
+        found = self._method(draft.skeleton).whole(seen, steps)
         del draft.standard, seen
         positions = found.positions
         if np.isnan(positions).any():
             positions = Hold(draft.skeleton).fill(positions)
         draft.positions = Standardizer(draft.body).undo(positions, draft.heading)
-        draft.confidence, draft.coverage = found.confidence, found.coverage
-        if draft.hidden is not None:
-            draft.confidence = np.where(draft.hidden, 0.0, found.confidence)
-        draft.twist = None
+        self._note(draft, found)
         if found.rotations is not None:
             draft.twist = np.empty(found.rotations.shape, dtype=np.float32)
             for k in chunks(len(draft.time), CHUNK):
@@ -282,6 +264,13 @@ class Correct(Stage):
         origin = np.where(draft.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
         origin[draft.missing] = Origin.FILLED
         draft.origin = origin.astype(np.uint8)
+
+    @staticmethod
+    def _note(draft: Draft, found: Correction) -> None:
+        draft.confidence, draft.coverage = found.confidence, found.coverage
+        if draft.hidden is not None:
+            draft.confidence = np.where(draft.hidden, 0.0, found.confidence)
+        draft.twist = None
 
     @staticmethod
     def _seen(draft: Draft, body: Body) -> Observation:
@@ -301,12 +290,7 @@ class Correct(Stage):
 
 
 class Physics(Stage):
-    """Pulls a simulated character through the motion by bounded forces.
-
-    Args:
-        config: Names the scene.
-        tracking: How hard the character is pulled.
-    """
+    """Pulls a simulated character through the motion by bounded forces."""
 
     name = "physics"
     goes_on = True
@@ -315,23 +299,22 @@ class Physics(Stage):
     def __init__(self, config: CleanConfig, tracking: Tracking | None = None) -> None:
         self._scene, self._tracking = config.scene, tracking
         self._body: Body | None = None
+        self._place: HeadingFrame
 
     def start(self, body: Body) -> None:
         """Forget all frames; in a scene, the next one says where the person begins."""
         if self._body is not body:
             self._body = body
             self.character = PulledCharacter(body, self._tracking, scene=self._scene)
-        self._place: HeadingFrame | None = None
+        self._begun = False
 
     def step(self, draft: Draft) -> None:
         """Pull the character to the next frame; in a scene, in the scene's frame."""
         positions, rotations = draft.positions, draft.rotations
-        first = self._place is None
-        if self._place is None:
-            self._place = HeadingFrame(np.zeros(3), np.zeros(()))
-            if self._scene is not None:
-                self._place = place_of(positions[None], draft.skeleton)
+        first, self._begun = not self._begun, True
         if self._scene is not None:
+            if first:
+                self._place = place_of(positions[None], draft.skeleton)
             positions = self._place.remove(positions)
             rotations = self._place.remove_rotations(rotations)
         if first or draft.appears:

@@ -52,11 +52,8 @@ def log_uncertainty(
 ) -> Array:
     """Return the logarithm of the uncertainty [m] of judged joints, shape (T, 2 P).
 
-    Args:
-        weights: Bias and weights of each of PARTS, where it is ``seen`` and ``hidden``.
-        seen: As ``describe`` returns it.
-        gone: Likewise.
-        hidden: Likewise.
+    ``weights`` are bias and weights of each of PARTS, where it is ``seen`` and
+    ``hidden``; the others are as ``describe`` returns them.
     """
     found = np.empty(hidden.shape)
     for k, part in enumerate(PARTS):

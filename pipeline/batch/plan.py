@@ -54,7 +54,9 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
             store = store_at(f"{folder}/")
             file = store.find(name)
             if file is None:
-                raise InputError(f"{place}: there is no such file; check the name")
+                raise InputError(
+                    f"{place}: there is no such file or folder; check the name"
+                )
             at = canonical(place)
             sources.setdefault(at, Source(name, store, at, file, named=True))
             continue

@@ -173,18 +173,12 @@ def is_url(place: str) -> bool:
 
 
 def is_folder(place: str) -> bool:
-    """Tell a folder from a file; raises InputError if neither is there."""
-    if is_url(place):
-        system, path = _file_system(place)
-        with _as_input_error(place):
-            folder = bool(system.isdir(path))
-            exists = folder or system.isfile(path)
-    else:
-        folder = Path(place).is_dir()
-        exists = folder or Path(place).is_file()
-    if not exists:
-        raise InputError(f"{place}: there is no such file or folder; check the name")
-    return folder
+    """Tell a folder from a file, or from what is not there."""
+    if not is_url(place):
+        return Path(place).is_dir()
+    system, path = _file_system(place)
+    with _as_input_error(place):
+        return bool(system.isdir(path))
 
 
 def canonical(place: str) -> str:

@@ -98,8 +98,12 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
         try:
             result, merged = _cleaned(recordings, body, job)
             notes = (*told, *(merged.told() if merged else ()), *result.notes)
-            rows = _write_clip(replace(result, notes=notes), path, body, job)
-            known["clips"] += tuple(rows)
+            told_of = replace(result, notes=notes)
+            paths = part_paths(path, len(result.clips))
+            known["clips"] += tuple(
+                _written(told_of, clip, str(path), body, job)
+                for path, clip in zip(paths, result.clips, strict=True)
+            )
             if merged:
                 figures = zip(names, merged.figures()["sensors"], strict=True)
                 known["sensors"] = tuple({"sensor": n} | row for n, row in figures)
@@ -151,20 +155,10 @@ def _cleaned(
     )
 
 
-def _write_clip(
-    result: CleanResult, output: PurePosixPath, body: int, job: Job
-) -> list[ClipRow]:
-    """Write the clips of a person, and return the main figures of each."""
-    paths = part_paths(output, len(result.clips))
-    return [
-        _written(result, clip, str(path), body, job)
-        for path, clip in zip(paths, result.clips, strict=True)
-    ]
-
-
 def _written(
     result: CleanResult, clip: Clip, name: str, body: int, job: Job
 ) -> ClipRow:
+    """Write a clip of a person, and return its main figures."""
     with job.store.writing(name) as path:
         write_clip(clip, path, job.settings.export)
         sha256 = hash_of(path)

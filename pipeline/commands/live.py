@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -93,31 +94,25 @@ class Live:
 
 
 async def _show(session: Session) -> None:
-    """Show a line of the session's state again and again."""
+    """Show a line of the session's state again and again, and each note once."""
     from rich.live import Live as Display
     from rich.text import Text
 
-    notes: list[str] = []
-    if not err.is_terminal:
+    known: list[str] = []
+    shown = Display(console=err, auto_refresh=False, transient=True)
+    with shown if err.is_terminal else nullcontext() as display:
         while True:
-            await asyncio.sleep(_LOGGED)
-            err.print(status(session))
-            notes = _print_notes(session, notes)
-    with Display(console=err, auto_refresh=False, transient=True) as display:
-        while True:
-            line = Text(status(session), overflow="ellipsis")
-            display.update(line, refresh=True)
-            notes = _print_notes(session, notes)
-            await asyncio.sleep(_REFRESH)
-
-
-def _print_notes(session: Session, known: list[str]) -> list[str]:
-    """Print what the user should know and is not known yet; return all of it."""
-    notes = session.tally.told()
-    for note in notes:
-        if note not in known:
-            err.print(note)
-    return notes
+            await asyncio.sleep(_REFRESH if display else _LOGGED)
+            if display:
+                line = Text(status(session), overflow="ellipsis")
+                display.update(line, refresh=True)
+            else:
+                err.print(status(session))
+            notes = session.tally.told()
+            for note in notes:
+                if note not in known:
+                    err.print(note)
+            known = notes
 
 
 def status(session: Session) -> str:

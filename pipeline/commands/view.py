@@ -17,14 +17,7 @@ from kinefilter.pipeline.look.drawing import Drawing, read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.progress import Progress
 
-from .terminal import (
-    check_calibration,
-    check_output,
-    err,
-    keep,
-    out,
-    progress_bars,
-)
+from .terminal import check_calibration, check_output, err, keep, out, progress_bars
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.look.viewer import CleanAgain

@@ -18,9 +18,8 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
-from kinefilter.pipeline.factory import make_scorer
 from kinefilter.pipeline.failures import FailureKind
-from kinefilter.pipeline.methods import SCORERS
+from kinefilter.pipeline.methods import SCORERS, load
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import measure_reference
@@ -287,7 +286,7 @@ def reliability_auc(
         far["varying_over_7_cm"].append(varying[seen] > FAR)
         reference = measure_reference(pair.take)
         for name in SCORERS:
-            scorer = make_scorer(name, pair.take.skeleton, reference)
+            scorer = load(SCORERS[name])(pair.take.skeleton, reference)
             reliability = scorer.score(pair.take).reliability
             doubt[name].append(1.0 - reliability[:, accuracy.limbs].ravel()[seen])
     areas: dict[str, dict[str, float | None]] = {}

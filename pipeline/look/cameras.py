@@ -81,10 +81,9 @@ def camera_path(
         away = _distance(points - targets[:, None], toward, aspect)
         return CameraPath(targets + away * toward, targets, _FOV)
     flat = points.reshape(-1, 3)
-    target = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     if camera != "orbit":
-        target, away = _framed(flat, target, toward, aspect)
-        return CameraPath((target + away * toward)[None], target[None], _FOV)
+        return _still(flat, toward, aspect)
+    target = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     turns = np.arange(_AZIMUTHS) / _AZIMUTHS * 2.0 * np.pi
     away = max(_distance(flat - target, _direction(a, up), aspect) for a in turns)
     count = len(motion)
@@ -99,11 +98,9 @@ def camera_over(points: Array, sensors: Array, *, aspect: float) -> CameraPath:
 
     It shows points [m] (N, 3), sensors [m] (S, 3) among them.
     """
-    target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     x, _, z = (sensors - np.median(points, axis=0)).mean(axis=0)
     toward = _direction(np.arctan2(x, z), np.radians(_OVER))
-    target, away = _framed(points, target, toward, aspect)
-    return CameraPath((target + away * toward)[None], target[None], _FOV)
+    return _still(points, toward, aspect)
 
 
 def axes_toward(toward: Array) -> tuple[Array, Array]:
@@ -118,10 +115,9 @@ def _direction(azimuth: float, elevation: float) -> Array:
     return np.array([level * np.sin(azimuth), up, level * np.cos(azimuth)])
 
 
-def _framed(
-    points: Array, target: Array, toward: Array, aspect: float
-) -> tuple[Array, float]:
-    """Return the target with equal margins on opposite sides, and the distance."""
+def _still(points: Array, toward: Array, aspect: float) -> CameraPath:
+    """Return a camera that stays, with equal margins on opposite sides of points."""
+    target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     axes = axes_toward(toward)
     away = _distance(points - target, toward, aspect)
     for _ in range(4):  # each time the margins differ by a tenth of before
@@ -131,7 +127,7 @@ def _framed(
             edge = seen @ axis / depth
             target = target + 0.5 * away * (edge.max() + edge.min()) * axis
         away = _distance(points - target, toward, aspect)
-    return target, away
+    return CameraPath((target + away * toward)[None], target[None], _FOV)
 
 
 def _distance(seen: Array, toward: Array, aspect: float) -> float:

@@ -51,12 +51,10 @@ class ContactEdits:
             self._before.append(self.contacts)
             self.contacts = read_only(contacts.copy())
 
-    def undo(self) -> bool:
-        """Take back the last change; return whether there was one."""
-        if not self._before:
-            return False
-        self.contacts = self._before.pop()
-        return True
+    def undo(self) -> None:
+        """Take back the last change, if there was one."""
+        if self._before:
+            self.contacts = self._before.pop()
 
     def mark_saved(self) -> None:
         """Note that the contacts were saved as they are."""

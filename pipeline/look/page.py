@@ -194,6 +194,14 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             }
             for name, order in (("speed, m/s", 1), ("jitter, m/s³", 3))
         ],
+        "moved": {
+            "reliability": _of_joints(clip.reliability)["mean"],
+            "filled": (clip.origin == Origin.FILLED).mean(axis=0).tolist(),
+            "by": [
+                _of_joints(meters * 100.0)
+                for meters in (clip.moved_by_correction, clip.moved_by_physics)
+            ],
+        },
         "metrics": finite(metrics),
         "sensors": [
             {
@@ -209,6 +217,12 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
             for sensor in comparison.sensors
         ],
     }
+
+
+def _of_joints(values: Array) -> dict[str, Any]:
+    """Return mean and greatest over the frames, None for joints that have none."""
+    known = np.ma.masked_invalid(values)
+    return {"mean": known.mean(axis=0).tolist(), "most": known.max(axis=0).tolist()}
 
 
 def packed(values: NDArray[Any], kind: str) -> dict[str, str]:

@@ -26,46 +26,22 @@ function fillMetrics(table) {
   }
 }
 
-// Mean and greatest of a joint's distances [cm].
-function moved(millimeters, joint) {
-  let sum = 0, count = 0, most = 0;
-  for (let f = 0; f < frames; f++) {
-    const value = millimeters[f * joints + joint];
-    if (value === MISSING) continue;
-    sum += value;
-    count += 1;
-    most = Math.max(most, value);
-  }
-  return count ? { mean: sum / count / 10, most: most / 10 } : null;
-}
-
 function fillMoved(table) {
   addRow(table, "th", [["joint", "text"], ["reliability"], ["filled"],
-    ["by correction, mean", "text"], ["most, cm"], ["by physics, mean", "text"],
-    ["most, cm"]]);
-  const by = ["correction", "physics"].map((name) =>
-    report.joints.map((_, j) => moved(report[name], j)));
-  const widest = Math.max(...by.flat().map((m) => (m ? m.mean : 0)), 0.1);
+    ["by correction, mean, cm", "text"], ["most, cm"],
+    ["by physics, mean, cm", "text"], ["most, cm"]]);
+  const { reliability, filled, by } = report.moved;
+  const widest = Math.max(...by.flatMap(({ mean }) => mean), 0.1);
+  const told = (value, digits) => (value === null ? "–" : value.toFixed(digits));
   report.joints.forEach((joint, j) => {
-    let rate = 0, known = 0, filled = 0;
-    for (let f = 0; f < frames; f++) {
-      const percent = report.reliability[f * joints + j];
-      if (percent !== NO_RATE) [rate, known] = [rate + percent / 100, known + 1];
-      filled += report.origin[f * joints + j] === 2;
-    }
-    const row = addRow(table, "td", [[joint, "text"], [known ? (rate / known).toFixed(2) : "–"],
-      [`${Math.round((100 * filled) / frames)}%`]]);
-    by.forEach((distances, n) => {
-      const distance = distances[j];
-      const cell = element("td", distance ? `${distance.mean.toFixed(1)} cm` : "–",
-        "bars");
-      if (distance) {
-        const bar = element("span", "", "strip");
-        bar.style.width = `${(65 * distance.mean) / widest}%`;
-        bar.style.background = n ? "#20908d" : "#f0a028";
-        cell.append(bar);
-      }
-      row.append(cell, element("td", distance ? distance.most.toFixed(1) : "–"));
+    const row = addRow(table, "td", [[joint, "text"], [told(reliability[j], 2)],
+      [`${Math.round(100 * filled[j])}%`]]);
+    by.forEach(({ mean, most }, n) => {
+      const cell = element("td", told(mean[j], 1), "bars"), bar = element("span", "", "strip");
+      bar.style.width = `${(65 * mean[j]) / widest}%`;
+      bar.style.background = n ? "#20908d" : "#f0a028";
+      cell.append(bar);
+      row.append(cell, element("td", told(most[j], 1)));
     });
   });
 }
