@@ -251,7 +251,7 @@ def test_a_page_refers_to_nothing_elsewhere(files: list[str]) -> None:
 def test_names_from_files_are_text_and_no_markup(
     make_pair: MakePair, tmp_path: Path
 ) -> None:
-    name = "</script><script>alert(1)</script><!--<b>&amp;@DATA@@SCRIPT@\u2028\ud800"
+    name = "</script><script>alert(1)</script><!--<b>&amp;$data${js}$$\u2028\ud800"
     clip, take = make_pair()
     path = tmp_path / "report.html"
     write_report(compare(replace(clip, source="plain"), take), path)

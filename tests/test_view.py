@@ -22,7 +22,8 @@ from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import read_comparison
 from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, timeline_html
 from kinefilter.pipeline.look.drawing import Drawing
-from kinefilter.pipeline.look.viewer import Playback, opened_viewer, status_html
+from kinefilter.pipeline.look.viewer import Playback, Viewer, status_html
+from kinefilter.pipeline.look.viewer_server import opened_server
 
 QUICK = CleanConfig(method="none", physics=False)
 TIME = np.array([5.0, 5.1, 5.2, 5.2, 5.5, 5.6])  # a repeated stamp and a gap
@@ -237,9 +238,9 @@ def test_a_motion_with_things_and_gaps_is_put_on_a_page(
     clip = furnish(make_clip(frames, skeleton))
     raw = clip.positions.copy()
     raw[0], raw[frames // 2, 4], raw[frames // 2, 2, 1] = np.nan, np.nan, np.nan
-    with opened_viewer(
-        Drawing(clip, raw, clip.positions), tmp_path / "c.csv"
-    ) as viewer:
+    with opened_server() as server:
+        drawing = Drawing(clip, raw, clip.positions)
+        viewer = Viewer(server, drawing, tmp_path / "c.csv")
         viewer.stop()
         viewer.run()
         with urllib.request.urlopen(viewer.address, timeout=10) as page:

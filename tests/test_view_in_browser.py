@@ -24,7 +24,8 @@ from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulate import simulate_session
 from kinefilter.pipeline.look.drawing import Drawing
-from kinefilter.pipeline.look.viewer import CleanAgain, Viewer, opened_viewer
+from kinefilter.pipeline.look.viewer import CleanAgain, Viewer
+from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.pipeline.progress import Progress
 
 WINDOW = {"size": (900, 640), "webgl": True}  # of the browser
@@ -72,7 +73,8 @@ def viewer(viewed: Drawing, saved: Path) -> Iterator[Viewer]:
 def _running(
     drawing: Drawing, saved: Path, again: CleanAgain | None = None
 ) -> Iterator[Viewer]:
-    with opened_viewer(drawing, saved, again=again) as opened:
+    with opened_server() as server:
+        opened = Viewer(server, drawing, saved, again)
         work = threading.Thread(target=opened.run)
         work.start()
         try:

@@ -66,7 +66,8 @@ class View:
     def run(self) -> int:
         """Read or clean, serve, wait until it is ended."""
         require("viser", "viewing", "view")
-        from kinefilter.pipeline.look.viewer import opened_viewer
+        from kinefilter.pipeline.look.viewer import Viewer
+        from kinefilter.pipeline.look.viewer_server import opened_server
 
         if not self.motion:
             raise InputError("nothing to view; name a take or a clip")
@@ -78,9 +79,8 @@ class View:
         self._check(save)
         try:
             drawing, again = self._drawing()
-            with opened_viewer(
-                drawing, save, again=again, bind=self.bind, port=self.port
-            ) as viewer:
+            with opened_server(self.bind, self.port) as server:
+                viewer = Viewer(server, drawing, save, again)
                 shown = ", ".join(map(str, self.motion))
                 out.print(f"{viewer.address} shows {shown}; Ctrl-C ends")
                 if self.open:

@@ -14,6 +14,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from string import Template
 from typing import Any, Literal
 
 import numpy as np
@@ -115,23 +116,19 @@ def write_page(
     ``files`` are the .html of its body, its .css and its .js, which follow ``page.css``
     and ``drawing.js`` of all pages. Raises an InputError if the page cannot be written.
     """
-    texts = [(k.suffix, k.read_text(encoding="utf-8")) for k in (*_SHARED, *files)]
-    style, script, body = (
-        "\n".join(text for suffix, text in texts if suffix == wanted)
-        for wanted in (".css", ".js", ".html")
-    )
-    frame = (_TEMPLATE / "frame.html").read_text(encoding="utf-8")
-    for mark, text in (("@BODY@", body), ("@STYLE@", style), ("@SCRIPT@", script)):
-        frame = frame.replace(mark, text)
-    # What comes from files is put in last, so that none of it is taken for a mark.
-    head, rest = frame.split("@TITLE@")
-    middle, end = rest.split("@DATA@")
+    texts: dict[str, list[str]] = {"css": [], "js": [], "html": []}
+    for file in (*_SHARED, *files):
+        texts[file.suffix[1:]].append(file.read_text(encoding="utf-8"))
     data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
     for mark in "<>&":  # none may end the script element
         data = data.replace(mark, f"\\u{ord(mark):04x}")
+    page = Template((_TEMPLATE / "frame.html").read_text(encoding="utf-8")).substitute(
+        {kind: "\n".join(text) for kind, text in texts.items()},
+        title=html.escape(title),
+        data=data,
+    )
     with atomic_path(path) as temporary:
-        whole = head + html.escape(title) + middle + data + end
-        temporary.write_bytes(whole.encode("utf-8", "replace"))
+        temporary.write_bytes(page.encode("utf-8", "replace"))
 
 
 def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import html
 import queue
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -25,7 +24,6 @@ from .contact_editing import PARTS, ContactEdits, timeline_html
 from .drawing import Drawing
 from .sensors import Sensor
 from .viewer_scene import ViewerScene
-from .viewer_server import opened_server
 
 CleanAgain = Callable[[Path, Progress], Drawing]
 """Cleans the take once more, with the contacts of a file."""
@@ -94,6 +92,9 @@ class Playback:
 
 class Viewer:
     """One motion on one page; every browser that opens it sees the same.
+
+    Contacts are saved in the file ``save``, the only one that is written; ``again``
+    cleans the take once more, if it can be.
 
     What browsers ask for comes from threads of the server. It waits in a queue for
     ``run``, which alone changes anything, so that no locks are needed.
@@ -340,22 +341,3 @@ def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
         '<div id="status" style="display:grid;grid-template-columns:auto 1fr;'
         f'gap:1px 8px;font-size:12px;margin:2px 8px">{cells}</div>'
     )
-
-
-@contextmanager
-def opened_viewer(
-    drawing: Drawing,
-    save: Path,
-    *,
-    again: CleanAgain | None = None,
-    bind: str = "127.0.0.1",
-    port: int = 0,
-) -> Iterator[Viewer]:
-    """Yield a page that waits for browsers, and works while its ``run`` does.
-
-    Contacts are saved in the file ``save``, the only one that is written; ``again``
-    cleans the take once more, if it can be. Port 0 is any that is free. Raises an
-    InputError if nothing can listen there.
-    """
-    with opened_server(bind, port) as server:
-        yield Viewer(server, drawing, save, again)

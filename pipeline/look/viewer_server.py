@@ -43,13 +43,17 @@ def check_address(bind: str, port: int) -> None:
 
 
 @contextmanager
-def opened_server(bind: str, port: int) -> Iterator[viser.ViserServer]:
+def opened_server(
+    bind: str = "127.0.0.1", port: int = 0
+) -> Iterator[viser.ViserServer]:
     """Yield a server of viser's page that listens at one address, and end it.
+
+    Port 0 is any that is free. Raises as ``check_address``.
 
     Only pages that it served itself may connect to it: with every WebSocket a browser
     says which page opened it (Origin, RFC 6455, section 10.2), which viser does not
     check. On loopback the page's own address must be on loopback too, so that no
-    foreign name that points there passes for it. Raises as ``check_address``.
+    foreign name that points there passes for it.
     """
     import rich
     import viser

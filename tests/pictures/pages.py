@@ -26,7 +26,8 @@ from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.page import read_limits, write_report
-from kinefilter.pipeline.look.viewer import opened_viewer
+from kinefilter.pipeline.look.viewer import Viewer
+from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.pipeline.workers import one_thread
 
 VIEW, REPORT = (1040, 730), (1060, 1040)  # pixels of the windows, their bars included
@@ -42,7 +43,8 @@ CLOSE = "document.querySelectorAll('.mantine-CloseButton-root').forEach(b => b.c
 def take_view(take: Take, out: Path) -> Clip:
     """Write the picture of view; return the clip."""
     drawing = Drawing.of(clean(take), take)
-    with opened_viewer(drawing, Path("wave_punch_bend.contacts.csv")) as viewer:
+    with opened_server() as server:
+        viewer = Viewer(server, drawing, Path("wave_punch_bend.contacts.csv"))
         work = threading.Thread(target=viewer.run)
         work.start()
         with Browser(size=VIEW, webgl=True) as browser:
