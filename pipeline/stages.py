@@ -120,7 +120,7 @@ class MeasureBody(Stage):
     in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
-        self._height, self._mass = config.height, config.mass
+        self._measured = partial(measure_body, height=config.height, mass=config.mass)
 
     def step(self, draft: Draft) -> None:
         """Do nothing: the body of live motion is known before its first frame."""
@@ -128,12 +128,7 @@ class MeasureBody(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Measure the person of a take."""
         draft.reference = measure_reference(draft.take())
-        draft.body = self._measured(draft, draft.reference)
-
-    def _measured(self, draft: Draft, reference: Reference | None = None) -> Body:
-        return measure_body(
-            draft.take(), reference, height=self._height, mass=self._mass
-        )
+        draft.body = self._measured(draft.take(), draft.reference)
 
 
 class MeasureCorrectedBody(MeasureBody):
@@ -151,10 +146,8 @@ class MeasureCorrectedBody(MeasureBody):
         some = slice(None, None, -(-len(draft.time) // _BODY_FRAMES))
         missing = draft.missing[some, :, None]
         positions = np.where(missing, np.nan, draft.positions[some])
-        few = Draft(
-            draft.skeleton, draft.time[some], positions, draft.state[some], draft.source
-        )
-        reference = measure_reference(few.take())
+        few = replace(draft.take().at(some), positions=positions)
+        reference = measure_reference(few)
         bones = BoneLengths(self._measured(few, reference))
         lengths = bones.fitting(
             draft.positions[some], np.where(missing[..., 0], 0.0, 1.0)

@@ -134,7 +134,6 @@ class View:
         from kinefilter.pipeline.look.comparison import read_comparison
         from kinefilter.pipeline.merge import clean_session, read_calibration
 
-        known = read_calibration(self.calibration)
         if self._is_clip:
             if not self.take:
                 return Drawing(read_finite_clip(self.motion[0])), None
@@ -143,9 +142,10 @@ class View:
                     self.motion[0],
                     *self.take,
                     body=self.body,
-                    calibration=known,
+                    calibration=self.calibration,
                     progress=progress,
                 ), None
+        known = read_calibration(self.calibration)
         recordings = [read_recording(path, format=self.format) for path in self.motion]
         for note in recordings[0].notes:
             out.print(note)
@@ -248,7 +248,6 @@ class Report:
         """Compare, write, say what failed."""
         from kinefilter.pipeline.look import page
         from kinefilter.pipeline.look.comparison import read_comparison
-        from kinefilter.pipeline.merge import read_calibration
 
         if not self.take:
             raise InputError("no --take given; give the take that the clip was made of")
@@ -262,7 +261,7 @@ class Report:
                 self.clip,
                 *self.take,
                 body=self.body,
-                calibration=read_calibration(self.calibration),
+                calibration=self.calibration,
                 progress=progress,
             )
         # A gate that is a threshold too stands once in the table.

@@ -5,7 +5,6 @@ The take is brought to the clip: leveled, its floor at y = 0, frame for frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,7 +32,7 @@ from .drawing import Drawing, read_finite_clip
 from .sensors import sensors_of
 
 if TYPE_CHECKING:
-    from kinefilter.pipeline.merge import Alignment, Merged
+    from kinefilter.pipeline.merge import Merged
 
 _TRY = "give the take that the clip was made of"
 _SKEW = 1e-6  # s between stamps of the same frames: rounding
@@ -65,7 +64,7 @@ def read_comparison(
     clip_path: Path,
     *take_paths: Path,
     body: int | None = None,
-    calibration: Sequence[Alignment] = (),
+    calibration: Path | None = None,
     progress: Progress = silent,
 ) -> Comparison:
     """Read a clip and its take, of which ``body`` is the person, counted from 1.
@@ -76,10 +75,11 @@ def read_comparison(
     """
     clip, merged = read_finite_clip(clip_path), None
     if len(take_paths) > 1:
-        from kinefilter.pipeline.merge import merge
+        from kinefilter.pipeline.merge import merge, read_calibration
 
+        known = read_calibration(calibration)
         takes = [read_recording(path) for path in take_paths]
-        merged = merge(takes, body=body, calibration=calibration, progress=progress)
+        merged = merge(takes, body=body, calibration=known, progress=progress)
         take = merged.take
     else:
         take = read_take(take_paths[0], body=body)

@@ -312,20 +312,17 @@ class Viewer:
 def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
     """Return time, least reliable joint, force and sensors of a frame as HTML."""
     seconds = clip.time[frame] - clip.time[0]
-    rows = {"time": f"{seconds:.2f} s, frame {frame + 1} of {len(clip)}"}
+    quiet, rows = "opacity:0.6", list[tuple[str, str, str]]()
+    rows.append((quiet, "time", f"{seconds:.2f} s, frame {frame + 1} of {len(clip)}"))
     rates = clip.reliability[frame]
     if np.isfinite(rates).any():
         worst = int(np.nanargmin(rates))
         term = Term(int(clip.deciding_term[frame, worst])).words
         joint = clip.skeleton.joints[worst]
-        rows["least reliable"] = f"{joint}, {rates[worst]:.2f} ({term})"
+        rows.append((quiet, "least reliable", f"{joint}, {rates[worst]:.2f} ({term})"))
     force = float(clip.external_force[frame])
     if np.isfinite(force):
-        rows["external force"] = f"{force:.2f} body weights"
-    cells = "".join(
-        f'<div style="opacity:0.6">{name}</div><div>{html.escape(text)}</div>'
-        for name, text in rows.items()
-    )
+        rows.append((quiet, "external force", f"{force:.2f} body weights"))
     for sensor in sensors:
         apart = sensor.residuals[frame]
         seen = np.isfinite(apart)
@@ -333,10 +330,12 @@ def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
         if seen.any():
             text = f"share {sensor.shares[frame].mean():.0%}, "
             text += f"{np.median(apart[seen]) * 100.0:.1f} cm apart"
-        cells += (
-            f'<div style="font-weight:600;color:rgb{sensor.color};'
-            f'overflow-wrap:anywhere">{html.escape(sensor.name)}</div><div>{text}</div>'
-        )
+        style = f"font-weight:600;color:rgb{sensor.color};overflow-wrap:anywhere"
+        rows.append((style, sensor.name, text))
+    cells = "".join(
+        f'<div style="{style}">{html.escape(name)}</div><div>{html.escape(text)}</div>'
+        for style, name, text in rows
+    )
     return (
         '<div id="status" style="display:grid;grid-template-columns:auto 1fr;'
         f'gap:1px 8px;font-size:12px;margin:2px 8px">{cells}</div>'
