@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 from collections.abc import Iterable
@@ -30,12 +31,12 @@ from .database import PostureDatabase
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
 from .formats.files import check_file
+from .formats.guarded import read_usd
 from .formats.mocap import RIGS, kinect_motion, read_mocap
 from .formats.npz import array_names, read_npz
 from .formats.plain import counted
 from .formats.recording import Mocap
 from .formats.sheets import claims_contacts, contact_table
-from .formats.usd_reader import usd_contents
 from .models import load_model
 from .pairs import read_pairs
 
@@ -72,7 +73,8 @@ def contents_of(
     if format is not None:
         contents = _of_recording(read_recording(path, format=format))
     elif start.startswith(_USD) or (packed and file.suffix.lower() == ".usdz"):
-        contents = {"kind": "clip", "format": "usd"} | usd_contents(name)
+        found = json.loads(str(read_usd("contents_arrays", name)["json"]))
+        contents = {"kind": "clip", "format": "usd"} | found
     elif packed:
         contents = _of_npz(name)
     elif file.name.lower().removesuffix(".gz").endswith((".amc", ".c3d", ".trc")):

@@ -26,10 +26,10 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import (
     read_bvh,
     read_clip,
-    read_usd_positions,
     write_take_csv,
 )
 from kinefilter.pipeline.formats.sheets import contact_table
+from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
 from kinefilter.pipeline.live.messages import format_frame

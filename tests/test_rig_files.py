@@ -21,13 +21,12 @@ from kinefilter.pipeline.formats import (
     check_writable,
     clips,
     read_bvh,
-    read_usd_positions,
     write_clip,
 )
 from kinefilter.pipeline.formats.clips import target_rig
 from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.pipeline.formats.usd_character import check_character
-from kinefilter.pipeline.formats.usd_reader import rest_arrays
+from kinefilter.pipeline.formats.usd_reader import read_usd_positions, rest_arrays
 from kinefilter.retarget import rig_map as rig_map_module
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
@@ -344,7 +343,7 @@ def test_a_damaged_map_or_target_is_followed_or_refused(
     name, target = (str(path), None) if suffix == ".toml" else ("mixamo", path)
     try:
         with pytest.MonkeyPatch.context() as here:  # a process for each takes long
-            here.setattr(clips, "read_guarded", lambda _, file: rest_arrays(file))
+            here.setattr(clips, "read_usd", lambda _, file: rest_arrays(file))
             rig = target_rig(name, target, clip.body)
     except InputError:
         return

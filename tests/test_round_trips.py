@@ -29,12 +29,12 @@ from kinefilter.pipeline.formats import (
     read_bvh,
     read_clip,
     read_take,
-    read_usd_positions,
     write_clip,
 )
 from kinefilter.pipeline.formats.bvh import continuous_euler, wxyz_from_euler
 from kinefilter.pipeline.formats.export import RotationOrder, in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of
+from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.scenes.library import random_body
 
 Array = NDArray[np.float64]

@@ -24,7 +24,8 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
-from kinefilter.pipeline.formats import Export, read_usd_positions, write_clip
+from kinefilter.pipeline.formats import Export, write_clip
+from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]

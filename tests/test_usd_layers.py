@@ -13,7 +13,8 @@ from pxr import Usd, UsdGeom
 
 from kinefilter.characters import KINECT_V2, Clip, InputError
 from kinefilter.characters.rotations import rotate
-from kinefilter.pipeline.formats import Export, read_usd_positions, write_clip
+from kinefilter.pipeline.formats import Export, write_clip
+from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]

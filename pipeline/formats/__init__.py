@@ -13,7 +13,6 @@ from .files import atomic_path, check_folder
 from .recording import Recording
 from .sheets import read_contacts, write_contacts, write_take_csv
 from .takes import read_recording, read_take, read_takes
-from .usd_reader import read_usd_positions
 
 __all__ = [
     "Bvh",
@@ -28,7 +27,6 @@ __all__ = [
     "read_recording",
     "read_take",
     "read_takes",
-    "read_usd_positions",
     "write_clip",
     "write_contacts",
     "write_take_csv",

@@ -29,13 +29,11 @@ from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, match
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, paced, resampled, with_y_up
 from .files import AnyPath, check_file, check_folder
-from .guarded import read_guarded
-from .npz import read_npz, write_npz
+from .guarded import read_usd
+from .npz import clip_of_arrays, read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
 from .sheets import write_take_csv
 from .takes import read_take
-from .usd import write_usd
-from .usd_reader import check_usd, read_usd_clip
 
 _EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
 
@@ -90,8 +88,13 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
         if export.rig is not None:
             rig = target_rig(export.rig, export.target, clip.body)
             moved = retargeted_motion(rig, retarget(clip, rig))
-        write = write_bvh if suffix == ".bvh" else write_usd
-        write(clip, moved, path, export)
+        if suffix == ".bvh":
+            write_bvh(clip, moved, path, export)
+        else:
+            # Loading pxr takes longer than most commands run.
+            from .usd import write_usd
+
+            write_usd(clip, moved, path, export)
 
 
 def read_clip(path: AnyPath) -> Clip:
@@ -107,7 +110,7 @@ def read_clip(path: AnyPath) -> Clip:
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")
     if name.endswith(USD_SUFFIXES):
-        return read_usd_clip(path)
+        return clip_of_arrays(read_usd("clip_arrays", path))
     with file.open("rb") as opened:
         if name.endswith(".npz") or opened.read(2) == b"PK":
             return read_npz(path)
@@ -197,7 +200,6 @@ def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
 
 def _usd_rest(path: Path) -> RestPose:
     """Return the first skeleton of a USD file at rest, y up, in meters."""
-    check_usd(source := str(path))
-    found = read_guarded("usd_reader:rest_arrays", source)
+    found = read_usd("rest_arrays", path)
     names, parents = tuple(found["names"].tolist()), tuple(found["parents"].tolist())
-    return RestPose(names, parents, found["places"], found["axes"], source=source)
+    return RestPose(names, parents, found["places"], found["axes"], source=str(path))

@@ -12,6 +12,7 @@ import io
 import os
 import subprocess
 import sys
+import zipfile
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
@@ -22,12 +23,15 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
+from .files import AnyPath, check_file
+
 _SECONDS, _PER_BYTE = 15.0, 2e-6
 """Processor time [s] for any file, and more for each byte: hundreds of times what whole
 files need. A guess."""
 _PATIENCE = 8.0  # times as long by the clock, on a machine that is busy
 _LOOK = 0.1  # s between looks at its memory and time
 _MEMORY = 2 * 2**30  # bytes, libraries included
+_LARGEST_USD = 2**31  # bytes
 _NAME = "kinefilter.pipeline.formats.guarded"
 _REFUSED = 3  # exit code: the message is on the standard error
 
@@ -69,6 +73,28 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
         )
     with np.load(io.BytesIO(output), allow_pickle=False) as file:
         return {key: file[key] for key in file.files}
+
+
+def read_usd(reader: str, path: AnyPath) -> dict[str, NDArray[Any]]:
+    """Return the arrays that a function of ``usd_reader`` makes of a file.
+
+    Raises InputError as ``read_guarded``, and for files too large to be opened at all.
+    """
+    source, size = os.fspath(path), check_file(path).stat().st_size
+    if size > _LARGEST_USD:
+        raise InputError(f"{source}: {size / 1e6:.0f} MB is more than any USD clip has")
+    if Path(source).suffix.lower() == ".usdz":
+        try:
+            with zipfile.ZipFile(source) as archive:
+                members = archive.infolist()
+        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+            wrong = "damaged USD package; export it again"
+            raise InputError(f"{source}: {wrong}") from None
+        stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
+        if not stored or sum(member.file_size for member in members) > size:
+            wrong = "packed smaller than USD may be; export it again"
+            raise InputError(f"{source}: {wrong}")
+    return read_guarded(f"usd_reader:{reader}", source)
 
 
 def _main(reader: str, path: str) -> int:

@@ -108,29 +108,33 @@ def write_arrays(path: AnyPath, arrays: Mapping[str, Any]) -> None:
 
 
 def write_npz(clip: Clip, path: AnyPath) -> None:
-    """Write every array of a clip and every measure of its body under its own name.
+    """Write ``clip_as_arrays``; equal clips give equal bytes."""
+    write_arrays(path, clip_as_arrays(clip))
+
+
+def clip_as_arrays(clip: Clip) -> dict[str, Any]:
+    """Return every array of a clip and every measure of its body under its own name.
 
     Besides them there are ``skeleton``, ``joints`` and ``source``, and for each prop
     ``prop:K:name``, ``positions``, ``rotations``, ``kinds`` and, for each of its
-    shapes, ``prop:K:L:size`` and so on. Equal clips give equal bytes.
+    shapes, ``prop:K:L:size`` and so on.
     """
-    arrays: dict[str, Any] = {
+    return {
         **{name: getattr(clip, name) for name in _ARRAYS + _FRAME},
         **{name: getattr(clip.body, name) for name in _BODY},
-        **props_as_arrays(clip.props),
+        **_props_as_arrays(clip.props),
         "skeleton": np.array(clip.skeleton.name),
         "joints": np.array(clip.skeleton.joints),
         "source": np.array(clip.source),
         **({_ROLL: np.array(clip.roll)} if clip.roll else {}),
     }
-    write_arrays(path, arrays)
 
 
 def read_npz(path: AnyPath) -> Clip:
     """Read a clip that write_clip wrote as npz; raises InputError of other files."""
     arrays = read_arrays(path, "a clip that kinefilter wrote")
     try:
-        return _clip(arrays)
+        return clip_of_arrays(arrays)
     except InputError as error:
         wrong = str(error)
     except KeyError as error:
@@ -140,7 +144,8 @@ def read_npz(path: AnyPath) -> Clip:
     raise InputError(f"{os.fspath(path)}: {wrong}")
 
 
-def _clip(archive: dict[str, Any]) -> Clip:
+def clip_of_arrays(archive: dict[str, Any]) -> Clip:
+    """Return the clip whose arrays these are, or raise InputError, KeyError or so."""
     skeleton = skeleton_named(str(archive["skeleton"]))
     measures: dict[str, Any] = {name: archive[name] for name in _BODY}
     arrays = {name: archive[name] for name in _ARRAYS if name != _SINCE_0_2}
@@ -161,12 +166,12 @@ def _clip(archive: dict[str, Any]) -> Clip:
         root=positions[:, skeleton.root],
         body=Body(skeleton=skeleton, **(measures | numbers)),
         source=str(archive["source"]),
-        props=tuple(props_from_arrays(archive)),
+        props=tuple(_props_from_arrays(archive)),
         **{name: np.asarray(number).item() for name, number in frame.items()},
     )
 
 
-def props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
+def _props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
     """Return the arrays of props as ``write_npz`` names them."""
     arrays: dict[str, NDArray[Any]] = {}
     for k, prop in enumerate(props):
@@ -180,7 +185,7 @@ def props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
+def _props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
     """Yield the props whose arrays are named as ``write_npz`` names them."""
     for k in count():
         if f"prop:{k}:name" not in archive:

@@ -27,8 +27,6 @@ What cleaning did to the whole take is written once, unless it is unknown:
 - ``floorHeight``: height of the floor in the take so leveled, which was then taken off
 - ``sensorRoll``: angle in radians by which the take was turned about z before that,
   from x to y; not there if it was not
-
-pxr is imported where it is used: loading it takes longer than most commands run.
 """
 
 from __future__ import annotations
@@ -44,6 +42,7 @@ from typing import Any
 from zipfile import is_zipfile
 
 import numpy as np
+from pxr import Sdf, Tf, UsdSkel, Vt
 
 from kinefilter.characters import Clip, InputError
 from kinefilter.characters.arrays import Array, chunks
@@ -91,8 +90,6 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package of one binary layer.
     Raises InputError if the file cannot be written, or the character does not fit.
     """
-    from pxr import Sdf, Tf
-
     suffix = path.suffix.lower()
     try:
         with ExitStack() as files:
@@ -138,8 +135,6 @@ def _write_layer(
     clip: Clip, moved: RigMotion, path: Path, export: Export, reference: str | None
 ) -> None:
     """Write a clip into a layer, with its character unless that is a reference."""
-    from pxr import Sdf
-
     whole = round(clip.fps)
     near = abs(clip.fps - whole) <= _RATE_TOLERANCE * clip.fps
     rate = export.fps or (float(whole) if near else clip.fps)
@@ -180,8 +175,6 @@ def _write_animation(
     Rotations are xyzw, as Gf keeps quaternions in memory, and do not change sign from
     frame to frame, for readers that interpolate them number by number.
     """
-    from pxr import UsdSkel, Vt
-
     rig, layer = moved.rig, stage.GetRootLayer()
     animation = UsdSkel.Animation.Define(stage, ANIMATION)
     animation.CreateJointsAttr(joint_paths(rig))
@@ -209,8 +202,6 @@ def _write_extents(
     layer: Any, clip: Clip, moved: RigMotion, export: Export, codes: Array
 ) -> None:
     """Write the boxes around joints, skin, and skin and props, in each frame."""
-    from pxr import Sdf
-
     joints = np.empty((len(clip), 2, 3))
     skin = np.empty_like(joints)
     margins: Any = 0.0  # how far the skin reaches from each joint's bones [m]
@@ -255,8 +246,6 @@ def _hold_still(layer: Any, clip: Clip, codes: Array) -> None:
 
 
 def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
-    from pxr import Sdf, Vt
-
     types = Sdf.ValueTypeNames
     character = layer.GetPrimAtPath(CHARACTER)
 

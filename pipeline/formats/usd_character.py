@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from kinefilter.characters import (
     CONTACTS,
@@ -26,7 +27,7 @@ from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
 
 from .export import Export
-from .guarded import read_guarded
+from .guarded import read_usd
 from .rig import Rig, rig_of
 
 CHARACTER = "/Character"
@@ -65,8 +66,6 @@ def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:
 
 def new_stage(path: Path, export: Export) -> Any:
     """Return a stage on a new layer, with axes, unit and an empty ``/Character``."""
-    from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
-
     stage = Usd.Stage.Open(Sdf.Layer.CreateNew(str(path)))
     UsdGeom.SetStageUpAxis(stage, export.up.upper())
     UsdGeom.SetStageMetersPerUnit(stage, export.meters_per_unit)
@@ -78,8 +77,6 @@ def new_stage(path: Path, export: Export) -> Any:
 
 def set_samples(layer: Any, path: Any, codes: Array, values: Iterable[Any]) -> None:
     """Set time samples straight in a layer: a stage looks each one up again."""
-    from pxr import Sdf
-
     with Sdf.ChangeBlock():
         for code, value in zip(codes.tolist(), values, strict=True):
             layer.SetTimeSample(path, code, value)
@@ -87,8 +84,6 @@ def set_samples(layer: Any, path: Any, codes: Array, values: Iterable[Any]) -> N
 
 def joint_paths(rig: Rig) -> list[str]:
     """Return the path of each node from the root on, as UsdSkel names joints."""
-    from pxr import Tf
-
     paths: list[str] = []
     names = [Tf.MakeValidIdentifier(name) for name in rig.names]
     for name, parent in zip(names, rig.parents, strict=True):
@@ -115,33 +110,11 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
 @lru_cache(maxsize=4)
 def _character(path: str, _changed: int) -> dict[str, NDArray[Any]]:
     """Return ``character_arrays``, read once for the clips of a batch."""
-    return read_guarded("usd_character:character_arrays", path)
-
-
-def character_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return joints, axis and unit of a character's layer, or raise InputError."""
-    from pxr import Tf, Usd, UsdGeom, UsdSkel
-
-    try:
-        stage = Usd.Stage.Open(path)
-        skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(SKELETON))
-        joints = skeleton.GetJointsAttr().Get() if skeleton else None
-    except Tf.ErrorException:
-        raise InputError(
-            f"{path}: cannot be read as USD; give --character a layer of "
-            "'kinefilter clean --character', or a name that is free"
-        ) from None
-    return {
-        "joints": np.array([str(joint) for joint in joints or ()]),
-        "up": np.array(UsdGeom.GetStageUpAxis(stage).lower()),
-        "unit": np.array(UsdGeom.GetStageMetersPerUnit(stage)),
-    }
+    return read_usd("character_arrays", path)
 
 
 def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
     """Define a skeleton at rest under ``/Character``."""
-    from pxr import UsdSkel
-
     skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
     skeleton.CreateJointsAttr(joint_paths(rig))
     places, turns = rig.at_rest
@@ -153,8 +126,6 @@ def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
 
 def define_character(stage: Any, body: Body, export: Export) -> None:
     """Define the skeleton and the skin of a body under ``/Character``."""
-    from pxr import Gf, UsdSkel, Vt
-
     rig, skin = rig_of(body), skin_of(body)
     define_skeleton(stage, rig, export)
     points = export.points(skin.points)
@@ -174,8 +145,6 @@ def define_character(stage: Any, body: Body, export: Export) -> None:
 
 
 def _set_extent(stage: Any, points: Array, path: str) -> None:
-    from pxr import UsdGeom
-
     extent = vectors(np.array([points.min(axis=0), points.max(axis=0)]))
     for name in (CHARACTER, path):
         UsdGeom.Boundable(stage.GetPrimAtPath(name)).CreateExtentAttr(extent)
@@ -183,15 +152,11 @@ def _set_extent(stage: Any, points: Array, path: str) -> None:
 
 def vectors(values: NDArray[Any]) -> Any:
     """Return rows of three numbers as USD keeps them, in single precision."""
-    from pxr import Vt
-
     return Vt.Vec3fArray.FromNumpy(values.astype(np.float32))
 
 
 def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
     """Return matrices of places [m] (N, 3) and rotations (N, 4), None: identity."""
-    from pxr import Vt
-
     matrices = np.tile(np.eye(4), (len(places), 1, 1))
     if turns is not None:
         turned = matrix_from_wxyz(export.axes(turns))
@@ -202,8 +167,6 @@ def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
 
 def _mesh(stage: Any, path: Any, points: Array, faces: NDArray[Any]) -> Any:
     """Define a mesh of faces that have as many corners each, shape (F, C)."""
-    from pxr import UsdGeom, Vt
-
     mesh = UsdGeom.Mesh.Define(stage, path)
     corners = faces.astype(np.int32)
     mesh.CreatePointsAttr(vectors(points))
@@ -215,8 +178,6 @@ def _mesh(stage: Any, path: Any, points: Array, faces: NDArray[Any]) -> Any:
 
 def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
     """Define every prop of a clip, with the time code of each frame, shape (T,)."""
-    from pxr import Tf, UsdGeom
-
     if not clip.props:
         return
     folder = UsdGeom.Xform.Define(stage, f"{CHARACTER}/Props").GetPath()
@@ -234,8 +195,6 @@ def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
 
 def _move(prim: Any, places: Array, turns: Array, codes: Array | None) -> None:
     """Place a prim: for good, or with one sample per time code."""
-    from pxr import Gf
-
     translate, orient = prim.AddTranslateOp(), prim.AddOrientOp()
     translations = [Gf.Vec3d(*place) for place in places.tolist()]
     rotations = [Gf.Quatf(*turn) for turn in turns.tolist()]
@@ -249,8 +208,6 @@ def _move(prim: Any, places: Array, turns: Array, codes: Array | None) -> None:
 
 
 def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
-    from pxr import Gf, Usd, UsdGeom
-
     if shape.kind == "mesh":
         geometry = _mesh(stage, path, export.points(shape.points), shape.triangles)
     elif shape.kind == "box":

@@ -1,20 +1,20 @@
 """USD read back: whole clips of ours, joint positions and figures of any file.
 
-What comes from outside is read in a process of its own (``guarded``).
+Files from outside are read in a process of its own (``guarded``): the functions that
+return arrays by name are what it does.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pxr import Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from kinefilter.characters import (
     Clip,
@@ -22,7 +22,6 @@ from kinefilter.characters import (
     Prop,
     Shape,
     Skeleton,
-    skeleton_named,
     standard_body,
 )
 from kinefilter.characters.arrays import Array
@@ -30,33 +29,14 @@ from kinefilter.characters.rotations import normalize, wxyz_from_matrix
 
 from .export import with_y_up
 from .files import AnyPath, check_file
-from .guarded import read_guarded
-from .npz import props_as_arrays, props_from_arrays
+from .npz import clip_as_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
-from .usd_character import CHARACTER, LINEAR, ONCE, PER_FRAME, name_tables
+from .usd_character import CHARACTER, LINEAR, ONCE, PER_FRAME, SKELETON, name_tables
 
-_LARGEST = 2**31  # bytes
 _MOST_JOINTS = 1000  # as in BVH
-_BROKEN = (RuntimeError, ValueError, IndexError, TypeError, AttributeError)
-_MOVED = {"moved_by_correction", "moved_by_physics", "reliability", "uncertainty"}
+_BROKEN = (RuntimeError, ValueError, LookupError, TypeError, AttributeError)
+_UNFIT = "its skeleton and animation do not fit; export it again"
 _KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # others have the same name
-
-
-def check_usd(path: str) -> None:
-    """Raise InputError for a file that no reader of USD should be asked to open."""
-    size = check_file(path).stat().st_size
-    if size > _LARGEST:
-        raise InputError(f"{path}: {size / 1e6:.0f} MB is more than any USD clip has")
-    if Path(path).suffix.lower() != ".usdz":
-        return
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-        raise InputError(f"{path}: damaged USD package; export it again") from None
-    stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
-    if not stored or sum(member.file_size for member in members) > size:
-        raise InputError(f"{path}: packed smaller than USD may be; export it again")
 
 
 def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
@@ -66,8 +46,6 @@ def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
     world positions [m], stage axes, shape (T, N, 3). Raises InputError if the file
     cannot be opened or has no animated skeleton.
     """
-    from pxr import UsdGeom
-
     stage, prim, query, names, codes = _first_animated(os.fspath(check_file(path)))
     positions = np.empty((len(codes), len(names), 3))
     for frame, code in enumerate(codes):
@@ -78,53 +56,8 @@ def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
     return time, tuple(names), positions * UsdGeom.GetStageMetersPerUnit(stage)
 
 
-def usd_contents(path: str) -> Any:
-    """Return units, axis, rate, joints and duration of the first animated skeleton."""
-    check_usd(path)
-    return json.loads(str(read_guarded("usd_reader:contents_arrays", path)["json"]))
-
-
-def read_usd_clip(path: AnyPath) -> Clip:
-    """Read a clip that kinefilter wrote as USD on its skeleton, or raise InputError.
-
-    Axes and unit are undone; frame rate and rest pose are the file's, and time starts
-    at 0. USD does not hold the sensor's states (all joints count as tracked), nor
-    stature and mass, which follow from the segments.
-    """
-    source = os.fspath(path)
-    check_usd(source)
-    arrays = read_guarded("usd_reader:clip_arrays", source)
-    try:
-        skeleton = skeleton_named(str(arrays["skeleton"]))
-        world = rig_of(standard_body(skeleton)).world_rotations(arrays["turns"])
-        motion = motion_of_rig(
-            skeleton, arrays["offsets"], world, arrays["root"], arrays["time"], source
-        )
-        known: dict[str, Any] = {
-            name: arrays[name] for name in PER_FRAME.values() if name in arrays
-        }
-        for name in _MOVED & known.keys():
-            known[name] = np.where(known[name] < 0.0, np.nan, known[name])
-        return Clip.of(
-            motion,
-            **known,
-            external_force=arrays["external_force"],
-            **{field: arrays[field].item() for field in ONCE.values()},
-            props=tuple(props_from_arrays(arrays)),
-        )
-    except (KeyError, *_BROKEN):
-        raise InputError(
-            f"{source}: its joints and frames do not fit together; write it again"
-        ) from None
-
-
-# What the other process does (see guarded)
-
-
 def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return the contents as JSON in an array; raises InputError as usd_contents."""
-    from pxr import UsdGeom
-
+    """Return units, axis, rate, joints and duration of an animation, as JSON."""
     with _refused(path):
         stage, *_ = _first_animated(path)
         time, names, _ = read_usd_positions(path)
@@ -147,9 +80,12 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 
 def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return what a file says of a clip, y up, in meters, or raise InputError."""
-    from pxr import UsdGeom, UsdSkel
+    """Return a clip that kinefilter wrote as USD on its skeleton, as npz keeps it.
 
+    Axes and unit are undone; frame rate and rest pose are the file's, and time starts
+    at 0. USD does not hold the sensor's states (all joints count as tracked), nor
+    stature and mass, which follow from the segments.
+    """
     with _refused(path):
         stage, found, query, names, codes = _first_animated(path)
         skeleton = own_skeleton(names)
@@ -175,22 +111,33 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
             where, turns = _placed(prim, codes)
             where, turns = axes(where) * meters, axes(turns)
             props.append(Prop(prim.GetName(), shapes, where, turns))
+        turns = axes(normalize(np.roll(xyzw, 1, axis=-1).astype(np.float64)))
+        world = rig_of(standard_body(skeleton)).world_rotations(turns)
+        root = axes(places[:, 0].astype(np.float64)) * meters
+        time = np.array(codes) / stage.GetTimeCodesPerSecond()
+        offsets = axes(rest[:, 3, :3]) * meters
+        motion = motion_of_rig(skeleton, offsets, world, root, time, path)
+        known = _provenance(stage.GetPrimAtPath(CHARACTER), codes, skeleton, path)
+        return clip_as_arrays(Clip.of(motion, **known, props=tuple(props)))
+
+
+def character_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """Return joints, axis and unit of a character's layer, or raise InputError."""
+    known = "a layer of 'kinefilter clean --character', or a name that is free"
+    with _refused(path, f"cannot be read as USD; give --character {known}"):
+        stage = Usd.Stage.Open(path)
+        skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(SKELETON))
+        joints = skeleton.GetJointsAttr().Get() if skeleton else None
         return {
-            "skeleton": np.array(skeleton.name),
-            "time": np.array(codes) / stage.GetTimeCodesPerSecond(),
-            "offsets": axes(rest[:, 3, :3]) * meters,
-            "root": axes(places[:, 0].astype(np.float64)) * meters,
-            "turns": axes(normalize(np.roll(xyzw, 1, axis=-1).astype(np.float64))),
-            **_provenance(stage.GetPrimAtPath(CHARACTER), codes, skeleton, path),
-            **props_as_arrays(props),
+            "joints": np.array([str(joint) for joint in joints or ()]),
+            "up": np.array(UsdGeom.GetStageUpAxis(stage).lower()),
+            "unit": np.array(UsdGeom.GetStageMetersPerUnit(stage)),
         }
 
 
 def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
     """Return the first skeleton at rest, y up, in meters, or raise InputError."""
-    from pxr import Tf, Usd, UsdGeom, UsdSkel
-
-    try:
+    with _refused(path, "not USD; expected a UsdSkel skeleton"):
         stage = Usd.Stage.Open(path)
         prims = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton)]
         if not prims:
@@ -198,8 +145,6 @@ def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
         place = UsdGeom.Imageable(prims[0]).ComputeLocalToWorldTransform
         world = np.array(place(Usd.TimeCode.EarliestTime()))
         names, parents, matrices = _joints(UsdSkel.Skeleton(prims[0]), path)
-    except Tf.ErrorException:
-        raise InputError(f"{path}: not USD; expected a UsdSkel skeleton") from None
     matrices = matrices @ world
     places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
     turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
@@ -217,7 +162,6 @@ def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
-    from pxr import UsdSkel, Vt
 
     def read(attribute: Any) -> Array:
         value = attribute.Get()
@@ -250,29 +194,21 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
 
 
 @contextmanager
-def _refused(path: str) -> Iterator[None]:
-    from pxr import Tf
-
+def _refused(path: str, wrong: str = _UNFIT) -> Iterator[None]:
     try:
         yield
     except InputError as error:
         told = str(error)
         raise InputError(told if path in told else f"{path}: {told}") from None
     except (Tf.ErrorException, *_BROKEN):
-        wrong = "its skeleton and animation do not fit; export it again"
         raise InputError(f"{path}: {wrong}") from None
 
 
 def _first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
     """Return stage, prim, query, joint names and time codes of a skeleton."""
-    from pxr import Tf, Usd, UsdSkel
-
-    try:
-        stage = Usd.Stage.Open(path)
-    except Tf.ErrorException:
-        known = "expected .usda, .usdc or .usd"
-        raise InputError(f"{path}: cannot be read as USD; {known}") from None
     cache = UsdSkel.Cache()
+    with _refused(path, "cannot be read as USD; expected .usda, .usdc or .usd"):
+        stage = Usd.Stage.Open(path)
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Root):
             cache.Populate(UsdSkel.Root(prim), Usd.PrimDefaultPredicate)
@@ -291,7 +227,7 @@ def _samples(attribute: Any, codes: Sequence[float]) -> NDArray[Any]:
 
 def _provenance(
     character: Any, codes: Sequence[float], skeleton: Skeleton, path: str
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, Any]:
     for name, ours in name_tables(skeleton).items():
         theirs = character.GetAttribute(f"kinefilter:{name}").Get()
         if theirs is not None and list(theirs) != ours[: len(theirs)]:
@@ -299,11 +235,14 @@ def _provenance(
                 f"{path}: kinefilter:{name} are {', '.join(theirs)[:60]}, expected "
                 f"{', '.join(ours)[:60]}; write the clip again"
             )
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Any] = {}
     for name, field in PER_FRAME.items():
         attribute = character.GetAttribute(f"kinefilter:{name}")
         if attribute and attribute.GetTimeSamples():
-            arrays[field] = _samples(attribute, codes)
+            values = _samples(attribute, codes)
+            if values.dtype.kind == "f":
+                values[values < 0.0] = np.nan
+            arrays[field] = values
     force = character.GetAttribute("kinefilter:externalForce")
     simulated = set(force.GetTimeSamples()) if force else set()
     arrays["external_force"] = np.array(
@@ -312,7 +251,7 @@ def _provenance(
     for name, field in ONCE.items():
         number = character.GetAttribute(f"kinefilter:{name}").Get()
         absent = 0.0 if field == "roll" else np.nan
-        arrays[field] = np.array(absent if number is None else float(number))
+        arrays[field] = absent if number is None else float(number)
     return arrays
 
 
