@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from .arrays import (
     Array,
     Codes,
     Flags,
-    Lengths,
     as_number,
     check_arrays,
     check_kind,
@@ -33,10 +31,6 @@ LATEST = 1e12
 """Frames of live motion [s] are earlier: clocks count from 1970, in seconds."""
 _NO_TIME = 1e19  # s: a damaged number; less may be in another unit, see check_rate
 _MOST = np.finfo(float).max
-_MEASURES = {"reliability": 1.0} | dict.fromkeys(
-    ("moved_by_correction", "moved_by_physics", "uncertainty"), _MOST
-)
-"""Numbers of joints that are 0 to this much, or NaN."""
 _UNIT = 1e-3  # by which a quaternion may be longer than 1: single precision, and room
 
 CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")
@@ -80,15 +74,39 @@ class Term(IntEnum):
         return self.name.lower().replace("_", " ")
 
 
-def _check(motion: Take | Motion, **codes: type[IntEnum]) -> None:
+_CODES = {"state": State, "deciding_term": Term, "origin": Origin}
+_OF_JOINTS = ("reliability", "moved_by_correction", "moved_by_physics", "uncertainty")
+"""Numbers of joints that are 0 or more, the reliability at most 1, or NaN."""
+_SHAPES = {
+    "time": "T",
+    "positions": "TJ3",
+    "root": "T3",
+    "rotations": "TJ4",
+    **dict.fromkeys((*_CODES, *_OF_JOINTS), "TJ"),
+    "contacts": "T4",
+    "external_force": "T",
+}
+"""Arrays that have a row a frame, and their shapes: T frames, J joints."""
+
+
+def _shapes(kind: Any, frames: int, joints: int) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays that a kind of motion has, by their names."""
+    lengths = {"T": frames, "J": joints, "3": 3, "4": 4}
+    names = [field.name for field in fields(kind) if field.name in _SHAPES]
+    return {name: tuple(lengths[k] for k in _SHAPES[name]) for name in names}
+
+
+def _check(motion: Take | Motion) -> None:
     """Make arrays of what somebody gave, or raise an InputError."""
     check_kind(motion.source, str, "the source of a take or clip")
     check_skeleton(motion.skeleton, motion.source)
     of = f" for {motion.skeleton.name}"
     check_arrays(motion, motion.source, {"time": (None,)}, of)
-    shapes = motion._shapes()
-    check_arrays(motion, motion.source, shapes, of, keep=codes)
-    for name, known in codes.items():
+    shapes = _shapes(motion, len(motion.time), len(motion.skeleton))
+    check_arrays(motion, motion.source, shapes, of, keep=_CODES)
+    for name, known in _CODES.items():
+        if name not in shapes:
+            continue
         values = getattr(motion, name)
         _refuse(motion, name, values, np.isin(values, list(known)))
         object.__setattr__(motion, name, values.astype(np.uint8, copy=False))
@@ -153,14 +171,10 @@ def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array
     return positions
 
 
-class _Frames(ABC):
+class _Frames:
     """What takes and motions share: arrays of frames, by their time stamps."""
 
     time: Array
-
-    @abstractmethod
-    def _shapes(self) -> dict[str, Lengths]:
-        """Return the shapes of the arrays that have a row a frame, by their names."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -176,7 +190,8 @@ class _Frames(ABC):
         return replace(self, **self._at(frames))  # type: ignore[type-var]
 
     def _at(self, frames: Any) -> dict[str, Any]:
-        return {name: getattr(self, name)[frames] for name in self._shapes()}
+        names = _shapes(self, 0, 0)
+        return {name: getattr(self, name)[frames] for name in names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,17 +211,13 @@ class Take(_Frames):
     """Where the take came from, for messages."""
 
     def __post_init__(self) -> None:
-        _check(self, state=State)
+        _check(self)
         known = np.isfinite(self.positions)
         lost = ~known.all(axis=-1) | (self.state == State.NOT_TRACKED)
         if (known.any(axis=-1) & lost).any() or np.isinf(self.positions).any():
             whole = np.where(lost[..., None], np.nan, self.positions)
             object.__setattr__(self, "positions", whole)
         freeze(self)
-
-    def _shapes(self) -> dict[str, Lengths]:
-        t, j = len(self.time), len(self.skeleton)
-        return {"time": (t,), "positions": (t, j, 3), "state": (t, j)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -216,8 +227,6 @@ class Motion(_Frames):
     World frame: right-handed, y up, floor at y = 0, meters, seconds. Joint positions
     follow from root and rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
     """
-
-    _codes: ClassVar[dict[str, type[IntEnum]]] = {}
 
     time: Array
     """Time stamps [s], never decreasing, shape (T,)."""
@@ -233,7 +242,7 @@ class Motion(_Frames):
 
     def __post_init__(self) -> None:
         check_kind(self.body, Body, "the body of a motion")
-        _check(self, **self._codes)
+        _check(self)
         if not np.isfinite(self.root).all():
             raise InputError(
                 f"{self.source}: root is not finite; leave such frames out"
@@ -242,10 +251,6 @@ class Motion(_Frames):
             lengths = np.sqrt(np.vecdot(self.rotations, self.rotations))
         _refuse(self, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
         freeze(self)
-
-    def _shapes(self) -> dict[str, Lengths]:
-        t, j = len(self.time), len(self.skeleton)
-        return {"time": (t,), "root": (t, 3), "rotations": (t, j, 4)}
 
     @property
     def skeleton(self) -> Skeleton:
@@ -265,12 +270,6 @@ class Clip(Motion):
 
     Time stamps are those of the take.
     """
-
-    _codes: ClassVar[dict[str, type[IntEnum]]] = {
-        "state": State,
-        "deciding_term": Term,
-        "origin": Origin,
-    }
 
     state: Codes
     """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
@@ -318,8 +317,8 @@ class Clip(Motion):
                     f"{self.source}: prop {prop.name} has {len(prop.positions)} "
                     f"places, expected 1 or {len(self)}, one a frame"
                 )
-        for name, most in _MEASURES.items():
-            values = getattr(self, name)
+        for name in _OF_JOINTS:
+            values, most = getattr(self, name), 1.0 if name == "reliability" else _MOST
             _refuse(self, name, values, ~((values < 0.0) | (values > most)))
         contacts = self.contacts
         _refuse(self, "contacts", contacts, np.isin(contacts, (0, 1)))
@@ -327,17 +326,6 @@ class Clip(Motion):
         for name in ("tilt", "floor", "roll"):
             what = f"{self.source}: {name}"
             object.__setattr__(self, name, as_number(getattr(self, name), what))
-
-    def _shapes(self) -> dict[str, Lengths]:
-        t, j = len(self.time), len(self.skeleton)
-        return {
-            **super()._shapes(),
-            **dict.fromkeys(("state", "reliability", "deciding_term"), (t, j)),
-            **dict.fromkeys(("origin", "moved_by_correction"), (t, j)),
-            **dict.fromkeys(("moved_by_physics", "uncertainty"), (t, j)),
-            "contacts": (t, len(CONTACTS)),
-            "external_force": (t,),
-        }
 
     def _at(self, frames: Any) -> dict[str, Any]:
         props = tuple(prop.at(frames) for prop in self.props)
@@ -349,18 +337,11 @@ class Clip(Motion):
 
         Joints count as tracked and measured, feet as lifted; numbers are NaN.
         """
-        shape = motion.rotations.shape[:2]
-        unknown = np.full(shape, np.nan)
-        unknowns: dict[str, Any] = {
-            "state": np.full(shape, State.TRACKED, dtype=np.uint8),
-            "reliability": unknown,
-            "deciding_term": np.zeros(shape, dtype=np.uint8),
-            "origin": np.full(shape, Origin.MEASURED, dtype=np.uint8),
-            "moved_by_correction": unknown,
-            "moved_by_physics": unknown,
-            "uncertainty": unknown,
-            "contacts": np.zeros((shape[0], len(CONTACTS)), dtype=np.bool_),
-            "external_force": np.full(shape[0], np.nan),
+        tracked = {"state": State.TRACKED, "origin": Origin.MEASURED}
+        usual: dict[str, Any] = tracked | {"deciding_term": 0, "contacts": 0}
+        unknown = {
+            name: np.full(shape, usual.get(name, np.nan))
+            for name, shape in _shapes(cls, *motion.rotations.shape[:2]).items()
         }
         moves = {field.name: getattr(motion, field.name) for field in fields(Motion)}
-        return cls(**moves | unknowns | known)
+        return cls(**unknown | moves | known)

@@ -45,7 +45,6 @@ OPTIONAL = {"neck", *(f"{s} {part}" for s in SIDES for part in ("clavicle", "toe
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
 _FIELDS = {"parent", "turned_by", "offset"}
-_LARGEST = 2**20  # bytes: five thousand bones
 
 
 @dataclass(frozen=True)
@@ -85,41 +84,18 @@ class RigMap:
         return re.sub(rf"^{stem}\d*[:_]", "", bare) if stem else bare
 
 
-def load_rig_map(rig: str) -> RigMap:
-    """Return one of RIGS, or the map in a TOML file, or raise InputError."""
-    if rig in RIGS:
-        return _embedded(rig)
-    path = Path(rig)
-    if path.suffix.lower() != ".toml":
-        known = ", ".join(RIGS)
-        raise InputError(f"unknown rig {rig!r}; expected {known} or a map (.toml)")
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{rig}: larger than any map; expected bones by name")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            f"{rig}: cannot be read ({error.strerror}); expected a map (.toml)"
-        ) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{rig}: is not text; expected a map (.toml)") from None
-    return _parsed(text, rig)
-
-
 @cache
-def _embedded(rig: str) -> RigMap:
-    return _parsed(_embedded_text("rigs", rig), rig)
+def load_rig_map(rig: str) -> RigMap:
+    """Return one of RIGS."""
+    return rig_map_of(_embedded("rigs", rig), rig)
 
 
-def _embedded_text(folder: str, name: str) -> str:
-    return (_HERE / folder / f"{name}.toml").read_text(encoding="utf-8")
+def _embedded(folder: str, name: str) -> dict[str, Any]:
+    return tomllib.loads((_HERE / folder / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def _parsed(text: str, source: str) -> RigMap:
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also of numbers of 5000 digits
-        raise InputError(f"{source}: is not TOML ({error}); correct it") from None
+def rig_map_of(table: dict[str, Any], source: str) -> RigMap:
+    """Return the map in the table of a TOML file, or raise InputError."""
     rows, prefix = table.get("bones"), table.get("prefix", "")
     if not isinstance(rows, dict) or not isinstance(prefix, str):
         raise InputError(
@@ -213,7 +189,7 @@ class SourceRig:
 @cache
 def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
     """Return a rig for a Kinect's joints from its data file in ``source_rigs``."""
-    tables = tomllib.loads(_embedded_text("source_rigs", name))
+    tables = _embedded("source_rigs", name)
     rows = {**tables["limbs"], **tables[skeleton.name]}
     joints = {
         joint: SourceJoint(tuple(row["at"]), row.get("turned_by"))

@@ -18,7 +18,8 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
-from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_c3d, read_mocap
+from kinefilter.pipeline.formats.markers import read_c3d
+from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.lab.database_build import database_from_mocap
 from kinefilter.retarget.rig_map import load_source_rig, matching_source_rig

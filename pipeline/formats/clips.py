@@ -23,18 +23,19 @@ from kinefilter.characters.arrays import check_kind
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
 from kinefilter.retarget.retargeting import retarget
-from kinefilter.retarget.rig_map import RigMap, load_rig_map
+from kinefilter.retarget.rig_map import RIGS, RigMap, load_rig_map, rig_map_of
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, paced, resampled, with_y_up
-from .files import AnyPath, check_file, check_folder
+from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
 from .guarded import read_usd
 from .npz import clip_of_arrays, read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
 from .sheets import write_take_csv
 from .takes import read_take
 
+_LARGEST_MAP = 2**20  # bytes: five thousand bones
 _EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
 
 
@@ -170,7 +171,7 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
     rest, None for the map's own in the person's size. Raises InputError if either
     cannot be read, or the file's joints do not have the map's names.
     """
-    rig_map = load_rig_map(rig)
+    rig_map = read_rig_map(rig)
     if target is None:
         return built_rig(rig_map, body)
     suffix = target.suffix.lower()
@@ -179,6 +180,17 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
     if suffix in USD_SUFFIXES:
         return matched_rig(rig_map, _usd_rest(target), body)
     raise InputError(f"--target {target}: expected .bvh, {', '.join(USD_SUFFIXES)}")
+
+
+def read_rig_map(rig: str) -> RigMap:
+    """Return one of RIGS, or the map in a TOML file, or raise InputError."""
+    if rig in RIGS:
+        return load_rig_map(rig)
+    if Path(rig).suffix.lower() != ".toml":
+        known = ", ".join(RIGS)
+        raise InputError(f"unknown rig {rig!r}; expected {known} or a map (.toml)")
+    text = read_limited(rig, _LARGEST_MAP)
+    return rig_map_of(parse_toml(text, rig, "expected a map of bones"), rig)
 
 
 def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:

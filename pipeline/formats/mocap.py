@@ -5,23 +5,20 @@ the SDK's names, as kinefilter's own; else those of Kinect v1, found by the name
 ``retarget/source_rigs``. A BVH knows no tracking states: every joint counts as tracked.
 Its unit is the one in which the bones are a person's: m, cm, mm or inches.
 
-C3D has points that marker mocap measured, read by ezc3d (extra ``c3d``). Only points
-that are joints are of use here: named as the Kinect's joints, or as the joint centers
-that Vicon's Plug-in Gait writes. The same holds of TRC. Where joints lie among bare
-markers, ``pipeline/lab/marker_sets`` knows.
+Of the points in C3D and TRC (``markers``) only those that are joints are of use here:
+named as the Kinect's joints, or as the joint centers that Vicon's Plug-in Gait writes.
+Where joints lie among bare markers, ``pipeline/lab/marker_sets`` knows.
 """
 
 from __future__ import annotations
 
 import os
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -33,23 +30,17 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.pipeline.extras import require
 from kinefilter.retarget.rig_map import listed, matching_source_rig
 
 from .acclaim import read_amc, read_asf
-from .bvh import MOST_CELLS, read_bvh
+from .bvh import read_bvh
 from .files import AnyPath, beginning, check_file
-from .guarded import read_guarded
+from .markers import C3D_MAGIC, TRC_MAGIC, read_c3d, read_trc
 from .recording import Mocap, Recording, check_length, recording_of
-from .rows import LARGEST_NUMBER
-from .trc import MAGIC, read_trc
 
 RIGS = ("cmu", "motionbuilder", "acclaim", "plug_in_gait")
 """Skeletons that mocap comes on, besides the Kinects' own."""
 _BVH_RIGS = ("cmu", "motionbuilder", "jointed")  # the most particular first
-_BLOCK = 512  # bytes of a C3D file
-_C3D_MAGIC = 0x50  # second byte of every C3D file
-_LARGEST_C3D = 2**30  # bytes
 _Z_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """Minus a quarter turn about x, wxyz: what pointed along z points along y."""
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU": 0.056444}
@@ -74,12 +65,12 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
     """
     path = check_file(path)
     with path.open("rb") as file:
-        if file.read(2)[1:] == bytes([_C3D_MAGIC]):
+        if file.read(2)[1:] == bytes([C3D_MAGIC]):
             return read_c3d(path)
     first = beginning(path)
     if first.startswith("HIERARCHY"):
         return _bvh_mocap(os.fspath(path))
-    if first.startswith(MAGIC):
+    if first.startswith(TRC_MAGIC):
         return read_trc(path)
     if first[:1] not in ("#", ":"):
         raise InputError(
@@ -116,72 +107,6 @@ def read_bvh_take(source: str) -> Recording:
         note = f"no unit of length fits the bones; scaled by {motion.meters:.4g}"
         known = {"unit": "unknown", "notes": (note,)}
     return recording_of(time, positions, state, skeleton, source, "bvh", **known)
-
-
-def read_c3d(path: AnyPath) -> Mocap:
-    """Read a C3D file; raises InputError if it is malformed or ezc3d is missing."""
-    source = os.fspath(path)
-    _check_header(source)
-    require("ezc3d", f"{source}: C3D", "c3d")
-    arrays = read_guarded("mocap:c3d_arrays", source)
-    points, rate = arrays["points"], float(arrays["rate"].item())
-    names, count = tuple(arrays["names"].tolist()), points.shape[1]
-    if not 0.01 < rate < 1e4 or len(names) < count or not points.size:
-        raise InputError(
-            f"{source}: has {points.shape[2]} frames of {count} points, "
-            f"{len(names)} labels, {rate:g} frames a second; export it again"
-        )
-    positions = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1)
-    # What no camera saw has a residual below zero, and zeros for a place.
-    unseen = (arrays["residuals"] < 0) | (positions == 0).all(axis=-1)
-    positions = np.where(unseen[..., None], np.nan, positions)
-    if not np.nanmax(np.abs(positions), initial=0.0) < LARGEST_NUMBER:
-        raise InputError(f"{source}: a point is beyond any room; export it again")
-    return Mocap(names[:count], positions, None, 1.0 / rate, source)
-
-
-def c3d_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return points, residuals, labels and rate of a file, or raise InputError."""
-    import ezc3d
-
-    try:
-        file = ezc3d.c3d(path)
-        parameters = file["parameters"]["POINT"]
-        names = [str(name) for name in parameters["LABELS"]["value"]]
-        return {
-            "points": np.asarray(file["data"]["points"], dtype=np.float64),
-            "residuals": np.asarray(file["data"]["meta_points"]["residuals"][0].T),
-            "names": np.array(names, dtype=str),
-            "rate": np.array(float(parameters["RATE"]["value"][0])),
-        }
-    except Exception as error:  # ezc3d raises whatever its C++ does
-        raise InputError(
-            f"{path}: cannot be read as C3D ({type(error).__name__}); export it again"
-        ) from None
-
-
-def _check_header(source: str) -> None:
-    """Raise InputError for a wrong length in the header, which ezc3d believes."""
-    path = check_file(source)
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        header = file.read(_BLOCK)
-    if len(header) < _BLOCK or header[1] != _C3D_MAGIC or size > _LARGEST_C3D:
-        raise InputError(f"{source}: not a C3D file, or cut off; export it again")
-    points, analog, first, last, scale, start = struct.unpack("<4H2xfH", header[2:18])
-    frames = last - first + 1
-    # Whole numbers where the scale is positive, floats where it is negative.
-    width = 4 if scale < 0 else 2
-    needed = frames * (4 * points + analog) * width
-    if frames < 1 or start * _BLOCK > size or needed > size or points == 0:
-        raise InputError(
-            f"{source}: {frames} frames of {points} points do not fit into {size} "
-            "bytes; the file may be cut off, or its header damaged"
-        )
-    if frames * points > MOST_CELLS:
-        raise InputError(
-            f"{source}: {frames} frames of {points} points are too many; split it"
-        )
 
 
 @dataclass(frozen=True, eq=False)

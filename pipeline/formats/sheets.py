@@ -43,17 +43,14 @@ PART = ".part.csv"
 """End of the name of what ``live`` records; if it is killed, the last row is torn."""
 _LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
 _AXES = ("x", "y", "z")
+_OURS = (*_AXES, "state")
 _MERGED = ("reliability", "sensor")
 """What merged takes have more of each joint; for people to read, not for cleaning."""
 _CONTACT_HEADER = ("time", *CONTACTS)
 _ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
 
 
-def _columns(skeleton: Skeleton) -> tuple[str, ...]:
-    return _named(skeleton, (*_AXES, "state"))
-
-
-def _named(skeleton: Skeleton, parts: tuple[str, ...]) -> tuple[str, ...]:
+def _columns(skeleton: Skeleton, parts: Sequence[str] = _OURS) -> tuple[str, ...]:
     return ("time", *(f"{joint}.{part}" for joint in skeleton.joints for part in parts))
 
 
@@ -86,7 +83,7 @@ def write_merged_csv(
     with the largest of the shares (T, S, J), 0 where no sensor has the joint.
     """
     largest = np.where(shares.max(axis=1) > 0.0, 1 + shares.argmax(axis=1), 0)
-    names = _named(take.skeleton, _MERGED)[1:]
+    names = _columns(take.skeleton, _MERGED)[1:]
     each = np.stack([reliability, largest], axis=-1).reshape(len(take), -1)
     row = ",%.3f,%d" * len(take.skeleton) + "\n"
     with new_text(path) as file:
@@ -131,7 +128,7 @@ def _kinefilter(line: str, source: str) -> _Layout:
     skeleton = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
     needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
     twice, times = Counter(columns).most_common(1)[0]
-    known = {*_columns(skeleton), *_named(skeleton, _MERGED)}
+    known = {*_columns(skeleton), *_columns(skeleton, _MERGED)}
     wrong = ""
     if columns[0] != "time":
         wrong = (
