@@ -43,6 +43,14 @@ def chunks(count: int, size: int) -> list[slice]:
     return [slice(start, start + size) for start in range(0, count, size)]
 
 
+def runs(flags: Flags, shortest: int = 1) -> list[slice]:
+    """Return the spans of ``shortest`` or more frames in which flags (T,) are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
+    pairs = edges.reshape(-1, 2)
+    long = pairs[pairs[:, 1] - pairs[:, 0] >= shortest]
+    return [slice(a, b) for a, b in long.tolist()]
+
+
 def shown(value: object) -> str:
     """Return the beginning of what a value looks like, for messages."""
     try:

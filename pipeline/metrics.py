@@ -17,11 +17,10 @@ import numpy as np
 
 from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.gaps import LONG_GAP, parts_of
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.target.feet import ankles_and_toes
-from kinefilter.retarget.runs import runs
 
 SKATE_HEIGHT = 0.05
 """A foot joint lower than this over its standing height [m] should not slide."""

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Flags
-from kinefilter.retarget.runs import runs
+from kinefilter.characters.arrays import Array, Flags, runs
 
 from .draft import Draft
 

@@ -6,9 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from kinefilter.characters.arrays import Array, Flags
-
-from .runs import runs
+from kinefilter.characters.arrays import Array, Flags, runs
 
 _BLEND = 0.15
 """Seconds in which a foot joins its own path after it stood, and leaves it before. A

@@ -15,12 +15,12 @@ from real_data import PAIRS, paired
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+from kinefilter.characters.arrays import runs
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.target import feet
 from kinefilter.pipeline.target.feet import ankles_and_toes, feet_of, find_stance
-from kinefilter.retarget.runs import runs
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+from kinefilter.characters.arrays import runs
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.target import feet
@@ -21,7 +22,6 @@ from kinefilter.pipeline.target.feet import (
     find_stance,
     plant_feet,
 )
-from kinefilter.retarget.runs import runs
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -11,11 +11,10 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, runs
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.motion import nominal_step
 from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.runs import runs
 
 from .gross import Failure, FailureKind
 

@@ -9,10 +9,9 @@ from enum import StrEnum
 import numpy as np
 
 from kinefilter.characters import Skeleton, State, Take, Term
-from kinefilter.characters.arrays import Flags
+from kinefilter.characters.arrays import Flags, runs
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import Scores
-from kinefilter.retarget.runs import runs
 
 from .bodies import elsewhere, of_another_size
 from .limbs import bent_backwards, leaps, leftward, out_of_range, through_head

@@ -1,7 +1,7 @@
 """Files in and out: the only place with foreign axes, units and layouts.
 
 Each layout is described where it is read: ``sheets`` (a frame a row), ``datasets`` (NTU
-and MSR), ``azure``, ``mocap`` (BVH and C3D) and ``acclaim``. Repeated time
+and MSR), ``azure``, ``bvh``, ``markers`` (C3D and TRC) and ``acclaim``. Repeated time
 stamps, dropped frames and joints that are missing now and then, or always, are normal.
 Who is lost and back within 2 s and 0.5 m is the same person (``recording``).
 """

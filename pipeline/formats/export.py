@@ -180,9 +180,9 @@ def resampled(clip: Clip, fps: float) -> Clip:
     def line(values: Array) -> Array:
         part = share.reshape(-1, *[1] * (values.ndim - 1))
         start = values[before]
-        moved = start + part * (values[after] - start)
+        between = start + part * (values[after] - start)
         # A frame that is there already is kept as it is, also beside a missing one.
-        return np.asarray(np.where(part == 0.0, start, moved))
+        return np.asarray(np.where(part == 0.0, start, between))
 
     def arc(rotations: Array) -> Array:
         part = share.reshape(-1, *[1] * (rotations.ndim - 2))
@@ -192,12 +192,9 @@ def resampled(clip: Clip, fps: float) -> Clip:
             found[some] = slerp(start, end, part[some])
         return found
 
-    def prop_at(prop: Prop) -> Prop:
-        if not prop.moves:
-            return prop
-        return replace(
-            prop, positions=line(prop.positions), rotations=arc(prop.rotations)
-        )
+    def moved(prop: Prop) -> Prop:
+        places, turns = line(prop.positions), arc(prop.rotations)
+        return replace(prop, positions=places, rotations=turns)
 
     nearest = np.where(share < 0.5, before, after)
     found: dict[str, Any] = {
@@ -207,7 +204,7 @@ def resampled(clip: Clip, fps: float) -> Clip:
         "origin": np.where(
             held[:, None], np.uint8(Origin.FILLED), clip.origin[nearest]
         ),
-        "props": tuple(prop_at(prop) for prop in clip.props),
+        "props": tuple(moved(p) if p.moves else p for p in clip.props),
     }
     return replace(clip, time=time, **found)
 

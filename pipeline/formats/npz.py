@@ -25,11 +25,11 @@ _KINDS = "biufUS"  # truth values, numbers and text
 _MOST_ARRAYS = 1000
 _LONGEST_HEADER = 10_000  # bytes, numpy's own limit for files from elsewhere
 
-_FRAME = ("tilt", "floor")  # archives of older versions lack them,
-_SINCE_0_2 = "uncertainty"  # and this
-_ROLL = "roll"  # only where there is one
+_UNSAID = {"tilt": np.nan, "floor": np.nan, "roll": 0.0}
+"""What archives of older versions lack, as they lack the uncertainty; none has a roll
+but where there is one."""
 _FIRST = ("time", "positions", "rotations")
-_OTHERS = (*_FIRST, *_FRAME, _ROLL, "root", "body", "source", "props")
+_OTHERS = (*_FIRST, *_UNSAID, "root", "body", "source", "props")
 _ARRAYS = (*_FIRST, *(f.name for f in fields(Clip) if f.name not in _OTHERS))
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
@@ -120,13 +120,13 @@ def clip_as_arrays(clip: Clip) -> dict[str, Any]:
     shapes, ``prop:K:L:size`` and so on.
     """
     return {
-        **{name: getattr(clip, name) for name in _ARRAYS + _FRAME},
+        **{name: getattr(clip, name) for name in (*_ARRAYS, "tilt", "floor")},
         **{name: getattr(clip.body, name) for name in _BODY},
         **_props_as_arrays(clip.props),
         "skeleton": np.array(clip.skeleton.name),
         "joints": np.array(clip.skeleton.joints),
         "source": np.array(clip.source),
-        **({_ROLL: np.array(clip.roll)} if clip.roll else {}),
+        **({"roll": np.array(clip.roll)} if clip.roll else {}),
     }
 
 
@@ -147,27 +147,24 @@ def read_npz(path: AnyPath) -> Clip:
 def clip_of_arrays(archive: dict[str, Any]) -> Clip:
     """Return the clip whose arrays these are, or raise InputError, KeyError or so."""
     skeleton = skeleton_named(str(archive["skeleton"]))
-    measures: dict[str, Any] = {name: archive[name] for name in _BODY}
-    arrays = {name: archive[name] for name in _ARRAYS if name != _SINCE_0_2}
-    unknown = np.full(np.shape(arrays["reliability"]), np.nan)
-    arrays[_SINCE_0_2] = archive.get(_SINCE_0_2, unknown)
-    frame = {name: archive.get(name, np.nan) for name in _FRAME}
-    frame[_ROLL] = archive.get(_ROLL, 0.0)
-    for name, array in (*arrays.items(), *measures.items(), *frame.items()):
-        kinds = "f" if name == "time" else "biuf"
-        if np.asarray(array).dtype.kind not in kinds:
+    unknown = np.full(np.shape(archive["reliability"]), np.nan)
+    archive = {"uncertainty": unknown, **_UNSAID, **archive}
+    names = (*_ARRAYS, *_UNSAID, *_BODY)
+    arrays: dict[str, Any] = {name: np.asarray(archive[name]) for name in names}
+    for name, array in arrays.items():
+        if array.dtype.kind not in ("f" if name == "time" else "biuf"):
             raise InputError(f"{name} is not numbers; write the clip again")
-    numbers = {name: measures[name].item() for name in ("height", "mass")}
+    arrays |= {name: arrays[name].item() for name in (*_UNSAID, "height", "mass")}
+    body = Body(skeleton, **{name: arrays.pop(name) for name in _BODY})
     positions = arrays.pop("positions")
     if positions.shape != (len(arrays["time"]), len(skeleton), 3):
         raise InputError(f"positions have shape {positions.shape}; write it again")
     return Clip(
         **arrays,
         root=positions[:, skeleton.root],
-        body=Body(skeleton=skeleton, **(measures | numbers)),
+        body=body,
         source=str(archive["source"]),
         props=tuple(_props_from_arrays(archive)),
-        **{name: np.asarray(number).item() for name, number in frame.items()},
     )
 
 

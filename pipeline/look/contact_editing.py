@@ -7,8 +7,7 @@ from collections import deque
 import numpy as np
 
 from kinefilter.characters import CONTACTS
-from kinefilter.characters.arrays import Flags, read_only
-from kinefilter.retarget.runs import runs
+from kinefilter.characters.arrays import Flags, read_only, runs
 
 PARTS: dict[str, tuple[int, ...]] = {
     "both feet": (0, 1, 2, 3),

@@ -12,12 +12,11 @@ from itertools import pairwise
 import numpy as np
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.heading_frame import find_yaw
-from kinefilter.retarget.runs import runs
 from kinefilter.retarget.stance import smooth_step
 
 from .continuity import bridge

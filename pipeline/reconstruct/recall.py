@@ -14,9 +14,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array, Indices, runs
 from kinefilter.characters.rotations import unit
-from kinefilter.retarget.runs import runs
 
 from .continuity import CONTEXT
 from .windows import Limb, Seen, Windows, describe

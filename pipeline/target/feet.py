@@ -12,8 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.arrays import Array, Flags
-from kinefilter.retarget.runs import runs
+from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.retarget.stance import smooth_step
 
 from .smooth import smooth

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import Body, Clip, Skeleton, Take
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.retarget import HeadingFrame, find_yaw
-from kinefilter.retarget.runs import runs
 
 from .feet import ankles_and_toes
 

@@ -18,8 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from kinefilter.characters.anthropometry import GRAVITY
-from kinefilter.characters.arrays import Array
-from kinefilter.retarget.runs import runs
+from kinefilter.characters.arrays import Array, runs
 
 from .hands import Hands, fading
 from .poses import LEFT, RIGHT

@@ -14,9 +14,8 @@ import numpy as np
 
 from kinefilter.characters import Motion
 from kinefilter.characters.anthropometry import GRAVITY
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, runs
 from kinefilter.characters.rotations import matrix_from_wxyz, normalize
-from kinefilter.retarget.runs import runs
 
 from .ball import ball_path
 from .hands import Hands, fading
