@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -18,6 +18,11 @@ from .arrays import (
 )
 from .errors import InputError
 
+if TYPE_CHECKING:
+    import trimesh
+
+UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * [[1.0], [1.0], [-1.0], [1.0]]
+"""Turns what lies along z up along y."""
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
 
 
@@ -64,6 +69,25 @@ class Shape:
             return np.asarray(np.abs(self.points).max(axis=0))
         cap = float(self.size[0]) if self.kind == "capsule" else 0.0
         return np.asarray(self.size + np.array([0.0, cap, 0.0]))
+
+    def surface(self) -> trimesh.Trimesh:
+        """Return its surface along its own axes [m]."""
+        import trimesh  # takes long to load
+
+        radius, half = float(self.size[0]), float(self.size[1])
+        make: Any = trimesh.creation
+        if self.kind == "mesh":
+            found = trimesh.Trimesh(self.points, self.triangles, process=False)
+        elif self.kind == "box":
+            found = make.box(extents=2.0 * self.size)
+        elif self.kind == "ellipsoid":
+            found = make.icosphere(subdivisions=3)
+            found.vertices = found.vertices * self.size
+        elif self.kind == "cylinder":
+            found = make.cylinder(radius, 2.0 * half, 32, transform=UPRIGHT)
+        else:
+            found = make.capsule(2.0 * half, radius, transform=UPRIGHT)
+        return found
 
 
 @dataclass(frozen=True, eq=False)

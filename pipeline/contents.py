@@ -31,6 +31,7 @@ from .database import PostureDatabase
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
 from .formats.files import check_file
+from .formats.glb import read_glb
 from .formats.guarded import read_usd
 from .formats.mocap import RIGS, kinect_motion, read_mocap
 from .formats.npz import array_names, read_npz
@@ -75,6 +76,8 @@ def contents_of(
     elif start.startswith(_USD) or (packed and file.suffix.lower() == ".usdz"):
         found = json.loads(str(read_usd("contents_arrays", name)["json"]))
         contents = {"kind": "clip", "format": "usd"} | found
+    elif start.startswith(b"glTF"):
+        contents = {"format": "glb"} | _of_clip(read_glb(path))
     elif packed:
         contents = _of_npz(name)
     elif file.name.lower().removesuffix(".gz").endswith((".amc", ".c3d", ".trc")):

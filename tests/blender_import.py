@@ -1,11 +1,11 @@
-"""Import every USD and BVH file of a folder into Blender; save where things are.
+"""Import every USD, GLB and BVH file of a folder into Blender; save where things are.
 
     python tests/blender_import.py FOLDER
 
 This runs in a Python that has Blender's ``bpy``, which needs another numpy than
-kinefilter. Frames to look at are in ``NAME.frames.npy``, time codes of USD or frames of
-BVH counted from 0. Beside each file a ``NAME.npz`` is written, in Blender's unit
-(meters) and axes (z up): ``names`` and ``heads`` (F, N, 3) of the joints; of the
+kinefilter. Frames to look at are in ``NAME.frames.npy``: time codes of USD, frames of
+BVH counted from 0, 24 a second of GLB. Beside each file a ``NAME.npz`` is written, in
+Blender's unit (meters) and axes (z up): ``names`` and ``heads`` (F, N, 3) of the joints; of the
 skinned mesh, if there is one, ``modifiers`` (their types), ``groups`` (vertex groups
 that move something), ``rest`` (P, 3) and ``moved`` (F, P, 3); and ``props`` (names) and
 ``places`` (F, K, 3) of everything in ``Props``.
@@ -35,7 +35,10 @@ def load(path: Path) -> float:
             frame_start=1,
         )
         return 1.0
-    bpy.ops.wm.usd_import(filepath=str(path))
+    if path.suffix == ".glb":
+        bpy.ops.import_scene.gltf(filepath=str(path))
+    else:
+        bpy.ops.wm.usd_import(filepath=str(path))
     return 0.0
 
 

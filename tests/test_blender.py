@@ -58,6 +58,8 @@ VARIANTS = {
     "over.usda": Export(character=Path(CHARACTER)),
     "strict.usdc": Export(rest="t"),
     "z_up_cm.usdc": Export(up="z", units="cm", fps=24.0),
+    "clip.glb": Export(),
+    "strict.glb": Export(rest="t"),
     "clip.bvh": Export(),
     "strict.bvh": Export(rest="t"),
     "z_up_cm.bvh": Export(up="z", units="cm", fps=24.0, rotation_order="zxy"),
@@ -90,7 +92,8 @@ def seen(
         clip = in_strict_t(clip) if export.rest == "t" else clip
         frames = np.arange(len(clip), dtype=float)
         if not name.endswith(".bvh"):
-            frames = (clip.time - clip.time[0]) * round(clip.fps)
+            rate = 24.0 if name.endswith(".glb") else round(clip.fps)  # Blender's own
+            frames = (clip.time - clip.time[0]) * rate
         np.save(folder / f"{name}.frames.npy", frames)
         clips[name] = clip
     script = Path(__file__).with_name("blender_import.py")
@@ -153,6 +156,7 @@ def test_props_are_where_the_scene_has_them(seen: Seen, name: str) -> None:
     names = blender["props"].tolist()
     assert len(names) == len(clip.props) == 5
     for prop in clip.props:
-        path = blender["places"][:, names.index(prop.name.replace(" ", "_"))]
+        known = prop.name if name.endswith(".glb") else prop.name.replace(" ", "_")
+        path = blender["places"][:, names.index(known)]
         away = path - in_blender(np.broadcast_to(prop.positions, path.shape))
         assert np.linalg.norm(away, axis=-1).max() < MILLIMETER

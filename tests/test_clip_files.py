@@ -41,7 +41,7 @@ def as_written(clip: Clip, export: Export) -> Clip:
 
 
 @every_skeleton
-@pytest.mark.parametrize("suffix", [*USD, ".bvh", ".npz", ".csv"])
+@pytest.mark.parametrize("suffix", [*USD, ".glb", ".bvh", ".npz", ".csv"])
 def test_every_file_gives_the_motion_back(
     make_clip: MakeClip, tmp_path: Path, suffix: str, skeleton: Skeleton
 ) -> None:

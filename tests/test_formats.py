@@ -42,7 +42,7 @@ from kinefilter.pipeline.formats import (
 )
 
 MakeClip = Callable[..., Clip]
-EXTENSIONS = [".usda", ".usdc", ".usd", ".usdz", ".bvh", ".csv", ".npz"]
+EXTENSIONS = [".usda", ".usdc", ".usd", ".usdz", ".glb", ".bvh", ".csv", ".npz"]
 
 
 def names_in(folder: Path) -> list[str]:
@@ -260,7 +260,7 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
 ) -> None:
     (tmp_path / "folder.csv").mkdir()
     for name, words in {
-        "clip.fbx": r"'\.fbx'.*\.usda, \.usdc, \.usd, \.usdz, \.bvh, \.csv, \.npz",
+        "clip.fbx": r"'\.fbx'.*\.usda, \.usdc, \.usd, \.usdz, \.glb, \.bvh, \.csv, \.npz",
         "clip": "unknown extension ''",
         "none/clip.csv": "does not exist",
         "folder.csv": "is a folder",

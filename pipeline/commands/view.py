@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.look.viewer import CleanAgain
 
 
-_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz")
+_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz", ".glb")
 
 
 @dataclass(frozen=True)

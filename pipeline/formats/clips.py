@@ -29,6 +29,7 @@ from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, match
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, paced, resampled, with_y_up
 from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
+from .glb import read_glb, write_glb
 from .guarded import read_usd
 from .npz import clip_of_arrays, read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
@@ -36,7 +37,7 @@ from .sheets import write_take_csv
 from .takes import read_take
 
 _LARGEST_MAP = 2**20  # bytes: five thousand bones
-_EXTENSIONS = (*USD_SUFFIXES, ".bvh", ".csv", ".npz")
+_EXTENSIONS = (*USD_SUFFIXES, ".glb", ".bvh", ".csv", ".npz")
 
 
 def check_writable(path: AnyPath, export: Export | None = None) -> None:
@@ -58,15 +59,15 @@ def check_writable(path: AnyPath, export: Export | None = None) -> None:
 
 
 def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
-    """Write a clip as USD, BVH, CSV or npz, whole or not at all.
+    """Write a clip as USD, GLB, BVH, CSV or npz, whole or not at all.
 
-    USD holds a skinned character in T-pose, rotations and props, BVH the skeleton and
-    rotations; CSV joint positions and the sensor's states; npz the whole clip. On
-    another rig, USD and BVH hold its skeleton and rotations. The extension decides:
-    ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.bvh``, ``.csv`` or ``.npz``. By
-    default units are meters, y is up, and frames are the clip's. Raises InputError if
-    the extension is unknown, an option does not go with it, nothing can be written, or
-    as ``even_frames``.
+    USD and GLB hold a skinned character in T-pose, rotations and props, BVH the
+    skeleton and rotations; CSV joint positions and the sensor's states; npz the whole
+    clip. On another rig, USD, GLB and BVH hold its skeleton and rotations. The
+    extension decides: ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.glb``, ``.bvh``,
+    ``.csv`` or ``.npz``. By default units are meters, y is up, and frames are the
+    clip's. Raises InputError if the extension is unknown, an option does not go with
+    it, nothing can be written, or as ``even_frames``.
     """
     check_kind(clip, Clip, "the clip")
     export = Export() if export is None else export
@@ -91,6 +92,8 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
             moved = retargeted_motion(rig, retarget(clip, rig))
         if suffix == ".bvh":
             write_bvh(clip, moved, path, export)
+        elif suffix == ".glb":
+            write_glb(clip, moved, path, export)
         else:
             # Loading pxr takes longer than most commands run.
             from .usd import write_usd
@@ -102,7 +105,8 @@ def read_clip(path: AnyPath) -> Clip:
     """Read a clip from any file that write_clip writes; CSV and BVH may be gzipped.
 
     npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
-    states, the name of the take, stature and mass; its time starts at 0. BVH holds
+    states, the name of the take, stature and mass; its time starts at 0. So is GLB, in
+    whole per cent and millimeters. BVH holds
     positions and rotations alone, CSV positions: the body is measured from them,
     contacts and props are unknown, and every joint counts as reliable. Raises
     InputError if the file is missing, damaged, of another kind or skeleton, or a raw
@@ -115,6 +119,8 @@ def read_clip(path: AnyPath) -> Clip:
     with file.open("rb") as opened:
         if name.endswith(".npz") or opened.read(2) == b"PK":
             return read_npz(path)
+    if name.endswith(".glb"):
+        return read_glb(path)
     if name.endswith(".bvh"):
         return _of_own_bvh(read_bvh(path), os.fspath(path)) or _posed(read_take(path))
     if name.endswith(".csv"):

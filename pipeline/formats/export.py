@@ -8,7 +8,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from kinefilter.characters import Clip, InputError, Origin, Prop, standard_body
+from kinefilter.characters import (
+    CONTACTS,
+    Clip,
+    InputError,
+    Origin,
+    Prop,
+    Skeleton,
+    Term,
+    standard_body,
+)
 from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import LONG_GAP, long_gaps, told_gaps
 from kinefilter.characters.motion import frames_per_second
@@ -19,6 +28,22 @@ from .recording import FRAMES_AT_ONCE, MOST_FRAMES
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
+PER_FRAME = {
+    "reliability": "reliability",
+    "movedByCorrection": "moved_by_correction",
+    "movedByPhysics": "moved_by_physics",
+    "uncertainty": "uncertainty",
+    "decidingTerm": "deciding_term",
+    "origin": "origin",
+    "contacts": "contacts",
+}
+"""What clips keep of each frame, by the name in files and in a clip."""
+ONCE = {"sensorTilt": "tilt", "floorHeight": "floor", "sensorRoll": "roll"}
+"""What they keep once, by the name in files and in a clip."""
+
+LINEAR = 2.2
+"""Exponent from a screen's colors to light, about that of sRGB."""
+
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 _RIGGED = ("up", "units", "fps", "rest", "rig", "target")
@@ -27,6 +52,7 @@ _FOLLOWED = {
     **dict.fromkeys(USD_SUFFIXES, (*_RIGGED, "character")),
     ".usdz": _RIGGED,
     ".bvh": (*_RIGGED, "rotation_order"),
+    ".glb": ("fps", "rest", "rig", "target"),
     **dict.fromkeys((".csv", ".npz"), ("fps",)),
 }
 _END = 1e-6  # of a frame: the last one is not lost to rounding
@@ -215,3 +241,13 @@ def in_strict_t(clip: Clip) -> Clip:
     square = standard_body(body.skeleton).directions
     rotations = multiply(clip.rotations, between(square, body.directions))
     return replace(clip, rotations=rotations, body=replace(body, directions=square))
+
+
+def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:
+    """Return what the indices in provenance mean, by the name in files."""
+    return {
+        "joints": list(skeleton.joints),
+        "decidingTermNames": [term.name.lower() for term in Term],
+        "originNames": [origin.name.lower() for origin in Origin],
+        "contactNames": list(CONTACTS),
+    }

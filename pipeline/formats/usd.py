@@ -50,15 +50,13 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
 
-from .export import Export
+from .export import ONCE, PER_FRAME, Export, name_tables
 from .files import atomic_path
 from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion, rig_of
 from .usd_character import (
     ANIMATION,
     CHARACTER,
-    ONCE,
-    PER_FRAME,
     SKELETON,
     SKIN,
     check_character,
@@ -66,7 +64,6 @@ from .usd_character import (
     define_props,
     define_skeleton,
     joint_paths,
-    name_tables,
     new_stage,
     props_extent,
     set_samples,

@@ -13,20 +13,16 @@ from numpy.typing import NDArray
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from kinefilter.characters import (
-    CONTACTS,
     Body,
     Clip,
     InputError,
-    Origin,
     Shape,
-    Skeleton,
-    Term,
 )
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
 
-from .export import Export
+from .export import LINEAR, Export
 from .guarded import read_usd
 from .rig import Rig, rig_of
 
@@ -35,33 +31,8 @@ SKELETON = f"{CHARACTER}/Skeleton"
 SKIN = f"{CHARACTER}/Skin"
 ANIMATION = f"{CHARACTER}/Animation"
 
-PER_FRAME = {
-    "reliability": "reliability",
-    "movedByCorrection": "moved_by_correction",
-    "movedByPhysics": "moved_by_physics",
-    "uncertainty": "uncertainty",
-    "decidingTerm": "deciding_term",
-    "origin": "origin",
-    "contacts": "contacts",
-}
-"""Attributes of ``/Character`` with a sample per frame, and the clip's fields."""
-ONCE = {"sensorTilt": "tilt", "floorHeight": "floor", "sensorRoll": "roll"}
-"""Attributes that are the same in all frames, and the clip's fields."""
-
-LINEAR = 2.2
-"""Exponent from a screen's colors to light, about that of sRGB."""
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _COLOR = (0.11, 0.24, 0.32)  # linear; a quiet color that no prop has
-
-
-def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:
-    """Return the attributes that say what the indices in others mean."""
-    return {
-        "joints": list(skeleton.joints),
-        "decidingTermNames": [term.name.lower() for term in Term],
-        "originNames": [origin.name.lower() for origin in Origin],
-        "contactNames": list(CONTACTS),
-    }
 
 
 def new_stage(path: Path, export: Export) -> Any:

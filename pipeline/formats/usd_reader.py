@@ -27,11 +27,11 @@ from kinefilter.characters import (
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize, wxyz_from_matrix
 
-from .export import with_y_up
+from .export import LINEAR, ONCE, PER_FRAME, name_tables, with_y_up
 from .files import AnyPath, check_file
 from .npz import clip_as_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
-from .usd_character import CHARACTER, LINEAR, ONCE, PER_FRAME, SKELETON, name_tables
+from .usd_character import CHARACTER, SKELETON
 
 _MOST_JOINTS = 1000  # as in BVH
 _BROKEN = (RuntimeError, ValueError, LookupError, TypeError, AttributeError)

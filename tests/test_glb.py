@@ -1,0 +1,146 @@
+"""GLB: what it keeps, what Khronos' validator says, where three.js has the joints."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from skeletons import every_skeleton
+
+from kinefilter.characters import KINECT_V2, Clip, InputError, Skeleton
+from kinefilter.pipeline.formats import Export, read_clip, write_clip
+from kinefilter.pipeline.formats.usd_reader import read_usd_positions
+from kinefilter.retarget.rig_map import RIGS
+
+MakeClip = Callable[..., Clip]
+Furnish = Callable[[Clip], Clip]
+MILLIMETER = 1e-3
+HALF = 0.5 + 1e-6  # of the last digit
+TO_USD = re.compile(r"\W")  # what a name in USD may not have
+
+FOLDER = os.environ.get("KINEFILTER_THREE", "")
+in_three = pytest.mark.skipif(
+    not FOLDER
+    or not Path(FOLDER, "node_modules", "gltf-validator").is_dir()
+    or shutil.which("node") is None,
+    reason="no three.js or glTF validator: install Node and, in an empty folder, npm "
+    "install three@0.187.0 gltf-validator@2.0.0-dev.3.10, then "
+    "KINEFILTER_THREE=that folder pytest",
+)
+
+
+def three(path: Path) -> dict[str, Any]:
+    script = Path(__file__).with_name("three_gltf.mjs")
+    command = ["node", str(script), FOLDER, str(path)]
+    ran = subprocess.run(command, check=True, capture_output=True, timeout=60)
+    found: dict[str, Any] = json.loads(ran.stdout)
+    return found
+
+
+def with_a_gap(clip: Clip) -> Clip:
+    """Return a clip with a long gap before its sixth frame."""
+    time = clip.time.copy()
+    time[5:] += 10.0
+    return replace(clip, time=time)
+
+
+def test_it_gives_back_where_every_joint_came_from(
+    make_clip: MakeClip, furnish: Furnish, tmp_path: Path
+) -> None:
+    clip = with_a_gap(furnish(make_clip(8, KINECT_V2)))
+    force = clip.external_force.copy()
+    force[3:5] = np.nan
+    clip = replace(clip, external_force=force, tilt=-0.1, floor=0.7)
+    write_clip(clip, tmp_path / "clip.glb")
+    found = read_clip(tmp_path / "clip.glb")
+    np.testing.assert_allclose(found.time, clip.time - clip.time[0], atol=1e-6)
+    for name in ("origin", "deciding_term", "contacts", "state"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(clip, name))
+    per_cent, millimeter = HALF * 0.01, HALF * 0.001
+    for name, half in (
+        *(("reliability", per_cent), ("external_force", per_cent)),
+        *(("moved_by_correction", millimeter), ("moved_by_physics", millimeter)),
+        ("uncertainty", millimeter),
+    ):
+        given, read = getattr(clip, name), getattr(found, name)
+        np.testing.assert_allclose(read, given, rtol=0, atol=half, err_msg=name)
+    assert (found.tilt, found.floor) == (clip.tilt, clip.floor)
+    assert [prop.name for prop in found.props] == [prop.name for prop in clip.props]
+    for prop, other in zip(clip.props, found.props, strict=True):
+        np.testing.assert_allclose(other.positions, prop.positions, atol=1e-6)
+        np.testing.assert_allclose(other.rotations, prop.rotations, atol=1e-6)
+        for shape, read in zip(prop.shapes, other.shapes, strict=True):
+            for field in ("size", "position", "rotation", "color", "points"):
+                np.testing.assert_allclose(
+                    getattr(read, field), getattr(shape, field), atol=1e-6
+                )
+            assert read.kind == shape.kind
+            np.testing.assert_array_equal(read.triangles, shape.triangles)
+
+
+@in_three
+@every_skeleton
+@pytest.mark.parametrize("export", [Export(), Export(rest="t", fps=24.0)])
+def test_it_is_valid_and_three_has_every_joint_where_the_clip_has_it(
+    make_clip: MakeClip,
+    furnish: Furnish,
+    tmp_path: Path,
+    skeleton: Skeleton,
+    export: Export,
+) -> None:
+    clip = with_a_gap(furnish(make_clip(20, skeleton, seed=5)))
+    write_clip(clip, tmp_path / "clip.glb", export)
+    found, clip = three(tmp_path / "clip.glb"), read_clip(tmp_path / "clip.glb")
+    assert found["issues"] == []
+    known = found["extras"]["kinefilter"]
+    kept = np.delete(np.arange(len(found["times"])), known["held"])
+    columns = [found["names"].index(joint) for joint in skeleton.joints]
+    away = np.array(found["frames"])[kept][:, columns] - clip.positions
+    assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
+    for held in known["held"]:  # nothing moves in the gap
+        still = np.subtract(found["frames"][held], found["frames"][held - 1])
+        assert np.abs(still).max() < 1e-6
+    shares = np.array(known["reliability"])[kept] / 100.0
+    np.testing.assert_allclose(shares, clip.reliability, atol=1e-6)
+
+
+@in_three
+@pytest.mark.parametrize("rig", RIGS)
+def test_rigs_are_where_usd_has_them(
+    make_clip: MakeClip, tmp_path: Path, rig: str
+) -> None:
+    clip = make_clip(6, KINECT_V2, seed=2)
+    for suffix in ("glb", "usda"):
+        write_clip(clip, tmp_path / f"clip.{suffix}", Export(rig=rig))
+    found = three(tmp_path / "clip.glb")
+    _, names, positions = read_usd_positions(tmp_path / "clip.usda")
+    columns = [names.index(TO_USD.sub("_", name)) for name in found["names"]]
+    away = np.array(found["frames"]) - positions[:, columns]
+    assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
+    # What has no mesh needs the skin all the same: Blender makes an armature of it.
+    assert found["issues"] == ["UNUSED_OBJECT /skins/0"]
+
+
+def test_others_are_refused_by_name(make_clip: MakeClip, tmp_path: Path) -> None:
+    clip = make_clip(4, KINECT_V2)
+    write_clip(clip, tmp_path / "rig.glb", Export(rig="vrm"))
+    write_clip(clip, tmp_path / "clip.glb")
+    data = (tmp_path / "clip.glb").read_bytes()
+    (tmp_path / "half.glb").write_bytes(data[: len(data) // 2])
+    (tmp_path / "text.glb").write_text("HIERARCHY")
+    for name, words in {
+        "rig.glb": "own skeleton",
+        "half.glb": "ends before its data",
+        "text.glb": "text.glb: ",
+    }.items():
+        with pytest.raises(InputError, match=words):
+            read_clip(tmp_path / name)

@@ -1,0 +1,36 @@
+// Print what Khronos' validator says of a GLB file, and where three.js has its joints.
+//
+//     node tests/three_gltf.mjs FOLDER clip.glb
+//
+// FOLDER has node_modules with three and gltf-validator in it. Printed are, as JSON,
+// "issues" (code and place of each), "times" of the keys, "names" and, for each key,
+// "frames": [x, y, z] of each joint in meters, and "extras" of the animation.
+
+import { readFileSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import { pathToFileURL } from 'node:url';
+
+const [folder, file] = process.argv.slice(2);
+const load = (name) => import(pathToFileURL(`${folder}/node_modules/three/${name}`));
+const THREE = await load('build/three.module.js');
+const { GLTFLoader } = await load('examples/jsm/loaders/GLTFLoader.js');
+const validator = createRequire(`${folder}/`)('gltf-validator');
+
+const bytes = new Uint8Array(readFileSync(file));
+const { issues } = await validator.validateBytes(bytes);
+const gltf = await new GLTFLoader().parseAsync(bytes.buffer, '');
+const [clip] = gltf.animations;
+const mixer = new THREE.AnimationMixer(gltf.scene);
+mixer.clipAction(clip).play();
+const joints = [];
+gltf.scene.traverse((node) => node.isBone && joints.push(node));
+const place = new THREE.Vector3();
+const times = Array.from(clip.tracks[0].times);
+const frames = times.map((time) => {
+	mixer.setTime(Math.min(time, clip.duration * (1 - 1e-7)));
+	gltf.scene.updateMatrixWorld(true);
+	return joints.map((joint) => joint.getWorldPosition(place).toArray());
+});
+const names = joints.map((joint) => joint.userData.name ?? joint.name);
+const told = issues.messages.map(({ code, pointer }) => `${code} ${pointer}`);
+console.log(JSON.stringify({ issues: told, times, names, frames, extras: clip.userData }));
