@@ -31,7 +31,7 @@ from .database import PostureDatabase
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
 from .formats.files import check_file
-from .formats.glb import read_glb
+from .formats.glb_reader import read_glb
 from .formats.guarded import read_usd
 from .formats.mocap import RIGS, kinect_motion, read_mocap
 from .formats.npz import array_names, read_npz

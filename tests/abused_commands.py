@@ -160,12 +160,13 @@ def check_file(path: Path, words: Sequence[str]) -> None:
         raise LostError(f"{path.name} is empty")
     elif path.name in ("c", "contacts.csv"):
         contact_table(path)
-    elif path.name.startswith("o") and suffix in (".bvh", ".csv", ".npz", *_USD):
+    elif path.name.startswith("o") and suffix in _CLIPS:
         _check_clip(path, words)
 
 
 _SENT = ("info", "replay", "live")  # out to somebody else, or on the terminal
 _USD = (".usd", ".usda", ".usdc", ".usdz")
+_CLIPS = (".bvh", ".csv", ".npz", ".glb", *_USD)
 
 
 def _no_constant(word: str) -> float:
@@ -176,9 +177,11 @@ def _check_clip(path: Path, words: Sequence[str]) -> None:
     if words[0] not in ("clean", "batch"):
         return  # models, databases, takes
     if "--rig" in words:
-        places = read_bvh(path).positions if path.suffix == ".bvh" else _usd(path)
-        if not np.isfinite(places).all():
-            raise LostError(f"{path.name}: positions that are no numbers")
+        if path.suffix != ".glb":  # which nothing here reads on another skeleton
+            bvh = path.suffix == ".bvh"
+            places = read_bvh(path).positions if bvh else read_usd_positions(path)[2]
+            if not np.isfinite(places).all():
+                raise LostError(f"{path.name}: positions that are no numbers")
         return
     clip = read_clip(path)
     for name in ("root", "rotations", "positions", "time"):
@@ -196,10 +199,6 @@ def _check_clip(path: Path, words: Sequence[str]) -> None:
     low = float(np.nanmin(lowest_point(positions, clip.body)))
     if low < -_DEEPEST and "z" not in words:
         raise LostError(f"{path.name}: {-low:.3f} m under the floor")
-
-
-def _usd(path: Path) -> np.ndarray:
-    return read_usd_positions(path)[2]
 
 
 # Valid files, and the commands for each
@@ -332,7 +331,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "mixamo.usda": _TARGET,
     ".c3d": _MOCAP,
     ".usda": (*_CLIP, "clean {take.csv} -o {out}/o.usda --character {}"),
-    **dict.fromkeys((".usd", ".usdc", ".usdz"), _CLIP),
+    **dict.fromkeys((".usd", ".usdc", ".usdz", ".glb"), _CLIP),
     "contacts.csv": ("info {}", "clean {take.csv} -o {out}/o.npz --contacts {}"),
     "clip.npz": (*_CLIP, "clean {take.csv} -o {out}/o.bvh --contacts {}"),
     "database.npz": (

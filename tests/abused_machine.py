@@ -39,7 +39,10 @@ _SHOWN = {
     "render": "render {clip.npz} -o {out}/o%05d.png --size 64x36 --jobs 1",
 }
 _WRITERS = {
-    **{f"clean {s}": _CLEAN % s for s in ("bvh", "usda", "usdc", "usdz", "csv", "npz")},
+    **{
+        f"clean {s}": _CLEAN % s
+        for s in ("bvh", "usda", "usdc", "usdz", "glb", "csv", "npz")
+    },
     **_SHOWN,
     "video": "render {clip.npz} -o {out}/o.mp4 --size 64x36 --jobs 1",
     "simulate": "simulate basic --motion wave -o {out}/o.csv --pairs {out}/pairs.npz",

@@ -61,7 +61,7 @@ _TAKES = (
     *("{zipped.csv}", "{clip.bvh}", "{take.csv}", "{take.csv}"),
 )
 _CLIPS = tuple(
-    f"{{clip.{suffix}}}" for suffix in ("npz", "bvh", "usda", "usdc", "usdz", "npz")
+    f"{{clip.{suffix}}}" for suffix in ("npz", "bvh", "usda", "usdc", "usdz", "glb")
 )
 _WRONG = ("{valid}", "absent", "{rig.toml}", "")
 _SCENES = ("basic", "box", "chair", "basketball", "flip_chart", "office", "{own.xml}")
@@ -136,7 +136,7 @@ _USED = {
 _WRITTEN = {
     "clean": [
         f"o.{suffix}"
-        for suffix in ("usda", "usdc", "usd", "usdz", "bvh", "csv", "npz", "npz", "txt")
+        for suffix in ("usda", "usdc", "usd", "usdz", "glb", "bvh", "csv", "npz", "txt")
     ],
     "batch": ["clips"],
     "render": ["o.mp4", "o.gif", "o%05d.png", "{clip}.mp4", "o.png"],

@@ -5,10 +5,10 @@
 This runs in a Python that has Blender's ``bpy``, which needs another numpy than
 kinefilter. Frames to look at are in ``NAME.frames.npy``: time codes of USD, frames of
 BVH counted from 0, 24 a second of GLB. Beside each file a ``NAME.npz`` is written, in
-Blender's unit (meters) and axes (z up): ``names`` and ``heads`` (F, N, 3) of the joints; of the
-skinned mesh, if there is one, ``modifiers`` (their types), ``groups`` (vertex groups
-that move something), ``rest`` (P, 3) and ``moved`` (F, P, 3); and ``props`` (names) and
-``places`` (F, K, 3) of everything in ``Props``.
+Blender's unit (meters) and axes (z up): ``names`` and ``heads`` (F, N, 3) of the
+joints; of the skinned mesh, if there is one, ``modifiers`` (their types), ``groups``
+(vertex groups that move something), ``rest`` (P, 3) and ``moved`` (F, P, 3); and
+``props`` (names) and ``places`` (F, K, 3) of everything in ``Props``.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def write_valid(folder: Path, clip: Clip, v1: Take, v2: Take) -> dict[str, Path]
     write_take_csv(v1, folder / "kinefilter.csv")
     packed = gzip.compress((folder / "kinefilter.csv").read_bytes(), mtime=0)
     (folder / "zipped.csv").write_bytes(packed)
-    for suffix in ("bvh", "npz", "usda", "usdc"):
+    for suffix in ("bvh", "npz", "usda", "usdc", "glb"):
         write_clip(clip, folder / f"clip.{suffix}")
     header, rows = ",".join(("time", *CONTACTS)), "0,1,1,0,0\n0.1,0,0,1,1\n"
     (folder / "contacts.csv").write_text(f"{header}\n{rows}", encoding="utf-8")
@@ -151,6 +151,7 @@ READERS: dict[str, list[Reader]] = {
     "pairs.npz": [read_pairs, contents_of],
     "clip.usda": [contents_of, read_clip],
     "clip.usdc": [contents_of, read_clip],
+    "clip.glb": [contents_of, read_clip],
 }
 
 

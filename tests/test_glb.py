@@ -17,8 +17,12 @@ import pytest
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V2, Clip, InputError, Skeleton
+from kinefilter.characters.rotations import inverse, multiply, rotation_vector
 from kinefilter.pipeline.formats import Export, read_clip, write_clip
+from kinefilter.pipeline.formats.clips import target_rig
+from kinefilter.pipeline.formats.rig import retargeted_motion
 from kinefilter.pipeline.formats.usd_reader import read_usd_positions
+from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS
 
 MakeClip = Callable[..., Clip]
@@ -33,7 +37,8 @@ in_three = pytest.mark.skipif(
     or not Path(FOLDER, "node_modules", "gltf-validator").is_dir()
     or shutil.which("node") is None,
     reason="no three.js or glTF validator: install Node and, in an empty folder, npm "
-    "install three@0.187.0 gltf-validator@2.0.0-dev.3.10, then "
+    "install three@0.187.0 gltf-validator@2.0.0-dev.3.10 "
+    "@pixiv/three-vrm-animation@3.5.5, then "
     "KINEFILTER_THREE=that folder pytest",
 )
 
@@ -128,6 +133,29 @@ def test_rigs_are_where_usd_has_them(
     assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
     # What has no mesh needs the skin all the same: Blender makes an armature of it.
     assert found["issues"] == ["UNUSED_OBJECT /skins/0"]
+
+
+@in_three
+def test_vrma_moves_every_bone_as_the_vrm_rig_moves(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    """The bones of VRM are along the world's axes at rest, so nothing is converted."""
+    clip = make_clip(6, KINECT_V2, seed=2)
+    write_clip(clip, tmp_path / "clip.vrma")
+    found = three(tmp_path / "clip.vrma")
+    rig = target_rig("vrm", None, clip.body)
+    moved = retargeted_motion(rig, retarget(clip, rig))
+    turns = moved.rig.local_rotations(moved.rotations)
+    assert set(found["bones"]["turns"]) == set(moved.rig.names)
+    for n, name in enumerate(moved.rig.names):
+        xyzw = np.reshape(found["bones"]["turns"][name], (-1, 4))
+        apart = multiply(inverse(turns[:, n]), np.roll(xyzw, 1, axis=1))
+        assert np.abs(rotation_vector(apart)).max() < 1e-5, name
+    hips = np.reshape(found["bones"]["hips"], (-1, 3))
+    np.testing.assert_allclose(hips, moved.path, atol=1e-5)
+    np.testing.assert_allclose(
+        found["bones"]["rest"], moved.rig.rest_positions[0], atol=1e-5
+    )
 
 
 def test_others_are_refused_by_name(make_clip: MakeClip, tmp_path: Path) -> None:

@@ -2,9 +2,10 @@
 //
 //     node tests/three_gltf.mjs FOLDER clip.glb
 //
-// FOLDER has node_modules with three and gltf-validator in it. Printed are, as JSON,
-// "issues" (code and place of each), "times" of the keys, "names" and, for each key,
-// "frames": [x, y, z] of each joint in meters, and "extras" of the animation.
+// FOLDER has node_modules with three, gltf-validator and @pixiv/three-vrm-animation in
+// it. Printed are, as JSON, "issues" (code and place of each), "times" of the keys,
+// "names" and, for each key, "frames": [x, y, z] of each joint in meters, "extras" of
+// the animation, and of VRMA "bones": how they turn (xyzw), and where the hips are.
 
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
@@ -18,7 +19,15 @@ const validator = createRequire(`${folder}/`)('gltf-validator');
 
 const bytes = new Uint8Array(readFileSync(file));
 const { issues } = await validator.validateBytes(bytes);
-const gltf = await new GLTFLoader().parseAsync(bytes.buffer, '');
+const loader = new GLTFLoader();
+let plugin = () => ({ name: 'none' });
+if (file.endsWith('.vrma')) {
+	const { VRMAnimationLoaderPlugin } = await load(
+		'../@pixiv/three-vrm-animation/lib/three-vrm-animation.module.js',
+	);
+	plugin = (parser) => new VRMAnimationLoaderPlugin(parser);
+}
+const gltf = await loader.register(plugin).parseAsync(bytes.buffer, '');
 const [clip] = gltf.animations;
 const mixer = new THREE.AnimationMixer(gltf.scene);
 mixer.clipAction(clip).play();
@@ -31,6 +40,14 @@ const frames = times.map((time) => {
 	gltf.scene.updateMatrixWorld(true);
 	return joints.map((joint) => joint.getWorldPosition(place).toArray());
 });
+const [vrma] = gltf.userData.vrmAnimations ?? [];
+const bones = vrma && {
+	hips: Array.from(vrma.humanoidTracks.translation.get('hips').values),
+	turns: Object.fromEntries(
+		[...vrma.humanoidTracks.rotation].map(([name, { values }]) => [name, Array.from(values)]),
+	),
+	rest: vrma.restHipsPosition.toArray(),
+};
 const names = joints.map((joint) => joint.userData.name ?? joint.name);
 const told = issues.messages.map(({ code, pointer }) => `${code} ${pointer}`);
-console.log(JSON.stringify({ issues: told, times, names, frames, extras: clip.userData }));
+console.log(JSON.stringify({ issues: told, times, names, frames, bones, extras: clip.userData }));

@@ -6,6 +6,7 @@ The name's extension says which kind of file it is.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,8 @@ from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, match
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
 from .export import USD_SUFFIXES, Export, in_strict_t, paced, resampled, with_y_up
 from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
-from .glb import read_glb, write_glb
+from .glb import write_glb
+from .glb_reader import read_glb
 from .guarded import read_usd
 from .npz import clip_of_arrays, read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
@@ -37,7 +39,7 @@ from .sheets import write_take_csv
 from .takes import read_take
 
 _LARGEST_MAP = 2**20  # bytes: five thousand bones
-_EXTENSIONS = (*USD_SUFFIXES, ".glb", ".bvh", ".csv", ".npz")
+_EXTENSIONS = (*USD_SUFFIXES, ".glb", ".vrma", ".bvh", ".csv", ".npz")
 
 
 def check_writable(path: AnyPath, export: Export | None = None) -> None:
@@ -59,15 +61,15 @@ def check_writable(path: AnyPath, export: Export | None = None) -> None:
 
 
 def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
-    """Write a clip as USD, GLB, BVH, CSV or npz, whole or not at all.
+    """Write a clip as USD, GLB, VRMA, BVH, CSV or npz, whole or not at all.
 
     USD and GLB hold a skinned character in T-pose, rotations and props, BVH the
-    skeleton and rotations; CSV joint positions and the sensor's states; npz the whole
-    clip. On another rig, USD, GLB and BVH hold its skeleton and rotations. The
-    extension decides: ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.glb``, ``.bvh``,
-    ``.csv`` or ``.npz``. By default units are meters, y is up, and frames are the
-    clip's. Raises InputError if the extension is unknown, an option does not go with
-    it, nothing can be written, or as ``even_frames``.
+    skeleton and rotations, VRMA those of VRM; CSV joint positions and the sensor's
+    states; npz the whole clip. On another rig, USD, GLB and BVH hold its skeleton and
+    rotations. The extension decides: ``.usda``, ``.usdc``, ``.usd``, ``.usdz``,
+    ``.glb``, ``.vrma``, ``.bvh``, ``.csv`` or ``.npz``. By default units are meters, y
+    is up, and frames are the clip's. Raises InputError if the extension is unknown, an
+    option does not go with it, nothing can be written, or as ``even_frames``.
     """
     check_kind(clip, Clip, "the clip")
     export = Export() if export is None else export
@@ -87,12 +89,14 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     else:
         root = clip.positions[:, clip.skeleton.root]
         moved = RigMotion(rig_of(clip.body), clip.rotations, root, clip.positions)
+        if suffix == ".vrma":
+            export = replace(export, rig="vrm")
         if export.rig is not None:
             rig = target_rig(export.rig, export.target, clip.body)
             moved = retargeted_motion(rig, retarget(clip, rig))
         if suffix == ".bvh":
             write_bvh(clip, moved, path, export)
-        elif suffix == ".glb":
+        elif suffix in (".glb", ".vrma"):
             write_glb(clip, moved, path, export)
         else:
             # Loading pxr takes longer than most commands run.

@@ -43,6 +43,8 @@ ONCE = {"sensorTilt": "tilt", "floorHeight": "floor", "sensorRoll": "roll"}
 
 LINEAR = 2.2
 """Exponent from a screen's colors to light, about that of sRGB."""
+COLOR = (0.11, 0.24, 0.32)
+"""Of the skin, linear; a quiet color that no prop has."""
 
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
@@ -53,6 +55,7 @@ _FOLLOWED = {
     ".usdz": _RIGGED,
     ".bvh": (*_RIGGED, "rotation_order"),
     ".glb": ("fps", "rest", "rig", "target"),
+    ".vrma": ("fps",),
     **dict.fromkeys((".csv", ".npz"), ("fps",)),
 }
 _END = 1e-6  # of a frame: the last one is not lost to rounding

@@ -22,7 +22,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
 
-from .export import LINEAR, Export
+from .export import COLOR, LINEAR, Export
 from .guarded import read_usd
 from .rig import Rig, rig_of
 
@@ -32,7 +32,6 @@ SKIN = f"{CHARACTER}/Skin"
 ANIMATION = f"{CHARACTER}/Animation"
 
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-_COLOR = (0.11, 0.24, 0.32)  # linear; a quiet color that no prop has
 
 
 def new_stage(path: Path, export: Export) -> Any:
@@ -103,7 +102,7 @@ def define_character(stage: Any, body: Body, export: Export) -> None:
     mesh = _mesh(stage, SKIN, points, skin.quads)
     mesh.CreateNormalsAttr(vectors(export.axes(skin.normals)))
     mesh.SetNormalsInterpolation("vertex")
-    mesh.CreateDisplayColorAttr([Gf.Vec3f(*_COLOR)])
+    mesh.CreateDisplayColorAttr([Gf.Vec3f(*COLOR)])
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([SKELETON])
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
