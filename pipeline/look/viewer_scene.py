@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import trimesh
 import viser
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, Shape
+from kinefilter.characters import Clip
+from kinefilter.characters.props import UPRIGHT
 from kinefilter.characters.rotations import IDENTITY
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.target.feet import ankles_and_toes
@@ -42,7 +43,6 @@ _NAME, _TOGETHER = 0.2, 1.0  # m that names are lower, of sensors nearer than th
 _SKY = ((0.80, 0.86, 0.92), (0.97, 0.98, 0.99))  # overhead, at the horizon
 _SKY_ROWS = 64
 _FLOOR = 12.0  # m, the side of what catches shadows
-_UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * [[1.0], [1.0], [-1.0], [1.0]]  # from z to y
 
 
 class ViewerScene:
@@ -168,7 +168,7 @@ def _add_props(scene: viser.SceneApi, clip: Clip) -> Layer:
     for n, prop in enumerate(clip.props):
         frames.append(scene.add_frame(f"/things/{n}", show_axes=False))
         for k, shape in enumerate(prop.shapes):
-            mesh = _surface(shape)
+            mesh = shape.surface()
             scene.add_mesh_simple(
                 f"/things/{n}/{k}",
                 mesh.vertices,
@@ -281,25 +281,9 @@ def _add_batch(
     )
 
 
-def _surface(shape: Shape) -> trimesh.Trimesh:
-    radius, half = float(shape.size[0]), float(shape.size[1])
-    if shape.kind == "mesh":
-        return trimesh.Trimesh(shape.points, shape.triangles, process=False)
-    if shape.kind == "cylinder":
-        return _cylinder(radius, 2.0 * half, sections=32)
-    if shape.kind == "box":
-        mesh = trimesh.creation.box(extents=2.0 * shape.size)
-    elif shape.kind == "ellipsoid":
-        mesh = trimesh.creation.icosphere(subdivisions=3)
-        mesh.vertices = mesh.vertices * shape.size
-    else:
-        mesh = trimesh.creation.capsule(2.0 * half, radius, transform=_UPRIGHT)
-    return cast(trimesh.Trimesh, mesh)
-
-
 def _cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
     make: Callable[..., trimesh.Trimesh] = trimesh.creation.cylinder
-    return make(radius, height, sections, transform=_UPRIGHT)
+    return make(radius, height, sections, transform=UPRIGHT)
 
 
 def _bytes(colors: Any) -> NDArray[np.uint8]:
