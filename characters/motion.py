@@ -219,6 +219,13 @@ class Take(_Frames):
             object.__setattr__(self, "positions", whole)
         freeze(self)
 
+    def exchanged(self, frames: Any = np.s_[:]) -> Take:
+        """Return the take with left and right exchanged, in some of its frames."""
+        positions, state = self.positions.copy(), self.state.copy()
+        for values in (positions, state):
+            values[frames] = values[frames][:, self.skeleton.mirror]
+        return replace(self, positions=positions, state=state)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Motion(_Frames):

@@ -215,13 +215,7 @@ def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
             jumps = sum(_jump(take, *edge, mirror=False) for edge in edges)
             mended = sum(_jump(take, *edge, mirror=True) for edge in edges)
             frames[failure.frames] = mended < _MENDS * jumps
-    if not frames.any():
-        return take
-    mirror = take.skeleton.mirror
-    positions, state = take.positions.copy(), take.state.copy()
-    positions[frames] = positions[frames][:, mirror]
-    state[frames] = state[frames][:, mirror]
-    return replace(take, positions=positions, state=state)
+    return take.exchanged(frames) if frames.any() else take
 
 
 def _jump(take: Take, inside: int, outside: int, *, mirror: bool) -> float:

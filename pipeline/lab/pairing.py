@@ -1,7 +1,7 @@
 """Makes training pairs: Kinect takes, and the mocap of the same movement beside them.
 
 A take and its mocap agree in nothing but the movement: clocks, frames and axes are each
-their own. The lag is found first (``lag``), then one rigid transform that lays the
+their own. The lag is found first (``lags``), then one rigid transform that lays the
 mocap's joints onto the take's. Takes of a session share that transform, as neither
 sensor nor mocap moved, and the offset of the clocks where their lags say so.
 """
@@ -19,21 +19,14 @@ from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.formats.recording import Mocap
-from kinefilter.pipeline.merge.lag import (
-    SHORTEST_FOR_DRIFT,
-    Clock,
-    Track,
-    correlated,
-    distances,
-    find_drift,
-)
-from kinefilter.pipeline.merge.lag import refined as refined_lag
+from kinefilter.pipeline.merge.lag import Clock, Track
 from kinefilter.pipeline.merge.rigid import SIGMA, Placement, placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
 from .accuracy import LIMBS
+from .lags import SHORTEST_FOR_DRIFT, correlated, distances, find_drift, refined
 from .marker_sets import MarkerSet, joint_centers
 
 EXPLAINED = 0.55
@@ -207,7 +200,7 @@ def _match(take: Take, joints: Mocap, least: float) -> _Match:
         raise InputError(
             f"{both}: {length:.2g} s are too short; expected {_SHORTEST:g} s or more"
         )
-    apart = [distances(track.at(track.grid())) for track in (seen, there)]
+    apart = [distances(track) for track in (seen, there)]
     for values, source in zip(apart, (take.source, joints.source), strict=True):
         if not np.nanstd(values - column_medians(values)) > _LEAST_MOVED:
             raise InputError(
@@ -226,7 +219,7 @@ def _match(take: Take, joints: Mocap, least: float) -> _Match:
         clock = find_drift(apart[0], apart[1], clock) or clock
     else:
         notes.append(f"{length:.1f} s are too short to tell whether the clocks drift")
-    clock = refined_lag(seen, there, clock)
+    clock = refined(seen, there, clock)
     match = _Match(take, Track(time, positions), clock, tuple(notes))
     explained = _explained(match, _placed([match]))
     if not explained >= least:

@@ -7,23 +7,17 @@ methods know from where a sensor looks, and fused.
 
 from __future__ import annotations
 
-from copy import deepcopy
-from dataclasses import replace
-from typing import NamedTuple
-
 import numpy as np
 
 from kinefilter.characters import Body
-from kinefilter.characters.arrays import Array, Codes
 from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
-from kinefilter.pipeline.merge import Fused, Fusion, Sight
+from kinefilter.pipeline.merge import Corrected, Fused, Fusion, Sight
+from kinefilter.pipeline.merge.alignment import HERE
 from kinefilter.pipeline.merge.rigid import Placement
-from kinefilter.pipeline.stages import Correct
-from kinefilter.pipeline.target.floor import leveled
 
 from .config import LiveConfig
 from .crowd import Person
@@ -32,6 +26,7 @@ from .sensors import OLDEST, Sensors
 from .tally import Event
 
 _LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which weights follow
+_OWN = HERE.placed.shift  # where a sensor is in its own frame
 _BY_JOINT = ("measured", "state", "reliability", "geometry", "deciding_term")
 
 
@@ -43,7 +38,7 @@ class FusedPerson(Person):
 
     def __init__(self, config: LiveConfig, sensors: Sensors) -> None:
         self._sensors = sensors
-        self._given = _Corrected(CleanConfig())
+        self._given = Corrected(CleanConfig())
         self._views: list[_View] = []
         self._fusions: list[Fusion] = []
         self._last: float | None = None
@@ -91,26 +86,26 @@ class FusedPerson(Person):
         return avatar
 
     def _begin(self, body: Body) -> None:
-        count = len(self._sensors.streams)
-        self._views = [_View(body, own) for own in self._given.copies(count)]
+        streams = self._sensors.streams
+        self._views = [_View(body, self._given.copied()) for _ in streams]
         # Raw joints settle the sides, corrected ones are followed.
-        self._fusions = [Fusion(body.skeleton, count) for _ in range(2)]
+        self._fusions = [Fusion(body.skeleton, len(streams)) for _ in range(2)]
 
     def _moments(
         self, seen: SeenBody, time: float
-    ) -> list[tuple[float, Placement | None] | None]:
+    ) -> list[tuple[float, Placement] | None]:
         """Take what sensors saw until now; return when that is, and where they are.
 
         By each sensor's clock [s]; None of those of which that is not known.
         """
-        moments: list[tuple[float, Placement | None] | None] = []
+        moments: list[tuple[float, Placement] | None] = []
         joined = self._sensors.joined
         for view, stream in zip(self._views, self._sensors.streams, strict=True):
             if stream is self._sensors.lead:
                 if not seen.carried:
                     view.take(seen, time)
-                moments.append((time, None))
-            elif stream in joined and stream.clock is not None:
+                moments.append((time, HERE.placed))
+            elif stream in joined and stream.clock and stream.placed:
                 now = float(stream.clock.at(np.asarray(time)))
                 for frame in stream.until(now, view.time):
                     found = self._sensors.match(stream, frame, self)
@@ -123,22 +118,8 @@ class FusedPerson(Person):
         return moments
 
 
-class _Row(NamedTuple):
-    """What a sensor sees of a person at a moment, in its own frame."""
-
-    time: float
-    positions: Array
-    reliability: Array
-    state: Codes
-
-
 class _View:
-    """What one sensor sees of a person, frame by frame.
-
-    Args:
-        body: The person.
-        corrector: What corrects it.
-    """
+    """What one sensor sees of a person, frame by frame, and what corrects it."""
 
     def __init__(self, body: Body, corrector: Corrector) -> None:
         cleaner = Cleaner(CleanConfig(tilt=0.0), corrector=corrector).until("correct")
@@ -149,8 +130,8 @@ class _View:
     def start(self) -> None:
         """Forget all frames."""
         self.time = -np.inf  # of the last frame [s]
-        self._scored: _Row | None = None
-        self._corrected: _Row | None = None
+        # The last frame in the sensor's own frame, as it came and corrected.
+        self._seen: list[Sight | None] = [None, None]
         self._waiting: Draft | None = None
         self._exchanged = False
         self._head.start(self._body)
@@ -162,7 +143,7 @@ class _View:
         self.correct(exchanged=self._exchanged)
         draft = self._head.step(seen.positions, time, seen.state)
         self.time, self._waiting = time, draft
-        self._scored = _Row(time, draft.measured, draft.reliability, draft.state)
+        self._seen[0] = Sight(draft.measured, draft.reliability, draft.state, _OWN)
 
     def correct(self, *, exchanged: bool) -> None:
         """Correct the last frame, if need be with left and right exchanged."""
@@ -177,48 +158,15 @@ class _View:
                 stage.start(self._body)
             stage.step(draft)
         places = np.where(draft.missing[:, None], np.nan, draft.positions)
-        self._corrected = _Row(self.time, places, draft.reliability, draft.state)
+        self._seen[1] = Sight(places, draft.reliability, draft.state, _OWN)
 
-    def sight(
-        self, time: float, placed: Placement | None, *, corrected: bool = False
-    ) -> Sight | None:
+    def sight(self, time: float, placed: Placement, *, corrected: bool) -> Sight | None:
         """Return what it saw last, None if that is long before a time of its clock [s].
 
         Joints that go on as they went until then are no nearer to the truth.
         """
-        last = self._corrected if corrected else self._scored
-        if last is None or abs(time - last.time) > OLDEST:
+        last = self._seen[corrected]
+        if last is None or abs(time - self.time) > OLDEST:
             return None
-        places, sensor = last.positions, np.zeros(3)
-        if placed is not None:
-            places, sensor = placed.apply(places), placed.shift
-        return Sight(places, last.reliability, last.state, sensor)
-
-
-class _Corrected(Correct):
-    """Puts joints where they were corrected already; without any, corrects them."""
-
-    def __init__(self, config: CleanConfig) -> None:
-        super().__init__(config)
-        self._plain = Correct(replace(config, method="none"))
-        self.places: Array | None = None
-        """Corrected joints of the next frame [m], NaN where none is, (J, 3)."""
-
-    def start(self, body: Body) -> None:
-        """Forget all frames."""
-        super().start(body)
-        self._plain.start(body)
-
-    def copies(self, count: int) -> list[Corrector]:
-        """Return correctors with states of their own; to read one takes long."""
-        return [deepcopy(self._corrector) for _ in range(count)]
-
-    def step(self, draft: Draft) -> None:
-        """Correct the next frame."""
-        if self.places is None:
-            super().step(draft)
-            return
-        self._plain.step(draft)
-        places = leveled(self.places, draft.turn.tilt, draft.turn.roll)
-        known = ~np.isnan(places[:, :1])
-        draft.positions = np.where(known, places, draft.positions)
+        places = placed.apply(last.positions)
+        return last._replace(positions=places, sensor=placed.shift)

@@ -6,12 +6,13 @@ joint is fused of what each sensor saw of it (``fusion``).
 
 from .alignment import Alignment, align
 from .calibration import read_calibration, write_calibration
-from .cleaning import clean_session
+from .cleaning import Corrected, clean_session
 from .fusion import Fused, Fusion, Sight
 from .session import Merged, merge
 
 __all__ = [
     "Alignment",
+    "Corrected",
     "Fused",
     "Fusion",
     "Merged",

@@ -9,17 +9,19 @@ refines the lag, and how it changes tells the drift of the clocks.
 from __future__ import annotations
 
 from itertools import chain
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, find_peaks, sosfiltfilt
+from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.reliability import column_medians
 
-from .lag import FEWEST_WINDOWS, Clock, Track, correlations, drifting
+from .lag import FEWEST_WINDOWS, Clock, Track, bridged, correlations, drifting
 from .rigid import SIGMA, Placement, placement
 
 _RATE = 20.0  # samples a second in which lags are looked for: joints move below 5 Hz
@@ -81,6 +83,12 @@ class Alignment(NamedTuple):
         return self.path >= _PATH
 
 
+HERE = Alignment(
+    Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3)), 0.0, np.inf, np.inf
+)
+"""How the first sensor lies to itself."""
+
+
 def align(first: Take, second: Take) -> Alignment:
     """Return when and where the second sensor recorded what the first did.
 
@@ -90,14 +98,10 @@ def align(first: Take, second: Take) -> Alignment:
     Raises:
         InputError: They are not of the same movement, or one take twice.
     """
-    takes = (first, second)
     both = f"{first.source} and {second.source}"
-    if first.positions.shape == second.positions.shape and np.array_equal(
-        first.positions, second.positions, equal_nan=True
-    ):
+    if np.array_equal(first.positions, second.positions, equal_nan=True):
         raise InputError(f"{both}: are the same take; give one of each sensor")
-    heights = [_heights(Track(take.time, take.positions), take) for take in takes]
-    lags, likeness = _likeness(*heights)
+    lags, likeness = _likeness(_heights(first), _heights(second))
     peaks, _ = find_peaks(np.concatenate([[-np.inf], likeness, [-np.inf]]))
     peaks = peaks[np.isfinite(likeness[peaks - 1])] - 1
     if not len(peaks):
@@ -105,34 +109,25 @@ def align(first: Take, second: Take) -> Alignment:
             f"{both}: at no lag do both see somebody for {_COMMON:g} s; give takes of "
             "the same time"
         )
-    common = _Common(first, second)
+    # A sensor behind the person has left and right exchanged.
+    sides = [_Common(first, take) for take in (second, second.exchanged())]
     fits = []
     for k in peaks[np.argsort(-likeness[peaks])][:_CANDIDATES]:
         clock = Clock(float(first.time[0]), float(second.time[0] + lags[k]))
-        for exchanged in (False, True):
-            placed, cost, _ = common.placed(clock, exchanged)
-            fits.append(_Fit(cost, clock, placed, exchanged, float(likeness[k])))
-    best = min(fits, key=lambda fit: fit.cost)
-    if best.cost > _WORST:
+        for common in sides:
+            placed, cost, _ = common.placed(clock)
+            fits.append((cost, clock, placed, common, float(likeness[k])))
+    cost, clock, placed, common, alike = min(fits, key=itemgetter(0))
+    if cost > _WORST:
         raise InputError(
             f"{both}: do not show the same movement at any lag; give takes of the same "
             "people at the same time, by sensors that stand still"
         )
-    clock = common.refined(best.clock, best.placed, best.exchanged)
-    placed, _, _ = common.placed(clock, best.exchanged)
-    clock = common.drifting(clock, placed, best.exchanged)
-    placed, _, apart = common.placed(clock, best.exchanged)
-    return Alignment(
-        clock, placed, apart, best.likeness, _path(first), 1.0 - best.cost / _MOST
-    )
-
-
-class _Fit(NamedTuple):
-    cost: float
-    clock: Clock
-    placed: Placement
-    exchanged: bool  # left and right, as of a sensor behind the person
-    likeness: float
+    clock = common.refined(clock, placed)
+    placed, _, _ = common.placed(clock)
+    clock = common.drifting(clock, placed)
+    placed, _, apart = common.placed(clock)
+    return Alignment(clock, placed, apart, alike, _path(first), 1.0 - cost / _MOST)
 
 
 def _path(take: Take) -> float:
@@ -145,14 +140,14 @@ def _path(take: Take) -> float:
     return float(np.hypot(*(high - low)))
 
 
-def _heights(track: Track, take: Take) -> Array:
+def _heights(take: Take) -> Array:
     """Return how joints go up and down, in no unit, 1/_RATE s a row, (N, F).
 
     Pairs of limbs count by their mean height and by the difference between the two, so
     that exchanged sides change nothing; so does the speed over the floor.
     """
-    times = np.arange(track.time[0], track.time[-1], 1.0 / _RATE)
-    positions, skeleton = track.at(times), take.skeleton
+    times = np.arange(take.time[0], take.time[-1], 1.0 / _RATE)
+    positions, skeleton = Track(take.time, take.positions).at(times), take.skeleton
     root = positions[:, skeleton.root]
     height = positions[..., 1] - root[:, 1:2]
     columns = [root[:, 1], height[:, skeleton.girdle]]
@@ -162,29 +157,25 @@ def _heights(track: Track, take: Take) -> Array:
         columns += [0.5 * (left + right), np.abs(left - right)]
     values = np.stack(columns, axis=1)
     steps = np.gradient(_filled(root[:, ::2]), 1.0 / _RATE, axis=0)
-    speed = np.linalg.norm(_passed(steps, (None, 2.0)), axis=1)
+    speed = np.linalg.norm(_passed(steps, 2.0), axis=1)
     speed[np.isnan(root[:, 0])] = np.nan
     found = _passed(_filled(values), _BAND) / _LARGE
-    fast = _passed(_filled(speed[:, None]), (None, 3.0)) * 0.1 / _LARGE
+    fast = _passed(_filled(speed[:, None]), 3.0) * 0.1 / _LARGE
     found = np.hstack([found, fast])
     return np.where(np.isnan(np.column_stack([values, speed])), np.nan, np.tanh(found))
 
 
 def _smoothed(take: Take) -> Track:
-    """Return tracked joints without fast noise, at even times."""
-    known = (take.state == State.TRACKED)[..., None]
-    track = Track(take.time, np.where(known, take.positions, np.nan))
+    """Return tracked joints that tell the lag, without fast noise, at even times."""
+    limbs = (take.skeleton.sides(limb) for limb in _LIMBS)
+    joints = [*_middle(take.skeleton), *chain.from_iterable(limbs)]
+    known = (take.state == State.TRACKED)[:, joints, None]
+    track = Track(take.time, np.where(known, take.positions[:, joints], np.nan))
     times = np.arange(track.time[0], track.time[-1], 1.0 / _EVEN)
     flat = track.at(times).reshape(len(times), -1)
-    bridged = np.zeros_like(flat)
-    for k, column in enumerate(flat.T):
-        known = ~np.isnan(column)
-        if known.any():
-            bridged[:, k] = np.interp(times, times[known], column[known])
-    sections = butter(2, _SMOOTH, fs=_EVEN, output="sos")
-    even = sosfiltfilt(sections, bridged, axis=0, padlen=min(30, len(times) - 1))
+    even = _passed(bridged(times, flat), _SMOOTH, _EVEN)
     even[np.isnan(flat)] = np.nan
-    return Track(times, even.reshape(len(times), *take.positions.shape[1:]))
+    return Track(times, even.reshape(len(times), len(joints), 3))
 
 
 def _filled(values: Array) -> Array:
@@ -192,12 +183,12 @@ def _filled(values: Array) -> Array:
     return np.where(np.isnan(values), np.nan_to_num(column_medians(values)), values)
 
 
-def _passed(values: Array, band: tuple[float | None, float]) -> Array:
-    low, high = band
-    if low is None:
-        sections = butter(2, high, "low", fs=_RATE, output="sos")
-    else:
-        sections = butter(2, (low, high), "band", fs=_RATE, output="sos")
+def _passed(
+    values: Array, edges: float | tuple[float, float], rate: float = _RATE
+) -> Array:
+    """Return what of columns is slower than an edge, or between two [Hz]."""
+    band = isinstance(edges, tuple)
+    sections = butter(2, edges, "band" if band else "low", fs=rate, output="sos")
     padded = min(30, len(values) - 1)
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padded))
 
@@ -219,27 +210,24 @@ class _Common:
     """Joints that two takes have in common."""
 
     def __init__(self, first: Take, second: Take) -> None:
-        self._tracks = [Track(take.time, take.positions) for take in (first, second)]
-        self._smooth = [_smoothed(take) for take in (first, second)]
-        both = first.skeleton, second.skeleton
-        self._trunks = np.array([_trunk(skeleton) for skeleton in both])
-        self._all = np.array([_joints(skeleton) for skeleton in both])
-        self._mirror = np.array(second.skeleton.mirror)
+        takes = (first, second)
+        self._tracks = [Track(take.time, take.positions) for take in takes]
+        self._trunks = [
+            [*_middle(bones), *bones.sides("Shoulder"), *bones.hips]
+            for bones in (first.skeleton, second.skeleton)
+        ]
+        self._moving = [_smoothed(take) for take in takes]
         seen = ~np.isnan(first.positions[:, self._trunks[0]]).all(axis=(1, 2))
         times = np.unique(first.time[seen])
         self._times = times[:: max(len(times) // _FRAMES, 1)]
 
-    def _others(self, joints: Indices, exchanged: bool) -> Indices:
-        return np.asarray(self._mirror[joints[1]] if exchanged else joints[1])
-
-    def placed(self, clock: Clock, exchanged: bool) -> tuple[Placement, float, float]:
+    def placed(self, clock: Clock) -> tuple[Placement, float, float]:
         """Return where the second sensor is, what that costs, and the distance [m].
 
         The cost is that of a frame, robust to joints that are far apart.
         """
-        others = self._others(self._trunks, exchanged)
         seen = self._tracks[0].at(self._times)[:, self._trunks[0]]
-        there = self._tracks[1].at(clock.at(self._times))[:, others]
+        there = self._tracks[1].at(clock.at(self._times))[:, self._trunks[1]]
         found = placement(there, seen)
         away = np.linalg.norm(found.apply(there) - seen, axis=2)
         costs = np.fmin(np.log1p((away / SIGMA) ** 2), _MOST)
@@ -247,25 +235,20 @@ class _Common:
         return found, float(costs.mean()), float(apart)
 
     def refined(
-        self,
-        clock: Clock,
-        placed: Placement,
-        exchanged: bool,
-        times: Array | None = None,
+        self, clock: Clock, placed: Placement, times: Array | None = None
     ) -> Clock:
         """Return the clock with the lag that explains the most movement.
 
         Movement, not places: where sensors have joints differs with the view.
         """
         times = self._times if times is None else times
-        others = self._others(self._all, exchanged)
-        seen, there = self._smooth
+        seen, there = self._moving
         moved = seen.at(times + _STEP) - seen.at(times)
 
         def away(lag: float) -> Array:
             stamps = [clock._replace(lag=lag).at(times + late) for late in (0.0, _STEP)]
-            before, after = (there.at(stamp)[:, others] for stamp in stamps)
-            apart = placed.turn_only(after - before) - moved[:, self._all[0]]
+            before, after = map(there.at, stamps)
+            apart = placed.turn_only(after - before) - moved
             return np.asarray(np.sum(apart**2, axis=2))
 
         first, last = clock.lag - _AROUND, clock.lag + _AROUND
@@ -280,7 +263,7 @@ class _Common:
         )
         return clock._replace(lag=float(found.x))
 
-    def drifting(self, clock: Clock, placed: Placement, exchanged: bool) -> Clock:
+    def drifting(self, clock: Clock, placed: Placement) -> Clock:
         """Return the clock with its drift, where windows of some seconds tell one."""
         there = self._tracks[1].at(clock.at(self._times))
         times = self._times[~np.isnan(there).all(axis=(1, 2))]
@@ -291,7 +274,7 @@ class _Common:
         stamps, rows = self._tracks[0].time, []
         for begin in np.linspace(times[0], times[-1] - _WINDOW, count):
             window = stamps[(stamps >= begin) & (stamps < begin + _WINDOW)]
-            lag = self.refined(clock, placed, exchanged, window).lag
+            lag = self.refined(clock, placed, window).lag
             if lag != clock.lag:
                 rows.append((window.mean() - clock.start, lag))
         return drifting(clock, np.array(rows)) or clock
@@ -299,14 +282,3 @@ class _Common:
 
 def _middle(skeleton: Skeleton) -> list[int]:
     return [skeleton.root, skeleton.girdle, skeleton.index("Head")]
-
-
-def _trunk(skeleton: Skeleton) -> list[int]:
-    """Return the joints that place a sensor."""
-    return [*_middle(skeleton), *skeleton.sides("Shoulder"), *skeleton.hips]
-
-
-def _joints(skeleton: Skeleton) -> list[int]:
-    """Return the joints whose movement tells the lag."""
-    limbs = (skeleton.sides(limb) for limb in _LIMBS)
-    return [*_middle(skeleton), *chain.from_iterable(limbs)]

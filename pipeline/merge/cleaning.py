@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 
-from kinefilter.characters import Origin, Take, Tracking
-from kinefilter.characters.arrays import Array
+from kinefilter.characters import Body, Origin, Take, Tracking
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, silent
@@ -66,9 +68,9 @@ def clean_session(
         scores.append(draft.reliability * sure * np.exp(-np.nan_to_num(moved) / _MOVED))
     fused = fuse(corrected, scores, merged.alignments, progress)
     cleaner = Cleaner(config, tracking=tracking)
-    given = _Corrected(config, fused.take.positions)
+    cleaner = cleaner.replaced(Corrected(config, fused.take.positions))
     # A person who turns away from one sensor is no failure of all.
-    cleaner = _without_failures(cleaner.replaced(given))
+    cleaner = _without_failures(cleaner)
     return cleaner.clean(merged.take, progress=progress), merged
 
 
@@ -77,25 +79,52 @@ def _without_failures(cleaner: Cleaner) -> Cleaner:
     return cleaner.without("failures") if "failures" in names else cleaner
 
 
-class _Corrected(Correct):
-    """Puts joints where they were corrected already.
+class Corrected(Correct):
+    """Puts joints where they were corrected already; without any, corrects them.
 
     Args:
-        config: The settings; the method is not asked again.
-        places: Corrected joints [m], the take's frame, NaN where none is, (T, J, 3).
+        config: The settings.
+        places: Corrected joints of the take, (T, J, 3), or of the next frame, (J, 3)
+            [m], the sensor's frame, NaN where none is.
     """
 
     in_parts = False
 
-    def __init__(self, config: CleanConfig, places: Array) -> None:
-        super().__init__(replace(config, method="none", model=None, preset=None))
-        self._places = places
+    def __init__(self, config: CleanConfig, places: Array | None = None) -> None:
+        super().__init__(config)
+        self._plain = Correct(replace(config, method="none", model=None, preset=None))
+        self.places = places
+
+    def start(self, body: Body) -> None:
+        """Forget all frames."""
+        super().start(body)
+        self._plain.start(body)
+
+    def copied(self) -> Corrector:
+        """Return the method with a state of its own; to read one takes long."""
+        return deepcopy(self._corrector)
+
+    def step(self, draft: Draft) -> None:
+        """Correct the next frame."""
+        if self.places is None:
+            super().step(draft)
+        else:
+            self._plain.step(draft)
+            self._put(draft, self.places)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
-        """Put the joints of a take there."""
-        missing = draft.missing
-        super().whole(draft, progress)
-        places = leveled(self._places, draft.turn.tilt, draft.turn.roll)
-        known = ~np.isnan(places[..., :1])
-        draft.positions = np.where(known, places, draft.positions)
-        draft.origin[known[..., 0] & ~missing] = Origin.CORRECTED
+        """Correct a take."""
+        if self.places is None:
+            super().whole(draft, progress)
+        else:
+            self._plain.whole(draft, progress)
+            known = self._put(draft, self.places)
+            draft.origin[known & ~draft.missing] = Origin.CORRECTED
+
+    @staticmethod
+    def _put(draft: Draft, places: Array) -> Flags:
+        """Put joints there, and return which."""
+        places = leveled(places, draft.turn.tilt, draft.turn.roll)
+        known = ~np.isnan(places[..., 0])
+        draft.positions = np.where(known[..., None], places, draft.positions)
+        return known

@@ -64,21 +64,15 @@ class Fused(NamedTuple):
 
 
 class Fusion:
-    """Merges one frame after the other.
-
-    Args:
-        skeleton: The joints.
-        sensors: How many sensors there are.
-    """
+    """Merges one frame after the other of so many sensors."""
 
     def __init__(self, skeleton: Skeleton, sensors: int) -> None:
-        self._skeleton, self._mirror = skeleton, np.array(skeleton.mirror)
+        self._skeleton = skeleton
         self._sides, self._facing = Sides(skeleton, sensors), Facing()
-        left, right = (
-            np.array([joint.endswith(side) for joint in skeleton.joints], dtype=float)
-            for side in SIDES
+        left, right = np.array(
+            [[joint.endswith(side) for joint in skeleton.joints] for side in SIDES]
         )
-        self._side = left - right
+        self._side = left.astype(float) - right
         self._shape = (sensors, len(skeleton))
         self._offsets = np.zeros((*self._shape, 3))
         self._known = np.zeros(self._shape)
@@ -121,7 +115,7 @@ class Fusion:
     ) -> None:
         """Exchange left and right of what some sensors see."""
         for part in (seen, given, state):
-            part[exchanged] = part[exchanged][:, self._mirror]
+            part[exchanged] = part[exchanged][:, self._skeleton.mirror]
 
     def _angles(self, sights: Sequence[Sight | None]) -> Array:
         """Return where sensors are from the person [rad], NaN where unknown, (S,)."""

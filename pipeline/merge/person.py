@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, State, Take
 from kinefilter.characters.arrays import Array
@@ -21,8 +20,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.people import Part, Track, people_of
 
-from .alignment import Alignment, align
-from .lag import Clock
+from .alignment import HERE, Alignment, align
 from .rigid import Placement
 
 _TURNED, _SHIFTED = np.radians(8.0), 0.25
@@ -31,9 +29,6 @@ in which people went to and fro. Placements of the same sensor differ by up to 3
 and 0.1 m in two-kinects (p00 to p08)."""
 _CHOSEN = 1.4  # by which the person asked for tells more than others. A guess
 _TRIED = 4  # people of a recording who may tell where the sensors are
-
-HERE = Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3))
-"""The first sensor's own clock and place."""
 
 
 class Person(NamedTuple):
@@ -138,19 +133,24 @@ def _aligned(
     return known
 
 
+def moved(before: Placement, after: Placement) -> tuple[float, float] | None:
+    """Return by how much a sensor was moved [rad, m], None where it seems to stand."""
+    angle = float((after.turn * before.turn.inv()).magnitude())
+    shift = float(np.linalg.norm(after.shift - before.shift))
+    return (angle, shift) if angle > _TURNED or shift > _SHIFTED else None
+
+
 def _checked(found: Alignment, known: Alignment | None, source: str) -> Alignment:
     """Return an alignment, with what a calibration knows better."""
     if known is None:
         return found
-    if found.place_is_sure and found.clock_is_sure:
-        angle = (found.placed.turn * known.placed.turn.inv()).magnitude()
-        shift = np.linalg.norm(found.placed.shift - known.placed.shift)
-        if angle > _TURNED or shift > _SHIFTED:
-            raise InputError(
-                f"{source}: its sensor stands {np.degrees(angle):.0f} degrees and "
-                f"{shift:.2f} m away from where the calibration has it; it was moved, "
-                "so leave --calibration out"
-            )
+    away = moved(known.placed, found.placed)
+    if away and found.place_is_sure and found.clock_is_sure:
+        raise InputError(
+            f"{source}: its sensor stands {np.degrees(away[0]):.0f} degrees and "
+            f"{away[1]:.2f} m away from where the calibration has it; it was moved, "
+            "so leave --calibration out"
+        )
     clock = found.clock if found.clock_is_sure else known.clock
     return found._replace(
         clock=clock, placed=known.placed, likeness=np.inf, path=np.inf
@@ -161,20 +161,18 @@ def _told_apart(
     recordings: Sequence[Recording], chosen: Take, alignments: Sequence[Alignment]
 ) -> Person:
     """Return one of several people, whom sensors may have taken for each other."""
-    places = [HERE, *((found.clock, found.placed) for found in alignments)]
     takes, tracks = [], []
-    for s, (recording, (clock, placed)) in enumerate(
-        zip(recordings, places, strict=True)
+    for s, (recording, found) in enumerate(
+        zip(recordings, (HERE, *alignments), strict=True)
     ):
         for take in recording.takes:
             takes.append(take)
-            joints = placed.apply(take.positions.copy())
-            time = clock.undone(take.time)
+            joints = found.placed.apply(take.positions)
+            time = found.clock.undone(take.time)
             tracks.append(Track(time, joints, take.skeleton, s))
-    number = next(k for k, take in enumerate(takes) if take is chosen)
 
     def rows_of_chosen(person: Sequence[Part]) -> int:
-        return sum(len(part.rows) for part in person if part.track == number)
+        return sum(len(p.rows) for p in person if takes[p.track] is chosen)
 
     person = max(people_of(tracks), key=rows_of_chosen)
     kept, notes = [], []

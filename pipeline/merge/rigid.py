@@ -23,14 +23,12 @@ class Placement(NamedTuple):
 
     def turn_only(self, vectors: Array) -> Array:
         """Return vectors in the other frame, shape (..., 3)."""
-        return np.asarray(
-            self.turn.apply(vectors.reshape(-1, 3)).reshape(vectors.shape)
-        )
+        flat = vectors.reshape(-1, 3).copy()  # scipy takes no read-only arrays
+        return np.asarray(self.turn.apply(flat).reshape(vectors.shape))
 
     def apply(self, points: Array) -> Array:
         """Return points [m] in the other frame, shape (..., 3)."""
-        flat = self.turn.apply(points.reshape(-1, 3)) + self.shift
-        return np.asarray(flat.reshape(points.shape))
+        return self.turn_only(points) + self.shift
 
 
 def placement(points: Array, onto: Array) -> Placement:

@@ -7,19 +7,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinefilter.characters import InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters import InputError, Skeleton, Take
+from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
 
-from .alignment import Alignment
+from .alignment import HERE, Alignment
 from .fusion import Fused, Fusion, Sight
-from .lag import Clock, Track
-from .person import HERE, find_person
-from .rigid import Placement
+from .lag import Track
+from .person import find_person
 
 _NEAREST = 0.6  # of a frame: others of the same moment are no frames of their own
 
@@ -51,13 +49,10 @@ class Merged:
         """Return each sensor's take with its sides as all sensors have them."""
         takes = []
         for k, take in enumerate(self.takes):
-            clock = self.alignments[k - 1].clock if k else Clock(0.0, 0.0)
-            frames = np.searchsorted(self.take.time, clock.undone(take.time))
-            swapped = self.exchanged[frames.clip(max=len(self.take) - 1), k]
-            positions, state = take.positions.copy(), take.state.copy()
-            positions[swapped] = positions[swapped][:, take.skeleton.mirror]
-            state[swapped] = state[swapped][:, take.skeleton.mirror]
-            takes.append(replace(take, positions=positions, state=state))
+            time = (HERE, *self.alignments)[k].clock.undone(take.time)
+            frames = np.searchsorted(self.take.time, time)
+            frames = frames.clip(max=len(self.take) - 1)
+            takes.append(take.exchanged(self.exchanged[frames, k]))
         return takes
 
     @property
@@ -73,23 +68,19 @@ class Merged:
 
     def figures(self) -> dict[str, Any]:
         """Return where, when and how much each sensor is, and what is unsure."""
-        facing = np.array([0.0, 0.0, 1.0])
         apart = column_medians(self.residuals.reshape(len(self.takes), -1).T)
         rows = []
-        for k, source in enumerate(self.sources):
-            found = self.alignments[k - 1] if k else None
-            turn = found.placed.turn.apply(facing) if found else facing
+        for k, (source, (clock, placed, *_)) in enumerate(
+            zip(self.sources, (HERE, *self.alignments), strict=True)
+        ):
+            x, _, z = placed.turn.apply([0.0, 0.0, 1.0])
             rows.append(
                 {
                     "source": source,
-                    "lag_seconds": found.clock.lag - found.clock.start
-                    if found
-                    else 0.0,
-                    "drift": found.clock.drift if found else 0.0,
-                    "turned_degrees": float(np.degrees(np.arctan2(turn[0], turn[2]))),
-                    "away_meters": float(np.linalg.norm(found.placed.shift))
-                    if found
-                    else 0.0,
+                    "lag_seconds": clock.lag - clock.start,
+                    "drift": clock.drift,
+                    "turned_degrees": float(np.degrees(np.arctan2(x, z))),
+                    "away_meters": float(np.linalg.norm(placed.shift)),
                     "share": float(self.shares[:, k].mean()),
                     "apart_meters": float(apart[k]),
                 }
@@ -166,12 +157,9 @@ def fuse(
         progress: Wraps the loop over frames, for a progress bar.
     """
     skeleton = max((take.skeleton for take in takes), key=len)
-    time = _frames(takes, alignments)
-    places = [HERE, *((found.clock, found.placed) for found in alignments)]
-    columns = [
-        _at(time, take, score, clock, placed, skeleton)
-        for take, score, (clock, placed) in zip(takes, scores, places, strict=True)
-    ]
+    each = list(zip(takes, scores, (HERE, *alignments), strict=True))
+    time = _frames([found.clock.undone(take.time) for take, _, found in each])
+    columns = [_at(time, *one, skeleton) for one in each]
     fusion = Fusion(skeleton, len(takes))
     frames = list(zip(*columns, strict=True))
     elapsed = np.diff(time, prepend=2.0 * time[0] - time[1])
@@ -192,73 +180,51 @@ def fuse(
         reliability,
         shares,
         exchanged,
-        tuple(_joints(column, skeleton) for column in columns),
+        tuple(np.array([sight.positions for sight in column]) for column in columns),
         tuple(alignments),
         tuple(takes),
         tuple(scores),
     )
 
 
-def _frames(takes: Sequence[Take], alignments: Sequence[Alignment]) -> Array:
-    """Return the moments of the merged take [s], at the first one's clock.
+def _frames(stamps: Sequence[Array]) -> Array:
+    """Return the moments of the merged take [s], of the stamps of each sensor's frames.
 
     Those of the sensor with the most frames, and of the others where it has none.
     """
-    stamps = [takes[0].time]
-    stamps += [
-        found.clock.undone(take.time)
-        for take, found in zip(takes[1:], alignments, strict=True)
-    ]
-    stamps.sort(key=len, reverse=True)
-    time = stamps[0]
+    time, *rest = sorted(stamps, key=len, reverse=True)
     least = _NEAREST * float(np.median(np.diff(time)))
-    for others in stamps[1:]:
-        after = np.searchsorted(time, others).clip(1, len(time) - 1)
-        near = np.minimum(
-            np.abs(others - time[after - 1]), np.abs(others - time[after])
-        )
-        time = np.union1d(time, others[near > least])
+    for others in rest:
+        away = np.abs(others - time[_nearest(time, others)])
+        time = np.union1d(time, others[away > least])
     kept = np.concatenate([[True], np.diff(time) > 1e-4])
     return np.asarray(time[kept])
 
 
+def _nearest(stamps: Array, times: Array) -> Indices:
+    return np.searchsorted(0.5 * (stamps[1:] + stamps[:-1]), times, "right")
+
+
 def _at(
-    time: Array,
-    take: Take,
-    score: Array,
-    clock: Clock,
-    placed: Placement,
-    skeleton: Skeleton,
-) -> list[Sight | None]:
+    time: Array, take: Take, score: Array, found: Alignment, skeleton: Skeleton
+) -> list[Sight]:
     """Return what a sensor sees at some moments of the first one's clock."""
-    stamps = clock.at(time)
-    positions = placed.apply(Track(take.time, take.positions).at(stamps))
-    row = np.searchsorted(take.time, stamps).clip(1, len(take.time) - 1)
-    row = row - (stamps - take.time[row - 1] < take.time[row] - stamps)
+    stamps = found.clock.at(time)
+    positions = found.placed.apply(Track(take.time, take.positions).at(stamps))
+    row = _nearest(take.time, stamps)
     joints = _mapped(take.skeleton, skeleton)
-    known = joints >= 0
-    shape = (len(time), len(skeleton))
-    places, trust = np.full((*shape, 3), np.nan), np.zeros(shape)
-    state = np.zeros(shape, dtype=np.uint8)
-    places[:, known] = positions[:, joints[known]]
-    trust[:, known] = score[row][:, joints[known]]
-    state[:, known] = take.state[row][:, joints[known]]
-    state[np.isnan(places[..., 0])] = State.NOT_TRACKED
-    seen = ~np.isnan(places).all(axis=(1, 2))
-    return [
-        Sight(places[k], trust[k], state[k], placed.shift) if seen[k] else None
-        for k in range(len(time))
-    ]
+    places = np.where(joints[:, None] < 0, np.nan, positions[:, joints])
+    missing = np.isnan(places[..., 0])
+    trust, state = (
+        np.where(missing, 0, values[row][:, joints]) for values in (score, take.state)
+    )
+    rows = zip(places, trust, state, strict=True)
+    return [Sight(*row, found.placed.shift) for row in rows]
 
 
-def _mapped(given: Skeleton, wanted: Skeleton) -> NDArray[np.intp]:
+def _mapped(given: Skeleton, wanted: Skeleton) -> Indices:
     """Return which joint of a skeleton is each of another's, -1 where it has none."""
     roles = {wanted.joints[wanted.root]: given.root}
     roles[wanted.joints[wanted.girdle]] = given.girdle
     roles |= {joint: k for k, joint in enumerate(given.joints)}
     return np.array([roles.get(joint, -1) for joint in wanted.joints])
-
-
-def _joints(column: Sequence[Sight | None], skeleton: Skeleton) -> Array:
-    nothing = np.full((len(skeleton), 3), np.nan)
-    return np.array([nothing if s is None else s.positions for s in column])

@@ -10,14 +10,15 @@ path so far.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
 # two-kinects.
@@ -29,30 +30,58 @@ _CHANGE = 0.02  # m more that a change costs than the way the joints take
 _GOES_ON = 5.0  # weight of the way that joints take from frame to frame
 
 
-class Sides:
-    """Follows which sensors have left and right exchanged, frame by frame.
+class CheapestPath:
+    """Follows which of some choices (N, ...) hold, frame by frame (Viterbi 1967)."""
 
-    Args:
-        skeleton: The joints.
-        sensors: How many sensors there are.
-    """
-
-    def __init__(self, skeleton: Skeleton, sensors: int) -> None:
-        self._skeleton, self._mirror = skeleton, np.array(skeleton.mirror)
-        self._pairs = np.flatnonzero(self._mirror != np.arange(len(skeleton)))
-        self._choices = np.array(list(product((0, 1), repeat=sensors)))
-        self._changes = self._choices[:, None] != self._choices[None]
+    def __init__(self, choices: NDArray[Any]) -> None:
+        self._choices = choices
         self.start()
 
     def start(self) -> None:
         """Forget all frames."""
         self._costs = np.zeros(len(self._choices))
+
+    def step(self, *seen: Any) -> tuple[Any, NDArray[np.uint16]]:
+        """Return the choice as far as frames tell so far, and for ``whole`` others."""
+        raise NotImplementedError
+
+    def _next(self, ways: Array, costs: Array) -> tuple[Any, NDArray[np.uint16]]:
+        """Return what ``step`` does: the choice, and which led to each of all.
+
+        A frame's choices cost (N,), and the ways from those before to them (N, N).
+        """
+        ways = self._costs[:, None] + ways
+        costs = costs + ways.min(axis=0)
+        self._costs = costs - costs.min()
+        return self._choices[costs.argmin()], ways.argmin(axis=0).astype(np.uint16)
+
+    def whole(self, frames: Iterable[tuple[Any, ...]]) -> NDArray[Any]:
+        """Return the choice in each frame, (T, ...), of what ``step`` takes of it."""
+        self.start()
+        came = [self.step(*frame)[1] for frame in frames]
+        path = [int(self._costs.argmin())]
+        for before in came[:0:-1]:
+            path.append(int(before[path[-1]]))
+        return self._choices[path[::-1]]
+
+
+class Sides(CheapestPath):
+    """Follows which of so many sensors have left and right exchanged, flags (S,)."""
+
+    def __init__(self, skeleton: Skeleton, sensors: int) -> None:
+        self._skeleton, self._mirror = skeleton, skeleton.mirror
+        self._pairs = np.flatnonzero(self._mirror != np.arange(len(skeleton)))
+        choices = np.array(list(product((False, True), repeat=sensors)))
+        self._changes = choices[:, None] != choices
+        super().__init__(choices)
+
+    def start(self) -> None:
+        """Forget all frames."""
+        super().start()
         self._last: list[tuple[Array, Array] | None] = [None] * self._choices.shape[1]
 
-    def step(self, seen: Array, sure: Array) -> tuple[Flags, NDArray[np.intp]]:
-        """Return which sensors have the sides exchanged, as far as frames tell so far.
-
-        And which of all choices led to each, for ``whole``.
+    def step(self, seen: Array, sure: Array) -> tuple[Any, NDArray[np.uint16]]:
+        """Return which have them exchanged as far as frames tell so far.
 
         Args:
             seen: Where each sensor has the joints [m], NaN where nowhere, (S, J, 3).
@@ -60,6 +89,8 @@ class Sides:
         """
         sure = np.minimum(sure, sure[:, self._mirror])[:, self._pairs]
         as_given, mirrored = seen[:, self._pairs], seen[:, self._mirror[self._pairs]]
+        faces = np.tanh(self._forward(seen) / _BEND)
+        costs = self._choices @ (_EXCHANGED + _FACING * np.nan_to_num(faces))
         ways = np.zeros(self._changes.shape[:2])
         for s, last in enumerate(self._last):
             if last is not None:
@@ -72,9 +103,6 @@ class Sides:
                 )
             if not np.isnan(as_given[s]).all():
                 self._last[s] = as_given[s], sure[s]
-        whole = self._costs[:, None] + ways
-        came = whole.argmin(axis=0)
-        costs = whole.min(axis=0)
         for s, k in combinations(range(len(seen)), 2):
             weights = sure[s] * sure[k]
             same, other = (
@@ -82,20 +110,7 @@ class Sides:
                 for there in (as_given, mirrored)
             )
             costs += np.where(self._choices[:, s] == self._choices[:, k], same, other)
-        faces = np.tanh(self._forward(seen) / _BEND)
-        costs += self._choices @ (_EXCHANGED + _FACING * np.nan_to_num(faces))
-        self._costs = costs - costs.min()
-        return self._choices[self._costs.argmin()] > 0, came
-
-    def whole(self, frames: Iterable[tuple[Array, Array]]) -> Flags:
-        """Return which sensors have the sides exchanged in each frame, (T, S).
-
-        Args:
-            frames: What ``step`` takes, frame by frame.
-        """
-        self.start()
-        came = [self.step(seen, sure)[1] for seen, sure in frames]
-        return self._choices[path_to(int(self._costs.argmin()), came)] > 0
+        return self._next(ways, costs)
 
     def _forward(self, seen: Array) -> Array:
         """Return how far limbs bend to where bodies face by their sides [m], (S,).
@@ -121,17 +136,6 @@ class Sides:
         head = seen[:, skeleton.index("Head")] - seen[:, skeleton.girdle]
         bends += 0.5 * head
         return np.asarray(bends[:, 2] * across[:, 0] - bends[:, 0] * across[:, 1])
-
-
-def path_to(end: int, came: Sequence[NDArray[np.integer]]) -> list[int]:
-    """Return the choice in each frame on the cheapest path to the last one (Viterbi).
-
-    Of each frame ``came`` has for every choice the one of the frame before.
-    """
-    path = [end]
-    for before in came[:0:-1]:
-        path.append(int(before[path[-1]]))
-    return path[::-1]
 
 
 def _distance(points: Array, others: Array, weights: Array) -> float:
