@@ -22,6 +22,7 @@ from scipy.optimize import linear_sum_assignment
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
+from kinefilter.retarget.runs import runs
 
 # Chosen on simulated people of seeds 40 to 55 and on p00 to p08 of two-kinects.
 _LOST = 0.25  # s without a body, from which on it may be somebody else
@@ -75,13 +76,10 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
     Of a sensor, nobody has two parts at the same time. Tracks that leap so often that
     nothing tells who is who are a person each.
     """
-    left = sorted(_pieces(tracks), key=lambda piece: piece.start)
-    if not left:
-        seen = [
-            np.flatnonzero(~np.isnan(track.positions).all(axis=(1, 2)))
-            for track in tracks
-        ]
-        return [[Part(k, rows)] for k, rows in enumerate(seen) if len(rows)]
+    pieces, telling = _pieces(tracks)
+    if not telling:
+        return [[Part(piece.track, piece.rows)] for piece in pieces]
+    left = sorted(pieces, key=lambda piece: piece.start)
     people: list[list[_Piece]] = []
     while left:
         group = _beginning(left)
@@ -139,12 +137,12 @@ def _going(time: Array, places: Array, when: float) -> tuple[Array, Array]:
     return place, velocity
 
 
-def _pieces(tracks: Sequence[Track]) -> list[_Piece]:
+def _pieces(tracks: Sequence[Track]) -> tuple[list[_Piece], bool]:
     """Return tracks cut wherever somebody may be somebody else from there on.
 
-    Nothing where that is too often.
+    Uncut where that is too often, and whether it is not.
     """
-    seen, places, cuts = [], [], []
+    seen, places, cuts = [], [], list[set[int]]()
     for track in tracks:
         known = ~np.isnan(track.positions[..., 0])
         rows = np.flatnonzero(known.any(axis=1))
@@ -160,25 +158,23 @@ def _pieces(tracks: Sequence[Track]) -> list[_Piece]:
         if tracks[k].sensor == tracks[m].sensor:
             times, others = (tracks[n].time[seen[n]] for n in (k, m))
             _, one, other = np.intersect1d(times, others, return_indices=True)
-            for at in _exchanges(places[k][one], places[m][other]):
-                cuts[k].add(int(one[at]))
-                cuts[m].add(int(other[at]))
-    if sum(map(len, cuts)) > _MOST:
-        return []
-    found = []
+            at = _exchanges(places[k][one], places[m][other])
+            cuts[k].update(one[at].tolist())
+            cuts[m].update(other[at].tolist())
+    telling, found = sum(map(len, cuts)) <= _MOST, []
     for k, track in enumerate(tracks):
         every = np.arange(len(seen[k]))
-        for part in np.split(every, sorted(cuts[k])):
+        for part in np.split(every, sorted(cuts[k]) if telling else []):
             if len(part):
                 rows = seen[k][part]
                 some = rows[:: 1 + len(rows) // _ENOUGH]
                 lengths = _lengths(track.positions[some], track.skeleton)
                 place, time = places[k][part], track.time[rows]
                 found.append(_Piece(k, track.sensor, rows, time, place, lengths))
-    return found
+    return found, telling
 
 
-def _exchanges(one: Array, other: Array) -> list[int]:
+def _exchanges(one: Array, other: Array) -> Indices:
     """Return the frames from which on two may be each other, by their places [m].
 
     There each goes on from where the other was, or they are nearest to each other.
@@ -188,12 +184,11 @@ def _exchanges(one: Array, other: Array) -> list[int]:
         np.linalg.norm(a[1:] - b[:-1], axis=1)
         for a, b in ((one, one), (other, other), (one, other), (other, one))
     ]
-    found = set((1 + np.flatnonzero(sum(steps[2:]) < sum(steps[:2]))).tolist())
-    near = np.flatnonzero(apart < _NEAR)
-    for spell in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
-        if len(spell) and not found.intersection(spell.tolist()):
-            found.add(int(spell[np.argmin(apart[spell])]))
-    return sorted(found)
+    found = 1 + np.flatnonzero(steps[2] + steps[3] < steps[0] + steps[1])
+    for spell in runs(apart < _NEAR):
+        if not ((found >= spell.start) & (found < spell.stop)).any():
+            found = np.append(found, spell.start + np.argmin(apart[spell]))
+    return found
 
 
 def _lengths(positions: Array, skeleton: Skeleton) -> Array:

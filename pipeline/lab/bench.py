@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import resources
+from math import prod
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,7 +20,7 @@ from kinefilter.pipeline.correct.posture_space import solve, stochastic_search
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats import read_take
-from kinefilter.pipeline.physics.pulled_character import PulledCharacter, substeps_in
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter, steps_in
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.stages import Physics, Stage
@@ -165,7 +166,7 @@ def _bare_physics(character: PulledCharacter, spare: mujoco.MjData, dt: float) -
 
     From where the character is, on other data, so that nothing of it changes.
     """
-    substeps = substeps_in(dt)
+    substeps = prod(steps_in(dt))
     character.model.opt.timestep = dt / substeps
     mujoco.mj_copyData(spare, character.model, character.data)
     start = perf_counter()

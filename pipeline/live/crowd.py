@@ -179,15 +179,11 @@ class Crowd:
         Returns the bodies whose frame is new and in order, for a recording.
         """
         self._tally.count(Event.FRAMES)
-        return [seen for seen in frame.bodies if self._take_in(seen, frame.time, now)]
+        return [seen for seen in frame.bodies if self.take_in(seen, frame.time, now)]
 
     def unseen(self, now: float) -> list[Presence]:
         """Return those whom the leading sensor has not seen for some frames."""
         return [p for p in self._here.values() if now - p.led > _UNSEEN]
-
-    def carry(self, seen: SeenBody, time: float, now: float) -> None:
-        """Take in a person of whom another sensor has a frame; see ``arrive``."""
-        self._take_in(seen, time, now)
 
     def next(self) -> tuple[Presence, Waiting] | None:
         """Take the frame of the person who has waited longest; None: none waits."""
@@ -206,7 +202,7 @@ class Crowd:
             self._tally.count(Event.RESTED)
         return gone
 
-    def _take_in(self, seen: SeenBody, time: float, now: float) -> bool:
+    def take_in(self, seen: SeenBody, time: float, now: float) -> bool:
         """Keep a person's frame; tell whether there is room, and it is in order."""
         if not seen.is_seen:
             self._tally.count(Event.UNSEEN)

@@ -106,7 +106,7 @@ class FusedPerson(Person):
                     view.take(seen, time)
                 moments.append((time, HERE.placed))
             elif stream in joined and stream.clock and stream.placed:
-                now = float(stream.clock.at(np.asarray(time)))
+                now = stream.clock.at(time)
                 for frame in stream.until(now, view.time):
                     found = self._sensors.match(stream, frame, self)
                     if found is not None:

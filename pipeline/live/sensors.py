@@ -21,6 +21,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.merge import Alignment, merge
 from kinefilter.pipeline.merge.lag import Clock
+from kinefilter.pipeline.merge.person import moved
 from kinefilter.pipeline.merge.rigid import Placement
 from kinefilter.pipeline.workers import Worker
 
@@ -36,9 +37,7 @@ _LEAST, _FEWEST = 5.0, 50  # of them that it takes
 _AGAIN, _LATER = 2.0, 10.0  # s between answers until a sensor is placed, and after that
 _POLLED = 0.05  # s
 _PATIENCE = 20.0  # s of frames after which it is told that streams do not fit
-_LAG, _ANGLE, _SHIFT = 0.05, np.radians(8.0), 0.25
-"""Differences [s, rad, m] between answers that agree; the last two are those by which a
-sensor may seem to have moved between takes. The first is a guess."""
+_LAG = 0.05  # s between answers that agree. A guess
 _COPIED = 1e-3  # m: nearer to each other are only the joints of one stream given twice
 _DARK = 2.0  # s without anybody
 _JUMP = 1.0  # s by which a clock runs ahead of ours where it was set
@@ -50,8 +49,8 @@ _SAME = 0.6  # m between a person's joints as two sensors see them, on average. 
 class Stream:
     """What came from one sensor."""
 
-    def __init__(self, number: int) -> None:
-        self.name, self.number = f"sensor {number + 1}", number
+    def __init__(self, name: str) -> None:
+        self.name = name
         self.frames: deque[Frame] = deque(maxlen=_MOST)
         self.offsets: deque[float] = deque(maxlen=4 * _TIMED)  # our clock less its [s]
         self.heard = self.seen = -np.inf  # when a frame, and one with a person, came
@@ -102,9 +101,9 @@ class Stream:
         return Recording(takes, self.name) if takes else None
 
     @property
-    def length(self) -> float:
-        """Time that the frames span [s]."""
-        return self.frames[-1].time - self.frames[0].time if self.frames else 0.0
+    def offset(self) -> float:
+        """Our clock less the sensor's, and the least that frames take to come [s]."""
+        return min(self.offsets)
 
 
 class Sensors:
@@ -128,7 +127,7 @@ class Sensors:
         tally: Tally,
     ) -> None:
         self._skeleton, self.tally = skeleton, tally
-        self.streams = [Stream(number) for number in range(count)]
+        self.streams = [Stream(f"sensor {k}") for k in range(1, count + 1)]
         for stream, known in zip(self.streams[1:], calibration, strict=False):
             stream.placed, stream.path = known.placed, known.path
         self.lead: Stream | None = None
@@ -192,9 +191,9 @@ class Sensors:
         try:
             while True:
                 for stream in self.others:
-                    asked = [self.lead, stream] if self.lead is not None else []
-                    given = [each.recording(self._skeleton) for each in asked]
-                    if not given or None in given:
+                    asked = (one for one in (self.lead, stream) if one is not None)
+                    given = [one.recording(self._skeleton) for one in asked]
+                    if None in given:
                         continue
                     try:
                         # In a thread, as the process may still be starting.
@@ -209,8 +208,8 @@ class Sensors:
 
     def tell(self, now: float) -> None:
         """Note how the sensors are, now [s]."""
-        for stream in self.streams:
-            self.tally.notes[-1 - stream.number] = tuple(self._told(stream, now))
+        for number, stream in enumerate(self.streams, 1):
+            self.tally.notes[-number] = tuple(self._told(stream, now))
 
     def _told(self, stream: Stream, now: float) -> Iterator[str]:
         others = [s for s in self.streams if s is not stream]
@@ -232,11 +231,11 @@ class Sensors:
     def _judge(self, stream: Stream, found: Alignment | str) -> None:
         """Take an answer that agrees with the last one."""
         lead = self.lead
-        if lead is None or not lead.frames or not stream.frames:
-            return
+        assert lead is not None
         if isinstance(found, str):
             stream.answer = None
-            if stream.clock is None and stream.length >= _PATIENCE:
+            length = stream.frames[-1].time - stream.frames[0].time
+            if stream.clock is None and length >= _PATIENCE:
                 stream.note = f"{stream.name} is not fused: {found}"
             return
         if found.place_is_sure:
@@ -247,16 +246,16 @@ class Sensors:
             return
         now, found = lead.frames[-1].time, found._replace(placed=placed)
         last, stream.answer = stream.answer, found
-        if last is None or not _agree(last, found, now):
+        if last is None or moved(last.placed, found.placed):
             return
-        there = found if stream.placed is None else found._replace(placed=stream.placed)
-        moved = not _agree(there, found, now)
-        known = stream.clock is not None and not moved
-        if moved or found.path >= stream.path:  # the farther they went, the surer
+        if abs(last.clock.at(now) - found.clock.at(now)) >= _LAG:
+            return
+        stands = stream.placed is None or not moved(stream.placed, found.placed)
+        known = stream.clock is not None and stands
+        if not stands or found.path >= stream.path:  # the farther they went, the surer
             stream.placed, stream.path = found.placed, found.path
         stream.clock = found.clock
-        ahead = float(found.clock.at(np.asarray(now))) - now
-        stream.late = ahead - _offset(lead) + _offset(stream)
+        stream.late = found.clock.at(now) - now - lead.offset + stream.offset
         if not known:
             stream.note = _joined(stream, lead)
 
@@ -266,8 +265,7 @@ class Sensors:
         if lead is None or min(len(lead.offsets), len(stream.offsets)) < _TIMED:
             return
         time = lead.frames[-1].time
-        ahead = late + _offset(lead) - _offset(stream)
-        stream.clock = Clock(time, time + ahead)
+        stream.clock = Clock(time, time + (late + lead.offset - stream.offset))
         stream.note = f"{_joined(stream, lead)}, after a clock jumped"
 
 
@@ -287,13 +285,12 @@ def find(recordings: Sequence[Recording]) -> Alignment | str:
 
 async def _answered(worker: Worker) -> Alignment | str:
     """Return what a process found; raises EOFError or OSError if it was killed."""
-    found: Alignment | str | bool = True
-    while found is True:
+    while True:
         while not worker.calls.poll():
             await asyncio.sleep(_POLLED)
-        found = worker.calls.recv()
-    assert not isinstance(found, bool)
-    return found
+        found: Alignment | str | bool = worker.calls.recv()
+        if not isinstance(found, bool):  # True, when it began
+            return found
 
 
 def _joined(stream: Stream, lead: Stream) -> str:
@@ -309,16 +306,3 @@ def _joined(stream: Stream, lead: Stream) -> str:
     if stream.late > OLDEST:
         told += ", too late to be fused; name the slowest sensor first"
     return told
-
-
-def _agree(one: Alignment, other: Alignment, time: float) -> bool:
-    angle = (one.placed.turn * other.placed.turn.inv()).magnitude()
-    shift = np.linalg.norm(one.placed.shift - other.placed.shift)
-    now = np.asarray(time)
-    apart = abs(float(one.clock.at(now) - other.clock.at(now)))
-    return bool(apart < _LAG and angle < _ANGLE and shift < _SHIFT)
-
-
-def _offset(stream: Stream) -> float:
-    """Return our clock less a sensor's, and the least that frames take to come [s]."""
-    return min(stream.offsets)

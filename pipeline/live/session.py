@@ -12,8 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from kinefilter.characters import (
     STANDARD_HEIGHT,
     InputError,
@@ -67,9 +65,7 @@ class Session:
         if (path := config.record) is not None:
             paths = [path]
             if count > 1:
-                stems = [
-                    f"{path.stem}.sensor{number}" for number in range(1, count + 1)
-                ]
+                stems = (f"{path.stem}.sensor{k}" for k in range(1, count + 1))
                 paths = [path.with_stem(stem) for stem in stems]
             self.recorders = [
                 Recorder(path, self._skeleton, self.tally) for path in paths
@@ -136,10 +132,10 @@ class Session:
             waits = bool(new)
         else:
             self.tally.count(Event.FRAMES)
-            new = [seen for seen in frame.bodies if seen.is_seen]
-            if self.sensors.streams[number].frames[-1] is not frame:
-                new = []  # late or repeated
-            waits = self._carry(self.sensors, self.sensors.streams[number], now)
+            stream = self.sensors.streams[number]
+            late = stream.frames[-1] is not frame  # or repeated
+            new = [] if late else [seen for seen in frame.bodies if seen.is_seen]
+            waits = self._carry(self.sensors, stream, now)
         for seen in new:
             if self.recorders:
                 self.recorders[number].add(frame.time, seen)
@@ -154,9 +150,9 @@ class Session:
             frame, person = stream.frames[-1], presence.person
             found = person and sensors.match(stream, frame, person)
             if found and stream.clock is not None:
-                seen = replace(found[0], id=presence.id, positions=found[1])
-                time = float(stream.clock.undone(np.asarray(frame.time)))
-                self.crowd.carry(replace(seen, carried=True), time, now)
+                seen, places = found
+                seen = replace(seen, id=presence.id, positions=places, carried=True)
+                self.crowd.take_in(seen, stream.clock.undone(frame.time), now)
                 waits = True
         return waits
 
@@ -226,7 +222,7 @@ class Session:
                 self.sensors.tell(time.perf_counter())
             for gone in self.crowd.drop_gone(time.perf_counter()):
                 for sink in self._sinks:
-                    sink.gone(gone.id, gone.slot)
+                    sink.gone(gone)
 
     async def _record(self) -> None:
         while True:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from kinefilter.characters import Skeleton
 
 from .background import meanwhile, write_out
+from .crowd import Presence
 from .endpoints import STANDARD, Access, Address, Datagrams, open_datagrams, open_server
 from .messages import LivePose, gone_line, pose_line, skeleton_line
 from .tally import Event, Tally
@@ -83,10 +84,9 @@ class Engine:
         for datagram in figure.bundles(live.pose, live.time - self._since):
             self._send(live.slot, datagram)
 
-    def gone(self, body: str, slot: int) -> None:
+    def gone(self, person: Presence) -> None:
         """Tell that a person is gone."""
-        del body
-        self._send(slot, absence())
+        self._send(person.slot, absence())
 
     async def flushed(self) -> None:
         """Wait for nobody: an engine may not even be there."""
@@ -110,10 +110,9 @@ class Broadcast:
         """Send a pose, without waiting for readers."""
         self.put(pose_line(live))
 
-    def gone(self, body: str, slot: int) -> None:
+    def gone(self, person: Presence) -> None:
         """Tell that a person is gone."""
-        del slot  # which VMC alone knows people by
-        self.put(gone_line(body))
+        self.put(gone_line(person.id))
 
     def put(self, line: str) -> None:
         """Give a line to all readers."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -11,6 +11,7 @@ from scipy.stats import theilslopes
 
 from kinefilter.characters.arrays import Array, Indices, chunks
 
+_Time = TypeVar("_Time", float, Array)
 FEWEST_WINDOWS = 5
 """Windows of some seconds that it takes to tell a drift."""
 
@@ -55,11 +56,11 @@ class Clock(NamedTuple):
     drift: float = 0.0
     """Seconds that the second clock gains in one of the first."""
 
-    def at(self, time: Array) -> Array:
+    def at(self, time: _Time) -> _Time:
         """Return the second recording's times for those of the first [s]."""
         return self.lag + (1.0 + self.drift) * (time - self.start)
 
-    def undone(self, time: Array) -> Array:
+    def undone(self, time: _Time) -> _Time:
         """Return the first recording's times for those of the second [s]."""
         return self.start + (time - self.lag) / (1.0 + self.drift)
 

@@ -39,17 +39,10 @@ the longest jump of a tracker that the bounded forces are still catching up with
 _FASTEST = 1e3  # rad/s or m/s: nothing on a body is ever that fast
 
 
-def substeps_in(dt: float) -> int:
-    """Return into how many simulation steps a frame of ``dt`` [s] is divided."""
-    return _updates_in(dt) * _substeps_per_update(dt)
-
-
-def _updates_in(dt: float) -> int:
-    return max(1, int(np.ceil(dt / UPDATE - 1e-3)))
-
-
-def _substeps_per_update(dt: float) -> int:
-    return max(1, int(np.ceil(dt / (_updates_in(dt) * SUBSTEP) - 1e-3)))
+def steps_in(dt: float) -> tuple[int, int]:
+    """Return how many updates are in a frame of ``dt`` [s], and steps in an update."""
+    updates = max(1, int(np.ceil(dt / UPDATE - 1e-3)))
+    return updates, max(1, int(np.ceil(dt / (updates * SUBSTEP) - 1e-3)))
 
 
 def _check_target(positions: Array, rotations: Array) -> None:
@@ -248,7 +241,7 @@ class PulledCharacter:
         forward = self._damping[:n] * velocity.ravel() + needed.ravel()
         if self._props.any():
             ctrl[self._grips] = float(self._holds() and not self.limp)
-        updates, substeps = _updates_in(dt), _substeps_per_update(dt)
+        updates, substeps = steps_in(dt)
         self.model.opt.timestep = dt / (updates * substeps)
         for k in range(updates):
             # Midway between the first and the last step of this update: the engine

@@ -83,19 +83,13 @@ def leveled(positions: Array, tilt: float, roll: float = 0.0) -> Array:
 
     First by the roll [rad] about z, from x to y, then by the tilt about x, from y to z.
     """
-    if roll != 0.0:
-        rolled = positions.copy()
-        x, y = positions[..., 0], positions[..., 1]
-        rolled[..., 0] = np.cos(roll) * x - np.sin(roll) * y
-        rolled[..., 1] = np.sin(roll) * x + np.cos(roll) * y
-        positions = rolled
-    if tilt == 0.0:
-        return positions
-    turned = positions.copy()
-    y, z = positions[..., 1], positions[..., 2]
-    turned[..., 1] = np.cos(tilt) * y - np.sin(tilt) * z
-    turned[..., 2] = np.sin(tilt) * y + np.cos(tilt) * z
-    return turned
+    for angle, a, b in ((roll, 0, 1), (tilt, 1, 2)):
+        if angle != 0.0:
+            one, other = positions[..., a], positions[..., b]
+            positions = positions.copy()
+            positions[..., a] = np.cos(angle) * one - np.sin(angle) * other
+            positions[..., b] = np.sin(angle) * one + np.cos(angle) * other
+    return positions
 
 
 def to_world(positions: Array, tilt: float, floor: float, roll: float = 0.0) -> Array:

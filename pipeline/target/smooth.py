@@ -44,11 +44,12 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
         cutoff: Frequency [Hz] at which half of the amplitude of a fully trusted value
             is left; confidence w moves it by a factor of w^(1/6).
     """
-    grid, length = _grid(time)
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    if len(time) <= _ORDER or cutoff >= 0.5 / step:
+    if len(time) <= _ORDER:
         return values.copy()
-    stiffness = np.full(length - _ORDER, _stiffness(cutoff, step))
+    grid, step = _grid(time), float(np.median(np.diff(time)))
+    if cutoff >= 0.5 / step:
+        return values.copy()
+    stiffness = np.full(grid[-1] + 1 - _ORDER, _stiffness(cutoff, step))
     smoothed = np.empty_like(values)
     for j in range(values.shape[1]):
         found = _solve(stiffness, grid, values[:, j], weights[:, j])
@@ -73,11 +74,10 @@ def smooth_by_speed(
         weights: Confidence in each joint, in [0, 1], over 0, shape (T, J).
         cutoff: The highest frequency [Hz] that is kept, where a joint is fast.
     """
-    grid, length = _grid(time)
     if len(time) <= _ORDER:
         return values.copy()
-    step = float(np.median(np.diff(time)))
-    highest = np.full(length - _ORDER, min(cutoff, _NYQUIST / step))
+    grid, step = _grid(time), float(np.median(np.diff(time)))
+    highest = np.full(grid[-1] + 1 - _ORDER, min(cutoff, _NYQUIST / step))
     smoothed = np.empty_like(values)
     for j in range(values.shape[1]):
         smoothed[:, j] = _by_speed(step, highest, grid, values[:, j], weights[:, j])
@@ -118,12 +118,11 @@ def _root_mean_square(vectors: Array, frames: float) -> Array:
     return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
 
-def _grid(time: Array) -> tuple[Indices, int]:
-    """Return the place of every frame among evenly spaced ones, and their number."""
-    if len(time) < 2:
-        return np.zeros(len(time), dtype=np.intp), len(time)
-    grid = np.concatenate([[0], np.cumsum(_frames(np.diff(time)))])
-    return grid, int(grid[-1]) + 1
+def _grid(time: Array) -> Indices:
+    """Return the place of every frame among evenly spaced ones, at least one apart."""
+    steps = np.diff(time)
+    frames = np.clip(np.round(steps / np.median(steps)), 1, _LONGEST_GAP)
+    return np.concatenate([[0], np.cumsum(frames.astype(np.intp))])
 
 
 def _stiffness(cutoff: Any, step: float) -> Any:
@@ -142,12 +141,6 @@ def _solve(stiffness: Array, grid: Indices, values: Array, weights: Array) -> Ar
     right = np.zeros((length, values.shape[1]))
     right[grid] = weights[:, None] * values
     return np.asarray(solveh_banded(system, right, lower=True))
-
-
-def _frames(steps: Array) -> Indices:
-    """Return how many nominal frames each time step spans, at least one."""
-    frames = np.round(steps / np.median(steps))
-    return np.clip(frames, 1, _LONGEST_GAP).astype(np.intp)
 
 
 def penalty(stiffness: Array, difference: Sequence[float]) -> Array:
