@@ -13,10 +13,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame, find_yaw
 
@@ -42,7 +41,7 @@ class Sight(NamedTuple):
     """Joints [m] in the merged frame, NaN where missing, (J, 3)."""
     reliability: Array
     """Of each joint, in [0, 1], (J,)."""
-    state: NDArray[np.uint8]
+    state: Codes
     """Tracking states (State), (J,)."""
     sensor: Array
     """Where the sensor is [m], (3,)."""
@@ -53,7 +52,7 @@ class Fused(NamedTuple):
 
     positions: Array
     """Joints [m], NaN where no sensor has any, (J, 3)."""
-    state: NDArray[np.uint8]
+    state: Codes
     """The best state among the sensors that count, (J,)."""
     reliability: Array
     """Mean reliability of the sensors that count, in [0, 1], (J,)."""
@@ -73,14 +72,17 @@ class Fusion:
             [[joint.endswith(side) for joint in skeleton.joints] for side in SIDES]
         )
         self._side = left.astype(float) - right
-        self._shape = (sensors, len(skeleton))
-        self._offsets = np.zeros((*self._shape, 3))
-        self._known = np.zeros(self._shape)
+        unknown, joints = np.full(3, np.nan), len(skeleton)
+        nobody = np.tile(unknown, (joints, 1))
+        state = np.zeros(joints, dtype=np.uint8)
+        self._nothing = Sight(nobody, np.zeros(joints), state, unknown)
+        self._known = np.zeros((sensors, joints))
+        self._offsets = np.zeros((sensors, joints, 3))
         self.start()
 
     def start(self) -> None:
         """Forget all frames, but not where sensors misplace joints."""
-        self._weights = np.zeros(self._shape)
+        self._weights = np.zeros_like(self._known)
         self._sides.start()
         self._facing.start()
 
@@ -97,45 +99,33 @@ class Fusion:
             elapsed: Time since the frame before [s], (T,).
         """
         gathered = [self._gathered(sights) for sights in frames]
-        sides = self._sides.whole(
-            (seen, _sure(given, state)) for seen, given, state in gathered
-        )
-        for parts, exchanged in zip(gathered, sides, strict=True):
-            self._mirrored(*parts, exchanged)
+        sides = self._sides.whole((seen.positions, _sure(seen)) for seen in gathered)
+        for seen, exchanged in zip(gathered, sides, strict=True):
+            self._exchange(seen, exchanged)
         headings = self._facing.whole(
-            (find_yaw(seen, given, self._skeleton), self._angles(sights), float(since))
-            for sights, (seen, given, _), since in zip(
-                frames, gathered, elapsed, strict=True
-            )
+            (self._yaws(seen), self._angles(seen), float(since))
+            for seen, since in zip(gathered, elapsed, strict=True)
         )
         return sides, headings
 
-    def _mirrored(
-        self, seen: Array, given: Array, state: NDArray[np.uint8], exchanged: Flags
-    ) -> None:
+    def _gathered(self, sights: Sequence[Sight | None]) -> Sight:
+        """Return what all sensors see, arrays with a leading axis S."""
+        each = (self._nothing if sight is None else sight for sight in sights)
+        return Sight(*map(np.array, zip(*each, strict=True)))
+
+    def _exchange(self, seen: Sight, exchanged: Flags) -> None:
         """Exchange left and right of what some sensors see."""
-        for part in (seen, given, state):
+        for part in seen[:3]:
             part[exchanged] = part[exchanged][:, self._skeleton.mirror]
 
-    def _angles(self, sights: Sequence[Sight | None]) -> Array:
-        """Return where sensors are from the person [rad], NaN where unknown, (S,)."""
-        root = self._skeleton.root
-        there = [
-            np.full(3, np.nan) if one is None else one.sensor - one.positions[root]
-            for one in sights
-        ]
-        return np.array([np.arctan2(x, z) for x, _, z in there])
+    def _yaws(self, seen: Sight) -> Array:
+        """Return which way sensors see the person face [rad], NaN if unknown, (S,)."""
+        return find_yaw(seen.positions, seen.reliability, self._skeleton)
 
-    def _gathered(
-        self, sights: Sequence[Sight | None]
-    ) -> tuple[Array, Array, NDArray[np.uint8]]:
-        """Return joints, reliability and states of all sensors, (S, J, ...)."""
-        seen = np.full((*self._shape, 3), np.nan)
-        given, state = np.zeros(self._shape), np.zeros(self._shape, dtype=np.uint8)
-        for s, sight in enumerate(sights):
-            if sight is not None:
-                seen[s], given[s], state[s] = sight[:3]
-        return seen, given, state
+    def _angles(self, seen: Sight) -> Array:
+        """Return where sensors are from the person [rad], NaN where unknown, (S,)."""
+        x, _, z = (seen.sensor - seen.positions[:, self._skeleton.root]).T
+        return np.asarray(np.arctan2(x, z))
 
     def step(
         self,
@@ -153,14 +143,14 @@ class Fusion:
             heading: Which way the person faces [rad]; both by default as the frames so
                 far tell.
         """
-        seen, given, state = self._gathered(sights)
+        all_seen = self._gathered(sights)
         if exchanged is None:
-            exchanged, _ = self._sides.step(seen, _sure(given, state))
-        self._mirrored(seen, given, state, exchanged)
-        angles = self._angles(sights)
+            exchanged, _ = self._sides.step(all_seen.positions, _sure(all_seen))
+        self._exchange(all_seen, exchanged)
+        angles = self._angles(all_seen)
         if heading is None:
-            yaws = find_yaw(seen, given, self._skeleton)
-            heading, _ = self._facing.step(yaws, angles, elapsed)
+            heading, _ = self._facing.step(self._yaws(all_seen), angles, elapsed)
+        seen, given, state, _ = all_seen
         missing = np.isnan(seen[..., 0])
         most = np.where(state == State.INFERRED, _INFERRED, 1.0)
         reliability = np.where(missing, 0.0, np.clip(given, _LEAST, most))
@@ -200,6 +190,6 @@ class Fusion:
         self._offsets += share[..., None] * (away - self._offsets)
 
 
-def _sure(given: Array, state: NDArray[np.uint8]) -> Array:
+def _sure(seen: Sight) -> Array:
     """Return how much joints tell of the sides, (S, J)."""
-    return np.where(state == State.TRACKED, given, 0.0) + _LEAST
+    return np.where(seen.state == State.TRACKED, seen.reliability, 0.0) + _LEAST
