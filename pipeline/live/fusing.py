@@ -15,7 +15,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
-from kinefilter.pipeline.merge import Corrected, Fused, Fusion, Sight
+from kinefilter.pipeline.merge import Corrected, Fusion, Sight
 from kinefilter.pipeline.merge.alignment import HERE
 from kinefilter.pipeline.merge.rigid import Placement
 
@@ -60,36 +60,34 @@ class FusedPerson(Person):
         if self._avatar is None or not (self._sensors.joined or self._views):
             return super().step(seen, time)
         if not self._views:
-            self._begin(self._avatar.body)
+            body, streams = self._avatar.body, self._sensors.streams
+            self._views = [_View(body, self._given.copied()) for _ in streams]
+            # Raw joints settle the sides, corrected ones are followed.
+            self._fusions = [Fusion(body.skeleton, len(streams)) for _ in range(2)]
         before, self._last = self._last, time
         elapsed = 1.0 / 30.0 if before is None else min(time - before, _LONGEST_STEP)
         moments = self._moments(seen, time)
-        fused, settled = list[Fused](), np.zeros(len(moments), dtype=np.bool_)
-        for fusion, corrected in zip(self._fusions, (False, True), strict=True):
-            sights = [
-                None if moment is None else view.sight(*moment, corrected=corrected)
-                for view, moment in zip(self._views, moments, strict=True)
-            ]
-            exchanged = settled if corrected else None
-            fused.append(fusion.step(sights, elapsed, exchanged))
-            for view, mirrored in zip(self._views, fused[0].exchanged, strict=True):
-                view.correct(exchanged=bool(mirrored))
+        each = list(zip(self._views, moments, strict=True))
+        sights = [
+            moment and view.sight(*moment, corrected=False) for view, moment in each
+        ]
+        raw = self._fusions[0].step(sights, elapsed)
+        for view, exchanged in zip(self._views, raw.exchanged, strict=True):
+            view.correct(exchanged=bool(exchanged))
+        sights = [
+            moment and view.sight(*moment, corrected=True) for view, moment in each
+        ]
+        settled = np.zeros_like(raw.exchanged)
+        self._given.places = self._fusions[1].step(sights, elapsed, settled).positions
         if sum(sight is not None for sight in sights) > 1:
             self._sensors.tally.count(Event.FUSED)
-        self._given.places = fused[1].positions
-        return self._avatar.step(fused[0].positions, time, fused[0].state)
+        return self._avatar.step(raw.positions, time, raw.state)
 
     def _follow(self, body: Body) -> Avatar:
         avatar = super()._follow(body)
         avatar.cleaner = avatar.cleaner.replaced(self._given)
         avatar.start()
         return avatar
-
-    def _begin(self, body: Body) -> None:
-        streams = self._sensors.streams
-        self._views = [_View(body, self._given.copied()) for _ in streams]
-        # Raw joints settle the sides, corrected ones are followed.
-        self._fusions = [Fusion(body.skeleton, len(streams)) for _ in range(2)]
 
     def _moments(
         self, seen: SeenBody, time: float

@@ -63,8 +63,8 @@ class Stream:
         self.note = ""
 
     def arrive(self, frame: Frame, now: float) -> bool:
-        """Keep a frame that came now [s]; return whether the sensor's clock jumped."""
-        jumped, seen = False, any(body.is_seen for body in frame.bodies)
+        """Keep who is in a frame that came now [s]; return whether its clock jumped."""
+        jumped = False
         if self.frames:
             step = frame.time - self.frames[-1].time
             if -_RESTARTED <= step <= 0.0:
@@ -73,8 +73,9 @@ class Stream:
         if jumped:
             self.frames.clear()
             self.offsets.clear()
-        self.heard, self.seen = now, now if seen else self.seen
-        self.frames.append(frame)
+        bodies = tuple(body for body in frame.bodies if body.is_seen)
+        self.heard, self.seen = now, now if bodies else self.seen
+        self.frames.append(Frame(frame.time, bodies))
         self.offsets.append(now - frame.time)
         while self.frames[0].time < frame.time - _KEPT:
             self.frames.popleft()
@@ -91,8 +92,7 @@ class Stream:
         rows = defaultdict(list)
         for frame in self.frames:
             for seen in frame.bodies:
-                if seen.is_seen:
-                    rows[seen.id].append((frame.time, seen))
+                rows[seen.id].append((frame.time, seen))
         takes = tuple(
             Take(*stacked(body), skeleton, self.name)
             for body in rows.values()
@@ -110,13 +110,8 @@ class Sensors:
     """The streams of a session, of which one leads.
 
     Poses are at its frames, in its frame. It is the first one, unless that shows nobody
-    for 2 s and another one does.
-
-    Args:
-        skeleton: The joints.
-        count: How many sensors there are.
-        calibration: Where all but the first are, if that is known.
-        tally: Where it is told how they are.
+    for 2 s and another one does. A calibration says where all but the first are; the
+    tally is told how they are.
     """
 
     def __init__(
@@ -175,8 +170,6 @@ class Sensors:
         others = [p.place for p in self.followed if p is not person]
         best, least = None, _SAME
         for seen in frame.bodies:
-            if not seen.is_seen:
-                continue
             positions = stream.placed.apply(seen.positions)
             place = np.nanmean(positions, axis=0)
             away = float(np.linalg.norm(place - person.place))

@@ -133,8 +133,8 @@ class Session:
         else:
             self.tally.count(Event.FRAMES)
             stream = self.sensors.streams[number]
-            late = stream.frames[-1] is not frame  # or repeated
-            new = [] if late else [seen for seen in frame.bodies if seen.is_seen]
+            kept = stream.heard == now  # neither late nor repeated
+            new = list(stream.frames[-1].bodies) if kept else []
             waits = self._carry(self.sensors, stream, now)
         for seen in new:
             if self.recorders:

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.formats import atomic_path
+from kinefilter.characters.arrays import as_numbers
+from kinefilter.pipeline.formats.files import new_text
 
 from .alignment import Alignment
 from .lag import Clock
@@ -20,8 +21,9 @@ if TYPE_CHECKING:
     from .session import Merged
 
 _KIND = "kinefilter calibration"
+_UNREADABLE = (InputError, LookupError, TypeError, ValueError, RecursionError)
+_SHAPES = {"turn_xyzw": (4,), "shift_meters": (3,), "lag_seconds": ()}
 _FARTHEST = 100.0  # m from one sensor to another
-_UNREADABLE = (ArithmeticError, LookupError, TypeError, ValueError, RecursionError)
 
 
 def write_calibration(merged: Merged, path: Path) -> None:
@@ -36,9 +38,8 @@ def write_calibration(merged: Merged, path: Path) -> None:
                 "shift_meters": found.placed.shift.tolist(),
             }
         )
-    with atomic_path(path) as temporary:
-        text = json.dumps({"file": _KIND, "sensors": sensors}, indent=2) + "\n"
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+    with new_text(path) as file:
+        file.write(json.dumps({"file": _KIND, "sensors": sensors}, indent=2) + "\n")
 
 
 def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
@@ -51,22 +52,15 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
             raise ValueError(f"not a {_KIND}")
         alignments = []
         for sensor in found["sensors"][1:]:
-            turn, shift = (
-                np.array(sensor[key], dtype=float)
-                for key in ("turn_xyzw", "shift_meters")
+            turn, shift, lag = (
+                as_numbers(sensor[key], key, shape, finite=True).astype(float)
+                for key, shape in _SHAPES.items()
             )
-            lag = float(sensor["lag_seconds"])
-            if (
-                turn.shape != (4,)
-                or shift.shape != (3,)
-                or not np.isfinite([*turn, *shift, lag]).all()
-            ):
-                raise ValueError("numbers are missing")
             if np.abs(shift).max() > _FARTHEST:
                 raise ValueError(f"a sensor more than {_FARTHEST:g} m away")
             placed = Placement(Rotation.from_quat(turn), shift)
             alignments.append(
-                Alignment(Clock(0.0, lag), placed, np.nan, np.inf, np.inf)
+                Alignment(Clock(0.0, float(lag)), placed, np.nan, np.inf, np.inf)
             )
     except (OSError, *_UNREADABLE) as error:
         raise InputError(

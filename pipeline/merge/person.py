@@ -49,15 +49,9 @@ def find_person(
     body: int | None,
     calibration: Sequence[Alignment],
 ) -> Person:
-    """Return a person of the first recording as all sensors saw them.
+    """Return a person of the first recording as all sensors saw them; see ``merge``.
 
-    Args:
-        recordings: One of each sensor.
-        body: Which person of the first, from 1; by default the main one.
-        calibration: Where and when the other sensors are, or nothing.
-
-    Raises:
-        InputError: There is no such person, or the recordings do not belong together.
+    Raises InputError if there is no such person, or they do not belong together.
     """
     chosen = recordings[0].take(body)
     several = any(len(recording.takes) > 1 for recording in recordings)

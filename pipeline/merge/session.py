@@ -148,13 +148,9 @@ def fuse(
     alignments: Sequence[Alignment],
     progress: Progress = silent,
 ) -> Merged:
-    """Return the take that several make, of which it is known when and where they are.
+    """Return the take that several make, whose reliability is (T, J) each.
 
-    Args:
-        takes: One of each sensor.
-        scores: Their reliability, (T, J) each.
-        alignments: Of the second take, the third and so on.
-        progress: Wraps the loop over frames, for a progress bar.
+    The alignments are of the second take, the third and so on.
     """
     skeleton = max((take.skeleton for take in takes), key=len)
     each = list(zip(takes, scores, (HERE, *alignments), strict=True))

@@ -70,12 +70,9 @@ class Things:
         return tuple(self._prop(body, place) for body in self._geoms)
 
     def _prop(self, body: int, place: HeadingFrame) -> Prop:
+        poses = np.append(self._data.xpos[body], self._data.xquat[body])[None]
         if body in self._moving:
             poses = self._poses[:, self._moving.index(body)]
-        else:
-            poses = np.concatenate([self._data.xpos[body], self._data.xquat[body]])[
-                None
-            ]
         return Prop(
             self._model.body(body).name or f"body{body}",
             tuple(self._shape(geom) for geom in self._geoms[body]),

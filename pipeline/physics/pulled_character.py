@@ -88,10 +88,8 @@ class PulledCharacter:
         n = len(joints)
         self._sites = np.array([self.model.site(name).id for name in joints])
         self._bodies = np.array([self.model.body(name).id for name in joints])
-        self._segments = body.skeleton.segments
-        self._parents = body.skeleton.segment_parents
         self._balls = np.array(
-            [self.model.joint(joints[j]).qposadr[0] for j in self._segments]
+            [self.model.joint(joints[j]).qposadr[0] for j in body.skeleton.segments]
         )
         # The character's actuators come first: forces, then torques, of which the first
         # three are the root's, then one a segment.
@@ -321,12 +319,10 @@ class PulledCharacter:
         return self._limbs.step(there, self._target, dt)
 
     def _place(self, positions: Array, rotations: Array) -> None:
-        root = self.body.skeleton.root
-        qpos = self.data.qpos
-        qpos[:3], qpos[3:7] = positions[root], rotations[root]
-        relative = multiply(
-            inverse(rotations[self._parents]), rotations[self._segments]
-        )
+        bones, qpos = self.body.skeleton, self.data.qpos
+        qpos[:3], qpos[3:7] = positions[bones.root], rotations[bones.root]
+        above = inverse(rotations[bones.segment_parents])
+        relative = multiply(above, rotations[bones.segments])
         qpos[self._balls[:, None] + np.arange(4)] = relative
         self.data.qvel[:] = 0.0
         self.data.mocap_quat[self._mocap] = rotations

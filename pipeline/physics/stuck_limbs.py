@@ -22,11 +22,7 @@ _LIMB = 0.15  # m: shorter segments, such as thumbs, come back by themselves
 
 
 class StuckLimbs:
-    """Notices limbs that stay turned far away from their targets.
-
-    Args:
-        body: Whose limbs they are.
-    """
+    """Notices limbs of a body that stay turned far away from their targets."""
 
     def __init__(self, body: Body) -> None:
         long = body.lengths[body.skeleton.segments] > _LIMB

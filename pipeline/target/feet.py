@@ -66,8 +66,12 @@ def find_stance(
     ankles, _ = ankles_and_toes(skeleton)
     weights = np.maximum(confidence[:, ankles], _LEAST_WEIGHT)
     paths = smooth(time, positions[:, ankles], weights, cutoff=_CUTOFF)
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0 / _RATE
-    stands = _most_probable(_RATE * step * _log_odds(time, paths))
+    speed, step, height = np.zeros(paths.shape[:2]), 1.0 / _RATE, paths[..., 1]
+    if len(time) > 1:
+        speed = np.linalg.norm(np.gradient(paths, time, axis=0), axis=2)
+        step = float(np.median(np.diff(time)))
+    above = height - np.percentile(height, _STANDING) - _ERROR_OF_HEIGHT
+    stands = _most_probable(_RATE * step * _odds(speed, height, above))
     for foot in range(2):
         for stance in runs(stands[:, foot]):
             _split(time, paths[:, foot][:, [0, 2]], stands[:, foot], stance)
@@ -79,18 +83,8 @@ def feet_of(contacts: Flags) -> Flags:
     return np.asarray(contacts.reshape(-1, 2, 2).any(axis=2))
 
 
-def _log_odds(time: Array, paths: Array) -> Array:
-    """Return the log odds of standing from the ankles' paths, shape (T, 2)."""
-    speed = np.zeros(paths.shape[:2])
-    if len(time) > 1:
-        velocity = np.gradient(paths, time, axis=0)
-        speed = np.linalg.norm(velocity, axis=2)
-    height = paths[..., 1]
-    above = height - np.percentile(height, _STANDING) - _ERROR_OF_HEIGHT
-    return _odds(speed, height, above)
-
-
 def _odds(speed: Array, height: Array, above: Array) -> Array:
+    """Return the log odds of standing, shape (..., 2)."""
     lift = np.clip(height - height[..., ::-1], _LOWER, _HIGHER)
     above = np.clip(above, 0.0, _HIGHER)
     speed = np.minimum(speed, 1.0)

@@ -114,11 +114,8 @@ class Level(Stage):
                 for part in draft.parts
             ]
         )
-        draft.tilt = (
-            sensor_tilt(draft.positions, draft.confidence, draft.stands, draft.body)
-            if self._tilt is None
-            else self._tilt
-        )
+        feet = draft.positions, draft.confidence, draft.stands, draft.body
+        draft.tilt = sensor_tilt(*feet) if self._tilt is None else self._tilt
         draft.positions = leveled(draft.positions, draft.tilt)
 
 
@@ -196,11 +193,8 @@ class Floor(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Find the floor under the feet of a take, unless it is known."""
-        draft.floor = (
-            floor_height(draft.positions, draft.confidence, draft.stands, draft.body)
-            if self._given is None
-            else self._given
-        )
+        feet = draft.positions, draft.confidence, draft.stands, draft.body
+        draft.floor = floor_height(*feet) if self._given is None else self._given
         draft.positions = draft.positions - [0.0, draft.floor, 0.0]
 
 
