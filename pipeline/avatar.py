@@ -64,7 +64,7 @@ class Avatar:
         tracking: Tracking | None = None,
         corrector: Corrector | None = None,
     ) -> None:
-        self.body, self.floor = body, floor
+        self.body = body
         room = str(scene) if isinstance(scene, Path) else scene
         config = CleanConfig(scene=room, floor="auto" if floor is None else floor)
         self.cleaner = Cleaner(config, tracking=tracking, corrector=corrector)

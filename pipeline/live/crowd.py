@@ -178,7 +178,6 @@ class Crowd:
 
         Returns the bodies whose frame is new and in order, for a recording.
         """
-        self._tally.count(Event.FRAMES)
         return [seen for seen in frame.bodies if self.take_in(seen, frame.time, now)]
 
     def unseen(self, now: float) -> list[Presence]:

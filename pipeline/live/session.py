@@ -127,11 +127,11 @@ class Session:
             self.tally.malformed[error.reason] += 1
             return
         now = time.perf_counter()
+        self.tally.count(Event.FRAMES)
         if self.sensors is None or self.sensors.arrive(number, frame, now):
             new = self.crowd.arrive(frame, now)
             waits = bool(new)
         else:
-            self.tally.count(Event.FRAMES)
             stream = self.sensors.streams[number]
             kept = stream.heard == now  # neither late nor repeated
             new = list(stream.frames[-1].bodies) if kept else []

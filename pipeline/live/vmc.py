@@ -66,7 +66,14 @@ class VmcFigure:
         self._shares = np.linspace(0.0, 1.0, len(self._spine))
         chest = skeleton.girdle
         self._trunk = (skeleton.parents[chest], chest)
-        self._over_hips = self._rest_over_hips()
+        # The hips bone over the middle of the thighs [m], which turns with it, and by
+        # how much VRM's ankles are higher over flat soles than ours [m].
+        places, joint = rest.positions, self.rig.joint
+        thighs = [joint(f"{side} thigh") for side in SIDES]
+        feet = [joint(f"{side} foot") for side in SIDES]
+        self._over = places[joint("pelvis")] - places[thighs].mean(axis=0)
+        ours = body.rest_positions[skeleton.sides("Ankle"), 1].mean()
+        self._higher = [0.0, places[feet, 1].mean() - self.rig.floor - ours, 0.0]
         changes = (np.nan,) * len(_AT_ORIGIN)
         self._bundles = _bundles(
             [
@@ -76,21 +83,6 @@ class VmcFigure:
                 *(_message("/VMC/Ext/Bone/Pos", n, *changes) for n in self._names),
             ]
         )
-
-    def _rest_over_hips(self) -> tuple[Array, Array]:
-        """Return what takes our hips to VRM's.
-
-        The hips bone over the middle of the thighs [m], which turns with it, and by how
-        much VRM's ankles are higher over flat soles than ours [m].
-        """
-        rest, rig, skeleton = self.rig.rest.positions, self.rig, self.body.skeleton
-        thighs = [rig.joint(f"{side} thigh") for side in SIDES]
-        feet = [rig.joint(f"{side} foot") for side in SIDES]
-        ankles = skeleton.sides("Ankle")
-        ours = self.body.rest_positions[ankles, 1].mean()
-        higher = rest[feet, 1].mean() - rig.floor - ours
-        over = rest[rig.joint("pelvis")] - rest[thighs].mean(axis=0)
-        return over, np.array([0.0, higher, 0.0])
 
     def bones(self, pose: Pose) -> dict[str, tuple[Array, Array]]:
         """Return where each bone is relative to its parent, in Unity's axes.
@@ -103,9 +95,8 @@ class VmcFigure:
         turns = multiply(segments, self._rest_turns)
         above = np.where(self._root[:, None], IDENTITY, turns[self._parents])
         local = self._local.copy()
-        over, higher = self._over_hips
-        hips = pose.positions[self.body.skeleton.hips].mean(axis=0) + higher
-        local[self._root] = hips + rotate(turns[self._root], over)
+        hips = pose.positions[self.body.skeleton.hips].mean(axis=0) + self._higher
+        local[self._root] = hips + rotate(turns[self._root], self._over)
         places = local * _MIRRORED
         rotations = multiply(inverse(above), turns) * _TURNED
         return dict(zip(self._names, zip(places, rotations, strict=True), strict=True))

@@ -300,14 +300,13 @@ def _lift(time: Array, toe: Array, sole: float, stands: Flags) -> Array:
     needed = np.where(np.maximum(*fast) > _SLIDE_SPEED, _CLEARANCE, 0.0)
     needed[stands] = 0.0
     # Up and down at an even speed, which needs frames before and after.
-    slope = _CLEARANCE / _LIFT_TIME
+    slopes = _CLEARANCE / _LIFT_TIME * steps
     edge = np.where(stands, 0.0, np.inf)
-    for k in range(1, len(time)):
-        edge[k] = min(edge[k], edge[k - 1] + slope * steps[k - 1])
-        needed[k] = max(needed[k], needed[k - 1] - slope * steps[k - 1])
-    for k in range(len(time) - 2, -1, -1):
-        edge[k] = min(edge[k], edge[k + 1] + slope * steps[k])
-        needed[k] = max(needed[k], needed[k + 1] - slope * steps[k])
+    for way in (1, -1):
+        low, high, slope = edge[::way], needed[::way], slopes[::way]
+        for k in range(1, len(time)):
+            low[k] = min(low[k], low[k - 1] + slope[k - 1])
+            high[k] = max(high[k], high[k - 1] - slope[k - 1])
     needed = np.minimum(needed, edge)
     lift = np.maximum(needed - (toe[:, 1] - sole), 0.0)
     lift[stands] = 0.0
