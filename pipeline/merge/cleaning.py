@@ -67,10 +67,9 @@ def clean_session(
         sure = (_SURE / uncertainty(draft)) ** 2
         scores.append(draft.reliability * sure * np.exp(-np.nan_to_num(moved) / _MOVED))
     fused = fuse(corrected, scores, merged.alignments, progress)
-    cleaner = Cleaner(config, tracking=tracking)
-    cleaner = cleaner.replaced(Corrected(config, fused.take.positions))
     # A person who turns away from one sensor is no failure of all.
-    cleaner = _without_failures(cleaner)
+    cleaner = _without_failures(Cleaner(config, tracking=tracking))
+    cleaner = cleaner.replaced(Corrected(config, fused.take.positions))
     return cleaner.clean(merged.take, progress=progress), merged
 
 

@@ -40,8 +40,6 @@ class Merged:
     """Of the second sensor, the third and so on."""
     takes: tuple[Take, ...]
     """Each sensor's take of the person, with gross failures mended."""
-    scores: tuple[Array, ...]
-    """The reliability of those, (T, J) each."""
     notes: tuple[str, ...] = ()
     """What users should know about who is who."""
 
@@ -179,7 +177,6 @@ def fuse(
         tuple(np.array([sight.positions for sight in column]) for column in columns),
         tuple(alignments),
         tuple(takes),
-        tuple(scores),
     )
 
 
