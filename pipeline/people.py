@@ -20,9 +20,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array, Indices, runs
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
-from kinefilter.retarget.runs import runs
 
 # Chosen on simulated people of seeds 40 to 55 and on p00 to p08 of two-kinects.
 _LOST = 0.25  # s without a body, from which on it may be somebody else
