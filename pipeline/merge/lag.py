@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 from scipy.signal import fftconvolve
 from scipy.stats import theilslopes
 
@@ -29,7 +29,9 @@ class Track:
         flat = positions[first].reshape(len(first), -1)
         self._known = ~np.isnan(flat)
         self._steady = np.diff(self.time) < _LONGEST_GAP
-        self._spline = CubicSpline(self.time, bridged(self.time, flat))
+        self._spline = make_interp_spline(
+            self.time, bridged(self.time, flat), k=min(3, len(self.time) - 1)
+        )
         self._shape = positions.shape[1:]
 
     def at(self, times: Array) -> Array:
@@ -116,11 +118,11 @@ def drifting(clock: Clock, rows: Array) -> Clock | None:
     """Return a clock with the drift that lags tell, None where they surely tell none.
 
     Theil and Sen's line through rows (N, 2) of seconds from the clock's start and the
-    lag [s] then.
+    lag [s] of the clock that would be right then.
     """
     if len(rows) < FEWEST_WINDOWS:
         return None
     slope, lag, low, high = theilslopes(rows[:, 1], rows[:, 0], _CONFIDENCE)
     if low <= 0.0 <= high:
         return None
-    return clock._replace(lag=float(lag), drift=float(slope))
+    return clock._replace(lag=float(lag), drift=clock.drift + float(slope))
