@@ -28,10 +28,16 @@ def long_gaps(time: Array) -> list[tuple[float, float]]:
     return [(float(time[a.stop - 1]), float(time[b.start])) for a, b in pairs]
 
 
-def told_gaps(gaps: Sequence[tuple[float, float]], then: str = "") -> list[str]:
-    """Return what users read about long gaps, the first few, and what ``then`` is."""
+def told_gaps(
+    gaps: Sequence[tuple[float, float]], begin: float, then: str = ""
+) -> list[str]:
+    """Return what users read about long gaps, the first few, and what ``then`` is.
+
+    Times are since ``begin``, the time stamp of the first frame [s].
+    """
     lines = [
-        f"no frames from {start:.1f} to {end:.1f} s ({end - start:.4g} s){then}"
+        f"no frames from {start - begin:.1f} to {end - begin:.1f} s "
+        f"({end - start:.4g} s){then}"
         for start, end in gaps[:_TOLD]
     ]
     more = len(gaps) - len(lines)

@@ -73,8 +73,9 @@ class CleanResult:
     @property
     def damage(self) -> tuple[str, ...]:
         """What was wrong with the take, when, and what was done: a sentence each."""
-        gaps = told_gaps(long_gaps(self.clip.time))
-        return (*gaps, *told_failures(self.failures))
+        time = self.clip.time
+        gaps = told_gaps(long_gaps(time), time[0])
+        return (*gaps, *told_failures(self.failures, time[0]))
 
     @property
     def share_outside(self) -> float:
@@ -233,8 +234,8 @@ class Cleaner:
         check_take(take)
         if self._gaps == "refuse" and (gaps := long_gaps(take.time)):
             raise InputError(
-                f"{take.source}: {told_gaps(gaps)[0]}; clean it with --gaps hold or "
-                "split, or cut it there"
+                f"{take.source}: {told_gaps(gaps, take.time[0])[0]}; clean it with "
+                "--gaps hold or split, or cut it there"
             )
         distinct = np.concatenate([[True], np.diff(take.time) > 0])
         # Which distinct frame each of the take's shows; a slice copies nothing.
@@ -289,7 +290,10 @@ class Cleaner:
             draft.coverage[frames],
             draft.trace,
             tuple(failures),
-            (*told_gaps(long_gaps(take.time), f": {becomes}"), *_notes(draft)),
+            (
+                *told_gaps(long_gaps(take.time), take.time[0], f": {becomes}"),
+                *_notes(draft),
+            ),
             tuple(map(clip.at, parts_of(clip.time))) if split else (clip,),
         )
 

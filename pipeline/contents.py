@@ -271,7 +271,7 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
         if key not in _SHOWN_APART
     ]
     gaps = [(gap["start_s"], gap["end_s"]) for gap in facts.get("gaps", ())]
-    lines += [f"  {told}" for told in told_gaps(gaps)]
+    lines += [f"  {told}" for told in told_gaps(gaps, facts.get("start_s", 0.0))]
     if "states" in facts:
         names = [state.name.lower().replace("_", " ") for state in State]
         table = Table("part", *names, title="tracking states", title_justify="left")

@@ -89,6 +89,7 @@ def as_tables(result: CleanResult) -> RenderableType:
         share = f"{result.share_outside:.0%}"
         lines.append(f"postures that the method knows too little: {share}")
     lines += [
-        f"tracker failure: {sentence}" for sentence in told_failures(result.failures)
+        f"tracker failure: {sentence}"
+        for sentence in told_failures(result.failures, clip.time[0])
     ]
     return Group(head, stages, joints, *lines, *result.notes)

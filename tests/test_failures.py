@@ -19,6 +19,7 @@ from kinefilter.pipeline.failures import (
     distrust,
     find_displaced,
     find_failures,
+    told_failures,
     unmirrored,
 )
 from kinefilter.pipeline.failures.limbs import trunk_axes
@@ -334,3 +335,9 @@ def test_a_limb_that_cleaning_moves_far_is_told() -> None:
     assert abs(found.last - 89) <= 8
     assert found.start == time[found.first]
     assert "left arm displaced by 9 cm or more from" in str(found)
+
+
+def test_failures_are_told_in_seconds_since_the_first_frame() -> None:
+    failure = Failure(FailureKind.LEAPING, "left arm", 30, 45, 101.0, 101.5)
+    (told,) = told_failures([failure], 100.0)
+    assert "(1.0 to 1.5 s)" in told

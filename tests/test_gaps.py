@@ -166,10 +166,13 @@ def test_things_stay_where_they_are_when_the_character_starts_again() -> None:
     assert not result.trace.reset.any()
 
 
-def test_the_gap_is_told(held: CleanResult, tmp_path: Path) -> None:
+def test_gaps_are_told_in_seconds_since_the_first_frame(
+    held: CleanResult, tmp_path: Path
+) -> None:
     note = next(note for note in held.notes if "no frames" in note)
     start, end = long_gaps(held.clip.time)[0]
-    words = f"no frames from {start:.1f} to {end:.1f} s (60 s)"
+    assert held.clip.time[0] == pytest.approx(1.0)
+    words = f"no frames from {start - 1.0:.1f} to {end - 1.0:.1f} s (60 s)"
     assert note == f"{words}: the character holds still"
     many = np.cumsum(np.tile([0.03, 0.03, 3.0], 40))
     crowd = replace(

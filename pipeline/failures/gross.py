@@ -97,14 +97,18 @@ class Failure:
         return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
 
 
-def told_failures(failures: Iterable[Failure]) -> tuple[str, ...]:
-    """Return a sentence for each kind of failure and part: when, and what is done."""
+def told_failures(failures: Iterable[Failure], begin: float) -> tuple[str, ...]:
+    """Return a sentence for each kind of failure and part: when, and what is done.
+
+    Times are since ``begin``, the time stamp of the first frame [s].
+    """
     alike: dict[tuple[str, FailureKind], list[Failure]] = {}
     for failure in failures:
         alike.setdefault((failure.part, failure.kind), []).append(failure)
     sentences = []
     for (part, kind), same in alike.items():
-        when = ", ".join(f"{f.start:.1f} to {f.end:.1f}" for f in same[:_TOLD])
+        times = [(f.start - begin, f.end - begin) for f in same[:_TOLD]]
+        when = ", ".join(f"{start:.1f} to {end:.1f}" for start, end in times)
         more = f" and {len(same) - _TOLD} times later" if len(same) > _TOLD else ""
         sentences.append(f"{part} {kind} ({when} s{more}): {kind.done}")
     return tuple(sentences)

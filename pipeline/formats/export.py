@@ -158,9 +158,10 @@ def even_frames(time: Array, fps: float, source: str) -> int:
     held = sum(end - start for start, end in gaps)
     if held > _LONGEST_HELD:
         raise InputError(
-            f"{source}: {told_gaps(gaps)[0]}; at {fps:g} frames a second, a character "
-            f"that holds still for {held:.4g} s in all would take {held * fps:.3g} "
-            f"frames, expected {_LONGEST_HELD:g} s at most; split it with --gaps split"
+            f"{source}: {told_gaps(gaps, time[0])[0]}; at {fps:g} frames a second, a "
+            f"character that holds still for {held:.4g} s in all would take "
+            f"{held * fps:.3g} frames, expected {_LONGEST_HELD:g} s at most; split it "
+            "with --gaps split"
         )
     if count > MOST_FRAMES:
         raise InputError(

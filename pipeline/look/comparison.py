@@ -129,7 +129,8 @@ def _damage(clip: Clip, raw: Array, distinct: Flags) -> tuple[str, ...]:
     mended = unmirrored(take, failures).positions
     yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
     late = find_displaced(time, mended, positions, yaw, skeleton)
-    return (*told_gaps(long_gaps(time)), *told_failures([*failures, *late]))
+    told = told_failures([*failures, *late], time[0])
+    return (*told_gaps(long_gaps(time), time[0]), *told)
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
