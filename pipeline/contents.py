@@ -31,12 +31,13 @@ from .database import PostureDatabase
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
 from .formats.files import check_file
-from .formats.glb_reader import read_glb
+from .formats.glb_reader import read_glb, read_glb_times
 from .formats.guarded import read_usd
 from .formats.mocap import RIGS, kinect_motion, read_mocap
 from .formats.npz import array_names, read_npz
 from .formats.plain import counted
 from .formats.recording import Mocap
+from .formats.rig import own_skeleton
 from .formats.sheets import claims_contacts, contact_table
 from .models import load_model
 from .pairs import read_pairs
@@ -77,7 +78,7 @@ def contents_of(
         found = json.loads(str(read_usd("contents_arrays", name)["json"]))
         contents = {"kind": "clip", "format": "usd"} | found
     elif start.startswith(b"glTF"):
-        contents = {"format": "glb"} | _of_clip(read_glb(path))
+        contents = _of_glb(path)
     elif packed:
         contents = _of_npz(name)
     elif file.name.lower().removesuffix(".gz").endswith((".amc", ".c3d", ".trc")):
@@ -87,6 +88,13 @@ def contents_of(
     else:
         contents = _of_recording(read_recording(path))
     return {"file": name} | contents
+
+
+def _of_glb(path: str | os.PathLike[str]) -> dict[str, Any]:
+    names, times = read_glb_times(path)
+    if own_skeleton(names) is not None:
+        return {"format": "glb"} | _of_clip(read_glb(path))
+    return {"kind": "clip", "format": "glb", "joints": len(names)} | _timing(times)
 
 
 def _of_npz(name: str) -> dict[str, Any]:

@@ -78,6 +78,14 @@ def measure_reference(take: Take) -> Reference:
     return Reference(best, _trunk_directions(take), found)
 
 
+def rest_reference(body: Body) -> Reference:
+    """Return the segment lengths of a body that is known already."""
+    joints = (2, len(body.skeleton))
+    still = np.broadcast_to(body.rest_positions, (*joints, 3)).copy()
+    state = np.full(joints, State.TRACKED, dtype=np.uint8)
+    return measure_reference(Take(np.array([0.0, 1.0]), still, state, body.skeleton))
+
+
 def measure_body(
     take: Take,
     reference: Reference | None = None,

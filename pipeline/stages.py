@@ -33,7 +33,7 @@ from .methods import SCORERS, load
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
-from .reliability import Reference, measure_body, measure_reference
+from .reliability import measure_body, measure_reference, rest_reference
 from .target.floor import place_of
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take is to fit a gigabyte
@@ -168,8 +168,7 @@ class Score(Stage):
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
-        reference = Reference(body.lengths, body.directions, True)
-        self._scorer = self._made(body.skeleton, reference)
+        self._scorer = self._made(body.skeleton, rest_reference(body))
 
     def step(self, draft: Draft) -> None:
         """Score the next frame."""

@@ -87,7 +87,7 @@ def as_tables(result: CleanResult) -> RenderableType:
     lines = [f"of all joints: {', '.join(shares)}"]
     if np.isfinite(result.share_outside):
         share = f"{result.share_outside:.0%}"
-        lines.append(f"postures that the method knows too little: {share}")
+        lines.append(f"postures that the method knows too little about: {share}")
     lines += [
         f"tracker failure: {sentence}"
         for sentence in told_failures(result.failures, clip.time[0])

@@ -16,12 +16,17 @@ import numpy as np
 import pytest
 from skeletons import every_skeleton
 
+from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector
-from kinefilter.pipeline.formats import Export, read_clip, write_clip
+from kinefilter.pipeline.contents import contents_of
+from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
 from kinefilter.pipeline.formats.clips import target_rig
+from kinefilter.pipeline.formats.glb import _keys
 from kinefilter.pipeline.formats.rig import retargeted_motion
 from kinefilter.pipeline.formats.usd_reader import read_usd_positions
+from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.pipeline.look.comparison import compare
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS
 
@@ -67,7 +72,8 @@ def test_it_gives_back_where_every_joint_came_from(
     clip = replace(clip, external_force=force, tilt=-0.1, floor=0.7)
     write_clip(clip, tmp_path / "clip.glb")
     found = read_clip(tmp_path / "clip.glb")
-    np.testing.assert_allclose(found.time, clip.time - clip.time[0], atol=1e-6)
+    np.testing.assert_allclose(found.time, clip.time, rtol=0, atol=1e-6)
+    assert (found.body.height, found.body.mass) == (clip.body.height, clip.body.mass)
     for name in ("origin", "deciding_term", "contacts", "state"):
         np.testing.assert_array_equal(getattr(found, name), getattr(clip, name))
     per_cent, millimeter = HALF * 0.01, HALF * 0.001
@@ -90,6 +96,29 @@ def test_it_gives_back_where_every_joint_came_from(
                 )
             assert read.kind == shape.kind
             np.testing.assert_array_equal(read.triangles, shape.triangles)
+
+
+def test_its_take_is_known_again(tmp_path: Path) -> None:
+    """Minutes from its beginning, which is not 0, and with repeated stamps."""
+    one = read_take(sample_path())
+    some = np.sort(np.r_[np.arange(60), np.arange(0, 60, 7)])
+    take = one.at(some)
+    late = np.where(some < 30, 100.0, 180.0)
+    take = replace(take, time=take.time + late)
+    clip = clean(take, CleanConfig(physics=False)).clip
+    for name in ("clip.glb", "clip.usdc"):
+        write_clip(clip, tmp_path / name)
+        shown = compare(read_clip(tmp_path / name), take)
+        np.testing.assert_allclose(shown.clip.time, take.time, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(shown.clip.positions, clip.positions, atol=1e-5)
+
+
+def test_keyframes_are_apart_in_single_precision(make_clip: MakeClip) -> None:
+    clip = make_clip(6, KINECT_V2, time=np.array([0, 1e-9, 0.1, 5e5, 5e5 + 1e-3, 6e5]))
+    rows, stamps, held = _keys(clip)
+    assert (np.diff(stamps.astype(np.float32)) > 0.0).all()
+    assert rows.tolist() == [1, 2, 2, 4, 4, 5]
+    assert held == [2, 4]
 
 
 @in_three
@@ -158,6 +187,15 @@ def test_vrma_moves_every_bone_as_the_vrm_rig_moves(
     )
 
 
+def test_info_says_what_is_in_those_of_rigs(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip = make_clip(4, KINECT_V2)
+    write_clip(clip, tmp_path / "clip.vrma")
+    found = contents_of(tmp_path / "clip.vrma")
+    assert (found["format"], found["joints"], found["frames"]) == ("glb", 22, 4)
+
+
 def test_others_are_refused_by_name(make_clip: MakeClip, tmp_path: Path) -> None:
     clip = make_clip(4, KINECT_V2)
     write_clip(clip, tmp_path / "rig.glb", Export(rig="vrm"))
@@ -166,9 +204,11 @@ def test_others_are_refused_by_name(make_clip: MakeClip, tmp_path: Path) -> None
     (tmp_path / "half.glb").write_bytes(data[: len(data) // 2])
     (tmp_path / "text.glb").write_text("HIERARCHY")
     for name, words in {
-        "rig.glb": "own skeleton",
+        "rig.glb": "another skeleton",
         "half.glb": "ends before its data",
         "text.glb": "text.glb: ",
     }.items():
         with pytest.raises(InputError, match=words):
             read_clip(tmp_path / name)
+    with pytest.raises(InputError, match=r"clip\.glb: is a clip.*give the take"):
+        read_take(tmp_path / "clip.glb")

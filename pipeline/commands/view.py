@@ -39,8 +39,8 @@ class View:
 
     motion: Annotated[Positional[tuple[Path, ...]], arg(metavar="TAKE...|CLIP")]
     """A take in any of the formats of --format, which is cleaned first, or one of each
-    of several sensors; or a clip, .npz or USD, which is shown as it is. With --take,
-    .bvh and .csv are clips too."""
+    of several sensors; or a clip, .npz, USD or GLB, which is shown as it is. With
+    --take, .bvh and .csv are clips too."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
@@ -180,7 +180,8 @@ class Render:
     """
 
     clips: Positional[tuple[Path, ...]]
-    """Clips: .npz, USD, .bvh or .csv; the last two hold no props and reliability."""
+    """Clips: .npz, USD, GLB, .bvh or .csv; the last two hold no props and
+    reliability."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """What to write: out.mp4, out.gif or frames/%05d.png; {clip} stands for a clip's
     name. Pictures that are there already are kept."""
@@ -226,7 +227,7 @@ class Report:
     """
 
     clip: Positional[Path]
-    """Clip: .npz, USD, .bvh or .csv."""
+    """Clip: .npz, USD, GLB, .bvh or .csv."""
     take: UseAppendAction[tuple[Path, ...]]
     """The take that the clip was made of; of several sensors each, in the order of
     clean."""

@@ -106,15 +106,14 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
 
 
 def read_clip(path: AnyPath) -> Clip:
-    """Read a clip from any file that write_clip writes; CSV and BVH may be gzipped.
+    """Read a clip from what write_clip writes, but VRMA; CSV and BVH may be gzipped.
 
     npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
-    states, the name of the take, stature and mass; its time starts at 0. So is GLB, in
-    whole per cent and millimeters. BVH holds
-    positions and rotations alone, CSV positions: the body is measured from them,
-    contacts and props are unknown, and every joint counts as reliable. Raises
-    InputError if the file is missing, damaged, of another kind or skeleton, or a raw
-    take.
+    states, the name of the take, stature and mass; its time starts at 0. GLB on it is
+    all but the name of the take, in whole per cent and millimeters. BVH holds positions
+    and rotations alone, CSV positions: the body is measured from them, contacts and
+    props are unknown, and every joint counts as reliable. Raises InputError if the file
+    is missing, damaged, of another kind or skeleton, or a raw take.
     """
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")
@@ -129,7 +128,7 @@ def read_clip(path: AnyPath) -> Clip:
         return _of_own_bvh(read_bvh(path), os.fspath(path)) or _posed(read_take(path))
     if name.endswith(".csv"):
         return _posed(read_take(path))
-    known = ", ".join(_EXTENSIONS)
+    known = ", ".join(suffix for suffix in _EXTENSIONS if suffix != ".vrma")
     raise InputError(f"{path}: not a clip by its extension; expected one of {known}")
 
 

@@ -77,10 +77,10 @@ class Export:
     fps: float | None = None
     """Frames a second of the clip, between the take's; default: the take's own frames,
     where they are, and in BVH the mean frame time, or with a long gap the take's rate.
-    Blender keeps its own rate when it imports USD: set it to the clip's."""
+    Blender keeps its own rate when it imports USD or GLB: set it to the clip's."""
     rest: Literal["own", "t"] = "own"
-    """Rest pose of USD and BVH: a T-pose with trunk, shoulders and hips as this person
-    has them, or a strict T, upright and square."""
+    """Rest pose of USD, GLB and BVH: a T-pose with trunk, shoulders and hips as this
+    person has them, or a strict T, upright and square."""
     rotation_order: RotationOrder = "zyx"
     """Order of BVH's angles: about the first axis, then the turned second, then the
     twice turned third."""
@@ -88,8 +88,8 @@ class Export:
     """USD layer with skeleton and mesh that the USD clip refers to; made if it is not
     there. Default: the clip holds both itself."""
     rig: str | None = None
-    """Skeleton of USD and BVH: mixamo, unreal, unity, vrm, smpl, or a map (.toml) such
-    as those in retarget/rigs; default: the sensor's joints. Skeleton and animation
+    """Skeleton of USD, GLB and BVH: mixamo, unreal, unity, vrm, smpl, or a map (.toml)
+    such as those in retarget/rigs; default: the sensor's joints. Skeleton and animation
     without skin and props: hands and feet at the same place relative to limb length,
     standing feet still; bones that no map names, such as fingers, keep their rest
     pose."""

@@ -1,10 +1,8 @@
 """GLB, the binary form of glTF 2.0: skeleton, skin, animation and props; VRMA.
 
 Axes and unit are glTF's own, which are the clip's: y up, facing +z, meters, seconds.
-What no viewer needs is in the animation's ``extras``, as whole numbers a row a frame:
-reliability in per cent, how far joints were moved and may be off in mm, the external
-force in per cent of the body's weight, contacts and codes. VRMA is GLB on VRM's
-skeleton that says which node is which bone (VRMC_vrm_animation 1.0).
+What no viewer needs is in the animation's ``extras`` (see CONVENTIONS.md). VRMA is GLB
+on VRM's skeleton that says which node is which bone (VRMC_vrm_animation 1.0).
 """
 
 from __future__ import annotations
@@ -40,9 +38,11 @@ UNITS = {
 }
 """How many of the whole numbers in ``extras`` are one in a clip's fields."""
 FRAMES = {**PER_FRAME, "state": "state", "externalForce": "external_force"}
-"""What ``extras`` have a row a key of, and the clip's fields."""
+"""What ``extras`` have a row of for each keyframe, and the clip's fields."""
 _POINTS, _CORNERS = 34962, 34963  # what a graphics card gets
 _VRMA = "VRMC_vrm_animation"
+_DECIMALS = 6  # of time stamps [s]
+_MOST = 2.0**31  # of whole numbers: more than anything is
 
 
 def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> None:
@@ -75,7 +75,7 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
         "inverseBindMatrices": glb.add(_inverse_binds(rig)),
     }
     animation = {
-        "name": clip.source,
+        "name": Path(path).stem,
         "samplers": glb.samplers,
         "channels": glb.channels,
         "extras": {"kinefilter": _provenance(clip, rows, held)},
@@ -108,10 +108,10 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
 
 
 class _Document:
-    """What a file has of each kind; everything names the others by their indices."""
+    """The lists of a glTF document; entries refer to each other by index."""
 
     def __init__(self, stamps: Array) -> None:
-        """Take the time of each key [s], from 0 on."""
+        """Take the time of each keyframe [s], from 0 on."""
         self.scene: list[int] = []
         self.nodes: list[dict[str, Any]] = []
         self.meshes: list[dict[str, Any]] = []
@@ -151,7 +151,7 @@ class _Document:
         return len(self.accessors) - 1
 
     def move(self, node: int, what: str, values: Array) -> None:
-        """Animate a node's translation [m] or rotation (xyzw), a row a key."""
+        """Animate a node's translation [m] or rotation (xyzw), a row a keyframe."""
         output = self.add(values.astype("<f4"))
         target = {"node": node, "path": what}
         self.channels.append({"sampler": len(self.samplers), "target": target})
@@ -171,7 +171,7 @@ def _add_prop(glb: _Document, prop: Prop, rows: Indices) -> None:
     here = len(glb.nodes)
     node = _placed(prop.name, prop.positions[0], prop.rotations[0])
     children = list(range(here + 1, here + 1 + len(prop.shapes)))
-    glb.nodes.append(node | {"children": children})
+    glb.nodes.append(node | ({"children": children} if children else {}))
     if prop.moves:
         glb.move(here, "translation", prop.positions[rows])
         glb.move(here, "rotation", _xyzw(continuous(prop.rotations[rows])))
@@ -188,13 +188,23 @@ def _add_prop(glb: _Document, prop: Prop, rows: Indices) -> None:
 
 
 def _keys(clip: Clip) -> tuple[Indices, Array, list[int]]:
-    """Return the frame of each key, its time [s], and which keys end a long gap."""
-    rows = np.flatnonzero(np.append(np.diff(clip.time) > 0.0, True))
-    stamps = clip.time[rows] - clip.time[0]
+    """Return each keyframe's frame, its time [s], and which ones end a long gap."""
+    stamps = key_times(clip.time.round(_DECIMALS))
+    rows = np.flatnonzero(np.append(np.diff(stamps) > 0.0, True))
+    stamps = stamps[rows]
     starts = np.array([part.start for part in parts_of(stamps)[1:]], dtype=int)
+    ends = np.asarray((stamps[starts] - 1.0 / clip.fps).astype(np.float32))
+    # Days from the beginning single precision leaves no room for one.
+    room = (stamps[starts - 1] < ends) & (ends < stamps[starts])
+    starts, ends = starts[room], ends[room]
     held = (starts + np.arange(len(starts))).tolist()
-    stamps = np.insert(stamps, starts, stamps[starts] - 1.0 / clip.fps)
+    stamps = np.insert(stamps, starts, ends)
     return np.insert(rows, starts, rows[starts - 1]), stamps, held
+
+
+def key_times(time: Array) -> Array:
+    """Return what single precision keeps of time stamps [s] (T,), from 0 on."""
+    return np.asarray((time - time[0]).astype(np.float32), dtype=np.float64)
 
 
 def _xyzw(wxyz: Array) -> Array:
@@ -251,9 +261,14 @@ def _turns(moved: RigMotion, rows: Indices) -> NDArray[Any]:
 
 def _provenance(clip: Clip, rows: Indices, held: list[int]) -> dict[str, Any]:
     once = {name: getattr(clip, field) for name, field in ONCE.items()}
-    found = {name: value for name, value in once.items() if np.isfinite(value)}
+    once |= {"height": clip.body.height, "mass": clip.body.mass}
+    found: dict[str, Any] = {
+        k: value for k, value in once.items() if np.isfinite(value)
+    }
+    found["time"] = clip.time.round(_DECIMALS).tolist()
     for name, field in FRAMES.items():
         values = getattr(clip, field)[rows] * UNITS.get(field, 1.0)
-        whole = np.where(np.isfinite(values), np.rint(values), -1.0).astype(int)
+        whole = np.where(np.isfinite(values), np.rint(values), -1.0)
+        whole = np.minimum(whole, _MOST).astype(int)
         found[name] = whole.tolist()
     return {**name_tables(clip.skeleton), **found, "held": held}

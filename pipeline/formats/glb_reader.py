@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from kinefilter.characters.rotations import normalize
 
 from .export import ONCE, name_tables
 from .files import AnyPath, check_file
-from .glb import BINARY, FRAMES, JSON, KINDS, MAGIC, SIZES, UNITS
+from .glb import BINARY, FRAMES, JSON, KINDS, MAGIC, SIZES, UNITS, key_times
 from .rig import motion_of_rig, own_skeleton, rig_of
 
 _LARGEST = 2**31  # bytes: hours of the largest skeleton
@@ -29,14 +31,33 @@ _UNFIT = "its skeleton and animation do not fit; export it again"
 def read_glb(path: AnyPath) -> Clip:
     """Read a clip that ``write_glb`` wrote on kinefilter's own skeleton.
 
-    Its time starts at 0. Raises InputError if the file is missing, damaged, another's
+    Raises InputError if the file is missing, damaged, another's
     or on another rig.
     """
-    file = check_file(path)
+    with _refused(path) as source:
+        return _clip(*_chunks(source), os.fspath(path))
+
+
+def read_glb_times(path: AnyPath) -> tuple[list[str], Array]:
+    """Return the names of joints, and when there are keyframes [s], of any skeleton.
+
+    Raises InputError as ``read_glb``.
+    """
+    with _refused(path) as source:
+        document, data = _chunks(source)
+        skin, animation = _animated(document)
+        names = [str(document["nodes"][n]["name"]) for n in skin["joints"]]
+        index = animation["samplers"][0]["input"]
+        return names, _values(document, data, index).astype(float).ravel()
+
+
+@contextmanager
+def _refused(path: AnyPath) -> Iterator[Path]:
+    """Yield a file; what is wrong with it becomes an InputError that names it."""
     source = os.fspath(path)
     try:
         with np.errstate(all="ignore"):  # what is no number is refused with the rest
-            return _clip(*_chunks(file), source)
+            yield check_file(path)
     except InputError as error:
         told = str(error)
         raise InputError(told if source in told else f"{source}: {told}") from None
@@ -45,6 +66,13 @@ def read_glb(path: AnyPath) -> Clip:
         *(struct.error, RecursionError, OverflowError, MemoryError, ZeroDivisionError),
     ):
         raise InputError(f"{source}: {_UNFIT}") from None
+
+
+def _animated(document: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the first skin and the first animation."""
+    if not document.get("skins") or not document.get("animations"):
+        raise InputError("has no animated skeleton; expected a clip of kinefilter")
+    return document["skins"][0], document["animations"][0]
 
 
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
@@ -66,13 +94,18 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
-    nodes, (animation, *_) = document["nodes"], document["animations"]
+    nodes, (skin, animation) = document["nodes"], _animated(document)
     known = animation.get("extras", {}).get("kinefilter")
-    joints = document["skins"][0]["joints"]
+    joints = skin["joints"]
     skeleton = own_skeleton([nodes[n]["name"] for n in joints])
-    if skeleton is None or known is None or joints != list(range(len(joints))):
+    if skeleton is None:
         raise InputError(
-            "not a clip on kinefilter's own skeleton; only those can be read back"
+            "is on another skeleton than the sensor's, as of --rig; give a clip that "
+            "was written without"
+        )
+    if known is None or joints != list(range(len(joints))):
+        raise InputError(
+            "lacks what kinefilter keeps in extras; give the clip as it was written"
         )
     for name, table in name_tables(skeleton).items():
         if known[name] != table:
@@ -83,8 +116,12 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
         for channel in animation["channels"]
         for sampler in [animation["samplers"][channel["sampler"]]]
     }
-    stamps = values(samplers[0, "rotation"]["input"]).astype(float)
-    kept = np.delete(np.arange(len(stamps)), np.array(known["held"], dtype=int))
+    time = np.array(known["time"], dtype=float)
+    keys = len(values(samplers[0, "rotation"]["input"]))
+    kept = np.delete(np.arange(keys), np.array(known["held"], dtype=int))
+    stamps = key_times(time)
+    # Frames with the same stamp share a keyframe.
+    kept = kept[np.cumsum(np.diff(stamps, prepend=stamps[:1]) > 0.0)]
 
     def moved(node: int, what: str) -> Array:
         rows = np.array([nodes[node][what]], dtype=float)
@@ -98,13 +135,15 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
         np.array([nodes[n]["translation"] for n in joints], dtype=float),
         rig_of(standard_body(skeleton)).world_rotations(turns),
         moved(0, "translation"),
-        stamps[kept],
+        time,
         path,
     )
+    height, mass = float(known["height"]), float(known["mass"])
+    motion = replace(motion, body=replace(motion.body, height=height, mass=mass))
     props = []
     (*_, last) = document["scenes"][0]["nodes"]
     for n in nodes[last].get("children", ()) if nodes[last]["name"] == "Props" else ():
-        parts = [nodes[part] for part in nodes[n]["children"]]
+        parts = [nodes[part] for part in nodes[n].get("children", ())]
         shapes = tuple(_shape(part, document, values) for part in parts)
         place = moved(n, "translation"), moved(n, "rotation")
         props.append(Prop(nodes[n]["name"], shapes, *place))

@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 
 from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import check_word
@@ -20,6 +21,7 @@ _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
 _JOINTS = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")
 """Joints that headers of takes name: the root or what hangs on it."""
 _AZURE_KEYS = ('"bone_list"', '"joint_names"', '"timestamp_usec"', '"joint_positions"')
+_CLIPS = (b"glTF", b"PXR-USDC", b"PK\x03\x04")  # how they begin
 _AZURE_BEGINNING = 2**16  # characters: a bone list is a tenth of it
 
 
@@ -96,6 +98,11 @@ def read_recording(path: AnyPath, *, format: str | None = None) -> Recording:
     source = os.fspath(check_file(path))
     if format is not None:
         check_word(format, FORMATS, "take format")
+    with Path(source).open("rb") as file:
+        if file.read(8).startswith(_CLIPS):
+            raise InputError(
+                f"{source}: is a clip or an archive, not a recorded take; give the take"
+            )
     name = format or _detected(_first_line(source), source)
     module, _, function = FORMATS[name][0].partition(":")
     read: Callable[[str], Recording]

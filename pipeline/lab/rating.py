@@ -32,7 +32,7 @@ from kinefilter.pipeline.target.floor import leveled
 HIGHEST = 9
 """The best grade; the worst is 1."""
 
-_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz", ".bvh", ".bvh.gz")
+_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz", ".glb", ".bvh", ".bvh.gz")
 _FILES = (*_CLIPS, ".csv", ".csv.gz", ".skeleton")  # these may be takes
 _NO_MOTION = "manifest.csv"  # of a batch
 _NEAR = 0.15  # m from y = 0, within which feet stand; a guess

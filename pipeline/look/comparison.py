@@ -115,17 +115,20 @@ def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
         clip=clip,
         raw=raw,
         sensors=() if merged is None else sensors_of(merged, raw),
-        damage=(*_damage(clip, raw, distinct), *unsure),
+        damage=(*_damage(clip, raw, distinct, fused=merged is not None), *unsure),
         before=before,
         after=after,
     )
 
 
-def _damage(clip: Clip, raw: Array, distinct: Flags) -> tuple[str, ...]:
-    """Return what was wrong with a take, whose joints [m] are in the clip's frame."""
+def _damage(clip: Clip, raw: Array, distinct: Flags, *, fused: bool) -> tuple[str, ...]:
+    """Return what was wrong with a take, whose joints [m] are in the clip's frame.
+
+    Where the tracker of one of several sensors failed, fusion has seen to it.
+    """
     time, state, skeleton = clip.time[distinct], clip.state[distinct], clip.skeleton
     take = Take(time, raw[distinct], state, skeleton, clip.source)
-    failures, positions = find_failures(take), clip.positions[distinct]
+    failures, positions = () if fused else find_failures(take), clip.positions[distinct]
     mended = unmirrored(take, failures).positions
     yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
     late = find_displaced(time, mended, positions, yaw, skeleton)
@@ -164,7 +167,12 @@ def in_time_of(clip: Clip, take: Take) -> Clip:
     USD starts at 0, and BVH has a constant rate besides. A clip that has its own time
     stamps, or does not fit those of the take, is returned as it is.
     """
-    if not _has_states(clip) and len(clip) == len(take):
+    if _has_states(clip):
+        return clip
+    shown = np.cumsum(np.diff(take.time, prepend=take.time[0]) > 0)
+    if len(clip) == shown[-1] + 1 < len(take):  # of repeated stamps USD keeps one
+        clip = clip.at(shown)
+    if len(clip) == len(take):
         off = float(np.ptp(clip.time - take.time))
         if off < (_SKEW if _has_provenance(clip) else _DRIFT):
             return replace(clip, time=take.time)

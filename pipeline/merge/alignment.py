@@ -48,9 +48,10 @@ _AROUND = 0.12  # s that a first lag may be off
 _PRECISION = 5e-4  # s
 _FEWEST = 10  # joints of frames that tell a lag
 _WINDOW, _MOST_WINDOWS = 8.0, 80  # s in which a drifting lag is told
+_EDGE = 5e-3  # s from the end of the search
 _SPAN, _LONGER = 600.0, 4.0
-"""Seconds in which a drift is told at first, and times as long each time: a clock that
-is 0.2 ms a second off, as none was, is then 0.06 s off at the ends of it."""
+"""Length [s] of the first span that is searched for drift, and the factor by which it
+grows. A clock that gains 0.2 ms a second is off by 0.06 s at the ends of the first."""
 
 _LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 
@@ -270,28 +271,32 @@ class _Common:
     def drifting(self, clock: Clock, placed: Placement) -> Clock:
         """Return the clock with its drift, where windows of some seconds tell one.
 
-        First those of some minutes in the middle, then, with the drift that these tell,
-        of longer: a clock that drifts is far off at both ends of an hour.
+        The windows are first taken from some minutes around the middle of what both
+        sensors see, then, with the drift found there, from longer spans: a clock that
+        drifts is far off at both ends of an hour.
         """
         there = self._trunks[1].at(clock.at(self._times))
         times = self._times[~np.isnan(there).all(axis=(1, 2))]
-        length = times[-1] - times[0] if len(times) else 0.0
+        times = times[times <= times[-1:] - _WINDOW]
         stamps, span = self._trunks[0].time, _SPAN
-        while True:
-            count = min(int(min(length, span) / _WINDOW), _MOST_WINDOWS)
+        while len(times):
+            near = times[np.abs(times - np.median(times)) <= 0.5 * span]
+            length = np.ptp(near) + _WINDOW
+            count = min(int(length / _WINDOW), _MOST_WINDOWS)
             if count < FEWEST_WINDOWS:
-                return clock
-            cut, rows = 0.5 * max(length - span, 0.0), []
-            begins = np.linspace(times[0] + cut, times[-1] - cut - _WINDOW, count)
-            for begin in begins:
+                break
+            rows = []
+            for begin in np.quantile(near, np.linspace(0.0, 1.0, count)):
                 window = stamps[(stamps >= begin) & (stamps < begin + _WINDOW)]
                 lag = self.refined(clock, placed, window).lag
-                if lag != clock.lag:
+                # At the end of the search the movement agrees nowhere in it.
+                if lag != clock.lag and abs(lag - clock.lag) < _AROUND - _EDGE:
                     rows.append((window.mean() - clock.start, lag))
             clock = drifting(clock, np.array(rows)) or clock
-            if span >= length:
-                return clock
+            if len(near) == len(times):
+                break
             span *= _LONGER
+        return clock
 
 
 def _middle(skeleton: Skeleton) -> list[int]:

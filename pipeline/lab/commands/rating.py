@@ -16,6 +16,7 @@ from kinefilter.pipeline.commands.terminal import (
     progress_bars,
     write_json,
 )
+from kinefilter.pipeline.formats.plain import counted
 
 from .inputs import in_folders
 
@@ -33,8 +34,9 @@ class Rate:
 
     systems: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME=]CLIPS ...")]
     """For each system a clip, or a folder of clips, named after it or as NAME=PATH:
-    raw=take.csv shum=shum/ default=clips/. Motions are told by the names of the files.
-    A take is drawn as recorded, leveled to the floor of another system's clip."""
+    raw=take.csv shum=shum/ default=clips/. Motions are told apart by the names of
+    the files. A take is drawn as recorded, leveled to the floor of another system's
+    clip."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Page to write (.html); the key is written beside it, PAGE.key.json."""
     reference: Path | None = None
@@ -62,7 +64,9 @@ class Rate:
         for word in self.systems:
             name, own = rating.find_system(word)
             if name in systems:
-                raise InputError(f"{word}: a second system {name}; name it NAME=PATH")
+                raise InputError(
+                    f"{word}: a second system called {name!r}; give it as NAME=PATH"
+                )
             systems[name] = own
         path = self.reference
         reference = None if path is None else rating.motions_of(path)
@@ -85,7 +89,8 @@ class Rate:
         for name, own in systems.items():
             if len(own) > motions:
                 out.print(f"{name}: left out {len(own) - motions} that others lack")
-        out.print(f"wrote {self.out}: {motions} motions, {trials} trials")
+        told = f"{counted(motions, 'motion')}, {counted(trials, 'trial')}"
+        out.print(f"wrote {self.out}: {told}")
         out.print(f"wrote {key}, which says whose clips they are: keep it from raters")
         return 0
 
