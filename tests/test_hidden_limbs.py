@@ -73,6 +73,15 @@ def test_holding_a_limb_that_does_not_move_is_right(pair: PairedTake) -> None:
         np.testing.assert_allclose(guessed, motion, atol=1e-9)
 
 
+def test_joints_that_nobody_saw_are_not_guessed(pair: PairedTake) -> None:
+    """UI-PRMD has no hands; its arms are hidden all the same."""
+    motion, _ = _turning(pair)
+    hand = KINECT_V1.index("HandRight")
+    motion[:, hand] = np.nan
+    for guessed in simple_guesses(motion, KINECT_V1, [*ARM, hand], SPAN).values():
+        np.testing.assert_allclose(guessed, motion, atol=1e-9)
+
+
 def test_an_arm_that_swings_evenly_is_found_by_both_ends(pair: PairedTake) -> None:
     motion, frame = _turning(pair)
     facing = frame.remove(motion)

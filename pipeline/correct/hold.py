@@ -13,6 +13,7 @@ from scipy.linalg.lapack import dposv
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.rotations import between, rotate
 
 from .interface import Correction, Corrector, Observation, measured_only
 
@@ -86,17 +87,39 @@ class Blend:
 
 
 class Hold(Corrector):
-    """Passes measurements through and hangs missing joints on their last bones."""
+    """Passes measurements through and hangs missing joints on their last bones.
+
+    Hands and feet that were never seen go on as at rest from the bone before.
+    """
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._blend = Blend(skeleton)
         rest = standard_body(skeleton).rest_positions
         self._rest = rest - rest[skeleton.root]
+        self._parents, limbs = skeleton.parents, ("Wrist", "Ankle")
+        ends = {joint for limb in limbs for joint in skeleton.sides(limb)}
+        self._ends: list[int] = []  # what is beyond them, parents first
+        for j in skeleton.order:
+            if skeleton.parents[j] in ends:
+                ends.add(j)
+                self._ends.append(j)
         self.start()
 
     def start(self) -> None:
         """Forget all frames."""
         self._last = self._rest
+        self._met = np.zeros(len(self._rest), dtype=np.bool_)
+
+    def _hang(self, postures: Array) -> None:
+        """Put hands and feet that were never seen in their places, (..., J, 3)."""
+        for j in self._ends:
+            if not self._met[j]:
+                p = self._parents[j]
+                above = self._parents[p]
+                bone = postures[..., p, :] - postures[..., above, :]
+                turn = between(self._rest[p] - self._rest[above], bone)
+                own = rotate(turn, self._rest[j] - self._rest[p])
+                postures[..., j, :] = postures[..., p, :] + own
 
     def fill(self, positions: Array) -> Array:
         """Return the next frames filled as ``step`` does it, all at once, (T, J, 3).
@@ -109,6 +132,8 @@ class Hold(Corrector):
         for k in np.flatnonzero(missing.any(axis=1)):
             last = filled[k - 1] if k else self._last
             filled[k] = self._blend(last, positions[k], np.where(missing[k], 0.0, 1.0))
+        self._met |= ~missing.all(axis=0)
+        self._hang(filled)
         self._last = filled[-1]
         return filled
 
@@ -136,5 +161,7 @@ class Hold(Corrector):
             confidence: Share of the measurement, in [0, 1], shape (J,).
         """
         posture = self._blend(self._last, positions, confidence)
+        self._met |= confidence > 0.0
+        self._hang(posture)
         self._last = posture
         return posture

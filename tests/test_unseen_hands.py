@@ -1,0 +1,68 @@
+"""Hands and feet that a sensor never sees go on from forearms and shins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinefilter import Avatar, CleanConfig, clean
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, Take
+from kinefilter.characters import standard_body as body_of
+from kinefilter.scenes.library import perform
+
+Array = NDArray[np.float64]
+
+
+def without_hands(skeleton: Skeleton) -> Take:
+    """Return somebody who waves, seen up to the wrists."""
+    act = perform("wave", body_of(skeleton), seed=2).at(slice(0, 90))
+    hands = [
+        k
+        for k, name in enumerate(skeleton.joints)
+        if name.startswith(("Hand", "Thumb"))
+    ]
+    positions = act.positions + np.random.default_rng(0).normal(0.0, 0.003, (90, 1, 1))
+    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    positions[:, hands], state[:, hands] = np.nan, State.NOT_TRACKED
+    return Take(act.time, positions, state, skeleton, "wave")
+
+
+def bends(positions: Array, skeleton: Skeleton) -> Array:
+    """Return the angles between forearms and hands [degrees], (T, 2)."""
+    elbow, wrist, hand = (
+        positions[:, skeleton.sides(part)] for part in ("Elbow", "Wrist", "Hand")
+    )
+    forearm, palm = wrist - elbow, hand - wrist
+    lengths = np.linalg.norm(forearm, axis=2) * np.linalg.norm(palm, axis=2)
+    return np.degrees(np.arccos(np.clip(np.vecdot(forearm, palm) / lengths, -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+@pytest.mark.parametrize("method", ["default", "none"])
+def test_hands_that_nobody_saw_continue_the_forearms(
+    skeleton: Skeleton, method: str
+) -> None:
+    clip = clean(without_hands(skeleton), CleanConfig(method=method)).clip
+    assert np.percentile(bends(clip.positions, skeleton), 95) < 25.0
+
+
+def test_live_too_until_they_are_seen() -> None:
+    take = without_hands(KINECT_V1)
+    hand, wrist = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
+    positions, state = take.positions.copy(), take.state.copy()
+    positions[60:, hand] = positions[60:, wrist] + [0.0, 0.0, -0.08]
+    state[60:, hand] = State.TRACKED
+    take = replace(take, positions=positions, state=state)
+    avatar = Avatar(body_of(KINECT_V1))
+    poses = np.array(
+        [
+            avatar.step(*frame).positions
+            for frame in zip(take.positions, take.time, take.state, strict=True)
+        ]
+    )
+    assert np.percentile(bends(poses[10:58], KINECT_V1), 95) < 25.0
+    palm = poses[80:, hand] - poses[80:, wrist]
+    assert (palm[:, 2] < -0.5 * np.linalg.norm(palm, axis=1)).all()
