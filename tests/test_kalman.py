@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
+from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.correct import Correction, Hold, Observation
 from kinefilter.pipeline.lab.methods.filters import (
     ACCELERATION_DENSITY,
@@ -241,9 +242,10 @@ def test_what_is_missing_longer_comes_to_rest_and_begins_anew() -> None:
     assert np.linalg.norm(result[60, HAND] - truth[60, HAND]) < 0.02
 
 
-def test_what_was_never_seen_hangs_as_in_rest_and_begins_where_it_appears() -> None:
+def test_what_was_never_seen_goes_on_as_at_rest_and_begins_where_it_appears() -> None:
     seen = swinging(30)
-    seen[:, HAND] = seen[:, WRIST] + REST[HAND] - REST[WRIST]
+    length = np.linalg.norm(REST[HAND] - REST[WRIST])
+    seen[:, HAND] = seen[:, WRIST] + length * unit(seen[:, WRIST] - seen[:, ELBOW])
     truth = seen[:, HAND].copy()
     seen[:20, HAND] = np.nan
     result = postures(run(ConstantLengthKalman(KINECT_V1), seen))
