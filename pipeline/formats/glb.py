@@ -41,7 +41,7 @@ FRAMES = {**PER_FRAME, "state": "state", "externalForce": "external_force"}
 """What ``extras`` have a row of for each keyframe, and the clip's fields."""
 _POINTS, _CORNERS = 34962, 34963  # what a graphics card gets
 _VRMA = "VRMC_vrm_animation"
-_DECIMALS = 6  # of time stamps [s]
+_DECIMALS = 9  # of time stamps [s]
 _MOST = 2.0**31  # of whole numbers: more than anything is
 
 
@@ -74,8 +74,9 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
         "skeleton": 0,
         "inverseBindMatrices": glb.add(_inverse_binds(rig)),
     }
+    takes = clip.source.split(" + ")  # of a session, with their folders
     animation = {
-        "name": Path(path).stem,
+        "name": " + ".join(Path(take).name.partition(".")[0] for take in takes),
         "samplers": glb.samplers,
         "channels": glb.channels,
         "extras": {"kinefilter": _provenance(clip, rows, held)},
