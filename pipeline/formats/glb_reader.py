@@ -31,8 +31,7 @@ _UNFIT = "its skeleton and animation do not fit; export it again"
 def read_glb(path: AnyPath) -> Clip:
     """Read a clip that ``write_glb`` wrote on kinefilter's own skeleton.
 
-    Raises InputError if the file is missing, damaged, another's
-    or on another rig.
+    Raises InputError if the file is missing, damaged, another's or on another rig.
     """
     with _refused(path) as source:
         return _clip(*_chunks(source), os.fspath(path))
