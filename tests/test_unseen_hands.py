@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kinefilter import Avatar, CleanConfig, clean
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, Take
 from kinefilter.characters import standard_body as body_of
+from kinefilter.pipeline.correct import Hold
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -66,3 +67,14 @@ def test_live_too_until_they_are_seen() -> None:
     assert np.percentile(bends(poses[10:58], KINECT_V1), 95) < 25.0
     palm = poses[80:, hand] - poses[80:, wrist]
     assert (palm[:, 2] < -0.5 * np.linalg.norm(palm, axis=1)).all()
+
+
+def test_whole_takes_as_frame_by_frame_before_hands_are_seen() -> None:
+    take = without_hands(KINECT_V1)
+    hand, wrist = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
+    positions = take.positions.copy()
+    positions[60:, hand] = positions[60:, wrist] + [0.0, 0.0, -0.08]
+    whole, hold = Hold(KINECT_V1).fill(positions), Hold(KINECT_V1)
+    steps = [hold.follow(p, np.where(np.isnan(p[:, 0]), 0.0, 1.0)) for p in positions]
+    np.testing.assert_allclose(whole, steps, atol=1e-12)
+    assert bends(whole[:60], KINECT_V1).max() < 1e-3

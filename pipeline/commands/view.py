@@ -13,6 +13,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
+from kinefilter.pipeline.formats.export import WHOLE_CLIPS
 from kinefilter.pipeline.look.drawing import Drawing, read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.progress import Progress
@@ -21,9 +22,6 @@ from .terminal import check_calibration, check_output, err, keep, out, progress_
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.look.viewer import CleanAgain
-
-
-_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz", ".glb")
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ class View:
             Path(path.name.removesuffix(".gz")).suffix.lower() for path in self.motion
         }
         with_take = bool(self.take) and self.take != self.motion
-        kinds = (*_CLIPS, ".bvh", ".csv") if with_take else _CLIPS
+        kinds = (*WHOLE_CLIPS, ".bvh", ".csv") if with_take else WHOLE_CLIPS
         return not suffixes.isdisjoint(kinds)
 
     def _drawing(self) -> tuple[Drawing, CleanAgain | None]:

@@ -89,7 +89,7 @@ class Blend:
 class Hold(Corrector):
     """Passes measurements through and hangs missing joints on their last bones.
 
-    Hands and feet that were never seen go on as at rest from the bone before.
+    Until they are seen, hands and feet go on as at rest from the bone before.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -110,16 +110,21 @@ class Hold(Corrector):
         self._last = self._rest
         self._met = np.zeros(len(self._rest), dtype=np.bool_)
 
-    def _hang(self, postures: Array) -> None:
-        """Put hands and feet that were never seen in their places, (..., J, 3)."""
+    def _hang(self, postures: Array, met: Flags) -> None:
+        """Put hands and feet that nobody has met yet in their places.
+
+        Postures [m] are (T, J, 3); ``met`` (T, J): the joint was seen by that frame.
+        """
         for j in self._ends:
-            if not self._met[j]:
+            unmet = postures[~met[:, j]]
+            if len(unmet):
                 p = self._parents[j]
                 above = self._parents[p]
-                bone = postures[..., p, :] - postures[..., above, :]
-                turn = between(self._rest[p] - self._rest[above], bone)
+                turn = between(
+                    self._rest[p] - self._rest[above], unmet[:, p] - unmet[:, above]
+                )
                 own = rotate(turn, self._rest[j] - self._rest[p])
-                postures[..., j, :] = postures[..., p, :] + own
+                postures[~met[:, j], j] = unmet[:, p] + own
 
     def fill(self, positions: Array) -> Array:
         """Return the next frames filled as ``step`` does it, all at once, (T, J, 3).
@@ -132,9 +137,9 @@ class Hold(Corrector):
         for k in np.flatnonzero(missing.any(axis=1)):
             last = filled[k - 1] if k else self._last
             filled[k] = self._blend(last, positions[k], np.where(missing[k], 0.0, 1.0))
-        self._met |= ~missing.all(axis=0)
-        self._hang(filled)
-        self._last = filled[-1]
+        met = np.logical_or.accumulate(np.vstack([self._met, ~missing]))[1:]
+        self._hang(filled, met)
+        self._met, self._last = met[-1], filled[-1]
         return filled
 
     def whole(
@@ -161,7 +166,7 @@ class Hold(Corrector):
             confidence: Share of the measurement, in [0, 1], shape (J,).
         """
         posture = self._blend(self._last, positions, confidence)
-        self._met |= confidence > 0.0
-        self._hang(posture)
+        self._met = self._met | (confidence > 0.0)
+        self._hang(posture[None], self._met[None])
         self._last = posture
         return posture

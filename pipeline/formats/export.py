@@ -48,6 +48,8 @@ COLOR = (0.11, 0.24, 0.32)
 
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+WHOLE_CLIPS = (".npz", *USD_SUFFIXES, ".glb")
+"""Files that say where joints came from, and are read back."""
 _RIGGED = ("up", "units", "fps", "rest", "rig", "target")
 # What each kind of file can follow; kinefilter's own are in meters, y up.
 _FOLLOWED = {

@@ -204,7 +204,7 @@ def _keys(clip: Clip) -> tuple[Indices, Array, list[int]]:
 
 
 def key_times(time: Array) -> Array:
-    """Return what single precision keeps of time stamps [s] (T,), from 0 on."""
+    """Return time stamps [s] (T,) since the first, rounded to single precision."""
     return np.asarray((time - time[0]).astype(np.float32), dtype=np.float64)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from kinefilter.characters import Clip, InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
+from kinefilter.pipeline.formats.export import WHOLE_CLIPS
 from kinefilter.pipeline.formats.files import as_path, new_text
 from kinefilter.pipeline.look.comparison import leveled_to_clip
 from kinefilter.pipeline.look.drawing import read_finite_clip
@@ -32,7 +33,7 @@ from kinefilter.pipeline.target.floor import leveled
 HIGHEST = 9
 """The best grade; the worst is 1."""
 
-_CLIPS = (".npz", ".usda", ".usdc", ".usd", ".usdz", ".glb", ".bvh", ".bvh.gz")
+_CLIPS = (*WHOLE_CLIPS, ".bvh", ".bvh.gz")
 _FILES = (*_CLIPS, ".csv", ".csv.gz", ".skeleton")  # these may be takes
 _NO_MOTION = "manifest.csv"  # of a batch
 _NEAR = 0.15  # m from y = 0, within which feet stand; a guess

@@ -57,7 +57,7 @@ _LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 
 
 class Alignment(NamedTuple):
-    """How a second sensor's clock and frame lie to those of the first."""
+    """A second sensor's clock and place, relative to those of the first."""
 
     clock: Clock
     """The second clock's time at times of the first."""
@@ -91,7 +91,7 @@ class Alignment(NamedTuple):
 HERE = Alignment(
     Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3)), 0.0, np.inf, np.inf
 )
-"""How the first sensor lies to itself."""
+"""The first sensor, to itself."""
 
 
 def align(first: Take, second: Take) -> Alignment:
@@ -192,7 +192,7 @@ def _filled(values: Array) -> Array:
 def _passed(
     values: Array, edges: float | tuple[float, float], rate: float = _RATE
 ) -> Array:
-    """Return what of columns is slower than an edge, or between two [Hz]."""
+    """Return columns through a low pass, or a band pass between two edges [Hz]."""
     band = isinstance(edges, tuple)
     sections = butter(2, edges, "band" if band else "low", fs=rate, output="sos")
     padded = min(30, len(values) - 1)

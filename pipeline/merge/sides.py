@@ -42,13 +42,13 @@ class CheapestPath:
         self._costs = np.zeros(len(self._choices))
 
     def step(self, *seen: Any) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the choice as far as frames tell so far, and for ``whole`` others."""
+        """Return the best choice so far, and what ``whole`` needs to look back."""
         raise NotImplementedError
 
     def _next(self, ways: Array, costs: Array) -> tuple[Any, NDArray[np.uint16]]:
-        """Return what ``step`` does: the choice, and which led to each of all.
+        """Return the best choice, and the one before on the cheapest way to each.
 
-        A frame's choices cost (N,), and the ways from those before to them (N, N).
+        Choices of this frame cost (N,), and ways to them from those before (N, N).
         """
         ways = self._costs[:, None] + ways
         costs = costs + ways.min(axis=0)
@@ -81,7 +81,7 @@ class Sides(CheapestPath):
         self._last: list[tuple[Array, Array] | None] = [None] * self._choices.shape[1]
 
     def step(self, seen: Array, sure: Array) -> tuple[Any, NDArray[np.uint16]]:
-        """Return which have them exchanged as far as frames tell so far.
+        """Return which sensors have sides exchanged, by the frames so far.
 
         Args:
             seen: Where each sensor has the joints [m], NaN where nowhere, (S, J, 3).
