@@ -20,6 +20,8 @@ from .physics import PhysicsTrace
 from .reliability import Reference
 from .target.upright import Turn
 
+_RECONSTRUCTED = 0.6  # weight of a hidden joint, against a measured one's 1
+
 
 @dataclass(eq=False)
 class Draft:
@@ -146,6 +148,18 @@ class Draft:
             failures += [found.moved(first) for found in part.failures]
             first += len(part.time)
         self.failures = tuple(failures)
+
+    @property
+    def weights(self) -> Array:
+        """How much each joint counts in smoothing and against others, (J,).
+
+        Its confidence; a hidden one, which is reconstructed to move like the others,
+        counts nearly as much.
+        """
+        if self.hidden is None:
+            return self.confidence
+        least = np.where(self.hidden, _RECONSTRUCTED, 0.0)
+        return np.maximum(self.confidence, least)
 
     @property
     def missing(self) -> Flags:

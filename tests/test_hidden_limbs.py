@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab import hidden_limbs
 from kinefilter.pipeline.lab.hidden_limbs import HiddenLimbs, measure_hidden, summarize
 from kinefilter.pipeline.lab.limb_guesses import hide, simple_guesses
+from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, joined, lessons_of
 from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget import HeadingFrame
@@ -141,6 +143,28 @@ def test_what_learns_is_taught_by_other_people(
         measure_hidden([pair], [], options, presets=presets[:1])
 
 
+def test_limbs_of_recordings_and_of_other_people_teach_what_limbs_do(
+    pair: PairedTake, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taught: list[list[str]] = []
+
+    def noted(lessons: Iterable[Lesson]) -> Lessons:
+        some = [*lessons]
+        taught.append([lesson.person for lesson in some])
+        return joined(some[:1])
+
+    monkeypatch.setattr(hidden_limbs, "joined", noted)
+    lesson = Lesson("elsewhere", "walk", lessons_of(pair.take, 0, (True,)))
+    monkeypatch.setattr(hidden_limbs, "read_lessons", lambda *_: [lesson])
+    pairs = [pair, replace(pair, subject="s02")]
+    options = HiddenLimbs(("left-arm",), ("1",), physics=False)
+    found, _ = measure_hidden(pairs, ["none"], options, recordings=[Path("take.csv")])
+    assert taught == [["elsewhere", "s02"], ["elsewhere", "s01"]]
+    shipped, _ = measure_hidden(pairs, ["none"], options)
+    errors = [record["unhidden"]["none"] for record in (*found, *shipped)]
+    assert errors[0] != errors[2]
+
+
 def test_every_third_repetition_is_hidden_and_the_others_are_seen(
     pair: PairedTake, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,11 +182,17 @@ def test_every_third_repetition_is_hidden_and_the_others_are_seen(
         (f"m01_s01_e{k:02}", gap) for gap in ("0.3", "1") for k in (2, 5)
     ]
     assert skipped == 2
-    _, short, _ = cleaned
+    _, short, drawn, *_ = cleaned
     assert len(short) == 400
     hidden = short.state[:, ELBOW] != np.tile(pair.take.state[:, ELBOW], 5)
     middles = {80 * clip + k for clip in (1, 4) for k in range(35, 44)}
     assert {*np.flatnonzero(hidden).tolist()} == middles
+    # The spline is drawn into the take, before it is cleaned.
+    there = np.concatenate([pair.take.positions] * 5)
+    away = np.abs(drawn.positions[:, ELBOW] - there[:, ELBOW]).max(axis=1)
+    elsewhere = away > 1e-6
+    assert {*np.flatnonzero(elsewhere).tolist()} == middles
+    np.testing.assert_array_equal(drawn.state, cleaned[0].state)
     np.testing.assert_allclose(np.diff(short.time)[79::80], 2.0)
     rows = {(r["part"], r["row"]): r for r in summarize(records, "gap")}
     assert rows["0.3", "hold"]["clips"] == 2

@@ -15,7 +15,12 @@ from kinefilter import CleanConfig, Cleaner
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.pairs import read_pairs
-from kinefilter.pipeline.reconstruct import HiddenLimbTracker, fill_hidden, recall
+from kinefilter.pipeline.reconstruct import (
+    HiddenLimbTracker,
+    MotionPrior,
+    fill_hidden,
+    recall,
+)
 from kinefilter.pipeline.reconstruct.continuity import (
     bridge,
     bridge_matrix,
@@ -55,10 +60,12 @@ def hidden_in(count: int, joints: list[int], *gaps: slice) -> NDArray[np.bool_]:
     return hidden
 
 
-def filled(positions: Array, hidden: NDArray[np.bool_]) -> Array:
+def filled(
+    positions: Array, hidden: NDArray[np.bool_], prior: MotionPrior | None = None
+) -> Array:
     time = np.arange(len(positions)) / RATE
     empty = np.where(hidden[..., None], np.nan, positions)
-    return fill_hidden(time, empty, hidden, KINECT_V1)[0]
+    return fill_hidden(time, empty, hidden, KINECT_V1, prior)[0]
 
 
 def error(found: Array, truth: Array, gap: slice, joints: list[int]) -> float:
@@ -152,8 +159,9 @@ def test_seen_joints_stay_and_filled_ones_are_on_their_segments() -> None:
 def test_an_arm_that_was_seen_before_moves_as_it_did_then() -> None:
     """The other arm moves with it, which the rest of the take shows."""
     truth, gap = waving(600), slice(310, 350)
-    alone = filled(truth[280:380], hidden_in(100, ARM, slice(30, 70)))
-    found = filled(truth, hidden_in(600, ARM, gap))
+    nothing = MotionPrior({})
+    alone = filled(truth[280:380], hidden_in(100, ARM, slice(30, 70)), nothing)
+    found = filled(truth, hidden_in(600, ARM, gap), nothing)
     bridged = error(alone, truth[280:380], slice(30, 70), ARM)
     assert error(found, truth, gap, ARM) < 0.25 * bridged
 

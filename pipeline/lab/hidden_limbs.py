@@ -10,9 +10,10 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.reconstruct import MotionPrior, Reconstruct
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
@@ -32,6 +34,7 @@ from kinefilter.pipeline.workers import workers
 
 from .accuracy import LIMBS, within_uncertainty
 from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
+from .limb_lessons import Lesson, joined, lessons_in, read_lessons, teach_limbs
 from .systems import School, System, as_step, systems_of
 
 Context = Literal["alone", "repetitions"]
@@ -75,6 +78,7 @@ def measure_hidden(
     methods: Sequence[str],
     options: HiddenLimbs,
     *,
+    recordings: Sequence[Path] = (),
     presets: Sequence[str] = (),
     assigned: Sequence[str] = (),
     every: int = 1,
@@ -87,6 +91,8 @@ def measure_hidden(
         methods: Names as ``systems_of`` has them. Those that learn are taught by the
             clips of the other people, in which nothing is hidden.
         options: What is hidden.
+        recordings: If there are any, what limbs mostly do is learned from these and
+            the clips of the other people; else it is what ships.
         presets: Names out of ``PRESETS``, likewise.
         assigned: Parameters of all of them, NAME=VALUE.
         every: Clean only every Nth take.
@@ -113,10 +119,12 @@ def measure_hidden(
             f"before and after it ({skipped} tried); give a shorter one"
         )
     jobs = (
-        (some[k : k + _A_JOB], system, corrector, options)
-        for some, corrected in _folds(systems, cases, pairs, progress)
+        (some[k : k + _A_JOB], taught, options)
+        for some, several in _folds(
+            systems, cases, pairs, recordings, options, progress
+        )
         for k in range(0, len(some), _A_JOB)
-        for system, corrector in corrected
+        for taught in several
     )
     if len(cases) <= _A_JOB:
         return [record for job in jobs for record in _measure(*job)], skipped
@@ -126,24 +134,35 @@ def measure_hidden(
     return [record for records in done for record in records], skipped
 
 
-_Corrected = list[tuple[System, Corrector | None]]
+class _Taught(NamedTuple):
+    """A system, and what it has learned: None is what its config makes, and ships."""
+
+    system: System
+    corrector: Corrector | None = None
+    prior: MotionPrior | None = None
 
 
 def _folds(
     systems: Sequence[System],
     cases: list[Case],
     pairs: Sequence[PairedTake],
+    recordings: Sequence[Path],
+    options: HiddenLimbs,
     progress: Progress,
-) -> Iterator[tuple[list[Case], _Corrected]]:
-    """Yield takes, and what corrects them: None is what the config makes."""
-    yield cases, [(system, None) for system in systems if not system.learns]
-    learning = [system for system in systems if system.learns]
+) -> Iterator[tuple[list[Case], list[_Taught]]]:
+    """Yield takes, and what cleans them."""
+    learning = [system for system in systems if system.learns or recordings]
+    yield cases, [_Taught(system) for system in systems if system not in learning]
     people = sorted({pair.subject for pair in pairs}) if learning else []
     if len(people) == 1:
         raise InputError(
             f"{learning[0].label} learns from other people; give pairs files of two or "
             "more"
         )
+    lessons: list[Lesson] = []
+    if recordings:
+        modes = (not options.live,)
+        lessons = read_lessons(recordings, modes) + lessons_in(pairs, modes)
     for person in people:
         some = [case for case in cases if case.hidden[0][0].subject == person]
         if not some:
@@ -155,7 +174,15 @@ def _folds(
             database=builtin_database(some[0].take.skeleton),
             progress=progress,
         )
-        yield some, [(system, school.corrector(system)) for system in learning]
+        others = joined(lesson for lesson in lessons if lesson.person != person)
+        prior = teach_limbs(others) if recordings else None
+        yield (
+            some,
+            [
+                _Taught(s, school.corrector(s) if s.learns else None, prior)
+                for s in learning
+            ],
+        )
 
 
 def _frames(gap: str, count: int, fps: float) -> int:
@@ -221,16 +248,14 @@ def _cleaned(
     return positions, None, 0.0
 
 
-def _measure(
-    cases: list[Case],
-    system: System,
-    corrector: Corrector | None,
-    options: HiddenLimbs,
-) -> list[Record]:
+def _measure(cases: list[Case], taught: _Taught, options: HiddenLimbs) -> list[Record]:
     """Clean takes by a system, once with nothing hidden and once for each limb."""
+    system, corrector, prior = taught
     found, method, cleaner = [], system.label, _cleaner(system)
     if corrector is not None:
         cleaner = cleaner.replaced(Correct(system.config, corrector))
+    if prior is not None and any(s.name == Reconstruct.name for s in cleaner.stages):
+        cleaner = cleaner.replaced(Reconstruct(system.config, prior))
     for case in cases:
         take, skeleton = case.take, case.take.skeleton
         seen, sure, tilt = _cleaned(take, take, cleaner, options)
@@ -238,17 +263,23 @@ def _measure(
             joints = [skeleton.index(j) for j in HIDDEN[limb] if j in skeleton.joints]
             scored = [j for j in joints if skeleton.joints[j] in LIMBS]
             spans = [(*h, s) for h in case.hidden if (s := middle(h[0].take, gap))]
-            blind = take
+            blind, places = take, take.positions.copy()
             for pair, start, span in spans:
                 rows = slice(start + span.start, start + span.stop)
                 seed = zlib.crc32(pair.clip.encode())
                 blind = hide(blind, joints, rows, options.guess, seed)
-            hidden = seen
+                rows = slice(start, start + len(pair.take))
+                drawn = simple_guesses(places[rows], skeleton, joints, span)
+                places[rows] = drawn["spline"]
+            hidden = spline = seen
             if spans:
                 hidden, sure, _ = _cleaned(blind, take, cleaner, options)
+                drawn_into = replace(take, positions=places)
+                spline, _, _ = _cleaned(drawn_into, take, cleaner, options)
             for pair, start, span in spans:
                 rows = slice(start, start + len(pair.take))
                 motions = simple_guesses(seen[rows], skeleton, joints, span)
+                motions["spline"] = spline[rows]
                 motions |= {method: hidden[rows], "seen": seen[rows]}
                 motions["mocap"] = leveled(pair.truth, tilt)
                 middles = {k: m[span][:, skeleton.hips] for k, m in motions.items()}

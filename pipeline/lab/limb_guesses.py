@@ -88,9 +88,8 @@ def simple_guesses(
     Directions of the hidden bones in the heading frame are held; are turned evenly from
     the last seen to the next (slerp); or are smoothed by second differences through the
     frames around the gap (Whittaker's spline). All else is as it is, also joints that
-    are missing in a frame. On a smoothed
-    motion, whose frames beside the gap have looked into it, the spline is flattered: on
-    recorded people by some 13 per cent of hold, slerp by some 5.
+    are missing in a frame. A smoothed motion is no place to draw a spline into: the
+    frames beside the gap have looked into it.
 
     Args:
         positions: The motion with nothing hidden, shape (T, J, 3).

@@ -1,7 +1,8 @@
 """Reconstruction of limbs that the sensor did not see."""
 
 from .hidden_limbs import fill_hidden
+from .prior import MotionPrior
 from .stage import Reconstruct
 from .tracker import HiddenLimbTracker
 
-__all__ = ["HiddenLimbTracker", "Reconstruct", "fill_hidden"]
+__all__ = ["HiddenLimbTracker", "MotionPrior", "Reconstruct", "fill_hidden"]

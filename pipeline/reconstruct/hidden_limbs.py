@@ -22,6 +22,7 @@ from kinefilter.retarget.stance import smooth_step
 from .continuity import bridge
 from .foothold import between_ends, standing_height
 from .limbs import is_hand, limb_of, limbs, with_tips
+from .prior import MotionPrior, default_prior
 from .recall import SHORTEST, learn
 from .windows import Limb, Seen, describe
 
@@ -33,7 +34,11 @@ _LONGEST = 10.0  # s: what is hidden for longer is bridged and nothing else
 
 
 def fill_hidden(
-    time: Array, positions: Array, hidden: Flags, skeleton: Skeleton
+    time: Array,
+    positions: Array,
+    hidden: Flags,
+    skeleton: Skeleton,
+    prior: MotionPrior | None = None,
 ) -> tuple[Array, Flags]:
     """Return joint positions [m] with the hidden ones filled, and which those are.
 
@@ -45,6 +50,7 @@ def fill_hidden(
         positions: Joint positions [m], sensor frame with y up, shape (T, J, 3).
         hidden: Which of them nobody saw, shape (T, J).
         skeleton: The joints.
+        prior: What people mostly do; by default the one that ships.
 
     Returns:
         Positions, shape (T, J, 3), and which of them were filled, shape (T, J).
@@ -53,9 +59,9 @@ def fill_hidden(
     hidden &= ~hidden.all(axis=0)
     if not hidden.any() or len(time) < 2:
         return positions, hidden
-    seen = _seen(time, np.where(hidden[..., None], np.nan, positions), skeleton)
+    seen = seen_motion(time, np.where(hidden[..., None], np.nan, positions), skeleton)
     for gap, limb in _gaps(seen, hidden):
-        _fill_limb(seen, gap, limb)
+        _fill_limb(seen, gap, limb, prior or default_prior())
     for joints in limbs(skeleton):
         _between_ends(seen, hidden, joints)
     filled = seen.heading.restore(seen.positions)
@@ -80,7 +86,7 @@ def _trust(time: Array, hidden: Flags) -> Array:
     return 1.0 - smooth_step((far - _BELIEVED) / _BELIEVED)
 
 
-def _seen(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
+def seen_motion(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
     """Return a motion whose gaps, NaN, are bridged segment by segment."""
     rate = 1.0 / nominal_step(time)
     steps = np.concatenate([[0.0], np.diff(time)])
@@ -167,17 +173,19 @@ def _gaps(seen: Seen, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
                 yield gap, limb
 
 
-def _fill_limb(seen: Seen, gap: slice, limb: Limb) -> None:
+def _fill_limb(seen: Seen, gap: slice, limb: Limb, prior: MotionPrior) -> None:
     """Fill a gap of a limb in ``seen``."""
     length = gap.stop - gap.start
     ahead = gap.stop < len(seen.positions) and not seen.breaks[gap.stop]
     if length > _LONGEST * seen.rate:
         return
     start, at = np.array([gap.start]), np.arange(length)[None]
-    found = describe(seen, limb, start, length, at, ahead=ahead)
+    long = length > SHORTEST * seen.rate
+    about = prior.describe if long else describe
+    found = about(seen, limb, start, length, at, ahead=ahead)
     directions, features = found.base[0], found.features[0]
-    if length > SHORTEST * seen.rate:
-        recall = learn(seen, limb, length, features, ahead=ahead, gap=gap.start)
+    if long:
+        recall = learn(seen, limb, length, features, prior, ahead=ahead, gap=gap.start)
         if recall is not None:
             directions = recall(found)[0]
     before = seen.directions[gap].copy()

@@ -18,7 +18,8 @@ from kinefilter.characters.arrays import Array, Indices, runs
 from kinefilter.characters.rotations import unit
 
 from .continuity import CONTEXT
-from .windows import Limb, Seen, Windows, describe
+from .prior import MotionPrior
+from .windows import Limb, Seen, Windows
 
 SHORTEST = 0.4
 """Shorter gaps [s] are bridged and nothing else: a spline does them well."""
@@ -84,6 +85,7 @@ def learn(
     limb: Limb,
     length: int,
     queries: Array | None,
+    prior: MotionPrior,
     *,
     ahead: bool,
     gap: int | None = None,
@@ -96,6 +98,7 @@ def learn(
         length: Frames of the gap.
         queries: Features of the gap's frames, shape (M, F): what is most like them is
             learned; None: all alike.
+        prior: What people mostly do: what the take shows is learned on top of it.
         ahead: Whether what comes after the gap is known.
         gap: Its first frame; None: what is far away teaches as well.
     """
@@ -125,7 +128,7 @@ def learn(
         shift = np.arange(len(starts)) * 0.618 % 1.0 - 0.5
         at = np.rint(at + shift[:, None] * frames / (_SAMPLES + 1)).astype(int)
         at = np.clip(at, 0, frames - 1)
-        found = describe(seen, limb, starts, frames, at, ahead=ahead)
+        found = prior.describe(seen, limb, starts, frames, at, ahead=ahead)
         begins = np.repeat(starts, _SAMPLES)
         stretches.append((found, begins, begins + frames))
     features = np.concatenate([_rows(w.features) for w, _, _ in stretches])
@@ -144,9 +147,9 @@ def learn(
             strict=True,
         )
     )
-    features, prior = features[near], len(near) * _DOUBT**2
-    kept = float(np.sum(moving * targets)) + _MOMENTUM * prior
-    momentum = float(np.clip(kept / (np.sum(moving**2) + prior), 0.0, 1.5))
+    features, doubt = features[near], len(near) * _DOUBT**2
+    kept = float(np.sum(moving * targets)) + _MOMENTUM * doubt
+    momentum = float(np.clip(kept / (np.sum(moving**2) + doubt), 0.0, 1.5))
     targets = targets - momentum * moving
     worth = _worth(features, targets, begins, ends)
     process = Process.of(features, targets) if worth > 0.0 else None

@@ -15,6 +15,7 @@ from kinefilter.pipeline.target.floor import leveled
 
 from .hidden_limbs import fill_hidden
 from .limbs import in_limbs
+from .prior import MotionPrior
 from .tracker import HiddenLimbTracker
 
 _MOSTLY_INFERRED = 0.3  # share of tracked frames under which a guess is all there is
@@ -28,13 +29,13 @@ class Reconstruct(Stage):
     name = "reconstruct"
     in_parts = False
 
-    def __init__(self, config: CleanConfig) -> None:
-        self._files = config.same_person
+    def __init__(self, config: CleanConfig, prior: MotionPrior | None = None) -> None:
+        self._prior, self._files = prior, config.same_person
         self._others: list[Take] | None = None
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
-        self._tracker = HiddenLimbTracker(body)
+        self._tracker = HiddenLimbTracker(body, self._prior)
         self._tracked, self._frames = np.zeros(len(body.skeleton)), 0
 
     def step(self, draft: Draft) -> None:
@@ -42,7 +43,9 @@ class Reconstruct(Stage):
         now = draft.state == State.TRACKED
         self._frames = min(self._frames + 1, _LATELY)
         self._tracked = self._tracked + (now - self._tracked) / self._frames
-        hidden = _hidden(draft.measured, draft.state, draft.skeleton, self._tracked)
+        hidden = hidden_joints(
+            draft.measured, draft.state, draft.skeleton, self._tracked
+        )
         draft.filled, draft.hidden = self._tracker.step(
             draft.measured, hidden, float(draft.time)
         )
@@ -51,7 +54,7 @@ class Reconstruct(Stage):
         """Fill the hidden joints of a take."""
         if self._others is None:
             self._others = [read_take(file) for file in self._files]
-        hidden = _hidden(draft.measured, draft.state, draft.skeleton)
+        hidden = hidden_joints(draft.measured, draft.state, draft.skeleton)
         recorded = draft.measured[:, draft.skeleton.root]
         time, positions, first = draft.time, draft.measured, 0
         for other in self._others:
@@ -72,14 +75,18 @@ class Reconstruct(Stage):
                 continue
             time = np.concatenate([before, time])
             positions = np.concatenate([seen, positions])
-            blind = _hidden(other.positions[new], other.state[new], other.skeleton)
+            blind = hidden_joints(
+                other.positions[new], other.state[new], other.skeleton
+            )
             hidden = np.concatenate([blind, hidden])
             first += int(new.sum())
-        filled, which = fill_hidden(time, positions, hidden, draft.skeleton)
+        filled, which = fill_hidden(
+            time, positions, hidden, draft.skeleton, self._prior
+        )
         draft.filled, draft.hidden = filled[first:], which[first:]
 
 
-def _hidden(
+def hidden_joints(
     positions: Array,
     state: Codes,
     skeleton: Skeleton,

@@ -16,8 +16,9 @@ from kinefilter.retarget.stance import smooth_step
 from .foothold import standing_height
 from .hidden_limbs import PAUSE
 from .limbs import is_hand, limb_of, limbs, with_tips
+from .prior import MotionPrior, default_prior
 from .recall import Recall, learn
-from .windows import Limb, Seen, describe
+from .windows import Limb, Seen
 
 _MEMORY = 1800  # frames that are learned from: a minute at 30 Hz
 _LEARNS = 0.1  # s that a limb is hidden before it is worth learning about
@@ -49,9 +50,11 @@ class HiddenLimbTracker:
 
     Args:
         body: The person.
+        prior: What people mostly do; by default the one that ships.
     """
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: Body, prior: MotionPrior | None = None) -> None:
+        self._prior = prior or default_prior()
         self._body, self._limbs = body, limbs(body.skeleton)
         self._parents = np.array(body.skeleton.parents)
         joints = body.skeleton.order
@@ -155,11 +158,12 @@ class HiddenLimbTracker:
             gap = self._gaps[key] = _Gap(limb, *since, self._floor(k))
         seen = self._seen(k + 1, gap.floor)
         start, at = np.array([gap.start]), np.array([[k - gap.start]])
-        found = describe(seen, limb, start, k - gap.start + 1, at, ahead=False)
+        length = k - gap.start + 1
+        found = self._prior.describe(seen, limb, start, length, at, ahead=False)
         directions = found.base[0]
         if gap.learned is None and time - gap.time >= _LEARNS:
             frames = round(_STRETCH * seen.rate)
-            gap.recall = learn(seen, limb, frames, None, ahead=False)
+            gap.recall = learn(seen, limb, frames, None, self._prior, ahead=False)
             gap.learned = time
         if gap.recall is not None and gap.learned is not None:
             share = smooth_step(np.array(min((time - gap.learned) / _FADES, 1.0)))

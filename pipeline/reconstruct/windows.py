@@ -20,10 +20,10 @@ from .foothold import bent, hold_place, standing
 
 # Length scale of each feature: how much of it makes postures unlike. From experiments
 # on people 1 to 3 of six; halving or doubling any one of them changes little.
-_SEEN_CHANGE = 0.5  # m, of a visible segment since the limb was last seen
+SEEN_CHANGE = 0.5  # m, of a visible segment since the limb was last seen
 _ROOT_CHANGE = 2.2  # m, of the root
-_SEEN_SPEED = 8.0  # m/s, of a visible segment
-_SEEN = 1.5  # m, of a visible segment itself
+SEEN_SPEED = 8.0  # m/s, of a visible segment
+SEEN = 1.5  # m, of a visible segment itself
 _END = 1.5  # of a hidden segment's direction when last (and next) seen
 _END_SPEED = 12.0  # 1/s, of that direction's velocity
 _TIME = 0.5  # s since the limb was last seen, and until it is next seen
@@ -80,7 +80,8 @@ class Windows:
     """A limb in some frames of some stretches of time."""
 
     features: Array
-    """What tells where it goes, shape (W, M, F)."""
+    """What tells where it goes: components of vectors, and last of all the times since
+    it was seen and, if known, until it is seen next, shape (W, M, F)."""
     base: Array
     """Directions of its hidden segments as they would go on, shape (W, M, H, 3)."""
     still: Array
@@ -108,42 +109,25 @@ def describe(
     time = np.stack([at + 1.0, length - at + 0.0]) / seen.rate
     share = (time[0] / time.sum(axis=0))[..., None]
 
-    def flat(values: Array) -> Array:
-        """Return the vectors (..., S, 3) of some frames as rows (..., 3 S)."""
-        return values.reshape(*values.shape[:-2], -1)
-
-    def change(values: Array, before: Array, later: Array) -> Array:
-        """Return how values (W, M, C) differ from those at the ends, (W, 1, C)."""
-        return values - before - (share * (later - before) if ahead else 0.0)
-
-    def bones(which: Indices) -> Array:
-        return flat(seen.bones(limb.visible, which))
-
     def pointing(which: Indices) -> Array:
-        return flat(seen.directions[which][..., hidden, :])
+        return _flat(seen.directions[which][..., hidden, :])
 
-    visible = bones(frames)
-    past = bones(np.maximum(frames - 1, 0))
-    speeds = seen.rate * (visible - past)
-    if ahead:
-        following = bones(np.minimum(frames + 1, count - 1))
-        speeds = 0.5 * seen.rate * (following - past)
+    rest = visible_motion(seen, limb.visible, starts, length, at, ahead=ahead)
     roots = seen.heading.root
+    moved = roots[frames] - _between(roots[last], roots[after], share, ahead=ahead)
     root = HeadingFrame(np.zeros(3), seen.heading.yaw[frames]).remove(
-        change(roots[frames], roots[last], roots[after])[..., None, :]
+        moved[..., None, :]
     )
     per_second = seen.rate / SPEED_FRAMES
     end = pointing(last)
     end_speed = per_second * (end - pointing(np.maximum(last - SPEED_FRAMES, 0)))
-    seen_change = change(visible, bones(last), bones(after))
     features = [
-        seen_change / _SEEN_CHANGE,
+        rest[0] / SEEN_CHANGE,
         root[..., 0, :] / _ROOT_CHANGE,
-        speeds / _SEEN_SPEED,
-        visible / _SEEN,
+        rest[1] / SEEN_SPEED,
+        rest[2] / SEEN,
         end / _END,
         end_speed / _END_SPEED,
-        time[0][..., None] / _TIME,
     ]
     if ahead:
         context = max(round(CONTEXT * seen.rate), 2)
@@ -156,7 +140,7 @@ def describe(
         begin = pointing(after)
         later = pointing(np.minimum(after + SPEED_FRAMES, count - 1))
         begin_speed = per_second * (later - begin)
-        features += [begin / _END, begin_speed / _END_SPEED, time[1][..., None] / _TIME]
+        features += [begin / _END, begin_speed / _END_SPEED]
     else:
         base, begin = coast(end, end_speed, time[0][..., None]), end
     still = end + share * (begin - end) if ahead else np.broadcast_to(end, base.shape)
@@ -165,7 +149,7 @@ def describe(
         going = _momentum(
             np.stack([np.broadcast_to(end_speed, begin_speed.shape), begin_speed]),
             (length + 1) / seen.rate,
-            *(np.linalg.norm(f, axis=-1) for f in (seen_change, root[..., 0, :])),
+            *(np.linalg.norm(f, axis=-1) for f in (rest[0], root[..., 0, :])),
         )
         base = unit(still + going[..., None, None] * (base - still))
     if limb.leg is not None:
@@ -175,9 +159,52 @@ def describe(
         ]
         features.append((held[0] - base).reshape(*frames.shape, -1) / _HELD)
         base, still = held
+    features += [elapsed[..., None] / _TIME for elapsed in time[: 1 + ahead]]
     wide = [np.broadcast_to(f, (*frames.shape, f.shape[-1])) for f in features]
     truth = seen.directions[frames][..., hidden, :]
     return Windows(np.concatenate(wide, axis=2), base, still, truth)
+
+
+def visible_motion(
+    seen: Seen,
+    segments: tuple[int, ...],
+    starts: Indices,
+    length: int,
+    at: Indices,
+    *,
+    ahead: bool,
+) -> tuple[Array, Array, Array]:
+    """Return what segments do meanwhile: change [m], velocity [m/s] and bones [m].
+
+    Arguments as those of ``describe``; shapes (W, M, 3 S). The change is that since the
+    limb was last seen, or from the way between both ends of the stretch.
+    """
+    count, frames = len(seen.positions), starts[:, None] + at
+    last, after = starts[:, None] - 1, np.minimum(starts[:, None] + length, count - 1)
+    share = np.asarray((at + 1.0) / (length + 1.0))[..., None]
+
+    def bones(which: Indices) -> Array:
+        return _flat(seen.bones(segments, which))
+
+    there, past = bones(frames), bones(np.maximum(frames - 1, 0))
+    if not ahead:
+        return there - bones(last), seen.rate * (there - past), there
+    following = bones(np.minimum(frames + 1, count - 1))
+    way = _between(bones(last), bones(after), share, ahead=ahead)
+    return there - way, 0.5 * seen.rate * (following - past), there
+
+
+def _between(before: Array, later: Array, share: Array, *, ahead: bool) -> Array:
+    """Return values on the straight way between both ends, if the later one is known.
+
+    ``share`` is how much of the time has passed; the others have shape (W, 1, C).
+    """
+    return before + share * (later - before) if ahead else before
+
+
+def _flat(values: Array) -> Array:
+    """Return the vectors (..., S, 3) of some frames as rows (..., 3 S)."""
+    return values.reshape(*values.shape[:-2], -1)
 
 
 def _momentum(

@@ -110,7 +110,7 @@ class Level(Stage):
         """Find which feet stand, and from them the tilt, and level the take."""
         draft.stands = np.concatenate(
             [
-                find_stance(part.time, part.positions, part.confidence, part.skeleton)
+                find_stance(part.time, part.positions, part.weights, part.skeleton)
                 for part in draft.parts
             ]
         )
@@ -142,7 +142,7 @@ class Smooth(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Smooth a take."""
         if self._cutoff > 0.0:
-            weights = np.maximum(draft.confidence, _LEAST_WEIGHT)
+            weights = np.maximum(draft.weights, _LEAST_WEIGHT)
             draft.positions = smooth_by_speed(
                 draft.time, draft.positions, weights, cutoff=self._cutoff
             )
@@ -224,7 +224,7 @@ class Feet(Stage):
         """Keep or lift the feet of the next frame."""
         positions, elapsed = draft.positions, draft.elapsed
         stands = self._stance.step(positions[self._ankles], float(self._flat), elapsed)
-        planted, weights = positions.copy(), draft.confidence.copy()
+        planted, weights = positions.copy(), draft.weights.copy()
         for foot in range(2):
             parts = [self._ankles[foot], self._toes[foot]]
             if stands[foot]:
@@ -252,11 +252,12 @@ class Feet(Stage):
         if contacts is not None:
             stands, heels = feet_of(contacts), contacts[:, ::2]
         planted, down = np.empty_like(draft.positions), np.empty_like(stands)
+        weights = draft.weights
         for k in parts_of(draft.time):
             planted[k], down[k] = plant_feet(
                 draft.time[k],
                 draft.positions[k],
-                draft.confidence[k],
+                weights[k],
                 stands[k],
                 draft.body,
                 None if heels is None else heels[k],
@@ -264,7 +265,7 @@ class Feet(Stage):
         draft.positions, heels = planted, down
         draft.contacts = np.stack([heels, stands], axis=2).reshape(-1, 4)
         draft.stands = feet_of(draft.contacts)
-        weights = np.maximum(draft.confidence, _LEAST_BONE_WEIGHT)
+        weights = np.maximum(weights, _LEAST_BONE_WEIGHT)
         for part in ankles_and_toes(draft.skeleton):
             weights[:, part] = np.where(stands, PLANTED, weights[:, part])
         draft.bone_weights = weights

@@ -49,10 +49,10 @@ class Evaluate:
     With --hide, a limb is hidden in the middle of each clip of PAIRS, and its joints
     are compared with those of the clip cleaned with nothing hidden, and with mocap.
     Beside the methods stand the clip with nothing hidden (seen), and the limb held
-    still in the heading frame (hold), turned evenly from where it was last seen to
-    where it is seen next (slerp), or smoothed through both (spline). All three begin
-    and end where the clip with nothing hidden has the limb; as that clip is smoothed,
-    the spline knows a little of what is hidden.
+    still in the heading frame (hold), or turned evenly from where it was last seen to
+    where it is seen next (slerp), both of which begin and end where the clip with
+    nothing hidden has the limb; and the take cleaned with a smooth curve drawn where
+    the limb is hidden (spline).
 
     With --views, the limbs of a sensor beside a person are compared with those that a
     sensor in front of the person saw at the same time; the method learned then learns
@@ -62,7 +62,9 @@ class Evaluate:
     pairs: Positional[tuple[Path, ...]] = ()
     """Pairs files for --hide."""
     train: tuple[Path, ...] = ()
-    """Pairs files (.npz) to learn from; none for methods that do not learn."""
+    """Pairs files (.npz) to learn from; none for methods that do not learn. With --hide
+    takes and mocap (.bvh) as well: from these, and from the clips of the other people,
+    it is learned what hidden limbs mostly do, in place of what ships."""
     test: tuple[Path, ...] = ()
     """Pairs files to test on; default: one person of --train after the other."""
     methods: str = ""
@@ -168,6 +170,7 @@ class Evaluate:
                 list(clips_of(self.pairs, progress)),
                 _listed(self.methods or usual),
                 options,
+                recordings=self.train,
                 presets=_listed(self.presets),
                 assigned=self.set,
                 every=self.every,

@@ -1,0 +1,116 @@
+"""What people mostly do with a hidden limb, as learned from recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.pipeline.formats.npz import write_arrays
+from kinefilter.pipeline.lab.limb_lessons import (
+    Lesson,
+    joined,
+    lessons_in,
+    teach_limbs,
+    worth,
+)
+from kinefilter.pipeline.lab.simulate import simulated_pairs
+from kinefilter.pipeline.reconstruct import MotionPrior
+from kinefilter.pipeline.reconstruct.hidden_limbs import seen_motion
+from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
+from kinefilter.pipeline.reconstruct.prior import default_prior, inputs_of
+from kinefilter.pipeline.reconstruct.windows import Limb, Seen, describe
+
+Array = NDArray[np.float64]
+START, LENGTH = np.array([20]), 40
+AT = np.arange(LENGTH)[None]
+MIRROR = np.array([-1.0, 1.0, 1.0])
+
+
+def moving(skeleton: Skeleton, seed: int) -> Seen:
+    """Return somebody every joint of whom goes to and fro by itself."""
+    rng, count = np.random.default_rng(seed), 80
+    time = np.arange(count) / 30.0
+    phase, rate, far = rng.uniform(0.0, 6.0, (3, len(skeleton), 3))
+    swing = 0.01 * far * np.sin(rate * time[:, None, None] + phase)
+    return seen_motion(time, standard_body(skeleton).rest_positions + swing, skeleton)
+
+
+def mirrored(seen: Seen) -> Seen:
+    """Return the mirror image."""
+    positions = seen.heading.restore(seen.positions)[:, seen.skeleton.mirror] * MIRROR
+    return seen_motion(np.arange(len(positions)) / 30.0, positions, seen.skeleton)
+
+
+def hidden(seen: Seen, which: int, *others: int) -> Limb:
+    """Return a limb of ``limbs`` that is hidden, and others with it."""
+    known = np.ones(len(seen.skeleton))
+    for limb in (which, *others):
+        known[list(limbs(seen.skeleton)[limb][1:])] = 0.0
+    found = limb_of(seen.skeleton, limbs(seen.skeleton)[which], known)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
+@pytest.mark.parametrize("ahead", [False, True], ids=["before", "between"])
+@pytest.mark.parametrize("which", [0, 1], ids=["arm", "leg"])
+def test_right_limbs_go_on_as_the_mirror_images_of_left_ones(
+    which: int, skeleton: Skeleton, *, ahead: bool
+) -> None:
+    seen, prior = moving(skeleton, seed=which), default_prior()
+    left = hidden(seen, which)
+    around = mirrored(seen)
+    right = hidden(around, which + 2)
+    base = prior.describe(seen, left, START, LENGTH, AT, ahead=ahead).base
+    image = prior.describe(around, right, START, LENGTH, AT, ahead=ahead).base
+    np.testing.assert_allclose(image * MIRROR, base, atol=1e-9)
+    plain = describe(seen, left, START, LENGTH, AT, ahead=ahead).base
+    assert np.linalg.norm(base - plain, axis=-1).max() > 0.01
+    # Next to what was seen, a limb is where it goes on.
+    ends = [0, -1] if ahead else [0]
+    nearby = np.linalg.norm(base - plain, axis=-1)[:, ends].max()
+    assert nearby < 0.2 * np.linalg.norm(base - plain, axis=-1).max()
+
+
+def test_without_networks_limbs_go_on_as_they_went() -> None:
+    seen = moving(KINECT_V1, seed=3)
+    arm = hidden(seen, 0)
+    found = MotionPrior({}).describe(seen, arm, START, LENGTH, AT, ahead=True)
+    plain = describe(seen, arm, START, LENGTH, AT, ahead=True)
+    np.testing.assert_array_equal(found.base, plain.base)
+
+
+def test_what_is_hidden_as_well_does_not_count() -> None:
+    seen = moving(KINECT_V1, seed=4)
+    arms = hidden(seen, 0, 2)
+
+    def told(limb: Limb) -> Array:
+        stretch = (seen, limb, START, LENGTH, AT)
+        return inputs_of(describe(*stretch, ahead=True), *stretch, ahead=True)
+
+    before, alone = told(arms), told(hidden(seen, 0))
+    inside = slice(int(START[0]), int(START[0]) + LENGTH)
+    seen.positions[inside, list(limbs(KINECT_V1)[2][1:])] += 0.3
+    np.testing.assert_allclose(told(arms), before, atol=1e-9)
+    assert np.abs(told(hidden(seen, 0)) - alone).max() > 0.1
+
+
+def test_networks_learn_what_a_limb_does_and_read_back(tmp_path: Path) -> None:
+    pairs = list(simulated_pairs("kinect_v1", people=6))
+    lessons = lessons_in(pairs, (True,))
+    people = sorted({lesson.person for lesson in lessons})
+
+    def rows(some: list[str]) -> list[Lesson]:
+        return [lesson for lesson in lessons if lesson.person in some]
+
+    prior = teach_limbs(joined(rows(people)))
+    found = worth(prior, joined(rows(people)))
+    assert found["arm_between"] < 90.0
+    assert found["leg_between"] < 95.0
+    write_arrays(tmp_path / "weights.npz", prior.arrays())
+    again = worth(MotionPrior.load(tmp_path / "weights.npz"), joined(rows(people)))
+    assert again == pytest.approx(found, abs=0.5)
