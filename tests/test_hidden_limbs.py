@@ -15,7 +15,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab import hidden_limbs
 from kinefilter.pipeline.lab.hidden_limbs import HiddenLimbs, measure_hidden, summarize
 from kinefilter.pipeline.lab.limb_guesses import hide, simple_guesses
-from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, joined, lessons_of
+from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, Recording, joined
 from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget import HeadingFrame
@@ -154,8 +154,8 @@ def test_limbs_of_recordings_and_of_other_people_teach_what_limbs_do(
         return joined(some[:1])
 
     monkeypatch.setattr(hidden_limbs, "joined", noted)
-    lesson = Lesson("elsewhere", "walk", lessons_of(pair.take, 0, (True,)))
-    monkeypatch.setattr(hidden_limbs, "read_lessons", lambda *_: [lesson])
+    recording = Recording("elsewhere", "walk", "take", pair.take)
+    monkeypatch.setattr(hidden_limbs, "recordings_in", lambda _: [recording])
     pairs = [pair, replace(pair, subject="s02")]
     options = HiddenLimbs(("left-arm",), ("1",), physics=False)
     found, _ = measure_hidden(pairs, ["none"], options, recordings=[Path("take.csv")])

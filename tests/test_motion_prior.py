@@ -12,8 +12,9 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.lab.limb_lessons import (
     Lesson,
+    Recording,
     joined,
-    lessons_in,
+    read_lessons,
     teach_limbs,
     worth,
 )
@@ -101,7 +102,7 @@ def test_what_is_hidden_as_well_does_not_count() -> None:
 
 def test_networks_learn_what_a_limb_does_and_read_back(tmp_path: Path) -> None:
     pairs = list(simulated_pairs("kinect_v1", people=6))
-    lessons = lessons_in(pairs, (True,))
+    lessons = read_lessons(map(Recording.of, pairs), (True,))
     people = sorted({lesson.person for lesson in lessons})
 
     def rows(some: list[str]) -> list[Lesson]:

@@ -26,7 +26,7 @@ from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.reconstruct import MotionPrior, Reconstruct
+from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
@@ -34,7 +34,15 @@ from kinefilter.pipeline.workers import workers
 
 from .accuracy import LIMBS, within_uncertainty
 from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
-from .limb_lessons import Lesson, joined, lessons_in, read_lessons, teach_limbs
+from .limb_lessons import (
+    Lesson,
+    Recording,
+    joined,
+    knowing,
+    read_lessons,
+    recordings_in,
+    teach_limbs,
+)
 from .systems import School, System, as_step, systems_of
 
 Context = Literal["alone", "repetitions"]
@@ -161,8 +169,9 @@ def _folds(
         )
     lessons: list[Lesson] = []
     if recordings:
-        modes = (not options.live,)
-        lessons = read_lessons(recordings, modes) + lessons_in(pairs, modes)
+        read = [one for file in recordings for one in recordings_in(file)]
+        read += map(Recording.of, pairs)
+        lessons = read_lessons(over(read, "read", progress), (not options.live,))
     for person in people:
         some = [case for case in cases if case.hidden[0][0].subject == person]
         if not some:
@@ -254,8 +263,8 @@ def _measure(cases: list[Case], taught: _Taught, options: HiddenLimbs) -> list[R
     found, method, cleaner = [], system.label, _cleaner(system)
     if corrector is not None:
         cleaner = cleaner.replaced(Correct(system.config, corrector))
-    if prior is not None and any(s.name == Reconstruct.name for s in cleaner.stages):
-        cleaner = cleaner.replaced(Reconstruct(system.config, prior))
+    if prior is not None:
+        cleaner = knowing(cleaner, system.config, prior)
     for case in cases:
         take, skeleton = case.take, case.take.skeleton
         seen, sure, tilt = _cleaned(take, take, cleaner, options)

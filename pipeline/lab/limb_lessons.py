@@ -25,10 +25,12 @@ from kinefilter.characters import KINECT_V1, State, Take
 from kinefilter.characters.arrays import Array, Indices, Singles
 from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.reconstruct import Reconstruct
 from kinefilter.pipeline.reconstruct.hidden_limbs import seen_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
 from kinefilter.pipeline.reconstruct.prior import (
@@ -190,46 +192,60 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
     return mean, layers
 
 
-def read_lessons(files: Sequence[Path], modes: Sequence[bool]) -> list[Lesson]:
-    """Return what recordings teach: pairs files (.npz), mocap (.bvh), takes."""
-    return _lessons([r for file in files for r in _recordings(file)], modes)
+class Recording(NamedTuple):
+    """A take, and who moves how in it."""
 
-
-def lessons_in(pairs: Iterable[PairedTake], modes: Sequence[bool]) -> list[Lesson]:
-    """Return what clips teach."""
-    return _lessons([_Recording.of(pair) for pair in pairs], modes)
-
-
-class _Recording(NamedTuple):
     person: str
     movement: str
     name: str
     take: Take
 
     @classmethod
-    def of(cls, pair: PairedTake) -> _Recording:
+    def of(cls, pair: PairedTake) -> Recording:
+        """Return that of a clip."""
         return cls(pair.subject, pair.movement, pair.clip, pair.take)
 
 
-def _lessons(recordings: Sequence[_Recording], modes: Sequence[bool]) -> list[Lesson]:
-    with workers() as pool:
-        lesson = partial(_lesson, modes=modes)
-        return list(pool.map(lesson, recordings, chunksize=8))
+def recordings_in(file: Path) -> Iterator[Recording]:
+    """Yield what is in a pairs file (.npz), mocap (.bvh) or a take."""
+    name = file.name.partition(".")[0]
+    if file.suffix == ".npz":
+        yield from map(Recording.of, read_pairs(file))
+    elif ".bvh" in file.suffixes:
+        yield Recording(name, name, name, _seen_mocap(file, name))
+    else:
+        yield Recording(name, name, name, read_take(file))
 
 
-def _lesson(recording: _Recording, modes: Sequence[bool]) -> Lesson:
+def lesson_of(recording: Recording, modes: Sequence[bool]) -> Lesson:
+    """Return what a recording teaches; ``modes`` as those of ``lessons_of``."""
     person, movement, name, take = recording
     return Lesson(person, movement, lessons_of(take, zlib.crc32(name.encode()), modes))
 
 
-def _recordings(file: Path) -> Iterator[_Recording]:
-    name = file.name.partition(".")[0]
-    if file.suffix == ".npz":
-        yield from map(_Recording.of, read_pairs(file))
-    elif ".bvh" in file.suffixes:
-        yield _Recording(name, name, name, _seen_mocap(file, name))
-    else:
-        yield _Recording(name, name, name, read_take(file))
+def read_lessons(
+    recordings: Iterable[Recording], modes: Sequence[bool]
+) -> list[Lesson]:
+    """Return what recordings teach, several read side by side."""
+    with workers() as pool:
+        read = partial(lesson_of, modes=modes)
+        return list(pool.map(read, recordings, chunksize=8))
+
+
+def taught_by(pairs: Iterable[PairedTake]) -> MotionPrior:
+    """Return what limbs do in gaps after which they are seen, as clips teach it."""
+    some = (lesson_of(Recording.of(pair), (True,)) for pair in pairs)
+    return teach_limbs(joined(some))
+
+
+def knowing(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cleaner:
+    """Return a cleaner in which hidden limbs do what a prior says.
+
+    One that reconstructs no limbs is returned as it is.
+    """
+    if all(stage.name != Reconstruct.name for stage in cleaner.stages):
+        return cleaner
+    return cleaner.replaced(Reconstruct(config, prior))
 
 
 def _seen_mocap(file: Path, name: str) -> Take:
@@ -271,10 +287,11 @@ def _without(some: set[str], lessons: Sequence[Lesson]) -> dict[str, float]:
 
 def main(out: Path, files: Sequence[str]) -> None:
     """Learn from recordings, write the weights, and print what they are worth."""
-    lessons = read_lessons([Path(file) for file in files], (False, True))
+    recordings = [r for file in files for r in recordings_in(Path(file))]
+    lessons = read_lessons(recordings, (False, True))
     write_arrays(out, teach_limbs(joined(lessons)).arrays())
     pairs = [Path(file) for file in files if file.endswith(".npz")]
-    people = sorted({pair.subject for file in pairs for pair in read_pairs(file)})
+    people = sorted({one.person for file in pairs for one in recordings_in(file)})
     movements = sorted({one.movement for one in lessons if one.person in people})
     left_out = [{person} for person in people] + [
         set(movements[k::3]) for k in range(3)

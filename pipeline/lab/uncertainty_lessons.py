@@ -19,9 +19,11 @@ from scipy.optimize import minimize
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import silent
+from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.uncertainty import (
     HIDDEN,
@@ -37,6 +39,7 @@ from .accuracy import within_uncertainty
 from .hidden_limbs import join_cases
 from .limb_guesses import HIDDEN as LIMBS
 from .limb_guesses import Guess, hide
+from .limb_lessons import knowing, taught_by
 from .teach import teach
 from .training import training_set
 
@@ -63,7 +66,10 @@ class Rows(NamedTuple):
 
 
 def lessons(
-    corrector: LearnedCorrector, pairs: Sequence[PairedTake], every: int = _EVERY
+    corrector: LearnedCorrector,
+    pairs: Sequence[PairedTake],
+    every: int = _EVERY,
+    prior: MotionPrior | None = None,
 ) -> Rows:
     """Clean clips of a person, each once as it is and once with a limb hidden.
 
@@ -71,8 +77,11 @@ def lessons(
         corrector: Has not learned from the person.
         pairs: The person's clips.
         every: Clean every Nth clip.
+        prior: Nor has this; by default it is the one that ships.
     """
     cleaner, found = Cleaner(corrector=corrector), []
+    if prior is not None:
+        cleaner = knowing(cleaner, CleanConfig(), prior)
     alone = list(join_cases(pairs, "alone"))[::every]
     repeated = [case for case in join_cases(pairs, "repetitions") if case.hidden]
     for case in (*alone, *repeated[::2]):
@@ -164,9 +173,10 @@ def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None
 
 def _person(person: str, pairs: Sequence[PairedTake]) -> Rows:
     """Return the lessons of a person, by a corrector that learned from the others."""
-    others = training_set(pair for pair in pairs if pair.subject != person)
+    others = [pair for pair in pairs if pair.subject != person]
     mine = [pair for pair in pairs if pair.subject == person]
-    return lessons(teach("learned", others), mine)
+    learned = teach("learned", training_set(others))
+    return lessons(learned, mine, prior=taught_by(others))
 
 
 def main(out: Path, files: Sequence[str]) -> None:

@@ -17,9 +17,11 @@ from kinefilter.pipeline.correct import Corrector, Hold
 from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.hidden_limbs import middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, Guess, hide
+from kinefilter.pipeline.lab.limb_lessons import knowing, taught_by
 from kinefilter.pipeline.lab.systems import System, systems_of
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import silent
+from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
@@ -109,12 +111,14 @@ def _errors_of(
     """Return the errors on somebody; None: on everybody's late repetitions."""
     train, test = split(people, person, options)
     test = test[:: sizes[0]][: sizes[1]]
-    school = school_of(train, options)
-    makers: dict[str, Maker] = {"raw": _raw, "none": _smoothed}
+    school, prior = school_of(train, options), taught_by(train)
+    smoothed = _made(CleanConfig("none", physics=False), None, prior)
+    makers: dict[str, Maker] = {"raw": _raw, "none": smoothed}
     for system in systems:
         corrector = school.corrector(system)
-        make = _cleaned if whole else _corrected
-        makers[system.label] = partial(make, system.config, corrector)
+        makers[system.label] = partial(_corrected, system.config, corrector)
+        if whole:
+            makers[system.label] = _made(system.config, corrector, prior)
     return {name: _means(test, maker, sizes[2]) for name, maker in makers.items()}
 
 
@@ -123,15 +127,16 @@ def _raw(take: Take) -> tuple[Array, Turn]:
     return Hold(take.skeleton).fill(take.positions), (0.0, 0.0)
 
 
-def _smoothed(take: Take) -> tuple[Array, Turn]:
-    return _cleaned(CleanConfig("none", physics=False), None, take)
+def _made(
+    config: CleanConfig, corrector: Corrector | None, prior: MotionPrior
+) -> Maker:
+    cleaner = knowing(Cleaner(config, corrector=corrector), config, prior)
 
+    def cleaned(take: Take) -> tuple[Array, Turn]:
+        clip = cleaner.clean(take).clip
+        return clip.positions, (clip.tilt, clip.roll)
 
-def _cleaned(
-    config: CleanConfig, corrector: Corrector | None, take: Take
-) -> tuple[Array, Turn]:
-    clip = Cleaner(config, corrector=corrector).clean(take).clip
-    return clip.positions, (clip.tilt, clip.roll)
+    return cleaned
 
 
 def _corrected(
