@@ -60,6 +60,7 @@ VARIANTS = {
     "z_up_cm.usdc": Export(up="z", units="cm", fps=24.0),
     "clip.glb": Export(),
     "strict.glb": Export(rest="t"),
+    "sparse.glb": Export(keys=0.5),
     "clip.bvh": Export(),
     "strict.bvh": Export(rest="t"),
     "z_up_cm.bvh": Export(up="z", units="cm", fps=24.0, rotation_order="zxy"),

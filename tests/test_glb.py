@@ -48,9 +48,11 @@ in_three = pytest.mark.skipif(
 )
 
 
-def three(path: Path) -> dict[str, Any]:
+def three(path: Path, times: list[float] | None = None) -> dict[str, Any]:
     script = Path(__file__).with_name("three_gltf.mjs")
     command = ["node", str(script), FOLDER, str(path)]
+    if times is not None:
+        command.append(json.dumps(times))
     ran = subprocess.run(command, check=True, capture_output=True, timeout=60)
     found: dict[str, Any] = json.loads(ran.stdout)
     return found
@@ -147,6 +149,22 @@ def test_it_is_valid_and_three_has_every_joint_where_the_clip_has_it(
         assert np.abs(still).max() < 1e-6
     shares = np.array(known["reliability"])[kept] / 100.0
     np.testing.assert_allclose(shares, clip.reliability, atol=1e-6)
+
+
+@in_three
+@every_skeleton
+def test_three_draws_the_curves_between_the_keys_that_are_left(
+    make_clip: MakeClip, furnish: Furnish, tmp_path: Path, skeleton: Skeleton
+) -> None:
+    clip = with_a_gap(furnish(make_clip(40, skeleton, seed=5)))
+    write_clip(clip, tmp_path / "clip.glb", Export(keys=0.8))
+    times = [*clip.time, *np.linspace(clip.time[4], clip.time[5] - 1 / 30, 50)]
+    found = three(tmp_path / "clip.glb", times)
+    assert found["issues"] == []
+    columns = [found["names"].index(joint) for joint in skeleton.joints]
+    held = np.repeat(clip.positions[4:5], 50, axis=0)
+    away = np.array(found["frames"])[:, columns] - [*clip.positions, *held]
+    assert 0.2 * MILLIMETER < np.linalg.norm(away, axis=-1).max() < 0.81 * MILLIMETER
 
 
 @in_three

@@ -1,17 +1,18 @@
 // Print what Khronos' validator says of a GLB file, and where three.js has its joints.
 //
-//     node tests/three_gltf.mjs FOLDER clip.glb
+//     node tests/three_gltf.mjs FOLDER clip.glb [TIMES]
 //
 // FOLDER has node_modules with three, gltf-validator and @pixiv/three-vrm-animation in
-// it. Printed are, as JSON, "issues" (code and place of each), "times" of the keys,
-// "names" and, for each key, "frames": [x, y, z] of each joint in meters, "extras" of
+// it. TIMES is a list in JSON, in seconds; without, they are those of the first node's
+// keys. Printed are, as JSON, "issues" (code and place of each), "times", "names" and,
+// for each time, "frames": [x, y, z] of each joint in meters, "extras" of
 // the animation, and of VRMA "bones": how they turn (xyzw), and where the hips are.
 
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { pathToFileURL } from 'node:url';
 
-const [folder, file] = process.argv.slice(2);
+const [folder, file, asked] = process.argv.slice(2);
 const load = (name) => import(pathToFileURL(`${folder}/node_modules/three/${name}`));
 const THREE = await load('build/three.module.js');
 const { GLTFLoader } = await load('examples/jsm/loaders/GLTFLoader.js');
@@ -34,7 +35,7 @@ mixer.clipAction(clip).play();
 const joints = [];
 gltf.scene.traverse((node) => node.isBone && joints.push(node));
 const place = new THREE.Vector3();
-const times = Array.from(clip.tracks[0].times);
+const times = asked ? JSON.parse(asked) : Array.from(clip.tracks[0].times);
 const frames = times.map((time) => {
 	mixer.setTime(Math.min(time, clip.duration * (1 - 1e-7)));
 	gltf.scene.updateMatrixWorld(true);

@@ -47,6 +47,7 @@ COLOR = (0.11, 0.24, 0.32)
 """Of the skin, linear; a quiet color that no prop has."""
 
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
+_FINEST, _COARSEST = 0.01, 100.0  # mm, likewise
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 WHOLE_CLIPS = (".npz", *USD_SUFFIXES, ".glb")
 """Files that say where joints came from, and are read back."""
@@ -56,7 +57,7 @@ _FOLLOWED = {
     **dict.fromkeys(USD_SUFFIXES, (*_RIGGED, "character")),
     ".usdz": _RIGGED,
     ".bvh": (*_RIGGED, "rotation_order"),
-    ".glb": ("fps", "rest", "rig", "target"),
+    ".glb": ("fps", "keys", "rest", "rig", "target"),
     ".vrma": ("fps",),
     **dict.fromkeys((".csv", ".npz"), ("fps",)),
 }
@@ -80,6 +81,9 @@ class Export:
     """Frames a second of the clip, between the take's; default: the take's own frames,
     where they are, and in BVH the mean frame time, or with a long gap the take's rate.
     Blender keeps its own rate when it imports USD or GLB: set it to the clip's."""
+    keys: float | None = None
+    """Leave keys of GLB out as long as no joint moves more than this [mm], or turns
+    more than half a degree for each: smooth curves go through those that are left."""
     rest: Literal["own", "t"] = "own"
     """Rest pose of USD, GLB and BVH: a T-pose with trunk, shoulders and hips as this
     person has them, or a strict T, upright and square."""
@@ -105,6 +109,9 @@ class Export:
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
             known = f"{_SLOWEST:g} to {_FASTEST:g} frames/s"
             raise InputError(f"--fps {self.fps:g}: expected {known}")
+        if self.keys is not None and not _FINEST <= self.keys <= _COARSEST:
+            known = f"{_FINEST:g} to {_COARSEST:g} mm"
+            raise InputError(f"--keys {self.keys:g}: expected {known}")
         if self.target is not None and self.rig is None:
             raise InputError(f"--target {self.target}: name its joints with --rig")
         if self.rig is not None and (self.rest != "own" or self.character is not None):
@@ -183,6 +190,8 @@ def paced(export: Export, suffix: str, time: Array, source: str) -> Export:
         export = replace(export, fps=frames_per_second(time))
     if export.fps is not None:
         even_frames(time, export.fps, source)
+    elif export.keys is not None:
+        even_frames(time, frames_per_second(time), source)
     return export
 
 

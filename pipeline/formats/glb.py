@@ -24,6 +24,7 @@ from kinefilter.characters.skin import skin_of
 
 from .export import COLOR, LINEAR, ONCE, PER_FRAME, Export, name_tables
 from .files import AnyPath, atomic_path
+from .keys import Curve, sparse_curves
 from .recording import FRAMES_AT_ONCE
 from .rig import Rig, RigMotion
 
@@ -39,6 +40,8 @@ UNITS = {
 """How many of the whole numbers in ``extras`` are one in a clip's fields."""
 FRAMES = {**PER_FRAME, "state": "state", "externalForce": "external_force"}
 """What ``extras`` have a row of for each keyframe, and the clip's fields."""
+SMOOTH = "CUBICSPLINE"
+"""How samplers say that their keys are those of a curve."""
 _POINTS, _CORNERS = 34962, 34963  # what a graphics card gets
 _VRMA = "VRMC_vrm_animation"
 _DECIMALS = 9  # of time stamps [s]
@@ -56,9 +59,15 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
     glb, rig = _Document(stamps), moved.rig
     glb.scene.append(0)
     glb.nodes += _nodes(rig)
-    glb.move(rig.mover, "translation", moved.path[rows])
-    for node, turns in enumerate(_turns(moved, rows)):
-        glb.move(node, "rotation", turns)
+    turns = _turns(moved, rows)
+    if export.keys is None or len(rows) < 2:
+        glb.move(rig.mover, "translation", moved.path[rows])
+        for node in range(len(rig)):
+            glb.move(node, "rotation", _xyzw(turns[:, node]))
+    else:
+        step, error = 1.0 / clip.fps, export.keys / 1000.0
+        for curve in sparse_curves(rig, stamps, step, moved.path[rows], turns, error):
+            glb.bend(curve)
     if export.rig is None:
         mesh = glb.mesh("Skin", _skin(clip, rig, glb), (*COLOR, 1.0))
         glb.scene.append(len(glb.nodes))
@@ -122,7 +131,7 @@ class _Document:
         self.accessors: list[dict[str, Any]] = []
         self.views: list[dict[str, Any]] = []
         self.data = bytearray()
-        self._time = self.add(stamps.astype("<f4"), bounds=True)
+        self._stamps, self._time = stamps, -1
 
     def add(
         self, values: NDArray[Any], target: int | None = None, *, bounds: bool = False
@@ -153,10 +162,26 @@ class _Document:
 
     def move(self, node: int, what: str, values: Array) -> None:
         """Animate a node's translation [m] or rotation (xyzw), a row a keyframe."""
-        output = self.add(values.astype("<f4"))
+        if self._time < 0:
+            self._time = self.add(self._stamps.astype("<f4"), bounds=True)
+        self._animate(node, what, {"input": self._time}, values)
+
+    def _animate(
+        self, node: int, what: str, sampler: dict[str, Any], values: Array
+    ) -> None:
         target = {"node": node, "path": what}
         self.channels.append({"sampler": len(self.samplers), "target": target})
-        self.samplers.append({"input": self._time, "output": output})
+        self.samplers.append(sampler | {"output": self.add(values.astype("<f4"))})
+
+    def bend(self, curve: Curve) -> None:
+        """Animate a node's translation or rotation by a curve."""
+        keys = np.stack([curve.slopes, curve.values, curve.slopes], axis=1)
+        what = "translation"
+        if keys.shape[-1] == 4:
+            keys, what = _xyzw(keys), "rotation"
+        times = self.add(curve.times.astype("<f4"), bounds=True)
+        sampler = {"input": times, "interpolation": SMOOTH}
+        self._animate(curve.node, what, sampler, keys.reshape(-1, keys.shape[-1]))
 
     def mesh(self, name: str, primitive: dict[str, Any], color: Sequence[float]) -> int:
         """Return the index of a new mesh in a linear color with alpha."""
@@ -253,11 +278,11 @@ def _skin(clip: Clip, rig: Rig, glb: _Document) -> dict[str, Any]:
 
 
 def _turns(moved: RigMotion, rows: Indices) -> NDArray[Any]:
-    """Return every node's rotation in its parent, xyzw, (N, K, 4)."""
+    """Return every node's rotation in its parent, wxyz, (K, N, 4)."""
     found = np.empty((len(rows), len(moved.rig), 4))
     for some in chunks(len(rows), FRAMES_AT_ONCE):
         found[some] = moved.rig.local_rotations(moved.rotations[rows[some]])
-    return np.swapaxes(_xyzw(continuous(found)), 0, 1)
+    return continuous(found)
 
 
 def _provenance(clip: Clip, rows: Indices, held: list[int]) -> dict[str, Any]:

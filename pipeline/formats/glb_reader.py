@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from kinefilter.characters import Clip, InputError, Prop, Shape, standard_body
 from kinefilter.characters.arrays import Array, Indices
@@ -21,7 +22,7 @@ from kinefilter.characters.rotations import normalize
 
 from .export import ONCE, name_tables
 from .files import AnyPath, check_file
-from .glb import BINARY, FRAMES, JSON, KINDS, MAGIC, SIZES, UNITS, key_times
+from .glb import BINARY, FRAMES, JSON, KINDS, MAGIC, SIZES, SMOOTH, UNITS, key_times
 from .rig import motion_of_rig, own_skeleton, rig_of
 
 _LARGEST = 2**31  # bytes: hours of the largest skeleton
@@ -46,6 +47,8 @@ def read_glb_times(path: AnyPath) -> tuple[list[str], Array]:
         document, data = _chunks(source)
         skin, animation = _animated(document)
         names = [str(document["nodes"][n]["name"]) for n in skin["joints"]]
+        if known := animation.get("extras", {}).get("kinefilter"):
+            return names, key_times(np.array(known["time"], dtype=float))
         index = animation["samplers"][0]["input"]
         return names, _values(document, data, index).astype(float).ravel()
 
@@ -116,7 +119,7 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
         for sampler in [animation["samplers"][channel["sampler"]]]
     }
     time = np.array(known["time"], dtype=float)
-    keys = len(values(samplers[0, "rotation"]["input"]))
+    keys = len(known["state"])
     kept = np.delete(np.arange(keys), np.array(known["held"], dtype=int))
     stamps = key_times(time)
     # Frames with the same stamp share a keyframe.
@@ -124,8 +127,14 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
 
     def moved(node: int, what: str) -> Array:
         rows = np.array([nodes[node][what]], dtype=float)
-        if (node, what) in samplers:
-            rows = values(samplers[node, what]["output"])[kept].astype(float)
+        if sampler := samplers.get((node, what)):
+            rows = values(sampler["output"]).astype(float)
+            if sampler.get("interpolation") == SMOOTH:
+                keys = values(sampler["input"]).astype(float)
+                _, places, slopes = np.moveaxis(rows.reshape(len(keys), 3, -1), 1, 0)
+                rows = CubicHermiteSpline(keys, places, slopes)(stamps)
+            else:
+                rows = rows[kept]
         return _wxyz(rows) if what == "rotation" else rows
 
     turns = np.stack([moved(n, "rotation") for n in joints], axis=1)
