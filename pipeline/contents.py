@@ -51,6 +51,7 @@ _PARTS = {
     for side in SIDES
 }
 _USD = (b"#usda", b"PXR-USDC")
+_STILL = 1e-5  # m over the floor: nobody stands so still
 _LISTED = 30  # names of joints on a terminal
 _SHOWN_APART = (
     *("file", "kind", "format", "bodies", "notes", "body", "most_seen"),
@@ -139,6 +140,7 @@ def _of_npz(name: str) -> dict[str, Any]:
 def _of_clip(clip: Clip) -> dict[str, Any]:
     standing = clip.contacts.mean(axis=0).tolist()
     force = clip.external_force[np.isfinite(clip.external_force)]
+    way = float(np.ptp(clip.root[:, [0, 2]], axis=0).max())
     return {
         "kind": "clip",
         "unit": "m",
@@ -150,6 +152,7 @@ def _of_clip(clip: Clip) -> dict[str, Any]:
         "mass_kg": clip.body.mass,
         "reliability": float(clip.reliability.mean()),
         "origin": origin_shares(clip),
+        "in_place": way < _STILL,  # so feet that stand slide
         "standing": dict(zip(CONTACTS, standing, strict=True)),
         "external_force_body_weights": float(force.mean()) if len(force) else None,
         "states": _states(clip),

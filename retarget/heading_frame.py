@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import about_y, inverse, multiply
+from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
 
 _ACROSS = ("Hip", "Shoulder")
 
@@ -26,6 +27,11 @@ class HeadingFrame:
     def at(self, frames: Any) -> HeadingFrame:
         """Return the view of some frames, or of one."""
         return HeadingFrame(self.root[frames], self.yaw[frames])
+
+    @property
+    def unturned(self) -> HeadingFrame:
+        """The same place, facing +z."""
+        return HeadingFrame(self.root, np.zeros_like(self.yaw))
 
     def remove(self, positions: Array) -> Array:
         """Return positions [m] seen from the root, facing +z, shape (..., J, 3)."""
@@ -47,6 +53,17 @@ class HeadingFrame:
     def restore_rotations(self, rotations: Array) -> Array:
         """Return world rotations of normalized ones, wxyz, shape (..., J, 4)."""
         return multiply(about_y(self.yaw)[..., None, :], rotations)
+
+
+def floor_frame(pelvis: Array, turns: Array, left: ArrayLike) -> HeadingFrame:
+    """Return where on the floor a pelvis is, and how far it has turned there.
+
+    Its positions [m] have y up, shape (T, 3), its rotations since the rest pose, wxyz,
+    (T, 4); ``left`` is the direction to its left there (3,).
+    """
+    now, rest = rotate(turns, left), np.asarray(left)
+    yaw = np.arctan2(-now[..., 2], now[..., 0]) - np.arctan2(-rest[2], rest[0])
+    return HeadingFrame(pelvis * [1.0, 0.0, 1.0], yaw)
 
 
 def _turned(positions: Array, yaw: Array) -> Array:

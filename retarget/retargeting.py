@@ -25,6 +25,7 @@ from kinefilter.characters.rotations import (
 )
 
 from .bent_limb import bent_limb
+from .heading_frame import HeadingFrame, floor_frame
 from .rig_map import SIDES
 from .stance import held, near_stance, smooth_step
 from .target_rig import TargetRig
@@ -76,7 +77,8 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     place relative to limb length: the vector from shoulder to wrist over the length of
     the arm, and that from hip to ankle over the length of the leg, are the clip's. A
     foot that stands (``clip.contacts``) is held still, up to 1.75 % of the leg from
-    there, and where its leg is too short the hips sink.
+    there, and where its leg is too short the hips sink. What the pelvis hangs on goes
+    over the floor straight below it, with its heading.
     """
     motion = _Motion(clip, rig)
     goals = [motion.limb_end(side, _LEG) for side in SIDES]
@@ -89,7 +91,27 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     for side, goal in zip(SIDES, goals, strict=True):
         motion.bend(side, _LEG, goal)
         motion.bend(side, _ARM, motion.limb_end(side, _ARM))
-    return Retargeted(*map(read_only, motion.posed(hips)))
+    found = motion.posed(hips)
+    _lead(rig, found)
+    return Retargeted(*map(read_only, found))
+
+
+def rig_frame(rig: TargetRig, motion: Retargeted) -> HeadingFrame:
+    """Return where on the floor a skeleton is, and how far it has turned there."""
+    pelvis, left = rig.joint("pelvis"), rig.bone("right thigh", "left thigh")
+    return floor_frame(motion.positions[:, pelvis], motion.rotations[:, pelvis], left)
+
+
+def _lead(rig: TargetRig, motion: Retargeted) -> None:
+    """Move (in place) what does not hang on the pelvis over the floor, as it moves."""
+    rest, pelvis = rig.rest, rig.joint("pelvis")
+    led = np.ones(len(rest), dtype=np.bool_)
+    for node, parent in enumerate(rest.parents):
+        led[node] = node != pelvis and (parent < 0 or led[parent])
+    frame = rig_frame(rig, motion)
+    below = rest.positions[led] - rest.positions[pelvis] * _LEVEL
+    motion.positions[:, led] = frame.restore(np.tile(below, (len(frame.yaw), 1, 1)))
+    motion.rotations[:, led] = about_y(frame.yaw)[:, None]
 
 
 class _Motion:

@@ -48,7 +48,7 @@ def test_every_kind_of_value_is_taken() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("colour = 3", "f.toml: unknown key 'colour'; known: adapt, body"),
+        ("colour = 3", "f.toml: unknown key 'colour'; known: adapt, begin, body"),
         ("cutoff = '4'", "f.toml: cutoff = '4': expected a number"),
         ("cutoff = true", "expected a number"),
         ("physics = 1", "expected true or false"),

@@ -142,6 +142,10 @@ def test_a_sensor_that_looks_down_has_a_positive_tilt() -> None:
 def test_options_go_with_the_files_that_the_table_says() -> None:
     chosen: dict[str, Any] = {
         "--fps": {"fps": 24.0},
+        "--begin": {"begin": 1.0},
+        "--end": {"end": 2.0},
+        "--loop": {"loop": True},
+        "--root": {"root": "in-place"},
         "--keys": {"keys": 1.0},
         "--up": {"up": "z"},
         "--units": {"units": "cm"},

@@ -201,7 +201,7 @@ def test_vrma_moves_every_bone_as_the_vrm_rig_moves(
         apart = multiply(inverse(turns[:, n]), np.roll(xyzw, 1, axis=1))
         assert np.abs(rotation_vector(apart)).max() < 1e-5, name
     hips = np.reshape(found["bones"]["hips"], (-1, 3))
-    np.testing.assert_allclose(hips, moved.path, atol=1e-5)
+    np.testing.assert_allclose(hips, moved.places[0], atol=1e-5)
     np.testing.assert_allclose(
         found["bones"]["rest"], moved.rig.rest_positions[0], atol=1e-5
     )

@@ -18,7 +18,7 @@ from skeletons import every_skeleton
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V2, Clip, InputError, Skeleton
-from kinefilter.characters.rotations import inverse, multiply, rotation_vector
+from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
 from kinefilter.pipeline.formats.keys import sparse_curves
@@ -136,8 +136,8 @@ def test_curves_do_not_swing_where_frames_are_missing() -> None:
     stamps = np.r_[np.arange(10), 130 + np.arange(10)] / 30.0
     path = np.zeros((20, 3))
     path[:, 2] = np.r_[np.arange(10), 9, 10 + np.arange(9)] * 0.05
-    still = np.tile([1.0, 0.0, 0.0, 0.0], (20, len(rig), 1))
-    curve = next(sparse_curves(rig, stamps, 1 / 30, path, still, 0.001))
+    still = np.tile(IDENTITY, (20, len(rig), 1))
+    curve = next(sparse_curves(rig, stamps, 1 / 30, {0: path}, still, 0.001))
     known = CubicHermiteSpline(curve.times, curve.values, curve.slopes)
     between = np.arange(9, 131) / 30.0
     assert np.abs(known(between)[:, 2] - 9 * 0.05).max() < 1e-3

@@ -104,7 +104,7 @@ def test_usd_validation_has_nothing_to_say(
     assert prims == {"Character", "Skeleton", "Animation"}
 
 
-def test_only_the_pelvis_of_an_unreal_clip_changes_place(
+def test_only_root_and_pelvis_of_an_unreal_clip_change_place(
     clip: Clip, tmp_path: Path
 ) -> None:
     write_clip(clip, tmp_path / "clip.usdc", Export(rig="unreal"))
@@ -115,7 +115,8 @@ def test_only_the_pelvis_of_an_unreal_clip_changes_place(
     moved = np.abs(last - first).max(axis=1) > 0.0
     joints = [j.rpartition("/")[2] for j in animation.GetJointsAttr().Get()]
     assert [joint for joint, far in zip(joints, moved, strict=True) if far] == [
-        "pelvis"
+        "root",
+        "pelvis",
     ]
 
 

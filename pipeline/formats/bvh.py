@@ -265,7 +265,7 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     # Node by node: the angles need the whole time, and all at once would be gigabytes.
     for n in rig.depth_first:
         if n in (0, rig.mover):
-            place = moved.path if n == rig.mover else np.tile(rig.root, (len(clip), 1))
+            place = moved.places.get(n, np.tile(rig.root, (len(clip), 1)))
             columns.append(export.points(place))
         local = export.axes(rig.local_rotation(moved.rotations, n))
         columns.append(np.degrees(continuous_euler(local, order)))

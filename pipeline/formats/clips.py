@@ -22,19 +22,21 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import check_kind
 from kinefilter.pipeline.reliability import measure_body
+from kinefilter.retarget.looping import repeated
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
-from kinefilter.retarget.retargeting import retarget
+from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, RigMap, load_rig_map, rig_map_of
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
-from .export import USD_SUFFIXES, Export, in_strict_t, paced, resampled, with_y_up
+from .export import USD_SUFFIXES, Export, paced, with_y_up
 from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
 from .glb import write_glb
 from .glb_reader import read_glb
 from .guarded import read_usd
 from .npz import clip_of_arrays, read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
+from .shaping import kept_still, shaped
 from .sheets import write_take_csv
 from .takes import read_take
 
@@ -78,22 +80,23 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     path = Path(path)
     suffix = path.suffix.lower()
     export = paced(export, suffix, clip.time, clip.source)
-    if export.fps is not None:
-        clip = resampled(clip, export.fps)
-    if export.rest == "t":
-        clip = in_strict_t(clip)
+    clip = shaped(clip, export)
+    if suffix == ".vrma":
+        export = replace(export, rig="vrm")
+    if export.rig is None:
+        clip = kept_still(clip, export.root)
     if suffix == ".csv":
         write_take_csv(clip, path)
     elif suffix == ".npz":
         write_npz(clip, path)
     else:
-        root = clip.positions[:, clip.skeleton.root]
-        moved = RigMotion(rig_of(clip.body), clip.rotations, root, clip.positions)
-        if suffix == ".vrma":
-            export = replace(export, rig="vrm")
+        places = {0: clip.positions[:, clip.skeleton.root]}
+        moved = RigMotion(rig_of(clip.body), clip.rotations, places, clip.positions)
         if export.rig is not None:
             rig = target_rig(export.rig, export.target, clip.body)
-            moved = retargeted_motion(rig, retarget(clip, rig))
+            acted, own = repeated(clip) if export.loop else (clip, slice(None))
+            motion = Retargeted(*(values[own] for values in retarget(acted, rig)))
+            moved = retargeted_motion(rig, motion, export.root)
         if suffix == ".bvh":
             write_bvh(clip, moved, path, export)
         elif suffix in (".glb", ".vrma"):

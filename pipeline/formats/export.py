@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,6 +26,7 @@ from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.pipeline.field_types import check_fields
 
 from .recording import FRAMES_AT_ONCE, MOST_FRAMES
+from .rig import Travel
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
@@ -51,15 +53,16 @@ _FINEST, _COARSEST = 0.01, 100.0  # mm, likewise
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 WHOLE_CLIPS = (".npz", *USD_SUFFIXES, ".glb")
 """Files that say where joints came from, and are read back."""
-_RIGGED = ("up", "units", "fps", "rest", "rig", "target")
+_MOVE = ("begin", "end", "loop", "root", "fps")
+_RIGGED = (*_MOVE, "up", "units", "rest", "rig", "target")
 # What each kind of file can follow; kinefilter's own are in meters, y up.
 _FOLLOWED = {
     **dict.fromkeys(USD_SUFFIXES, (*_RIGGED, "character")),
     ".usdz": _RIGGED,
     ".bvh": (*_RIGGED, "rotation_order"),
-    ".glb": ("fps", "keys", "rest", "rig", "target"),
-    ".vrma": ("fps",),
-    **dict.fromkeys((".csv", ".npz"), ("fps",)),
+    ".glb": (*_MOVE, "keys", "rest", "rig", "target"),
+    ".vrma": _MOVE,
+    **dict.fromkeys((".csv", ".npz"), _MOVE),
 }
 _END = 1e-6  # of a frame: the last one is not lost to rounding
 _MOVED = ("moved_by_correction", "moved_by_physics", "uncertainty")
@@ -81,6 +84,19 @@ class Export:
     """Frames a second of the clip, between the take's; default: the take's own frames,
     where they are, and in BVH the mean frame time, or with a long gap the take's rate.
     Blender keeps its own rate when it imports USD or GLB: set it to the clip's."""
+    begin: float | None = None
+    """Seconds after the take's first frame at which the clip begins. The take is
+    cleaned whole all the same."""
+    end: float | None = None
+    """Seconds after the take's first frame at which the clip ends."""
+    loop: bool = False
+    """Blend the clip's end into its beginning: in the last frame the person is as in
+    the first, wherever they have come to and face by then. Standing feet stay."""
+    root: Travel = "travel"
+    """What is left of the way over the floor: travel (all; on a rig with a root below
+    the pelvis, such as unreal's, that root goes there and turns), in-place (turns
+    alone, for games that move the character themselves), or none (the hips stay over
+    the origin, facing +z)."""
     keys: float | None = None
     """Leave keys of GLB out as long as no joint moves more than this [mm], or turns
     more than half a degree for each: smooth curves go through those that are left."""
@@ -109,6 +125,11 @@ class Export:
         if self.fps is not None and not _SLOWEST <= self.fps <= _FASTEST:
             known = f"{_SLOWEST:g} to {_FASTEST:g} frames/s"
             raise InputError(f"--fps {self.fps:g}: expected {known}")
+        if not 0.0 <= (self.begin or 0.0) < (inf if self.end is None else self.end):
+            raise InputError(
+                f"--begin {self.begin or 0.0:g} --end {self.end or 0.0:g}: expected "
+                "seconds after the take's first frame, the end after the beginning"
+            )
         if self.keys is not None and not _FINEST <= self.keys <= _COARSEST:
             known = f"{_FINEST:g} to {_COARSEST:g} mm"
             raise InputError(f"--keys {self.keys:g}: expected {known}")
@@ -180,12 +201,30 @@ def even_frames(time: Array, fps: float, source: str) -> int:
     return count
 
 
+def span_of(export: Export, time: Array, source: str) -> slice:
+    """Return which frames, by their time stamps [s] (T,), a clip is to have.
+
+    Raises InputError where the take has none.
+    """
+    since, lasts = time - time[0], float(time[-1] - time[0])
+    begin, end = export.begin or 0.0, lasts if export.end is None else export.end
+    slack = 1.0 / frames_per_second(time)
+    first, stop = np.searchsorted(since, [begin - _END * slack, end + _END * slack])
+    if first >= stop or end > lasts + slack:
+        raise InputError(
+            f"{source}: no frames from {begin:g} to {end:g} s, it has {len(time)} in "
+            f"{lasts:.4g} s; choose --begin and --end among these"
+        )
+    return slice(int(first), int(stop))
+
+
 def paced(export: Export, suffix: str, time: Array, source: str) -> Export:
     """Return how a motion with time stamps [s] (T,) is written, with its frame rate.
 
     BVH has no time stamps: to hold still in a long gap it has even frames. Raises
-    InputError as ``even_frames``.
+    InputError as ``span_of`` and ``even_frames``.
     """
+    time = time[span_of(export, time, source)]
     if suffix == ".bvh" and export.fps is None and long_gaps(time):
         export = replace(export, fps=frames_per_second(time))
     if export.fps is not None:

@@ -60,13 +60,15 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
     glb.scene.append(0)
     glb.nodes += _nodes(rig)
     turns = _turns(moved, rows)
+    paths = {node: places[rows] for node, places in moved.places.items()}
     if export.keys is None or len(rows) < 2:
-        glb.move(rig.mover, "translation", moved.path[rows])
+        for node, places in paths.items():
+            glb.move(node, "translation", places)
         for node in range(len(rig)):
             glb.move(node, "rotation", _xyzw(turns[:, node]))
     else:
         step, error = 1.0 / clip.fps, export.keys / 1000.0
-        for curve in sparse_curves(rig, stamps, step, moved.path[rows], turns, error):
+        for curve in sparse_curves(rig, stamps, step, paths, turns, error):
             glb.bend(curve)
     if export.rig is None:
         mesh = glb.mesh("Skin", _skin(clip, rig, glb), (*COLOR, 1.0))
@@ -88,7 +90,7 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
         "name": " + ".join(Path(take).name.partition(".")[0] for take in takes),
         "samplers": glb.samplers,
         "channels": glb.channels,
-        "extras": {"kinefilter": _provenance(clip, rows, held)},
+        "extras": {"kinefilter": _provenance(clip, rows, held) | {"root": export.root}},
     }
     document = {
         "asset": {"version": "2.0", "generator": "kinefilter"},

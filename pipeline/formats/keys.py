@@ -7,7 +7,7 @@ gives new curves handles that make them the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -48,28 +48,37 @@ class Curve(NamedTuple):
 
 
 def sparse_curves(
-    rig: Rig, stamps: Array, step: float, path: Array, local: Array, error: float
+    rig: Rig,
+    stamps: Array,
+    step: float,
+    places: Mapping[int, Array],
+    local: Array,
+    error: float,
 ) -> Iterator[Curve]:
     """Yield curves that leave every joint within ``error`` [m] of its place.
 
     They are found from the root on, and each undoes what those above it do wrong.
     Rotations come within half a degree for each millimeter. Time stamps [s] are (T,),
-    in single precision and apart, places of ``rig.mover`` in its parent [m] (T, 3),
-    rotations of all nodes in their parents, wxyz, (T, N, 4), two frames or more. Where
+    two or more, in single precision and apart, places of nodes that move in their
+    parents [m] (T, 3), rotations of all nodes in their parents, wxyz, (T, N, 4). Where
     frames are farther apart than ``step`` [s], the curves keep to what is between them,
     too: on a line, and on the shortest arc.
     """
     stamps, before, share = _with_missing(stamps, step)
-    after = np.minimum(before + 1, len(path) - 1)
-    path = path[before] + share[:, None] * (path[after] - path[before])
+    after = np.minimum(before + 1, len(local) - 1)
+    paths = {
+        node: path[before] + share[:, None] * (path[after] - path[before])
+        for node, path in places.items()
+    }
     local = continuous(slerp(local[before], local[after], share[:, None]))
-    chain = _Chain(rig, path, local, error)
+    chain = _Chain(rig, paths, local, error)
     for node, parent in enumerate(rig.parents):
-        moves = node == rig.mover
-        if moves:
-            curve, path = _fitted(node, stamps, path, partial(chain.off, node))
+        place = rig.at_rest[0][node]
+        if node in paths:
+            off = partial(chain.off, node)
+            curve, place = _fitted(node, stamps, paths[node], off)
             yield curve
-        chain.put(node, path if moves else rig.at_rest[0][node])
+        chain.put(node, place)
         target = chain.world[:, node]
         if parent >= 0:
             target = multiply(inverse(chain.turned[:, parent]), target)
@@ -97,7 +106,9 @@ def _with_missing(stamps: Array, step: float) -> tuple[Array, Indices, Array]:
 class _Chain:
     """Where the nodes of a rig are, and where the curves so far put them."""
 
-    def __init__(self, rig: Rig, path: Array, local: Array, error: float) -> None:
+    def __init__(
+        self, rig: Rig, paths: Mapping[int, Array], local: Array, error: float
+    ) -> None:
         self._rig, self._places = rig, rig.at_rest[0]
         self.world = rig.world_rotations(local)
         """World rotations as they should be, (T, N, 4)."""
@@ -105,13 +116,13 @@ class _Chain:
         """As the curves have them, as far as there are any."""
         self._kept = np.empty((*local.shape[:2], 3))
         for node in range(len(rig)):
-            self.put(node, path if node == rig.mover else self._places[node])
+            self.put(node, paths.get(node, self._places[node]))
         self._where = self._kept.copy()
         far = np.linalg.norm(self._places, axis=1) > _SHORT
-        far[[0, rig.mover]] = True
+        far[list(paths)] = True
+        led = [n for n in range(len(rig)) if far[n] and n not in paths]
         self._children = [
-            [c for c, p in enumerate(rig.parents) if p == n and far[c]]
-            for n in range(len(rig))
+            [child for child in led if rig.parents[child] == n] for n in range(len(rig))
         ]
         self._allowed = (error - _ROUNDING) * _shares(rig.parents, far)
         self._angle = (error - _ROUNDING) / _LEVER
@@ -143,10 +154,9 @@ class _Chain:
         sines = multiply(inverse(self.world[:, node]), now)[:, 1:]
         most = 2.0 * np.linalg.norm(sines, axis=1) / self._angle
         for child in self._children[node]:
-            if child != self._rig.mover:
-                place = self._kept[:, node] + rotate(now, self._places[child])
-                away = np.linalg.norm(place - self._where[:, child], axis=1)
-                most = np.maximum(most, away / self._allowed[child])
+            place = self._kept[:, node] + rotate(now, self._places[child])
+            away = np.linalg.norm(place - self._where[:, child], axis=1)
+            most = np.maximum(most, away / self._allowed[child])
         return np.asarray(most)
 
 

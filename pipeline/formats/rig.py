@@ -5,9 +5,10 @@ It is our own, or that of somebody else's rig.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -15,8 +16,11 @@ from kinefilter.characters import SKELETONS, Body, Motion, Skeleton, standard_bo
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.body_size import measured_body
-from kinefilter.retarget.retargeting import Retargeted
+from kinefilter.retarget.retargeting import Retargeted, rig_frame
 from kinefilter.retarget.target_rig import TargetRig
+
+Travel = Literal["travel", "in-place", "none"]
+"""What is left of a motion's way over the floor: all, the turns, or nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,22 +175,35 @@ class RigMotion:
 
     rig: Rig
     rotations: Array  # of its segments since the rest pose, world, wxyz, (T, S, 4)
-    path: Array  # place of the node ``rig.mover`` in its parent [m], shape (T, 3)
+    places: Mapping[int, Array]
+    """Where nodes are in their parents [m], (T, 3), by index: ``rig.mover``, and a root
+    below it that moves over the floor."""
     positions: Array  # world positions of joints, all that differ [m], shape (T, J, 3)
 
 
-def retargeted_motion(target: TargetRig, motion: Retargeted) -> RigMotion:
-    """Return a motion on another skeleton, whose nodes turn each for itself."""
+def retargeted_motion(
+    target: TargetRig, motion: Retargeted, travel: Travel = "travel"
+) -> RigMotion:
+    """Return a motion on another skeleton, whose nodes turn each for itself.
+
+    ``travel`` says what is left of its way over the floor.
+    """
     rest, mover = target.rest, target.joint("pelvis")
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0
     segments, root = np.arange(len(rest)), rest.positions[0]
     rig = Rig(rest.names, rest.parents, offsets, segments, root, rest.axes, mover)
-    above = rig.parents[mover]
-    path = motion.positions[:, mover]
+    rotations, positions = motion.rotations, motion.positions
+    if travel != "travel":
+        frame = rig_frame(target, motion)
+        frame = frame if travel == "none" else frame.unturned
+        rotations = frame.remove_rotations(rotations)
+        positions = frame.remove(positions)
+    places, above = {mover: positions[:, mover]}, rig.parents[mover]
     if above >= 0:
-        # All above the pelvis stays as it is at rest.
-        path = path - motion.positions[:, above]
+        path = positions[:, mover] - positions[:, above]
+        path = rotate(inverse(rotations[:, above]), path)
         if rig.axes is not None:
             path = rotate(inverse(rig.axes[above]), path)
-    return RigMotion(rig, motion.rotations, path, motion.positions)
+        places = {0: positions[:, 0], mover: path}
+    return RigMotion(rig, rotations, places, positions)

@@ -25,6 +25,8 @@ What cleaning did to the whole take is written once, unless it is unknown:
 - ``sensorTilt``: angle in radians by which the take was turned about the sensor's x
   axis, positive where the floor rose away from the sensor: ``y cos - z sin`` is up
 - ``floorHeight``: height of the floor in the take so leveled, which was then taken off
+- ``root``: what is left of the way over the floor: ``travel``, ``in-place`` or
+  ``none``; standing feet are still only in the first
 - ``sensorRoll``: angle in radians by which the take was turned about z before that,
   from x to y; not there if it was not
 """
@@ -155,7 +157,7 @@ def _write_layer(
     _write_extents(layer, clip, moved, export, codes)
     layer.Save()
     _hold_still(layer, clip, codes)
-    _write_provenance(layer, clip, codes)
+    _write_provenance(layer, clip, codes, export.root)
     if reference is not None:
         # Last, when no stage looks for its layer, which may not be in its place yet.
         del stage
@@ -188,7 +190,8 @@ def _write_animation(
         wxyz = continuous(np.concatenate([last, local]))[1:]
         last = wxyz[-1:]
         places = np.tile(rest, (len(wxyz), 1, 1))
-        places[:, rig.mover] = export.points(moved.path[some])
+        for node, path in moved.places.items():
+            places[:, node] = export.points(path[some])
         set_samples(layer, translations, codes[some], map(vectors, places))
         xyzw = np.roll(export.axes(wxyz), -1, axis=-1).astype(np.float32)
         quaternions = map(Vt.QuatfArray.FromNumpy, xyzw)
@@ -242,7 +245,7 @@ def _hold_still(layer: Any, clip: Clip, codes: Array) -> None:
         layer.Save()
 
 
-def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
+def _write_provenance(layer: Any, clip: Clip, codes: Array, root: str) -> None:
     types = Sdf.ValueTypeNames
     character = layer.GetPrimAtPath(CHARACTER)
 
@@ -250,6 +253,7 @@ def _write_provenance(layer: Any, clip: Clip, codes: Array) -> None:
         name = f"kinefilter:{name}"
         return Sdf.AttributeSpec(character, name, kind, declaresCustom=True)
 
+    attribute("root", types.Token).default = root
     for name, values in name_tables(clip.skeleton).items():
         attribute(name, types.TokenArray).default = Vt.TokenArray(values)
     for name, field in ONCE.items():

@@ -1,0 +1,55 @@
+"""What is done to a clip before it is written, whatever the format."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kinefilter.characters import Clip, Prop
+from kinefilter.retarget.heading_frame import HeadingFrame, floor_frame
+from kinefilter.retarget.looping import looped
+
+from .export import Export, in_strict_t, resampled, span_of
+from .rig import Travel
+
+
+def shaped(clip: Clip, export: Export) -> Clip:
+    """Return the part of a clip that is asked for, at its rate, as a loop, in its T.
+
+    Raises InputError where there is no such part, as ``even_frames``, or as ``looped``.
+    """
+    if (export.begin, export.end) != (None, None):
+        clip = clip.at(span_of(export, clip.time, clip.source))
+    if export.fps is not None:
+        clip = resampled(clip, export.fps)
+    if export.loop:
+        clip = looped(clip)
+    return in_strict_t(clip) if export.rest == "t" else clip
+
+
+def kept_still(clip: Clip, travel: Travel) -> Clip:
+    """Return a clip with no more than some of its way over the floor; props with it."""
+    if travel == "travel":
+        return clip
+    left = np.array([1.0, 0.0, 0.0])
+    frame = floor_frame(clip.root, clip.rotations[:, clip.skeleton.root], left)
+    if travel == "in-place":
+        frame = frame.unturned
+    return replace(
+        clip,
+        root=frame.remove(clip.root[:, None])[:, 0],
+        rotations=frame.remove_rotations(clip.rotations),
+        props=tuple(_seen_from(frame, prop) for prop in clip.props),
+    )
+
+
+def _seen_from(frame: HeadingFrame, prop: Prop) -> Prop:
+    shape = len(frame.yaw), 1
+    places = np.broadcast_to(prop.positions[:, None], (*shape, 3))
+    turns = np.broadcast_to(prop.rotations[:, None], (*shape, 4))
+    return replace(
+        prop,
+        positions=frame.remove(places)[:, 0],
+        rotations=frame.remove_rotations(turns)[:, 0],
+    )

@@ -1,0 +1,277 @@
+"""Clips that can be repeated: the end blended into the beginning, feet kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from kinefilter.characters import Clip, InputError, Motion, positions_from_rotations
+from kinefilter.characters.arrays import Array, Flags, Indices, runs
+from kinefilter.characters.rotations import (
+    about_y,
+    between,
+    inverse,
+    multiply,
+    rotate,
+    rotation_vector,
+    unit,
+)
+
+from .bent_limb import bent_limb
+from .heading_frame import floor_frame
+from .stance import smooth_step
+
+_BLEND = 0.4  # s at the end that change, at most half of the clip. A guess.
+_MARGIN = 3.0  # s on both sides of a loop; few steps take longer
+_FEWEST = 4  # frames of a loop
+_FIRM = 1e6  # weight of a foot that never steps, against another standing one's 1
+_HINGE = 0.01  # m by which knees count as farther ahead: straight legs bend there, too
+_DEEPEST = 0.1  # of a leg's length, by which hips sink for feet they do not reach
+_MOVED = 1e-7  # m: legs whose feet are moved by less stay as they are
+_LEFT, _AHEAD = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+
+
+class _Repetition(NamedTuple):
+    """Where the next repetition of a clip begins."""
+
+    turn: Array  # rotation about y, wxyz, (4,)
+    here: Array  # point on the floor [m], (3,)
+    there: Array  # where the repetition has it, (3,)
+
+    def of(self, points: Array) -> Array:
+        """Return points of the clip [m] (..., 3) in its repetition."""
+        return np.asarray(self.there + rotate(self.turn, points - self.here))
+
+
+def looped(clip: Clip) -> Clip:
+    """Return a clip whose last frame meets its first in posture and velocity.
+
+    The person may have gone elsewhere and face elsewhere by then. Feet that stand in
+    both frames say where the next repetition begins, otherwise the hips. In the last
+    0.4 s segments are turned, and the root is moved, more and more by what is missing
+    at the end (inertialization, Bollo, GDC 2018: a quintic that begins at rest and ends
+    with the velocity that is missing). Legs bend so that standing feet stay; the last
+    step of a foot ends where the next repetition has it. Raises InputError for fewer
+    than four frames, and where other feet stand at the end than in the beginning.
+    """
+    time, skeleton = clip.time, clip.skeleton
+    _check(clip)
+    blend = min(_BLEND, 0.5 * float(time[-1] - time[0]))
+    share = np.clip((time - time[-1]) / blend + 1.0, 0.0, 1.0)
+    legs = np.transpose([skeleton.sides(p) for p in ("Hip", "Knee", "Ankle", "Foot")])
+    ends = legs[:, 2:].ravel()  # as CONTACTS
+    again = _repetition(clip, ends)
+    root, rotations = _blended(clip, again, share, blend)
+    posed = positions_from_rotations(rotations, root, clip.body)
+    goals, stands = _goals(clip, again, posed[:, ends], ends, share)
+    goals = np.swapaxes(goals.reshape(-1, 2, 2, 3), 0, 1)
+    sinking = np.zeros(len(clip))
+    for leg, goal, down in zip(legs, goals, stands.T[::2], strict=True):
+        lengths = clip.body.lengths[leg]
+        moved = (np.abs(goal - posed[:, leg[2:]]) > _MOVED).any(axis=(1, 2))
+        # A heel that is up goes where toes that stand leave it room.
+        sole = goal[:, 0] - goal[:, 1]
+        room = goal[:, 1] + lengths[3] * unit(sole)
+        goal[:, 0] = np.where((moved & ~down)[:, None], room, goal[:, 0])
+        short = _shortage(posed[:, leg[0]] - goal[:, 0], float(lengths[1:3].sum()))
+        sinking = np.maximum(sinking, moved * short)
+    root[:, 1] -= sinking
+    posed[..., 1] -= sinking[:, None]
+    for leg, goal in zip(legs, goals, strict=True):
+        _bend(rotations, posed, leg, goal, clip.body.lengths[leg[1:3]])
+    return replace(clip, root=root, rotations=rotations, contacts=stands)
+
+
+def _check(clip: Clip) -> None:
+    """Raise InputError for what is no loop."""
+    time = clip.time
+    if len(clip) < _FEWEST or time[-1] <= time[0]:
+        raise InputError(
+            f"{clip.source}: {len(clip)} frames, expected {_FEWEST} or more to --loop; "
+            "choose --begin and --end farther apart"
+        )
+    stands = np.asarray(clip.contacts.reshape(-1, 2, 2).any(axis=2))
+    for foot, side in enumerate(("left", "right")):
+        if stands[0, foot] != stands[-1, foot]:
+            where = "beginning" if stands[0, foot] else "end"
+            same = int(np.flatnonzero((stands == stands[0]).all(axis=1))[-1])
+            before = f" {time[-1] - time[same]:.2f} s earlier" * (same >= _FEWEST)
+            raise InputError(
+                f"{clip.source}: the {side} foot stands at the {where} of the loop "
+                f"alone; choose an --end{before} where the same feet stand"
+            )
+
+
+def repeated(clip: Clip) -> tuple[Clip, slice]:
+    """Return a loop with what comes before and after it, and which frames are its own.
+
+    These are some 3 s of the repetitions on both sides, without provenance: feet that
+    stand at the ends are kept where they stand there, too.
+    """
+    time, root, rotations = clip.time, clip.root, clip.rotations
+    count, lasts = len(clip), time[-1] - time[0]
+    first = int(np.searchsorted(time, time[-1] - _MARGIN))
+    stop = int(np.searchsorted(time, time[0] + _MARGIN, "right"))
+    frames = np.r_[first : count - 1, :count, 1:stop]
+    own = slice(count - 1 - first, 2 * count - 1 - first)
+    time, root, rotations = time[frames], root[frames], rotations[frames]
+    pelvis = clip.rotations[:, clip.skeleton.root]
+    ahead = multiply(pelvis[-1], inverse(pelvis[0]))
+    ends = clip.root[0], clip.root[-1]
+    for part, turn, (here, there), later in (
+        (slice(own.start), inverse(ahead), ends[::-1], -lasts),
+        (slice(own.stop, None), ahead, ends, lasts),
+    ):
+        time[part] += later
+        root[part] = there + rotate(turn, root[part] - here)
+        rotations[part] = multiply(turn, rotations[part])
+    motion = Motion(
+        time=time, body=clip.body, root=root, rotations=rotations, source=clip.source
+    )
+    return Clip.of(motion, contacts=clip.contacts[frames]), own
+
+
+def _goals(
+    clip: Clip, again: _Repetition, posed: Array, ends: Indices, share: Array
+) -> tuple[Array, Flags]:
+    """Return where parts of the feet go [m] (T, 4, 3), and which stand by then (T, 4).
+
+    The blend alone has them at ``posed``.
+    """
+    time, stands, goals = clip.time, clip.contacts.copy(), posed.copy()
+    for part, joint in enumerate(ends):
+        path, stances = clip.positions[:, joint].copy(), runs(stands[:, part])
+        if stands[0, part] and stands[-1, part]:
+            last = stances[-1]
+            # What never steps may still drift a little, which is undone on the way.
+            drift = (time - time[0]) / (time[-1] - time[0])
+            done = np.ones(len(clip)) if last.start > 0 else drift
+            missing = again.of(path[0]) - path[-1]
+            path[last] += done[last, None] * missing
+        elif stands[-1, part]:  # of heel and toes the one alone: it may leave
+            stands[stances[-1], part] = share[stances[-1]] <= 0.0
+        goals[:, part] += _joined(time, path - posed[:, part], stands[:, part])
+    stands[-1] = stands[0]
+    return goals, stands
+
+
+def _repetition(clip: Clip, ends: Indices) -> _Repetition:
+    """Return where the next repetition begins; parts of the feet are joints (4,)."""
+    first, last = clip.positions[0], clip.positions[-1]
+    frame = floor_frame(clip.root, clip.rotations[:, clip.skeleton.root], _LEFT)
+    yaw = frame.yaw[-1] - frame.yaw[0]
+    points, weights = np.array([clip.skeleton.root]), np.ones(1)
+    both = np.asarray(clip.contacts[0] & clip.contacts[-1])
+    firm = np.asarray(clip.contacts.all(axis=0))
+    if both.any():
+        points, weights = ends[both], np.where(firm[both], _FIRM, 1.0)
+    here, there = (
+        np.average(place[points], axis=0, weights=weights) * [1.0, 0.0, 1.0]
+        for place in (first, last)
+    )
+    if firm.sum() > 1:
+        # Both seen from above as complex numbers, which yaw multiplies.
+        begun, ended = (
+            (place[points, 2] - mean[2]) + 1j * (place[points, 0] - mean[0])
+            for place, mean in ((first, here), (last, there))
+        )
+        yaw = np.angle(np.sum(weights * np.conj(begun) * ended))
+    return _Repetition(about_y(yaw), here, there)
+
+
+def _blended(
+    clip: Clip, again: _Repetition, share: Array, blend: float
+) -> tuple[Array, Array]:
+    """Return root and rotations that end as the repetition begins, feet left alone."""
+    time, root, rotations = clip.time, clip.root, clip.rotations
+    second = int(np.searchsorted(time, time[0], "right"))
+    before = int(np.searchsorted(time, time[-1])) - 1
+    steps = time[second] - time[0], time[-1] - time[before]
+    missing = again.of(root[0]) - root[-1]
+    faster = rotate(again.turn, root[second] - root[0]) / steps[0]
+    faster -= (root[-1] - root[before]) / steps[1]
+    moved = root + _spread(missing, faster * blend, share)
+    goal = multiply(again.turn, rotations[0])
+    missing = rotation_vector(multiply(goal, inverse(rotations[-1])))
+    begun, ended = (
+        rotation_vector(multiply(rotations[k], inverse(rotations[k - 1]))) / step
+        for k, step in zip((second, -1), steps, strict=True)
+    )
+    faster = rotate(again.turn, begun) - ended
+    changed = share > 0.0
+    turned = rotations.copy()
+    turns = _turns(_spread(missing, faster * blend, share[changed]))
+    turned[changed] = multiply(turns, rotations[changed])
+    return moved, turned
+
+
+def _spread(missing: Array, faster: Array, share: Array) -> Array:
+    """Return what is added (T, ..., 3): 0 at rest at share 0, all that misses at 1.
+
+    The velocity there is ``faster`` [1/share], the acceleration 0.
+    """
+    s = share.reshape(-1, *[1] * missing.ndim)
+    return np.asarray(
+        s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * missing
+        + s**3 * (s - 1.0) * (4.0 - 3.0 * s) * faster
+    )
+
+
+def _turns(vectors: Array) -> Array:
+    """Return rotations, wxyz, about vectors (..., 3) by their lengths [rad]."""
+    half = 0.5 * np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.concatenate(
+        [np.cos(half), 0.5 * np.sinc(half / np.pi) * vectors], axis=-1
+    )
+
+
+def _joined(time: Array, moves: Array, stands: Flags) -> Array:
+    """Return moves (T, 3) [m]: as asked where a part stands, even between stances.
+
+    The first and the last frame stay where they are unless it does.
+    """
+    known = stands.copy()
+    known[[0, -1]] = True
+    moves = np.where(stands[:, None], moves, 0.0)
+    frames = np.flatnonzero(known)
+    before = frames[np.cumsum(known) - 1]
+    after = frames[np.cumsum(known) - known]
+    length = np.where(after > before, time[after] - time[before], 1.0)
+    share = smooth_step((time - time[before]) / np.maximum(length, 1e-9))
+    share = share[:, None]
+    return np.asarray((1.0 - share) * moves[before] + share * moves[after])
+
+
+def _shortage(leg: Array, reach: float) -> Array:
+    """Return by how much hips are too high (T,) for legs (T, 3) that end there [m]."""
+    level = np.hypot(leg[:, 0], leg[:, 2])
+    height = np.sqrt(np.maximum(reach**2 - level**2, 0.0))
+    return np.clip(leg[:, 1] - height, 0.0, _DEEPEST * reach)
+
+
+def _bend(
+    rotations: Array, posed: Array, leg: Indices, goals: Array, lengths: Array
+) -> None:
+    """Turn a leg (in place) so that ankle and toes get to their goals [m] (T, 2, 3).
+
+    The indices of hip, knee, ankle and toes are (4,).
+    """
+    away = np.abs(goals - posed[:, leg[2:]]) > _MOVED
+    some = np.flatnonzero(away.any(axis=(1, 2)))
+    _, knee, ankle, toe = leg
+    hips, knees, ankles, toes = np.moveaxis(posed[some][:, leg], 1, 0)
+    goal, tip = np.moveaxis(goals[some], 1, 0)
+    toward = knees - hips
+    line = ankles - hips
+    along = np.sum(toward * line, axis=1) / np.maximum(np.sum(line**2, axis=1), 1e-12)
+    toward = toward - along[:, None] * line
+    toward += _HINGE * rotate(rotations[some, knee], _AHEAD)
+    bend, end = bent_limb(hips, goal, toward, lengths)
+    for segment, was, now in (
+        (knee, knees - hips, bend - hips),
+        (ankle, ankles - knees, end - bend),
+        (toe, toes - ankles, tip - goal),
+    ):
+        rotations[some, segment] = multiply(between(was, now), rotations[some, segment])
