@@ -141,18 +141,23 @@ def _goals(
     The blend alone has them at ``posed``.
     """
     time, stands, goals = clip.time, clip.contacts.copy(), posed.copy()
-    for part, joint in enumerate(ends):
-        path, stances = clip.positions[:, joint].copy(), runs(stands[:, part])
-        if stands[0, part] and stands[-1, part]:
-            last = stances[-1]
+    drift = (time - time[0]) / (time[-1] - time[0])
+    for foot in (slice(0, 2), slice(2, 4)):
+        paths, parts = clip.positions[:, ends[foot]].copy(), stands[:, foot]
+        both = parts[0] & parts[-1]
+        if both.any():
+            last = runs(np.asarray(parts.any(axis=1)))[-1]
             # What never steps may still drift a little, which is undone on the way.
-            drift = (time - time[0]) / (time[-1] - time[0])
             done = np.ones(len(clip)) if last.start > 0 else drift
-            missing = again.of(path[0]) - path[-1]
-            path[last] += done[last, None] * missing
-        elif stands[-1, part]:  # of heel and toes the one alone: it may leave
-            stands[stances[-1], part] = share[stances[-1]] <= 0.0
-        goals[:, part] += _joined(time, path - posed[:, part], stands[:, part])
+            missing = again.of(paths[0]) - paths[-1]
+            missing[~both] = missing[both].mean(axis=0)
+            paths[last] += done[last, None, None] * missing
+        # Of heel and toes, what stands at the end alone leaves the floor.
+        parts &= (share <= 0.0)[:, None] | parts[0] | ~parts[-1]
+        moves = paths - posed[:, foot]
+        goals[:, foot] += np.stack(
+            [_joined(time, moves[:, k], parts[:, k]) for k in range(2)], axis=1
+        )
     stands[-1] = stands[0]
     return goals, stands
 

@@ -98,17 +98,18 @@ def test_one_repetition_goes_on_into_the_next_without_a_jerk(
     assert pull[seams].max() < 1.2 * elsewhere.max() + MILLIMETER
 
 
-@every_span
+@pytest.mark.parametrize("span", [("lunge", 3, 52, 143), ("step_over", 4, 162, 270)])
 def test_feet_that_come_down_elsewhere_go_there_in_their_last_step(
-    name: str, seed: int, begin: int, end: int
+    span: tuple[str, int, int, int],
 ) -> None:
-    clip = part_of(name, seed, begin, end)
+    clip = part_of(*span)
     loop = looped(clip)
     feet = [*clip.skeleton.sides("Ankle"), *clip.skeleton.sides("Foot")]
     moved = loop.positions[:, feet] - clip.positions[:, feet]
     steps = np.linalg.norm(np.diff(moved, axis=0), axis=-1).max()
     far = np.linalg.norm(moved, axis=-1).max()
-    assert steps < 0.3 * far + MILLIMETER
+    assert far > 0.1
+    assert steps < 0.3 * far
 
 
 def test_who_turned_goes_on_turned(make_clip: MakeClip) -> None:
@@ -170,7 +171,7 @@ def test_rigs_meet_their_beginning_too(tmp_path: Path, rig: str) -> None:
     clip = part_of(*SPANS[0])
     write_clip(clip, tmp_path / "clip.usdc", Export(rig=rig, loop=True, root="none"))
     _, _, found = read_usd_positions(tmp_path / "clip.usdc")
-    assert np.linalg.norm(found[0] - found[-1], axis=1).max() < 4 * MILLIMETER
+    assert np.linalg.norm(found[0] - found[-1], axis=1).max() < 0.1 * MILLIMETER
 
 
 @recorded
