@@ -168,14 +168,15 @@ def test_three_draws_the_curves_between_the_keys_that_are_left(
 
 
 @in_three
+@pytest.mark.parametrize("keys", [None, 0.9])
 @pytest.mark.parametrize("rig", RIGS)
 def test_rigs_are_where_usd_has_them(
-    make_clip: MakeClip, tmp_path: Path, rig: str
+    make_clip: MakeClip, tmp_path: Path, rig: str, keys: float | None
 ) -> None:
-    clip = make_clip(6, KINECT_V2, seed=2)
-    for suffix in ("glb", "usda"):
-        write_clip(clip, tmp_path / f"clip.{suffix}", Export(rig=rig))
-    found = three(tmp_path / "clip.glb")
+    clip = make_clip(16, KINECT_V2, seed=2)
+    write_clip(clip, tmp_path / "clip.glb", Export(rig=rig, keys=keys))
+    write_clip(clip, tmp_path / "clip.usda", Export(rig=rig))
+    found = three(tmp_path / "clip.glb", clip.time.tolist())
     _, names, positions = read_usd_positions(tmp_path / "clip.usda")
     columns = [names.index(TO_USD.sub("_", name)) for name in found["names"]]
     away = np.array(found["frames"]) - positions[:, columns]

@@ -24,6 +24,7 @@ from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
 from kinefilter.pipeline.formats.keys import sparse_curves
 from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.pipeline.look.comparison import compare
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]
@@ -114,6 +115,8 @@ def test_an_ordinary_take_keeps_a_fifth_of_its_keys(tmp_path: Path) -> None:
     away, angle = apart(clip, read_clip(tmp_path / "clip.glb"))
     assert 0.9e-3 < away < 1e-3
     assert angle < 0.5
+    shown = compare(read_clip(tmp_path / "clip.glb"), read_take(sample_path()))
+    np.testing.assert_allclose(shown.clip.positions, clip.positions, atol=1e-3)
 
 
 @every_skeleton

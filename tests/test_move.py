@@ -119,6 +119,15 @@ def test_the_same_part_at_another_rate_begins_where_it_does(
 # The way over the floor
 
 
+@every_travel
+def test_csv_keeps_the_places_that_are_left(
+    walk: Clip, tmp_path: Path, root: Travel
+) -> None:
+    write_clip(walk, tmp_path / "clip.csv", Export(root=root))
+    away = kept_still(walk, root).positions - read_clip(tmp_path / "clip.csv").positions
+    assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
+
+
 @every_format
 @every_travel
 def test_every_format_keeps_what_is_left(

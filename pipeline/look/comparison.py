@@ -38,7 +38,7 @@ _TRY = "give the take that the clip was made of"
 _SKEW = 1e-6  # s between stamps of the same frames: rounding
 _DRIFT = 0.1  # s between stamps and the constant rate of a file without them
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall is as large
-_ROUNDING = 1e-3  # m: some takes are kept in whole millimeters
+_ROUNDING = 3e-3  # m: takes and GLB in whole millimeters, and --keys 1
 _HALF = 2.0**-11  # relative: USD keeps distances moved in half precision
 _APART = 0.1  # s, at most, between a frame and the measurement shown for it
 _LEAST_TILT = np.radians(1.5)  # a smaller tilt comes from what cleaning moved
@@ -206,7 +206,7 @@ def _check(clip: Clip, take: Take) -> None:
     _check_skeletons(clip, take)
     if len(clip) != len(take):
         counts = f"the clip has {len(clip)} frames, the take {len(take)}"
-        raise InputError(f"{counts}; {_TRY} (and without --fps)")
+        raise InputError(f"{counts}; {_TRY} (and without --fps, --begin or --end)")
     if len(clip) < 2 or clip.time[-1] <= clip.time[0]:
         raise InputError("a motion needs two frames or more at different times")
     if not same_stamps(clip, take):
@@ -307,7 +307,8 @@ def _check_made_from(clip: Clip, measured: Array) -> None:
             f"in {len(wrong)} of {len(clip)} frames joints are not where the clip says "
             f"that they were measured: {joint} in frame {worst + 1} is "
             f"{most[worst] * 100:.1f} cm or more from there; give the take, and the "
-            "person in it, that the clip was made of"
+            "person in it, that the clip was made of, and a clip without --loop, "
+            "--root and coarse --keys"
         )
 
 
