@@ -177,6 +177,19 @@ def test_a_usd_target_gives_the_motion_of_the_same_skeleton_and_keeps_its_axes(
     np.testing.assert_allclose(bind[1][:, 3, :3], 0.5 * bind[0][:, 3, :3], atol=1e-5)
 
 
+def test_a_bvh_is_on_a_usd_target_with_axes_of_its_own(
+    clip: Clip, tmp_path: Path
+) -> None:
+    built = built_rig(load_rig_map("unreal"), clip.body)
+    target, path = tmp_path / "rest.usda", tmp_path / "clip.bvh"
+    write_target(built, target, up="Y", meters=1.0)
+    write_clip(clip, path, Export(rig="unreal", target=target))
+    bvh = read_bvh(path)
+    columns = [bvh.names.index(name) for name in built.rest.names]
+    away = np.abs(bvh.positions[:, columns] - retarget(clip, built).positions)
+    assert away.max() < TENTH_OF_A_MILLIMETER
+
+
 @every_rig
 @pytest.mark.parametrize("units", ["m", "cm"])
 def test_a_bvh_target_gives_the_motion_of_the_same_skeleton(

@@ -266,6 +266,8 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     for n in rig.depth_first:
         if n in (0, rig.mover):
             place = moved.places.get(n, np.tile(rig.root, (len(clip), 1)))
+            if moved.rig.axes is not None and n > 0:
+                place = rotate(moved.rig.axes[rig.parents[n]], place)
             columns.append(export.points(place))
         local = export.axes(rig.local_rotation(moved.rotations, n))
         columns.append(np.degrees(continuous_euler(local, order)))
