@@ -29,7 +29,7 @@ from .recording import FRAMES_AT_ONCE
 from .rig import Rig, RigMotion
 
 MAGIC, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-KINDS = {5121: "u1", 5125: "<u4", 5126: "<f4"}
+KINDS = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """Codes of numbers in accessors, and numpy's names."""
 SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 """Numbers in each row of an accessor, by its type."""
@@ -275,7 +275,7 @@ def _skin(clip: Clip, rig: Rig, glb: _Document) -> dict[str, Any]:
         "JOINTS_0": glb.add(joints.astype("u1"), _POINTS),
         "WEIGHTS_0": glb.add(weights, _POINTS),
     }
-    corners = glb.add(skin.triangles.astype("<u4").ravel(), _CORNERS)
+    corners = glb.add(skin.triangles.astype("<u2").ravel(), _CORNERS)  # of some 9,000
     return {"attributes": attributes, "indices": corners}
 
 
