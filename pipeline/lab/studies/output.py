@@ -17,13 +17,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinefilter import clean, read_take, write_clip
+from kinefilter import Cleaner, clean, read_take, write_clip
 from kinefilter.characters import InputError
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.hidden_limbs import join_cases, middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
+from kinefilter.pipeline.lab.limb_lessons import knowing, taught_by
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.progress import Progress, silent
 
@@ -41,6 +43,7 @@ _LEGEND = 5  # entries side by side
 _LEVEL_NAMES = 6  # names of groups that fit side by side
 
 _SHOWN = 2.6  # s of a hidden arm
+_OTHERS = 4  # one in so many clips of others teaches what arms do
 _SIZE, _RATE = "480x270", 10.0  # of the animation: small enough to load quickly
 _TIMEOUT = 600.0  # s for a script, ten times what it needs. A guess.
 _PAGES = Path(__file__).parents[3] / "tests" / "pictures" / "pages.py"
@@ -198,11 +201,14 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
     from kinefilter.pipeline.look.video import render_clips
     from kinefilter.pipeline.look.video_files import encode_png, write_gif
 
+    people = {file.stem: file for file in sorted((data / "ui-prmd").glob("s*.npz"))}
     pairs = [
         pair
-        for pair in read_pairs(data / "ui-prmd" / "s04.npz")
+        for pair in read_pairs(people.pop("s04"))
         if pair.clip.startswith("m07") and not pair.clip.endswith("_inc")
     ]
+    others = (pair for file in people.values() for pair in read_pairs(file)[::_OTHERS])
+    cleaner = knowing(Cleaner(), CleanConfig(), taught_by(others))
     take, hidden = next(iter(join_cases(pairs, "repetitions")))
     arm, blind = [j for j in HIDDEN["right-arm"] if j in take.skeleton.joints], take
     joints = [take.skeleton.index(joint) for joint in arm]
@@ -239,7 +245,7 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
         )
         for k, shown in enumerate((take, replace(take, positions=held), blind)):
             file, pictures = Path(folder) / f"{k}.npz", Path(folder) / str(k)
-            write_clip(clean(shown).clip, file)
+            write_clip(cleaner.clean(shown).clip, file)
             render_clips([file], pictures / "%05d.png", look, progress=progress)
             columns.append([imread(f) for f in sorted(pictures.glob("*.png"))])
     frames = [np.concatenate(row, axis=1) for row in zip(*columns, strict=True)]
