@@ -58,7 +58,7 @@ _MOCAP_RATE = 30.0  # Hz
 # Chosen on one of six people, thirds of their movements, and other recordings.
 _LAYERS, _PENALTY, _EPOCHS, _BATCH = (128, 64), 1.0, 12, 512
 _NOISE = 0.5  # of each input's spread, lest movements be learned by heart
-_TAKEN = {"arm": 0.8, "forearm": 0.8, "leg": 0.8, "shin": 0.5}
+_TAKEN = {"arm": 0.8, "forearm": 0.8, "leg": 1.0, "shin": 0.5}
 """How much of what the networks say is taken, for the sake of such movements."""
 _ODD = 0.1  # added to the spread of inputs, lest those that hardly vary count
 
