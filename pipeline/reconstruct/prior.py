@@ -47,6 +47,7 @@ OUTPUT = 0.2
 _OTHERS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 _LONGEST = 8.0  # longest time among the features: what was learned lasts no longer
 _MOVES = 0.3  # how much of a direction is worth 1 among the inputs
+_MOST = 1.0  # departure of a component that is believed, however odd the inputs
 _NEAR = 0.2  # s from the gap's ends in which the limb is about where it goes on
 
 Network = list[tuple[Array, Array]]
@@ -66,7 +67,7 @@ class MotionPrior:
 
     @classmethod
     def load(cls, path: Path) -> MotionPrior:
-        """Read the networks that ``save`` wrote."""
+        """Read the networks from a file of ``arrays``."""
         arrays = read_arrays(path, "weights of hidden limbs")
         networks = {}
         for name in (key.removesuffix("_mean") for key in arrays if "_mean" in key):
@@ -100,7 +101,7 @@ class MotionPrior:
             values = values @ weights + biases
             if k < len(layers) - 1:
                 values = np.maximum(values, 0.0)
-        return OUTPUT * values
+        return np.clip(OUTPUT * values, -_MOST, _MOST)
 
     def describe(
         self,
