@@ -27,6 +27,7 @@ _Part = CleanConfig | Export
 _PARTS: dict[str, type[_Part]] = {"config": CleanConfig, "export": Export}
 _OWN = {k: hint for k, hint in type_hints(Settings).items() if k not in _PARTS}
 _HINTS = type_hints(CleanConfig) | type_hints(Export) | _OWN
+_HINTS.pop("blender")  # no file that lies beside takes may say what program is run
 
 
 class SettingsFile(NamedTuple):

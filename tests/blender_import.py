@@ -1,14 +1,15 @@
-"""Import every USD, GLB and BVH file of a folder into Blender; save where things are.
+"""Import every USD, GLB, FBX and BVH file of a folder; save where Blender has things.
 
     python tests/blender_import.py FOLDER
 
 This runs in a Python that has Blender's ``bpy``, which needs another numpy than
 kinefilter. Frames to look at are in ``NAME.frames.npy``: time codes of USD, frames of
-BVH counted from 0, 24 a second of GLB. Beside each file a ``NAME.npz`` is written, in
-Blender's unit (meters) and axes (z up): ``names`` and ``heads`` (F, N, 3) of the
-joints; of the skinned mesh, if there is one, ``modifiers`` (their types), ``groups``
-(vertex groups that move something), ``rest`` (P, 3) and ``moved`` (F, P, 3); and
-``props`` (names) and ``places`` (F, K, 3) of everything in ``Props``.
+BVH and FBX counted from 0, 24 a second of GLB. Beside each file a ``NAME.npz`` is
+written, in Blender's unit (meters) and axes (z up): ``names`` and ``heads`` (F, N, 3)
+of the joints, their own axes in each frame, ``turns`` (F, N, 3, 3), and at rest,
+``axes`` (N, 3, 3); of the skinned mesh, if there is one, ``modifiers`` (their types),
+``groups`` (vertex groups that move something), ``rest`` (P, 3) and ``moved`` (F, P, 3);
+and ``props`` (names) and ``places`` (F, K, 3) of everything in ``Props``.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 Array = np.ndarray
 
@@ -37,6 +39,9 @@ def load(path: Path) -> float:
         return 1.0
     if path.suffix == ".glb":
         bpy.ops.import_scene.gltf(filepath=str(path))
+    elif path.suffix == ".fbx":
+        bpy.ops.import_scene.fbx(filepath=str(path))
+        return 1.0
     else:
         bpy.ops.wm.usd_import(filepath=str(path))
     return 0.0
@@ -51,17 +56,21 @@ def look(path: Path) -> None:
         if o.type == "MESH" and any(m.type == "ARMATURE" for m in o.modifiers)
     ]
     props = [o for o in bpy.data.objects if o.parent and o.parent.name == "Props"]
-    heads, moved, places = [], [], []
+    bones = armature.pose.bones
+    heads, turns, moved, places = [], [], [], []
     for frame in first + np.load(path.with_name(path.name + ".frames.npy")):
         whole = int(np.floor(frame))
         bpy.context.scene.frame_set(whole, subframe=float(frame - whole))
-        heads.append([armature.matrix_world @ b.head for b in armature.pose.bones])
+        heads.append([armature.matrix_world @ b.head for b in bones])
+        turns.append([axes_of(armature, b.matrix) for b in bones])
         moved.extend(points_of(skin, deformed=True) for skin in skins)
         places.append([prop.matrix_world.translation.copy() for prop in props])
     np.savez(
         path.with_name(path.name + ".npz"),
-        names=np.array([bone.name for bone in armature.pose.bones]),
+        names=np.array([bone.name for bone in bones]),
         heads=np.array(heads),
+        turns=np.array(turns),
+        axes=np.array([axes_of(armature, b.bone.matrix_local) for b in bones]),
         modifiers=np.array([m.type for s in skins for m in s.modifiers]),
         groups=len({g.group for s in skins for v in s.data.vertices for g in v.groups}),
         rest=np.array([points_of(skin, deformed=False) for skin in skins]),
@@ -69,6 +78,11 @@ def look(path: Path) -> None:
         props=np.array([prop.name for prop in props]),
         places=np.array(places),
     )
+
+
+def axes_of(armature: bpy.types.Object, matrix: Matrix) -> Array:
+    """Return the rotation (3, 3) of a bone's axes, column by column, in the world."""
+    return np.array((armature.matrix_world @ matrix).to_quaternion().to_matrix())
 
 
 def points_of(skin: bpy.types.Object, *, deformed: bool) -> Array:

@@ -15,15 +15,17 @@ import pytest
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Clip, Skeleton
-from kinefilter.characters.rotations import rotate
+from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.formats import Export, write_clip
-from kinefilter.pipeline.formats.export import in_strict_t, resampled
+from kinefilter.pipeline.formats.export import in_strict_t, paced, resampled
+from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.scenes.library import random_body
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]
 MILLIMETER = 1e-3
+HALF_A_DEGREE = 0.5
 
 BLENDER = os.environ.get("KINEFILTER_BLENDER") or (
     sys.executable if importlib.util.find_spec("bpy") else ""
@@ -61,6 +63,8 @@ VARIANTS = {
     "clip.glb": Export(),
     "strict.glb": Export(rest="t"),
     "sparse.glb": Export(keys=0.5),
+    "clip.fbx": Export(blender=BLENDER),
+    "strict.fbx": Export(rest="t", fps=24.0, blender=BLENDER),
     "clip.bvh": Export(),
     "strict.bvh": Export(rest="t"),
     "z_up_cm.bvh": Export(up="z", units="cm", fps=24.0, rotation_order="zxy"),
@@ -89,10 +93,11 @@ def seen(
         if export.character is not None:
             export = replace(export, character=folder / export.character)
         write_clip(clip, folder / name, export)
+        export = paced(export, Path(name).suffix, clip.time, name)
         clip = resampled(clip, export.fps) if export.fps else clip
         clip = in_strict_t(clip) if export.rest == "t" else clip
         frames = np.arange(len(clip), dtype=float)
-        if not name.endswith(".bvh"):
+        if not name.endswith((".bvh", ".fbx")):
             rate = 24.0 if name.endswith(".glb") else round(clip.fps)  # Blender's own
             frames = (clip.time - clip.time[0]) * rate
         np.save(folder / f"{name}.frames.npy", frames)
@@ -121,6 +126,23 @@ def test_every_joint_is_where_the_clip_has_it_in_every_frame(
     away = np.linalg.norm(heads - in_blender(clip.positions), axis=-1)
     assert away.shape == (len(clip), len(clip.skeleton))
     assert away.max() < MILLIMETER
+
+
+@every_variant
+def test_every_bone_turns_as_its_segment_does(seen: Seen, name: str) -> None:
+    clip, blender = seen[name]
+    rig, names = rig_of(clip.body), blender["names"].tolist()
+    columns = [names.index(node) for node in rig.names]
+    found = blender["turns"][:, columns] @ np.swapaxes(blender["axes"][columns], 1, 2)
+    turned = clip.rotations[:, rig.segments]
+    wanted = np.concatenate([turned[..., :1], in_blender(turned[..., 1:])], axis=-1)
+    assert degrees_apart(found, matrix_from_wxyz(wanted)).max() < HALF_A_DEGREE
+
+
+def degrees_apart(some: Array, others: Array) -> Array:
+    """Return the angles between rotations (..., 3, 3) [degrees], shape (...)."""
+    away = np.linalg.norm(some - others, axis=(-2, -1)) / np.sqrt(8.0)
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(away, 1.0))))
 
 
 @every_usd
@@ -157,7 +179,7 @@ def test_props_are_where_the_scene_has_them(seen: Seen, name: str) -> None:
     names = blender["props"].tolist()
     assert len(names) == len(clip.props) == 5
     for prop in clip.props:
-        known = prop.name if name.endswith(".glb") else prop.name.replace(" ", "_")
+        known = prop.name.replace(" ", "_") if ".usd" in name else prop.name
         path = blender["places"][:, names.index(known)]
         away = path - in_blender(np.broadcast_to(prop.positions, path.shape))
         assert np.linalg.norm(away, axis=-1).max() < MILLIMETER

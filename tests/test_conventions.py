@@ -153,6 +153,7 @@ def test_options_go_with_the_files_that_the_table_says() -> None:
         "--rig": {"rig": "unreal"},
         "--target": {"rig": "unreal", "target": Path("sam.bvh")},
         "--character": {"character": Path("sam.usda")},
+        "--blender": {"blender": "blender"},
         "--rotation-order": {"rotation_order": "zxy"},
     }
     table = rows("Files that are written")

@@ -57,7 +57,7 @@ class Clean:
     each: the clip has the clock of the first."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Clip to write; the extension decides: .usda .usdc .usd .usdz .glb
-    .vrma .bvh .csv .npz."""
+    .vrma .fbx .bvh .csv .npz."""
     settings: _Settings = field(default_factory=Settings)
     save_contacts: Path | None = None
     """Also write when which foot stands as a table (CSV), to edit and to use again."""
@@ -241,9 +241,9 @@ class Batch:
     sensors: tuple[str, ...] = ()
     """What {sensor} may be; the clip has the clock and frame of the first. Default:
     anything, by the alphabet."""
-    to: Literal["usdc", "usda", "usd", "usdz", "glb", "vrma", "bvh", "csv", "npz"] = (
-        "usdc"
-    )
+    to: Literal[
+        "usdc", "usda", "usd", "usdz", "glb", "vrma", "fbx", "bvh", "csv", "npz"
+    ] = "usdc"
     """Format of the clips."""
     jobs: int | None = None
     """Number of processes; default: one per core."""

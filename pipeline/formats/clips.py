@@ -30,6 +30,7 @@ from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, match
 
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
 from .export import USD_SUFFIXES, Export, paced, with_y_up
+from .fbx import blender_command, write_fbx
 from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
 from .glb import write_glb
 from .glb_reader import read_glb
@@ -41,7 +42,7 @@ from .sheets import write_take_csv
 from .takes import read_take
 
 _LARGEST_MAP = 2**20  # bytes: five thousand bones
-_EXTENSIONS = (*USD_SUFFIXES, ".glb", ".vrma", ".bvh", ".csv", ".npz")
+_EXTENSIONS = (*USD_SUFFIXES, ".glb", ".vrma", ".fbx", ".bvh", ".csv", ".npz")
 
 
 def check_writable(path: AnyPath, export: Export | None = None) -> None:
@@ -54,6 +55,8 @@ def check_writable(path: AnyPath, export: Export | None = None) -> None:
     if export is None:
         return
     export.check(suffix.lower())
+    if suffix.lower() == ".fbx":
+        blender_command(export.blender)
     if layer := export.character:
         if layer.suffix.lower() not in USD_SUFFIXES[:3]:
             raise InputError(f"--character {layer}: expected .usda, .usdc or .usd")
@@ -63,15 +66,16 @@ def check_writable(path: AnyPath, export: Export | None = None) -> None:
 
 
 def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
-    """Write a clip as USD, GLB, VRMA, BVH, CSV or npz, whole or not at all.
+    """Write a clip as USD, GLB, VRMA, FBX, BVH, CSV or npz, whole or not at all.
 
-    USD and GLB hold a skinned character in T-pose, rotations and props, BVH the
+    USD, GLB and FBX hold a skinned character in T-pose, rotations and props, BVH the
     skeleton and rotations, VRMA those of VRM; CSV joint positions and the sensor's
-    states; npz the whole clip. On another rig, USD, GLB and BVH hold its skeleton and
-    rotations. The extension decides: ``.usda``, ``.usdc``, ``.usd``, ``.usdz``,
-    ``.glb``, ``.vrma``, ``.bvh``, ``.csv`` or ``.npz``. By default units are meters, y
-    is up, and frames are the clip's. Raises InputError if the extension is unknown, an
-    option does not go with it, nothing can be written, or as ``even_frames``.
+    states; npz the whole clip. On another rig, USD, GLB, FBX and BVH hold its skeleton
+    and rotations. The extension decides: ``.usda``, ``.usdc``, ``.usd``, ``.usdz``,
+    ``.glb``, ``.vrma``, ``.fbx``, ``.bvh``, ``.csv`` or ``.npz``. By default units are
+    meters, y is up, and frames are the clip's. Raises InputError if the extension is
+    unknown, an option does not go with it, nothing can be written, or as
+    ``even_frames`` and ``write_fbx``.
     """
     check_kind(clip, Clip, "the clip")
     export = Export() if export is None else export
@@ -101,6 +105,8 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
             write_bvh(clip, moved, path, export)
         elif suffix in (".glb", ".vrma"):
             write_glb(clip, moved, path, export)
+        elif suffix == ".fbx":
+            write_fbx(clip, moved, path, export)
         else:
             # Loading pxr takes longer than most commands run.
             from .usd import write_usd
@@ -109,14 +115,15 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
 
 
 def read_clip(path: AnyPath) -> Clip:
-    """Read a clip from what write_clip writes, but VRMA; CSV and BVH may be gzipped.
+    """Read a clip from what write_clip writes, but VRMA and FBX.
 
-    npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
-    states, the name of the take, stature and mass; its time starts at 0. GLB on it is
-    all but the name of the take, in whole per cent and millimeters. BVH holds positions
-    and rotations alone, CSV positions: the body is measured from them, contacts and
-    props are unknown, and every joint counts as reliable. Raises InputError if the file
-    is missing, damaged, of another kind or skeleton, or a raw take.
+    CSV and BVH may be gzipped. npz is the whole clip. USD on kinefilter's own skeleton
+    is all but the sensor's states, the name of the take, stature and mass; its time
+    starts at 0. GLB on it is all but the name of the take, in whole per cent and
+    millimeters. BVH holds positions and rotations alone, CSV positions: the body is
+    measured from them, contacts and props are unknown, and every joint counts as
+    reliable. Raises InputError if the file is missing, damaged, of another kind or
+    skeleton, or a raw take.
     """
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")
@@ -131,7 +138,9 @@ def read_clip(path: AnyPath) -> Clip:
         return _of_own_bvh(read_bvh(path), os.fspath(path)) or _posed(read_take(path))
     if name.endswith(".csv"):
         return _posed(read_take(path))
-    known = ", ".join(suffix for suffix in _EXTENSIONS if suffix != ".vrma")
+    known = ", ".join(
+        suffix for suffix in _EXTENSIONS if suffix not in (".vrma", ".fbx")
+    )
     raise InputError(f"{path}: not a clip by its extension; expected one of {known}")
 
 

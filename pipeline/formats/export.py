@@ -48,6 +48,7 @@ LINEAR = 2.2
 COLOR = (0.11, 0.24, 0.32)
 """Of the skin, linear; a quiet color that no prop has."""
 
+_RATE_TOLERANCE = 0.005  # stamps jitter; a rate this near to a whole number is one
 _SLOWEST, _FASTEST = 1.0, 1000.0  # frames/s: beyond, somebody mistyped
 _FINEST, _COARSEST = 0.01, 100.0  # mm, likewise
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
@@ -61,6 +62,7 @@ _FOLLOWED = {
     ".usdz": _RIGGED,
     ".bvh": (*_RIGGED, "rotation_order"),
     ".glb": (*_MOVE, "keys", "rest", "rig", "target"),
+    ".fbx": (*_MOVE, "rest", "rig", "target", "blender"),
     ".vrma": _MOVE,
     **dict.fromkeys((".csv", ".npz"), _MOVE),
 }
@@ -83,7 +85,8 @@ class Export:
     fps: float | None = None
     """Frames a second of the clip, between the take's; default: the take's own frames,
     where they are, and in BVH the mean frame time, or with a long gap the take's rate.
-    Blender keeps its own rate when it imports USD or GLB: set it to the clip's."""
+    FBX has even ones. Blender keeps its own rate when it imports USD or GLB: set it to
+    the clip's."""
     begin: float | None = None
     """Seconds after the take's first frame at which the clip begins. The take is
     cleaned whole all the same."""
@@ -101,8 +104,8 @@ class Export:
     """Leave keys of GLB out as long as no joint moves more than this [mm], or turns
     more than half a degree for each: smooth curves go through those that are left."""
     rest: Literal["own", "t"] = "own"
-    """Rest pose of USD, GLB and BVH: a T-pose with trunk, shoulders and hips as this
-    person has them, or a strict T, upright and square."""
+    """Rest pose of USD, GLB, FBX and BVH: a T-pose with trunk, shoulders and hips as
+    this person has them, or a strict T, upright and square."""
     rotation_order: RotationOrder = "zyx"
     """Order of BVH's angles: about the first axis, then the turned second, then the
     twice turned third."""
@@ -110,15 +113,18 @@ class Export:
     """USD layer with skeleton and mesh that the USD clip refers to; made if it is not
     there. Default: the clip holds both itself."""
     rig: str | None = None
-    """Skeleton of USD, GLB and BVH: mixamo, unreal, unity, vrm, smpl, or a map (.toml)
-    such as those in retarget/rigs; default: the sensor's joints. Skeleton and animation
-    without skin and props: hands and feet at the same place relative to limb length,
-    standing feet still; bones that no map names, such as fingers, keep their rest
-    pose."""
+    """Skeleton of USD, GLB, FBX and BVH: mixamo, unreal, unity, vrm, smpl, or a map
+    (.toml) such as those in retarget/rigs; default: the sensor's joints. Skeleton and
+    animation without skin and props: hands and feet at the same place relative to limb
+    length, standing feet still; bones that no map names, such as fingers, keep their
+    rest pose."""
     target: Path | None = None
     """File (.bvh or USD) whose skeleton at rest the clip is for, its joints called as
     in --rig; default: an average one, as tall as the person. Axes and unit of the clip
     are those of --up and --units all the same."""
+    blender: str | None = None
+    """Blender (4.2 or later) that makes FBX, or a Python that has its bpy; default: the
+    blender that the shell finds."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -201,6 +207,12 @@ def even_frames(time: Array, fps: float, source: str) -> int:
     return count
 
 
+def whole_rate(rate: float) -> float:
+    """Return the whole frame rate [1/s] that is meant by one near to it, or itself."""
+    near = abs(rate - round(rate)) <= _RATE_TOLERANCE * rate
+    return float(round(rate)) if near else rate
+
+
 def span_of(export: Export, time: Array, source: str) -> slice:
     """Return which frames, by their time stamps [s] (T,), a clip is to have.
 
@@ -221,12 +233,15 @@ def span_of(export: Export, time: Array, source: str) -> slice:
 def paced(export: Export, suffix: str, time: Array, source: str) -> Export:
     """Return how a motion with time stamps [s] (T,) is written, with its frame rate.
 
-    BVH has no time stamps: to hold still in a long gap it has even frames. Raises
-    InputError as ``span_of`` and ``even_frames``.
+    FBX has even frames, and so has BVH, which has no time stamps, where it must hold
+    still in a long gap. Raises InputError as ``span_of`` and ``even_frames``.
     """
     time = time[span_of(export, time, source)]
-    if suffix == ".bvh" and export.fps is None and long_gaps(time):
-        export = replace(export, fps=frames_per_second(time))
+    rate = frames_per_second(time)
+    if export.fps is None and suffix == ".fbx":
+        export = replace(export, fps=whole_rate(rate))
+    if export.fps is None and suffix == ".bvh" and long_gaps(time):
+        export = replace(export, fps=rate)
     if export.fps is not None:
         even_frames(time, export.fps, source)
     elif export.keys is not None:

@@ -52,7 +52,7 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
 
-from .export import ONCE, PER_FRAME, Export, name_tables
+from .export import ONCE, PER_FRAME, Export, name_tables, whole_rate
 from .files import atomic_path
 from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion, rig_of
@@ -72,7 +72,6 @@ from .usd_character import (
     vectors,
 )
 
-_RATE_TOLERANCE = 0.005  # stamps jitter; a rate this near to a whole number is one
 _STAMP = (1980, 1, 2, 0, 0, 0, 0, 0, -1)
 """Time of what a package holds, so that equal clips give equal bytes: local time, which
 zip keeps, wherever this runs; zip knows no earlier year."""
@@ -134,9 +133,7 @@ def _write_layer(
     clip: Clip, moved: RigMotion, path: Path, export: Export, reference: str | None
 ) -> None:
     """Write a clip into a layer, with its character unless that is a reference."""
-    whole = round(clip.fps)
-    near = abs(clip.fps - whole) <= _RATE_TOLERANCE * clip.fps
-    rate = export.fps or (float(whole) if near else clip.fps)
+    rate = export.fps or whole_rate(clip.fps)
     codes = np.round((clip.time - clip.time[0]) * rate, _CODE_DECIMALS)
     stage = new_stage(path, export)
     layer = stage.GetRootLayer()

@@ -1,0 +1,97 @@
+"""Turn ``clip.glb`` into ``clip.fbx``; this runs in Blender, which knows no kinefilter.
+
+    blender --background --python blender_fbx.py -- FOLDER FRAMES RATE IMPORTED
+
+FBX has y up and centimeters, as most programs have that read it. The keyframes of the
+GLB are IMPORTED a second, so that each is one of Blender's frames, those of the FBX
+RATE. Where standard input ends, nobody waits any more: the folder is removed.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+_CENTIMETERS = 100.0  # in a meter
+
+
+def _watch(folder: str) -> None:
+    os.read(0, 1)
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
+
+
+def _main(folder: str, frames: int, rate: float, imported: int) -> None:
+    threading.Thread(target=_watch, args=(folder,), daemon=True).start()
+    import bpy
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps = imported
+    # Bones keep the axes that they have in the GLB.
+    bpy.ops.import_scene.gltf(
+        filepath=str(Path(folder, "clip.glb")), bone_heuristic="BLENDER"
+    )
+    _to_centimeters(bpy)
+    scene.unit_settings.scale_length = 1.0 / _CENTIMETERS
+    scene.frame_start, scene.frame_end = 0, frames - 1
+    scene.render.fps = max(round(rate), 1)
+    scene.render.fps_base = scene.render.fps / rate
+    bpy.ops.export_scene.fbx(
+        filepath=str(Path(folder, "clip.fbx")),
+        object_types={"ARMATURE", "EMPTY", "MESH"},
+        use_visible=True,  # not what bones are drawn as
+        use_space_transform=False,
+        add_leaf_bones=False,
+        bake_anim_use_nla_strips=False,
+        bake_anim_use_all_actions=False,
+        bake_anim_simplify_factor=0.0,
+    )
+
+
+def _to_centimeters(bpy: Any) -> None:
+    """Turn and scale everything so that the numbers of the scene are those of FBX."""
+    from mathutils import Matrix
+
+    scale = Matrix.Scale(_CENTIMETERS, 4)
+    turn = Matrix.Rotation(-math.pi / 2.0, 4, "X")
+    for thing in bpy.data.objects:
+        if thing.type == "ARMATURE":
+            # Unreal takes an armature of any other name for a bone.
+            thing.name = "Armature"
+            # The animation is called as the scene.
+            bpy.context.scene.name = thing.animation_data.nla_tracks[0].name
+            thing.data.transform(turn @ scale)
+        elif thing.type == "MESH":
+            skinned = any(m.type == "ARMATURE" for m in thing.modifiers)
+            thing.data.transform(turn @ scale if skinned else scale)
+        elif thing.parent is None or thing.parent.type == "ARMATURE":
+            thing.matrix_basis = turn @ thing.matrix_basis
+        thing.location *= _CENTIMETERS
+    for curve in _curves(bpy):
+        if curve.data_path.endswith("location"):
+            for key in curve.keyframe_points:
+                for point in (key.co, key.handle_left, key.handle_right):
+                    point[1] *= _CENTIMETERS
+
+
+def _curves(bpy: Any) -> Iterator[Any]:
+    for action in bpy.data.actions:
+        if hasattr(action, "fcurves"):  # up to Blender 4
+            yield from action.fcurves
+            continue
+        for layer in action.layers:
+            for strip in layer.strips:
+                for bag in strip.channelbags:
+                    yield from bag.fcurves
+
+
+if __name__ == "__main__":
+    folder, frames, rate, imported = sys.argv[sys.argv.index("--") + 1 :]
+    _main(folder, int(frames), float(rate), int(imported))
