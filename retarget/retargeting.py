@@ -254,7 +254,11 @@ class _Motion:
         segment = segment_of(self.clip.skeleton, f"{side} {limb[0]}")
         hinge = rotate(self.clip.rotations[:, segment], _BENDS[limb])
         aside = bone - share[:, None] * line
-        return np.asarray(aside + _HINGE * self._our_length(side, limb) * hinge)
+        least = _HINGE * self._our_length(side, limb)
+        bent = np.linalg.norm(aside, axis=1)
+        bent += np.maximum(np.sum(aside * hinge, axis=1), 0.0)
+        straight = smooth_step(2.0 - bent / least)
+        return np.asarray(aside + least * straight[:, None] * hinge)
 
 
 def segment_of(skeleton: Skeleton, part: str) -> int:

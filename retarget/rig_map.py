@@ -44,7 +44,22 @@ PARTS = ("pelvis", *CHAINS)
 OPTIONAL = {"neck", *(f"{s} {part}" for s in SIDES for part in ("clavicle", "toes"))}
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
-_FIELDS = {"parent", "turned_by", "offset"}
+_FIELDS = {"parent", "turned_by", "offset", "axes"}
+WORDS = {
+    "left": (1.0, 0.0, 0.0),
+    "right": (-1.0, 0.0, 0.0),
+    "up": (0.0, 1.0, 0.0),
+    "down": (0.0, -1.0, 0.0),
+    "ahead": (0.0, 0.0, 1.0),
+    "back": (0.0, 0.0, -1.0),
+}
+"""Directions in which a bone's axes may point at rest, besides any three numbers (x to
+the left, y up, z ahead) and ``on``, which is along the bone."""
+_NUMBER = r"-?[01]?\.?\d{1,9}"
+_ONE_AXIS = rf"(-?[xyz]) (on|{'|'.join(WORDS)}|{_NUMBER} {_NUMBER} {_NUMBER})"
+_AXES = re.compile(f"{_ONE_AXIS}, {_ONE_AXIS}")
+Axes = tuple[tuple[str, str], tuple[str, str]]
+"""Two axes (``x``, ``-x``) and where they point, the second as nearly as it can."""
 
 
 @dataclass(frozen=True)
@@ -53,25 +68,29 @@ class MapBone:
 
     The root has no parent, and what its parent alone turns has no part (PARTS). The
     offset from the parent in the rest pose is in shares of stature, x to the left, y
-    up, z ahead; a bone without is looked for in a target, but not built.
+    up, z ahead; a bone without is looked for in a target, but not built. Without axes
+    a bone has those of the world.
     """
 
     name: str
     parent: str | None
     part: str | None
     offset: tuple[float, float, float] | None
+    axes: Axes | None = None
 
 
 @dataclass(frozen=True)
 class RigMap:
     """Names, hierarchy and rest pose of another skeleton, parents before children.
 
-    Its files write the prefix before every name, or leave it out.
+    Its files write the prefix before every name, or leave it out. BVH, which has no
+    rest rotations, has the bones' axes in its motion if ``axes_in_bvh``.
     """
 
     name: str
     prefix: str
     bones: tuple[MapBone, ...]
+    axes_in_bvh: bool = False
 
     def of(self, part: str) -> list[MapBone]:
         """Return the bones that a part turns, from the root on."""
@@ -97,20 +116,39 @@ def _embedded(folder: str, name: str) -> dict[str, Any]:
 def rig_map_of(table: dict[str, Any], source: str) -> RigMap:
     """Return the map in the table of a TOML file, or raise InputError."""
     rows, prefix = table.get("bones"), table.get("prefix", "")
+    in_bvh = table.get("axes_in_bvh", False)
     if not isinstance(rows, dict) or not isinstance(prefix, str):
         raise InputError(
             f"{source}: expected a table [bones], a row for each joint, and at most a "
             "text 'prefix'"
         )
-    unknown = sorted(set(table) - {"bones", "prefix"})
-    if unknown:
-        raise InputError(f"{source}: unknown {unknown[0]!r}; expected prefix, bones")
-    bones = tuple(_bone(name, row, source) for name, row in rows.items())
+    known = ("prefix", "axes", "axes_in_bvh", "bones")
+    if unknown := sorted(set(table) - set(known)):
+        raise InputError(
+            f"{source}: unknown {unknown[0]!r}; expected {', '.join(known)}"
+        )
+    if not isinstance(in_bvh, bool):
+        raise InputError(f"{source}: axes_in_bvh is {shown(in_bvh)}, expected true")
+    axes = _axes(table.get("axes"), source)
+    bones = tuple(_bone(name, row, axes, source) for name, row in rows.items())
     _check(bones, source)
-    return RigMap(source, prefix, bones)
+    return RigMap(source, prefix, bones, in_bvh)
 
 
-def _bone(name: str, row: Any, source: str) -> MapBone:
+def _axes(words: Any, where: str) -> Axes | None:
+    """Return the axes in words such as ``y on, -z ahead``."""
+    if words is None:
+        return None
+    found = _AXES.fullmatch(words) if isinstance(words, str) else None
+    if found is None or found[1][-1] == found[3][-1]:
+        raise InputError(
+            f"{where}: axes are {shown(words)}, expected two such as 'y on, -z back'; "
+            f"axes point on, {', '.join(WORDS)}, or to three numbers such as 0 -0.6 0.8"
+        )
+    return (found[1], found[2]), (found[3], found[4])
+
+
+def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
     where = f"{source}: bone {shown(name)}"
     if not isinstance(row, dict) or not _FIELDS.issuperset(row):
         raise InputError(f"{where}: expected fields {', '.join(sorted(_FIELDS))}")
@@ -122,14 +160,15 @@ def _bone(name: str, row: Any, source: str) -> MapBone:
         )
     if parent is not None and not isinstance(parent, str):
         raise InputError(f"{where}: parent is {shown(parent)}, expected a bone's name")
+    axes = _axes(row.get("axes"), where) or axes
     if offset is None:
-        return MapBone(name, parent, part, None)
+        return MapBone(name, parent, part, None, axes)
     numbers = offset if isinstance(offset, list) else []
     known = [n for n in numbers if type(n) in (int, float) and abs(n) < 100.0]
     if len(numbers) != 3 or len(known) != 3:
         raise InputError(f"{where}: offset is {shown(offset)}, expected three shares")
     x, y, z = (float(n) for n in known)
-    return MapBone(name, parent, part, (x, y, z))
+    return MapBone(name, parent, part, (x, y, z), axes)
 
 
 def _check(bones: tuple[MapBone, ...], source: str) -> None:

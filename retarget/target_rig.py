@@ -8,13 +8,17 @@ import numpy as np
 
 from kinefilter.characters import Body, InputError
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import IDENTITY, wxyz_from_matrix
 
-from .rig_map import CHAINS, OPTIONAL, PARTS, SIDES, MapBone, RigMap, listed
+from .rig_map import CHAINS, OPTIONAL, PARTS, SIDES, WORDS, MapBone, RigMap, listed
 
 _ON_FLOOR = 0.1
 """Lengths of a leg: a lowest joint that is no higher over y = 0 stands on that floor.
 A guess; rigs whose root is at the origin have it a whole leg below."""
 _SHORTEST = 1e-3  # of the leg's length: limbs that are shorter have no direction
+_TRUNK = {"spine", "neck", "head"} | {
+    f"{side} {part}" for side in SIDES for part in ("clavicle", "upper arm")
+}
 _LEGS = (0.01, 100.0)  # m, of what somebody animates
 
 
@@ -34,6 +38,8 @@ class RestPose:
     lowest: float | None = None
     """Height [m] of the lowest point if the file knows more than joints."""
     source: str = "rig"
+    axes_in_bvh: bool = False
+    """Whether BVH has these axes too; else its joints have those of the world."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -75,8 +81,9 @@ class TargetRig:
 def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     """Return the skeleton that a map describes, in a person's size.
 
-    Thighs, shins and arms have the person's lengths, the rest of the skeleton is scaled
-    to the stature. The soles are on y = 0. Raises InputError if the map lacks offsets.
+    Limbs have the person's lengths, hips and shoulders are as wide and as far from each
+    other as the person's, the rest is scaled to the stature. The soles are on y = 0.
+    Raises InputError if the map lacks offsets.
     """
     bones = [bone for bone in rig_map.bones if bone.offset is not None]
     names = tuple(bone.name for bone in bones)
@@ -93,13 +100,14 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
                 f"{rig_map.name}: the bone turned_by {part!r} has no offset; give it "
                 "one, or take the skeleton from a file of it"
             )
-    positions = np.zeros((len(bones), 3))
-    for n, bone in enumerate(bones):
-        positions[n] = _offset(bone, bones[parents[n]], body)
-        if parents[n] >= 0:
-            positions[n] += positions[parents[n]]
-    rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
+    above = [bones[n] for n in parents]
+    offsets = np.array([_offset(*two, body) for two in zip(bones, above, strict=True)])
+    places = _placed(offsets, parents)
+    rest = RestPose(names, tuple(parents), places, source=rig_map.name)
     rig = matched_rig(rig_map, rest, body)
+    for part in _TRUNK & rig.parts.keys():
+        offsets[list(rig.parts[part])] *= _trunk(rig, body)
+    positions = _placed(offsets, parents)
     joints, height = _lowest(rig, body)
     moving = [rig.joint("pelvis")]  # and all that hangs on it
     for n in range(moving[0] + 1, len(rest)):
@@ -107,7 +115,61 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
             moving.append(n)
     positions[moving, 1] += height - positions[joints, 1].min()
     full = tuple(rig_map.prefix + name for name in names)
-    return TargetRig(replace(rest, names=full), rig.parts, 0.0)
+    rest = replace(rest, positions=positions)
+    axes, in_bvh = _axes(bones, rest), rig_map.axes_in_bvh
+    rest = replace(rest, names=full, axes=axes, axes_in_bvh=in_bvh)
+    return TargetRig(rest, rig.parts, 0.0)
+
+
+def _placed(offsets: Array, parents: list[int]) -> Array:
+    places = offsets.copy()
+    for n, parent in enumerate(parents):
+        places[n] += places[parent] if parent >= 0 else 0.0
+    return places
+
+
+def _trunk(rig: TargetRig, body: Body) -> Array:
+    """Return how much wider and taller than the rig's a person's trunk is, (3,)."""
+    hips, shoulders = (
+        body.rest_positions[body.skeleton.sides(joint)] for joint in ("Hip", "Shoulder")
+    )
+    width = rig.bone("right upper arm", "left upper arm")[0]
+    up, down = (rig.bone("pelvis", f"left {p}")[1] for p in ("upper arm", "thigh"))
+    tall = (shoulders - hips)[:, 1].mean() + down
+    factors = [np.ptp(shoulders[:, 0]), tall, 1.0] / np.maximum([width, up, 1.0], 1e-9)
+    return np.where((factors > 0.5) & (factors < 2.0), factors, 1.0)
+
+
+def _axes(bones: list[MapBone], rest: RestPose) -> Array | None:
+    """Return the world rotation of each bone's axes, wxyz, (N, 4); None: identity."""
+    if not any(bone.axes for bone in bones):
+        return None
+    found = np.tile(IDENTITY, (len(bones), 1))
+    for n, bone in enumerate(bones):
+        if bone.axes is None:
+            continue
+        # On to what hangs on it, from the last bone as the one before goes on.
+        tip = rest.parents.index(n) if n in rest.parents else n
+        bone_on = rest.positions[tip] - rest.positions[rest.parents[tip]]
+        matrix = np.zeros((3, 3))
+        for axis, word in bone.axes:
+            way = bone_on
+            if word != "on":
+                way = np.array(WORDS.get(word) or [float(n) for n in word.split()])
+            way = way * (-1.0 if axis[0] == "-" else 1.0)
+            way = way - matrix @ (way @ matrix)  # square to the first
+            length = float(np.linalg.norm(way))
+            if length < _SHORTEST:
+                raise InputError(
+                    f"{rest.source}: bone {bone.name!r}: its axis {axis} has no "
+                    f"direction; {word} is no length, or where the other axis points"
+                )
+            matrix[:, "xyz".index(axis[-1])] = way / length
+        (free,) = {0, 1, 2} - {"xyz".index(axis[-1]) for axis, _ in bone.axes}
+        before, after = matrix[:, free - 2], matrix[:, free - 1]
+        matrix[:, free] = np.cross(before, after)
+        found[n] = wxyz_from_matrix(matrix)
+    return found
 
 
 def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
@@ -153,6 +215,18 @@ def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
     share = np.array(bone.offset)
     segment = {"lower arm": "Elbow", "hand": "Wrist", "shin": "Knee", "foot": "Ankle"}
     side, _, part = (bone.part or "").partition(" ")
+    if part == "thigh":  # hips as wide as the person's
+        hips = body.rest_positions[body.skeleton.hips, 0]
+        return np.array(
+            [np.sign(share[0]) * np.ptp(hips) / 2, *share[1:] * body.height]
+        )
+    if part == "toes":  # ankles as high, feet as long as the person's
+        skeleton, way = body.skeleton, share * [1.0, 0.0, 1.0]
+        foot, ankle = (skeleton.index(f"{j}Left") for j in ("Foot", "Ankle"))
+        x, _, z = body.rest_offsets[foot]
+        way *= float(np.hypot(x, z)) / max(float(np.linalg.norm(way)), 1e-9)
+        way[1] = body.radii[foot] - body.rest_positions[ankle, 1]
+        return np.asarray(way)
     if part not in segment or parent.part != CHAINS[f"{side} {part}"]:
         return share * body.height
     length = body.lengths[body.skeleton.index(f"{segment[part]}{side.capitalize()}")]

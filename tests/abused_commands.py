@@ -177,7 +177,7 @@ def _check_clip(path: Path, words: Sequence[str]) -> None:
     if words[0] not in ("clean", "batch"):
         return  # models, databases, takes
     if "--rig" in words:
-        if path.suffix != ".glb":  # which nothing here reads on another skeleton
+        if path.suffix not in (".glb", ".npz"):  # which nothing here reads of rigs
             bvh = path.suffix == ".bvh"
             places = read_bvh(path).positions if bvh else read_usd_positions(path)[2]
             if not np.isfinite(places).all():

@@ -132,9 +132,9 @@ def test_a_missing_take_and_an_unknown_extension_are_refused(
     )
     assert "absent.csv" in error
     error = _refused(
-        ["clean", str(SAMPLE), "-o", str(tmp_path / "clip.fbx")], tmp_path, capsys
+        ["clean", str(SAMPLE), "-o", str(tmp_path / "clip.abc")], tmp_path, capsys
     )
-    assert ".fbx" in error
+    assert ".abc" in error
     assert ".usda" in error
 
 

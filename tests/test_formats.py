@@ -260,7 +260,7 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
 ) -> None:
     (tmp_path / "folder.csv").mkdir()
     for name, words in {
-        "clip.fbx": r"'\.fbx'.*\.usda, .*, \.usdz, \.glb, \.vrma, \.bvh, \.csv, \.npz",
+        "clip.abc": r"'\.abc'.*\.usda, .*, \.glb, \.vrma, \.fbx, \.bvh, \.csv, \.npz",
         "clip": "unknown extension ''",
         "none/clip.csv": "does not exist",
         "folder.csv": "is a folder",

@@ -184,6 +184,48 @@ def test_upper_arms_and_thighs_point_where_the_persons_do(
                 assert np.sum(wanted * found, axis=-1).min() > np.cos(np.radians(45.0))
 
 
+@every_rig
+def test_arms_that_are_bent_point_where_the_persons_do(
+    clips: dict[str, Clip], name: str
+) -> None:
+    """Legs do where their feet do not have to be held."""
+    (parts, joints), looked_at = ARM, 0
+    for title, clip in clips.items():
+        rig = built_rig(load_rig_map(name), clip.body)
+        motion = retarget(clip, rig)
+        for side in SIDES:
+            ours = [clip.skeleton.index(f"{j}{side.capitalize()}") for j in joints]
+            theirs = [rig.joint(f"{side} {part}") for part in parts]
+            arm = clip.positions[:, ours]
+            bent = np.linalg.norm(bent_to(arm), axis=-1) > 0.04
+            looked_at += bent.sum()
+            for first in (0, 1):
+                wanted, found = (
+                    upper_bone(limb[bent, first:])
+                    for limb in (arm, motion.positions[:, theirs])
+                )
+                away = np.linalg.norm(wanted - found, axis=-1)
+                assert np.degrees(away.max(initial=0.0)) < 0.5, title
+    assert looked_at > 300
+
+
+@every_rig
+def test_legs_of_the_persons_size_are_where_the_persons_are(
+    clips: dict[str, Clip], name: str
+) -> None:
+    """But for knees of legs that are all but straight, which millimeters bend."""
+    for title in ("walk", "squat", "walk on Kinect v1"):
+        clip = clips[title]
+        rig = built_rig(load_rig_map(name), clip.body)
+        motion = retarget(clip, rig)
+        for side in SIDES:
+            for part, joint in (("thigh", "Hip"), ("foot", "Ankle")):
+                ours = clip.skeleton.index(f"{joint}{side.capitalize()}")
+                found = motion.positions[:, rig.joint(f"{side} {part}")]
+                away = np.linalg.norm(found - clip.positions[:, ours], axis=-1)
+                assert away.max() < 1e-3, title
+
+
 def upper_bone(limb: Array) -> Array:
     """Return the direction of a limb's first bone (T, 3, 3), shape (T, 3)."""
     bone = limb[:, 1] - limb[:, 0]

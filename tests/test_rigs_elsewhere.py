@@ -5,29 +5,40 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rig_motions import performed
+from rig_motions import ARM, LEG, SIDES, performed
 
 from kinefilter.characters import Clip
+from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.pipeline.formats import Export, write_clip
 from kinefilter.retarget.retargeting import retarget
-from kinefilter.retarget.rig_map import RIGS, load_rig_map
+from kinefilter.retarget.rig_map import RIGS, WORDS, load_rig_map
 from kinefilter.retarget.target_rig import built_rig
 
 Array = NDArray[np.float64]
 MILLIMETER = 1e-3
+HALF_A_DEGREE = 0.5
+SUFFIXES = ("bvh", "usdc", "glb", "fbx")
+BLENDERS_RATE = 24.0  # frames a second, whatever it imports
+FROM_BLENDER = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up becomes y up
 
 BLENDER = os.environ.get("KINEFILTER_BLENDER") or (
     sys.executable if importlib.util.find_spec("bpy") else ""
 )
 THREE = os.environ.get("KINEFILTER_THREE", "")
+
+
+every_rig = pytest.mark.parametrize("name", RIGS)
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +53,14 @@ def motion(clip: Clip, name: str) -> tuple[list[str], Array]:
     return list(rig.rest.names), retarget(clip, rig).positions
 
 
-@pytest.mark.skipif(
+in_three = pytest.mark.skipif(
     not THREE or shutil.which("node") is None,
     reason="no three.js: see test_three.py for how to install it",
 )
-@pytest.mark.parametrize("name", RIGS)
+
+
+@in_three
+@every_rig
 def test_threes_joints_are_where_the_motion_has_them(
     clip: Clip, tmp_path: Path, name: str
 ) -> None:
@@ -54,33 +68,149 @@ def test_threes_joints_are_where_the_motion_has_them(
     write_clip(clip, path, Export(rig=name))
     # three.js moves no joint that has a colon in its name.
     path.write_text(path.read_text().replace("mixamorig:", ""))
-    script = Path(__file__).with_name("three_bvh.mjs")
-    command = ["node", str(script), THREE, str(path), str(len(clip))]
-    ran = subprocess.run(command, check=True, capture_output=True, timeout=60)
-    three = json.loads(ran.stdout)
+    three = in_node("three_bvh.mjs", path, clip)
     names, wanted = motion(clip, name)
     columns = [three["names"].index(joint.rpartition(":")[2]) for joint in names]
     found = np.array(three["frames"])[:, columns]
     assert np.linalg.norm(found - wanted, axis=-1).max() < MILLIMETER
 
 
-@pytest.mark.skipif(
-    not BLENDER, reason="no Blender: see test_blender.py for how to install it"
-)
-def test_blenders_joints_are_where_the_motion_has_them(
-    clip: Clip, tmp_path: Path
-) -> None:
-    files = {f"{name}.{suffix}": name for name in RIGS for suffix in ("bvh", "usdc")}
-    for file, name in files.items():
-        write_clip(clip, tmp_path / file, Export(rig=name))
-        np.save(tmp_path / f"{file}.frames.npy", np.arange(len(clip), dtype=float))
+def in_node(script: str, path: Path, clip: Clip) -> dict[str, Any]:
+    """Return what three.js makes of a file."""
+    node = ["node", str(Path(__file__).with_name(script)), THREE]
+    command = [*node, str(path), str(len(clip))]
+    ran = subprocess.run(command, check=True, capture_output=True, timeout=60)
+    found: dict[str, Any] = json.loads(ran.stdout)
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of files on every rig, and which frames to look at."""
+    if not BLENDER:
+        pytest.skip("no Blender: see test_blender.py for how to install it")
+    folder, frames = tmp_path_factory.mktemp("rigs"), np.arange(len(clip), dtype=float)
+    for file in (folder / f"{n}.{s}" for n in RIGS for s in SUFFIXES):
+        blender = BLENDER if file.suffix == ".fbx" else None
+        write_clip(clip, file, Export(rig=file.stem, blender=blender))
+        rate = BLENDERS_RATE / clip.fps if file.suffix == ".glb" else 1.0
+        np.save(folder / f"{file.name}.frames.npy", frames * rate)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def seen(folder: Path) -> dict[str, dict[str, Array]]:
+    """Return what Blender sees in these files, by their names."""
     script = Path(__file__).with_name("blender_import.py")
-    subprocess.run([BLENDER, str(script), str(tmp_path)], check=True, timeout=300)
-    for file, name in files.items():
-        blender = dict(np.load(tmp_path / f"{file}.npz"))
-        names, wanted = motion(clip, name)
-        if file.endswith(".usdc"):
-            names = [joint.replace(":", "_") for joint in names]
-        heads = blender["heads"][:, [blender["names"].tolist().index(n) for n in names]]
-        z_up = np.stack([wanted[..., 0], -wanted[..., 2], wanted[..., 1]], axis=-1)
-        assert np.linalg.norm(heads - z_up, axis=-1).max() < MILLIMETER, file
+    subprocess.run([BLENDER, str(script), str(folder)], check=True, timeout=300)
+    names = [f"{name}.{suffix}" for name in RIGS for suffix in SUFFIXES]
+    return {name: dict(np.load(folder / f"{name}.npz")) for name in names}
+
+
+@in_three
+@every_rig
+def test_three_has_the_joints_of_an_fbx_in_centimeters_with_the_axes_of_the_rig(
+    clip: Clip, folder: Path, name: str
+) -> None:
+    three = in_node("three_fbx.mjs", folder / f"{name}.fbx", clip)
+    rig = built_rig(load_rig_map(name), clip.body)
+    moved = retarget(clip, rig)
+    plain = [re.sub(r"[:.]", "", joint) for joint in rig.rest.names]  # as three has
+    frames = np.array(three["frames"])[:, [three["names"].index(n) for n in plain]]
+    away = frames[..., :3] / 100.0 - moved.positions
+    assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
+    axes = np.eye(3) if rig.rest.axes is None else matrix_from_wxyz(rig.rest.axes)
+    wanted = matrix_from_wxyz(moved.rotations) @ axes
+    found = matrix_from_wxyz(np.roll(frames[..., 3:], 1, axis=-1))
+    assert apart(found, wanted).max() < HALF_A_DEGREE
+
+
+def columns(blender: dict[str, Array], names: Iterable[str]) -> list[int]:
+    """Return where joints are in what Blender saw; USD has other names for some."""
+    known = [re.sub(r"\W", "_", name) for name in blender["names"].tolist()]
+    return [known.index(re.sub(r"\W", "_", name)) for name in names]
+
+
+@every_rig
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_blenders_joints_are_where_the_motion_has_them_and_turn_as_it_turns_them(
+    clip: Clip, seen: dict[str, dict[str, Array]], name: str, suffix: str
+) -> None:
+    blender = seen[f"{name}.{suffix}"]
+    rig = built_rig(load_rig_map(name), clip.body)
+    moved, some = retarget(clip, rig), columns(blender, rig.rest.names)
+    away = blender["heads"][:, some] @ FROM_BLENDER.T - moved.positions
+    assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
+    if suffix == "bvh" and rig.rest.axes_in_bvh:
+        return  # such bones are at rest in no pose at all
+    turns = blender["turns"][:, some] @ np.swapaxes(blender["axes"][some], 1, 2)
+    turned = FROM_BLENDER @ turns @ FROM_BLENDER.T
+    assert apart(turned, matrix_from_wxyz(moved.rotations)).max() < HALF_A_DEGREE
+
+
+@every_rig
+@pytest.mark.parametrize("suffix", ["glb", "fbx"])
+def test_blenders_bones_have_the_axes_of_the_rig(
+    clip: Clip, seen: dict[str, dict[str, Array]], name: str, suffix: str
+) -> None:
+    blender, rig_map = seen[f"{name}.{suffix}"], load_rig_map(name)
+    rig = built_rig(rig_map, clip.body)
+    some = columns(blender, rig.rest.names)
+    axes = FROM_BLENDER @ blender["axes"][some]
+    wanted = np.eye(3) if rig.rest.axes is None else matrix_from_wxyz(rig.rest.axes)
+    assert apart(axes, np.broadcast_to(wanted, axes.shape)).max() < HALF_A_DEGREE
+
+
+@pytest.mark.parametrize("name", ["mixamo", "unreal", "unreal4", "lafan1", "rigify"])
+@pytest.mark.parametrize("suffix", ["glb", "fbx"])
+def test_an_axis_of_each_limb_points_where_the_clip_has_the_limb(
+    clip: Clip, seen: dict[str, dict[str, Array]], name: str, suffix: str
+) -> None:
+    blender, rig_map = seen[f"{name}.{suffix}"], load_rig_map(name)
+    for side in SIDES:
+        for parts, joints in (ARM, LEG):
+            ends = [clip.skeleton.index(f"{j}{side.capitalize()}") for j in joints]
+            bones = np.diff(clip.positions[:, ends], axis=1)
+            for part, bone in zip(parts[:2], np.moveaxis(bones, 1, 0), strict=True):
+                (turned,) = rig_map.of(f"{side} {part}")
+                (axis, along), _ = turned.axes or ((), ())
+                assert along == "on"
+                way = axis_of(blender, rig_map.prefix + turned.name, axis)
+                assert angle(way, bone).max() < HALF_A_DEGREE, turned.name
+
+
+@pytest.mark.parametrize("name", ["mixamo", "lafan1"])
+@pytest.mark.parametrize("suffix", ["glb", "fbx"])
+def test_the_other_axis_of_each_limb_is_twisted_as_the_clip_has_it(
+    clip: Clip, seen: dict[str, dict[str, Array]], name: str, suffix: str
+) -> None:
+    """At rest these limbs are where the T-pose has them, the clip's own rest pose."""
+    blender, rig_map = seen[f"{name}.{suffix}"], load_rig_map(name)
+    for side in SIDES:
+        for parts, joints in (ARM, LEG):
+            for part, end in zip(parts[:2], joints[1:], strict=True):
+                segment = clip.skeleton.index(f"{end}{side.capitalize()}")
+                (turned,) = rig_map.of(f"{side} {part}")
+                _, (axis, word) = turned.axes or ((), ())
+                wanted = rotate(clip.rotations[:, segment], np.array(WORDS[word]))
+                way = axis_of(blender, rig_map.prefix + turned.name, axis)
+                assert angle(way, wanted).max() < HALF_A_DEGREE, turned.name
+
+
+def axis_of(blender: dict[str, Array], bone: str, axis: str) -> Array:
+    """Return where an axis (``x``, ``-x``) of a bone points in each frame, (T, 3)."""
+    (column,) = columns(blender, [bone])
+    way = blender["turns"][:, column, :, "xyz".index(axis[-1])]
+    return np.asarray((-1.0 if axis[0] == "-" else 1.0) * way @ FROM_BLENDER.T)
+
+
+def angle(some: Array, others: Array) -> Array:
+    """Return the angles between vectors (T, 3) [degrees], shape (T,)."""
+    sines = np.linalg.norm(np.cross(some, others), axis=-1)
+    return np.degrees(np.arctan2(sines, np.sum(some * others, axis=-1)))
+
+
+def apart(some: Array, others: Array) -> Array:
+    """Return the angles between rotations (..., 3, 3) [degrees], shape (...)."""
+    away = np.linalg.norm(some - others, axis=(-2, -1)) / np.sqrt(8.0)
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(away, 1.0))))

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 _CENTIMETERS = 100.0  # in a meter
+_AT_REST = -10  # the frame, before all that are written, in which bones rest
 
 
 def _watch(folder: str) -> None:
@@ -41,10 +42,12 @@ def _main(folder: str, frames: int, rate: float, imported: int) -> None:
     _to_centimeters(bpy)
     scene.unit_settings.scale_length = 1.0 / _CENTIMETERS
     scene.frame_start, scene.frame_end = 0, frames - 1
+    scene.frame_set(_AT_REST)  # the rest pose of the FBX is that of this moment
     scene.render.fps = max(round(rate), 1)
     scene.render.fps_base = scene.render.fps / rate
+    half = Path(folder, "half.fbx")
     bpy.ops.export_scene.fbx(
-        filepath=str(Path(folder, "clip.fbx")),
+        filepath=str(half),
         object_types={"ARMATURE", "EMPTY", "MESH"},
         use_visible=True,  # not what bones are drawn as
         use_space_transform=False,
@@ -53,6 +56,7 @@ def _main(folder: str, frames: int, rate: float, imported: int) -> None:
         bake_anim_use_all_actions=False,
         bake_anim_simplify_factor=0.0,
     )
+    half.rename(half.with_name("clip.fbx"))
 
 
 def _to_centimeters(bpy: Any) -> None:
@@ -68,6 +72,7 @@ def _to_centimeters(bpy: Any) -> None:
             # The animation is called as the scene.
             bpy.context.scene.name = thing.animation_data.nla_tracks[0].name
             thing.data.transform(turn @ scale)
+            thing.data.update_tag()
         elif thing.type == "MESH":
             skinned = any(m.type == "ARMATURE" for m in thing.modifiers)
             thing.data.transform(turn @ scale if skinned else scale)
@@ -79,6 +84,10 @@ def _to_centimeters(bpy: Any) -> None:
             for key in curve.keyframe_points:
                 for point in (key.co, key.handle_left, key.handle_right):
                     point[1] *= _CENTIMETERS
+        if curve.data_path.startswith("pose.bones"):
+            first = curve.array_index == 0 and curve.data_path.endswith("quaternion")
+            still = float(first or curve.data_path.endswith("scale"))
+            curve.keyframe_points.insert(_AT_REST, still)
 
 
 def _curves(bpy: Any) -> Iterator[Any]:

@@ -260,21 +260,23 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     (``paced``). Raises InputError if it cannot be
     written.
     """
-    rig = replace(moved.rig, axes=None)  # a BVH skeleton is not rotated at rest
+    rig = moved.rig
+    if not rig.axes_in_bvh:  # a BVH skeleton is not rotated at rest
+        rig = replace(rig, axes=None)
     order, columns = export.rotation_order.upper(), []
     # Node by node: the angles need the whole time, and all at once would be gigabytes.
     for n in rig.depth_first:
         if n in (0, rig.mover):
             place = moved.places.get(n, np.tile(rig.root, (len(clip), 1)))
-            if moved.rig.axes is not None and n > 0:
+            if moved.rig.axes is not None and rig.axes is None and n > 0:
                 place = rotate(moved.rig.axes[rig.parents[n]], place)
             columns.append(export.points(place))
         local = export.axes(rig.local_rotation(moved.rotations, n))
         columns.append(np.degrees(continuous_euler(local, order)))
     motion = np.concatenate(columns, axis=1)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
-    offsets = export.points(rig.offsets)
-    offsets[rig.mover] = 0.0  # readers add the channels, or put them in its place
+    offsets = export.points(rig.at_rest[0])
+    offsets[[0, rig.mover]] = 0.0  # readers add the channels, or put them in its place
     channels = [f"{axis}rotation" for axis in order]
     duration = float(clip.time[-1] - clip.time[0])
     mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps

@@ -20,7 +20,8 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.characters.arrays import check_kind
+from kinefilter.characters.arrays import Array, check_kind
+from kinefilter.characters.rotations import IDENTITY, about_x, multiply, rotate
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget.looping import repeated
 from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
@@ -35,6 +36,7 @@ from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
 from .glb import write_glb
 from .glb_reader import read_glb
 from .guarded import read_usd
+from .learning import write_joints
 from .npz import clip_of_arrays, read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
 from .shaping import kept_still, shaped
@@ -70,12 +72,12 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
 
     USD, GLB and FBX hold a skinned character in T-pose, rotations and props, BVH the
     skeleton and rotations, VRMA those of VRM; CSV joint positions and the sensor's
-    states; npz the whole clip. On another rig, USD, GLB, FBX and BVH hold its skeleton
-    and rotations. The extension decides: ``.usda``, ``.usdc``, ``.usd``, ``.usdz``,
-    ``.glb``, ``.vrma``, ``.fbx``, ``.bvh``, ``.csv`` or ``.npz``. By default units are
-    meters, y is up, and frames are the clip's. Raises InputError if the extension is
-    unknown, an option does not go with it, nothing can be written, or as
-    ``even_frames`` and ``write_fbx``.
+    states; npz the whole clip. On another rig, USD, GLB, FBX and BVH hold its
+    skeleton and rotations, npz what ``write_joints`` writes. The extension decides:
+    ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.glb``, ``.vrma``, ``.fbx``,
+    ``.bvh``, ``.csv`` or ``.npz``. By default units are meters, y is up, and frames
+    are the clip's. Raises InputError if the extension is unknown, an option does
+    not go with it, nothing can be written, or as ``even_frames`` and ``write_fbx``.
     """
     check_kind(clip, Clip, "the clip")
     export = Export() if export is None else export
@@ -91,13 +93,18 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
         clip = kept_still(clip, export.root)
     if suffix == ".csv":
         write_take_csv(clip, path)
-    elif suffix == ".npz":
+    elif suffix == ".npz" and export.rig is None:
         write_npz(clip, path)
     else:
         places = {0: clip.positions[:, clip.skeleton.root]}
         moved = RigMotion(rig_of(clip.body), clip.rotations, places, clip.positions)
         if export.rig is not None:
             rig = target_rig(export.rig, export.target, clip.body)
+            axes = rig.rest.axes
+            if export.up == "z" and axes is not None:
+                # Turning the world must not rename the axes of bones.
+                axes = multiply(axes, about_x(np.pi / 2.0))
+                rig = replace(rig, rest=replace(rig.rest, axes=axes))
             acted, own = repeated(clip) if export.loop else (clip, slice(None))
             motion = Retargeted(*(values[own] for values in retarget(acted, rig)))
             moved = retargeted_motion(rig, motion, export.root)
@@ -107,6 +114,8 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
             write_glb(clip, moved, path, export)
         elif suffix == ".fbx":
             write_fbx(clip, moved, path, export)
+        elif suffix == ".npz":
+            write_joints(clip, moved, path, export)
         else:
             # Loading pxr takes longer than most commands run.
             from .usd import write_usd
@@ -197,7 +206,7 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
         return built_rig(rig_map, body)
     suffix = target.suffix.lower()
     if suffix == ".bvh":
-        return matched_rig(rig_map, _bvh_rest(target, rig_map), body)
+        return matched_rig(rig_map, _bvh_rest(target, rig_map, body), body)
     if suffix in USD_SUFFIXES:
         return matched_rig(rig_map, _usd_rest(target), body)
     raise InputError(f"--target {target}: expected .bvh, {', '.join(USD_SUFFIXES)}")
@@ -214,21 +223,40 @@ def read_rig_map(rig: str) -> RigMap:
     return rig_map_of(parse_toml(text, rig, "expected a map of bones"), rig)
 
 
-def _bvh_rest(path: Path, rig_map: RigMap) -> RestPose:
+def _bvh_rest(path: Path, rig_map: RigMap, body: Body) -> RestPose:
     """Return a BVH file's skeleton, in the unit in which it has a person's legs."""
     bvh = read_bvh(path)
     joints, meters = bvh.joints, 1.0
     names = tuple(bvh.names[n] for n in joints)
-    plain = [rig_map.plain(name) for name in names]
-    chain = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
-    places = bvh.rest_positions[joints]
-    if set(chain) <= set(plain):
-        thigh, foot = (places[plain.index(name)] for name in chain)
-        meters = meters_by_leg(float(np.linalg.norm(foot - thigh)))
     above = [bvh.parents[n] for n in joints]
     parents = tuple(joints.index(n) if n in joints else -1 for n in above)
-    lowest = meters * float(bvh.rest_positions[:, 1].min())
-    return RestPose(names, parents, meters * places, lowest=lowest, source=str(path))
+    plain = [rig_map.plain(name) for name in names]
+    chain = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
+    places = bvh.rest_positions
+    rest = RestPose(names, parents, places[joints], None, places[:, 1].min(), str(path))
+    if rig_map.axes_in_bvh:
+        rest = _posed_by_map(rest, bvh.offsets[joints], rig_map, body)
+    if set(chain) <= set(plain):
+        thigh, foot = (rest.positions[plain.index(name)] for name in chain)
+        meters = meters_by_leg(float(np.linalg.norm(foot - thigh)))
+    lowest = None if rest.lowest is None else meters * rest.lowest
+    return replace(rest, positions=meters * rest.positions, lowest=lowest)
+
+
+def _posed_by_map(
+    rest: RestPose, offsets: Array, rig_map: RigMap, body: Body
+) -> RestPose:
+    """Return how bones rest that have no rest pose without rotations, by a map."""
+    built = built_rig(rig_map, body).rest
+    if built.axes is None:
+        return rest
+    known = dict(zip(map(rig_map.plain, built.names), built.axes, strict=True))
+    axes, places = np.tile(IDENTITY, (len(rest), 1)), rest.positions.copy()
+    for n, parent in enumerate(rest.parents):
+        axes[n] = known.get(rig_map.plain(rest.names[n]), axes[parent])
+        if parent >= 0:
+            places[n] = places[parent] + rotate(axes[parent], offsets[n])
+    return replace(rest, positions=places, axes=axes, lowest=None, axes_in_bvh=True)
 
 
 def _usd_rest(path: Path) -> RestPose:

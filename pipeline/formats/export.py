@@ -64,7 +64,8 @@ _FOLLOWED = {
     ".glb": (*_MOVE, "keys", "rest", "rig", "target"),
     ".fbx": (*_MOVE, "rest", "rig", "target", "blender"),
     ".vrma": _MOVE,
-    **dict.fromkeys((".csv", ".npz"), _MOVE),
+    ".npz": (*_MOVE, "rig"),
+    ".csv": _MOVE,
 }
 _END = 1e-6  # of a frame: the last one is not lost to rounding
 _MOVED = ("moved_by_correction", "moved_by_physics", "uncertainty")
@@ -113,11 +114,11 @@ class Export:
     """USD layer with skeleton and mesh that the USD clip refers to; made if it is not
     there. Default: the clip holds both itself."""
     rig: str | None = None
-    """Skeleton of USD, GLB, FBX and BVH: mixamo, unreal, unity, vrm, smpl, or a map
-    (.toml) such as those in retarget/rigs; default: the sensor's joints. Skeleton and
-    animation without skin and props: hands and feet at the same place relative to limb
-    length, standing feet still; bones that no map names, such as fingers, keep their
-    rest pose."""
+    """Skeleton of USD, GLB, FBX, BVH and npz: mixamo, unreal (Manny, Quinn), unreal4,
+    unity, vrm, smpl, smplx, lafan1, rigify, or a map (.toml) such as those in
+    retarget/rigs; default: the sensor's joints. Skeleton and animation without skin
+    and props: hands and feet at the same place relative to limb length, standing
+    feet still; bones that no map names, such as fingers, keep their rest pose."""
     target: Path | None = None
     """File (.bvh or USD) whose skeleton at rest the clip is for, its joints called as
     in --rig; default: an average one, as tall as the person. Axes and unit of the clip
@@ -233,12 +234,14 @@ def span_of(export: Export, time: Array, source: str) -> slice:
 def paced(export: Export, suffix: str, time: Array, source: str) -> Export:
     """Return how a motion with time stamps [s] (T,) is written, with its frame rate.
 
-    FBX has even frames, and so has BVH, which has no time stamps, where it must hold
-    still in a long gap. Raises InputError as ``span_of`` and ``even_frames``.
+    FBX and npz of a rig have even frames, and so has BVH, which has no time stamps,
+    where it must hold still in a long gap. Raises InputError as ``span_of`` and
+    ``even_frames``.
     """
     time = time[span_of(export, time, source)]
     rate = frames_per_second(time)
-    if export.fps is None and suffix == ".fbx":
+    for_rig = suffix == ".npz" and export.rig is not None
+    if export.fps is None and (suffix == ".fbx" or for_rig):
         export = replace(export, fps=whole_rate(rate))
     if export.fps is None and suffix == ".bvh" and long_gaps(time):
         export = replace(export, fps=rate)

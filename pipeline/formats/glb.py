@@ -243,7 +243,7 @@ def _placed(name: str, place: Array, turn: Array) -> dict[str, Any]:
     return {
         "name": name,
         "translation": place.tolist(),
-        "rotation": _xyzw(turn).tolist(),
+        "rotation": _xyzw(turn).clip(-1.0, 1.0).tolist(),  # rounding goes beyond
     }
 
 

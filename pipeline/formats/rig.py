@@ -45,6 +45,8 @@ class Rig:
     mover: int = 0
     """Index of the node that changes place in its parent: the root, or the pelvis of a
     rig whose root stays on the floor."""
+    axes_in_bvh: bool = False
+    """Whether BVH has the axes too, and so no rest pose."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -192,7 +194,8 @@ def retargeted_motion(
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0
     segments, root = np.arange(len(rest)), rest.positions[0]
-    rig = Rig(rest.names, rest.parents, offsets, segments, root, rest.axes, mover)
+    known = (rest.names, rest.parents, offsets, segments, root, rest.axes, mover)
+    rig = Rig(*known, rest.axes_in_bvh)
     rotations, positions = motion.rotations, motion.positions
     if travel != "travel":
         frame = rig_frame(target, motion)

@@ -25,7 +25,12 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import normalize, wxyz_from_matrix
+from kinefilter.characters.rotations import (
+    about_x,
+    multiply,
+    normalize,
+    wxyz_from_matrix,
+)
 
 from .export import LINEAR, ONCE, PER_FRAME, name_tables, with_y_up
 from .files import AnyPath, check_file
@@ -155,7 +160,8 @@ def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
         )
     axes = wxyz_from_matrix(turned / sizes)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
-        places, axes = with_y_up(places), with_y_up(axes)
+        # Turning the world does not rename the axes of bones.
+        places, axes = with_y_up(places), multiply(about_x(-np.pi / 2.0), axes)
     known = {"names": names, "parents": parents, "places": places, "axes": axes}
     return {key: np.array(value) for key, value in known.items()}
 
