@@ -110,7 +110,7 @@ class Level(Stage):
         """Find which feet stand, and from them the tilt, and level the take."""
         draft.stands = np.concatenate(
             [
-                find_stance(part.time, part.positions, part.weights, part.skeleton)
+                find_stance(part.time, part.positions, part.confidence, part.skeleton)
                 for part in draft.parts
             ]
         )
