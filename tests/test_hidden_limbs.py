@@ -160,6 +160,15 @@ def test_limbs_of_recordings_and_of_other_people_teach_what_limbs_do(
     options = HiddenLimbs(("left-arm",), ("1",), physics=False)
     found, _ = measure_hidden(pairs, ["none"], options, recordings=[Path("take.csv")])
     assert taught == [["elsewhere", "s02"], ["elsewhere", "s01"]]
+    # A movement that is not repeated hides nothing.
+    twice = [
+        replace(pair, subject=name, clip=f"{clip}_{name}_e{k}")
+        for name in ("s01", "s02")
+        for clip, k in (("m01", 1), ("m01", 2), ("m02", 1))
+    ]
+    among = replace(options, context="repetitions")
+    again, _ = measure_hidden(twice, ["none"], among, recordings=[Path("take.csv")])
+    assert [record["clip"] for record in again] == ["m01_s01_e2", "m01_s02_e2"]
     shipped, _ = measure_hidden(pairs, ["none"], options)
     errors = [record["unhidden"]["none"] for record in (*found, *shipped)]
     assert errors[0] != errors[2]

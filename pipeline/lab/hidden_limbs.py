@@ -173,7 +173,7 @@ def _folds(
         read += map(Recording.of, pairs)
         lessons = read_lessons(over(read, "read", progress), (not options.live,))
     for person in people:
-        some = [case for case in cases if case.hidden[0][0].subject == person]
+        some = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
         if not some:
             continue
         school = School(
