@@ -1,4 +1,4 @@
-"""CONVENTIONS.md names tests that exist; here are those that no other file has."""
+"""Tests that CONVENTIONS.md and TOOLS.md name exist; here are those of no other file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ MakeClip = Callable[..., Clip]
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "CONVENTIONS.md").read_text(encoding="utf-8")
-NAMED = re.findall(r"`(tests/\w+\.py)::(test_\w+)`", TEXT)
+TOOLS = (ROOT / "TOOLS.md").read_text(encoding="utf-8")
+NAMED = re.findall(r"`(tests/\w+\.py)::(test_\w+)`", TEXT + TOOLS)
 
 
 def rows(heading: str) -> list[list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import urllib.request
@@ -30,9 +31,9 @@ def test_every_command_is_in_the_readme() -> None:
         assert f"kinefilter {command}" in readme
 
 
-def _readme_commands() -> list[str]:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```sh\n(.*?)```", readme, re.DOTALL)
+def _commands(file: str = "README.md") -> list[str]:
+    text = (ROOT / file).read_text(encoding="utf-8")
+    blocks = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
     lines = [line.strip() for block in blocks for line in block.splitlines()]
     commands = [part.strip() for line in lines for part in line.split("&&")]
     return [c for c in commands if c.startswith("kinefilter ")]
@@ -53,7 +54,7 @@ def test_every_readme_command_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    commands = _readme_commands()
+    commands = _commands()
     assert len(commands) >= 5
     for command in commands:
         if "cmu.npz" in command and not (tmp_path / "cmu.npz").exists():
@@ -65,6 +66,27 @@ def test_every_readme_command_runs(
             _serves_until_ended(_arguments(command)[1:])
         else:
             assert main(_arguments(command)) == 0, command
+
+
+def test_every_command_for_a_tool_writes_what_the_tool_gets(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "TOOLS.md").read_text(encoding="utf-8")
+    files = set(re.findall(r"-o (\S+)", text))
+    # What is said of a file in the table is of one that a command writes.
+    rows = [line.split("|") for line in text.splitlines() if line[:1] == "|"]
+    assert {file for row in rows for file in re.findall(r"`(.+?)`", row[2])} == files
+    blender = os.environ.get("KINEFILTER_BLENDER")
+    for command in _commands("TOOLS.md"):
+        words = _arguments(command)
+        if ".fbx" in command:
+            if blender is None:
+                continue
+            words += ["--blender", blender]
+        assert main(words) == 0, command
+    written = {file.name for file in tmp_path.iterdir()}
+    assert written >= {f for f in files if blender or not f.endswith(".fbx")}
 
 
 def _serves_until_ended(arguments: list[str]) -> None:
