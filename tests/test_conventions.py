@@ -1,4 +1,4 @@
-"""Tests that CONVENTIONS.md and TOOLS.md name exist; here are those of no other file."""
+"""Tests named by CONVENTIONS.md and TOOLS.md exist; here are those of no other file."""
 
 from __future__ import annotations
 
