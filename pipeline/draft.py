@@ -154,11 +154,12 @@ class Draft:
         """How much each joint counts in smoothing and against others, (J,).
 
         Its confidence; a hidden one, which is reconstructed to move like the others,
-        counts nearly as much.
+        counts nearly as much. A hand does not: it only turns with its forearm.
         """
         if self.hidden is None:
             return self.confidence
-        least = np.where(self.hidden, _RECONSTRUCTED, 0.0)
+        hands = [joint.startswith(("Hand", "Thumb")) for joint in self.skeleton.joints]
+        least = np.where(self.hidden & ~np.array(hands), _RECONSTRUCTED, 0.0)
         return np.maximum(self.confidence, least)
 
     @property

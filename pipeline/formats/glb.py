@@ -11,7 +11,7 @@ import json
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,11 @@ from kinefilter.characters.skin import skin_of
 
 from .export import COLOR, LINEAR, ONCE, PER_FRAME, Export, name_tables
 from .files import AnyPath, atomic_path
-from .keys import Curve, sparse_curves
 from .recording import FRAMES_AT_ONCE
 from .rig import Rig, RigMotion
+
+if TYPE_CHECKING:
+    from .keys import Curve
 
 MAGIC, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 KINDS = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -67,6 +69,8 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
         for node in range(len(rig)):
             glb.move(node, "rotation", _xyzw(turns[:, node]))
     else:
+        from .keys import sparse_curves  # loads scipy
+
         step, error = 1.0 / clip.fps, export.keys / 1000.0
         for curve in sparse_curves(rig, stamps, step, paths, turns, error):
             glb.bend(curve)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from kinefilter.characters import Clip, InputError, Prop, Shape, standard_body
 from kinefilter.characters.arrays import Array, Indices
@@ -130,6 +129,8 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
         if sampler := samplers.get((node, what)):
             rows = values(sampler["output"]).astype(float)
             if sampler.get("interpolation") == SMOOTH:
+                from scipy.interpolate import CubicHermiteSpline  # slow to load
+
                 keys = values(sampler["input"]).astype(float)
                 _, places, slopes = np.moveaxis(rows.reshape(len(keys), 3, -1), 1, 0)
                 rows = CubicHermiteSpline(keys, places, slopes)(stamps)
