@@ -197,7 +197,7 @@ class Body:
         for j, joint in enumerate(joints):
             if joint.startswith("Foot"):
                 radii[j] = _FOOT_RADIUS * self.height
-            elif joint.startswith(("Hand", "Thumb")):
+            elif self.skeleton.hands[j]:
                 radii[j] = min(radii[j], _THICKEST_HAND * self.height)
         return read_only(radii)
 

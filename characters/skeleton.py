@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .arrays import Indices, check_word, shown
+from .arrays import Flags, Indices, check_word, shown
 from .errors import InputError
 
 SIDES = ("Left", "Right")
@@ -76,6 +76,11 @@ class Skeleton:
     def girdle(self) -> int:
         """Index of the joint of the spine that the shoulders hang on."""
         return self.parents[self.index("ShoulderLeft")]
+
+    @cached_property
+    def hands(self) -> Flags:
+        """Whether each joint is beyond a wrist, shape (J,)."""
+        return np.array([j.startswith(("Hand", "Thumb")) for j in self.joints])
 
     @cached_property
     def order(self) -> tuple[int, ...]:

@@ -158,8 +158,8 @@ class Draft:
         """
         if self.hidden is None:
             return self.confidence
-        hands = [joint.startswith(("Hand", "Thumb")) for joint in self.skeleton.joints]
-        least = np.where(self.hidden & ~np.array(hands), _RECONSTRUCTED, 0.0)
+        limbs = self.hidden & ~self.skeleton.hands
+        least = np.where(limbs, _RECONSTRUCTED, 0.0)
         return np.maximum(self.confidence, least)
 
     @property

@@ -281,7 +281,7 @@ def test_settings_that_mean_nothing_are_refused() -> None:
             refused(make, ((n, v) for n, v in NO_VALUES.items() if n not in allowed))
     for name in ("cutoff", "tilt", "floor"):
         refused(lambda v, n=name: CleanConfig(**{n: v}), numbers(np.nan, np.inf))
-    refused(lambda value: Export(fps=value), numbers(np.nan, np.inf, -1, 0, 1e300))
+    refused(lambda v: Export(fps=v), numbers(np.nan, np.inf, -1, 0, 1e300))
     refused(lambda value: CleanConfig(seed=value), numbers(-1, 1.5))
     assert CleanConfig(model="m.npz").model == Path("m.npz")
     assert CleanConfig(cutoff=np.float32(4)).cutoff == 4.0
@@ -321,9 +321,7 @@ def test_arrays_of_a_clip_that_are_none_are_refused(clip: Clip) -> None:
         else:
             wrong = iter([("number", 3j)])
             refused(lambda v, n=name: replace(clip, **{n: v}), wrong)
-    refused(
-        lambda value: replace(clip, root=value), iter([("nan", clip.root * np.nan)])
-    )
+    refused(lambda v: replace(clip, root=v), iter([("nan", clip.root * np.nan)]))
 
 
 def test_a_clip_of_lists_is_the_same_clip(clip: Clip, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ MakeClip = Callable[..., Clip]
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "CONVENTIONS.md").read_text(encoding="utf-8")
-TOOLS = (ROOT / "TOOLS.md").read_text(encoding="utf-8")
+TOOLS = (ROOT / "pipeline/formats/TOOLS.md").read_text(encoding="utf-8")
 NAMED = re.findall(r"`(tests/\w+\.py)::(test_\w+)`", TEXT + TOOLS)
 
 

@@ -23,7 +23,7 @@ from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.hidden_limbs import seen_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
 from kinefilter.pipeline.reconstruct.prior import default_prior, inputs_of
-from kinefilter.pipeline.reconstruct.windows import Limb, Seen, describe
+from kinefilter.pipeline.reconstruct.windows import Limb, Seen, Stretches, describe
 
 Array = NDArray[np.float64]
 START, LENGTH = np.array([20]), 40
@@ -56,6 +56,11 @@ def hidden(seen: Seen, which: int, *others: int) -> Limb:
     return found
 
 
+def stretch(seen: Seen, limb: Limb, *, ahead: bool) -> Stretches:
+    """Return the middle of the motion, in which a limb is hidden."""
+    return Stretches(seen, limb, START, LENGTH, AT, ahead)
+
+
 @pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=lambda s: s.name)
 @pytest.mark.parametrize("ahead", [False, True], ids=["before", "between"])
 @pytest.mark.parametrize("which", [0, 1], ids=["arm", "leg"])
@@ -66,10 +71,10 @@ def test_right_limbs_go_on_as_the_mirror_images_of_left_ones(
     left = hidden(seen, which)
     around = mirrored(seen)
     right = hidden(around, which + 2)
-    base = prior.describe(seen, left, START, LENGTH, AT, ahead=ahead).base
-    image = prior.describe(around, right, START, LENGTH, AT, ahead=ahead).base
+    base = prior.describe(stretch(seen, left, ahead=ahead)).base
+    image = prior.describe(stretch(around, right, ahead=ahead)).base
     np.testing.assert_allclose(image * MIRROR, base, atol=1e-9)
-    plain = describe(seen, left, START, LENGTH, AT, ahead=ahead).base
+    plain = describe(stretch(seen, left, ahead=ahead)).base
     assert np.linalg.norm(base - plain, axis=-1).max() > 0.01
     # Next to what was seen, a limb is where it goes on.
     ends = [0, -1] if ahead else [0]
@@ -80,8 +85,8 @@ def test_right_limbs_go_on_as_the_mirror_images_of_left_ones(
 def test_without_networks_limbs_go_on_as_they_went() -> None:
     seen = moving(KINECT_V1, seed=3)
     arm = hidden(seen, 0)
-    found = MotionPrior({}).describe(seen, arm, START, LENGTH, AT, ahead=True)
-    plain = describe(seen, arm, START, LENGTH, AT, ahead=True)
+    hiding = stretch(seen, arm, ahead=True)
+    found, plain = MotionPrior({}).describe(hiding), describe(hiding)
     np.testing.assert_array_equal(found.base, plain.base)
 
 
@@ -90,8 +95,8 @@ def test_what_is_hidden_as_well_does_not_count() -> None:
     arms = hidden(seen, 0, 2)
 
     def told(limb: Limb) -> Array:
-        stretch = (seen, limb, START, LENGTH, AT)
-        return inputs_of(describe(*stretch, ahead=True), *stretch, ahead=True)
+        hiding = stretch(seen, limb, ahead=True)
+        return inputs_of(hiding, describe(hiding))
 
     before, alone = told(arms), told(hidden(seen, 0))
     inside = slice(int(START[0]), int(START[0]) + LENGTH)

@@ -72,13 +72,13 @@ def test_every_command_for_a_tool_writes_what_the_tool_gets(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / "TOOLS.md").read_text(encoding="utf-8")
+    text = (ROOT / "pipeline/formats/TOOLS.md").read_text(encoding="utf-8")
     files = set(re.findall(r"-o (\S+)", text))
     # What is said of a file in the table is of one that a command writes.
     rows = [line.split("|") for line in text.splitlines() if line[:1] == "|"]
     assert {file for row in rows for file in re.findall(r"`(.+?)`", row[2])} == files
     blender = os.environ.get("KINEFILTER_BLENDER")
-    for command in _commands("TOOLS.md"):
+    for command in _commands("pipeline/formats/TOOLS.md"):
         words = _arguments(command)
         if ".fbx" in command:
             if blender is None:

@@ -20,17 +20,9 @@ from kinefilter.retarget.rig_map import RIGS, load_rig_map
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 Array = NDArray[np.float64]
-
-
 Limb = tuple[tuple[str, str, str], tuple[str, str, str]]
-
-
 SAMPLE = Path(__file__).parents[1] / "scenes" / "takes" / "wave_punch_bend.csv"
-
-
 REACH = 0.02  # m, of a limb as long as the person's
-
-
 SLIDE = 0.003  # m a frame
 
 

@@ -75,6 +75,13 @@ def test_bones_in_usd_have_their_own_axes_whichever_way_is_up(
     assert up[1] @ [0.0, 0.0, -1.0] > 0.99
 
 
+def bind_transforms(path: Path, name: str) -> Array:
+    """Return where and how the joints of a USD skeleton are at rest, (J, 4, 4)."""
+    stage = Usd.Stage.Open(str(path))
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(f"/{name}/Skeleton"))
+    return np.array(skeleton.GetBindTransformsAttr().Get())
+
+
 @pytest.mark.parametrize(("up", "meters"), [("Y", 1.0), ("Z", 0.01)])
 @pytest.mark.parametrize("name", ["mixamo", "unreal"])
 def test_a_usd_target_gives_the_motion_of_the_same_skeleton_and_keeps_its_axes(
@@ -89,15 +96,9 @@ def test_a_usd_target_gives_the_motion_of_the_same_skeleton_and_keeps_its_axes(
     wanted = retarget(clip, built).positions
     assert list(names) == in_usd(built.rest.names)
     assert np.abs(up_axis(positions, axes) - wanted).max() < TENTH_OF_A_MILLIMETER
-    stages = [Usd.Stage.Open(str(file)) for file in (target, path)]
-    prims = ("/Rig/Skeleton", "/Character/Skeleton")
-    theirs, ours = (
-        UsdSkel.Skeleton(stage.GetPrimAtPath(prim))
-        for stage, prim in zip(stages, prims, strict=True)
-    )
-    bind = [np.array(s.GetBindTransformsAttr().Get()) for s in (theirs, ours)]
-    np.testing.assert_allclose(bind[1][:, :3, :3], bind[0][:, :3, :3], atol=1e-6)
-    np.testing.assert_allclose(bind[1][:, 3, :3], 0.5 * bind[0][:, 3, :3], atol=1e-5)
+    theirs, ours = bind_transforms(target, "Rig"), bind_transforms(path, "Character")
+    np.testing.assert_allclose(ours[:, :3, :3], theirs[:, :3, :3], atol=1e-6)
+    np.testing.assert_allclose(ours[:, 3, :3], 0.5 * theirs[:, 3, :3], atol=1e-5)
 
 
 def test_bones_of_a_target_with_z_up_keep_their_axes_in_a_clip_with_y_up(
@@ -107,11 +108,7 @@ def test_bones_of_a_target_with_z_up_keep_their_axes_in_a_clip_with_y_up(
     target, path = tmp_path / "rest.usda", tmp_path / "clip.usda"
     write_target(built, target, up="Z", meters=1.0)
     write_clip(clip, path, replace(MIXAMO, target=target))
-    stages = [Usd.Stage.Open(str(file)) for file in (target, path)]
-    theirs, ours = (
-        np.array(UsdSkel.Skeleton(s.GetPrimAtPath(p)).GetBindTransformsAttr().Get())
-        for s, p in zip(stages, ("/Rig/Skeleton", "/Character/Skeleton"), strict=True)
-    )
+    theirs, ours = bind_transforms(target, "Rig"), bind_transforms(path, "Character")
     wanted = up_axis(theirs[:, :3, :3], Export(up="z"))  # a row is an axis
     np.testing.assert_allclose(ours[:, :3, :3], wanted, atol=1e-6)
 

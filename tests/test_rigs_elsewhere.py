@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 from rig_motions import ARM, LEG, SIDES, performed
 
-from kinefilter.characters import Clip
+from kinefilter.characters import Clip, Skeleton
 from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.pipeline.formats import Export, write_clip
 from kinefilter.retarget.retargeting import retarget
@@ -166,17 +166,14 @@ def test_blenders_bones_have_the_axes_of_the_rig(
 def test_an_axis_of_each_limb_points_where_the_clip_has_the_limb(
     clip: Clip, seen: dict[str, dict[str, Array]], name: str, suffix: str
 ) -> None:
-    blender, rig_map = seen[f"{name}.{suffix}"], load_rig_map(name)
-    for side in SIDES:
-        for parts, joints in (ARM, LEG):
-            ends = [clip.skeleton.index(f"{j}{side.capitalize()}") for j in joints]
-            bones = np.diff(clip.positions[:, ends], axis=1)
-            for part, bone in zip(parts[:2], np.moveaxis(bones, 1, 0), strict=True):
-                (turned,) = rig_map.of(f"{side} {part}")
-                (axis, along), _ = turned.axes or ((), ())
-                assert along == "on"
-                way = axis_of(blender, rig_map.prefix + turned.name, axis)
-                assert angle(way, bone).max() < HALF_A_DEGREE, turned.name
+    skeleton, rig_map = clip.skeleton, load_rig_map(name)
+    for part, segment in limb_segments(skeleton):
+        bone = clip.positions[:, segment] - clip.positions[:, skeleton.parents[segment]]
+        (turned,) = rig_map.of(part)
+        (axis, along), _ = turned.axes or ((), ())
+        assert along == "on"
+        way = axis_of(seen[f"{name}.{suffix}"], rig_map.prefix + turned.name, axis)
+        assert angle(way, bone).max() < HALF_A_DEGREE, turned.name
 
 
 @pytest.mark.parametrize("name", ["mixamo", "lafan1"])
@@ -185,16 +182,21 @@ def test_the_other_axis_of_each_limb_is_twisted_as_the_clip_has_it(
     clip: Clip, seen: dict[str, dict[str, Array]], name: str, suffix: str
 ) -> None:
     """At rest these limbs are where the T-pose has them, the clip's own rest pose."""
-    blender, rig_map = seen[f"{name}.{suffix}"], load_rig_map(name)
+    rig_map = load_rig_map(name)
+    for part, segment in limb_segments(clip.skeleton):
+        (turned,) = rig_map.of(part)
+        _, (axis, word) = turned.axes or ((), ())
+        wanted = rotate(clip.rotations[:, segment], np.array(WORDS[word]))
+        way = axis_of(seen[f"{name}.{suffix}"], rig_map.prefix + turned.name, axis)
+        assert angle(way, wanted).max() < HALF_A_DEGREE, turned.name
+
+
+def limb_segments(skeleton: Skeleton) -> Iterator[tuple[str, int]]:
+    """Yield the parts of the limbs without hands and feet, and their segments."""
     for side in SIDES:
         for parts, joints in (ARM, LEG):
             for part, end in zip(parts[:2], joints[1:], strict=True):
-                segment = clip.skeleton.index(f"{end}{side.capitalize()}")
-                (turned,) = rig_map.of(f"{side} {part}")
-                _, (axis, word) = turned.axes or ((), ())
-                wanted = rotate(clip.rotations[:, segment], np.array(WORDS[word]))
-                way = axis_of(blender, rig_map.prefix + turned.name, axis)
-                assert angle(way, wanted).max() < HALF_A_DEGREE, turned.name
+                yield f"{side} {part}", skeleton.index(f"{end}{side.capitalize()}")
 
 
 def axis_of(blender: dict[str, Array], bone: str, axis: str) -> Array:

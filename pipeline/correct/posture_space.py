@@ -231,20 +231,15 @@ class NaturalSpaces:
 
     def __init__(self, database: PostureDatabase) -> None:
         skeleton = database.skeleton
-        names = skeleton.joints
         # Hands follow the wrists: what they do by themselves has no shape to keep.
-        self._joints = [
-            j
-            for j, name in enumerate(names)
-            if "Hand" not in name and "Thumb" not in name
-        ]
+        self._joints = np.flatnonzero(~skeleton.hands).tolist()
         self._hips = skeleton.hips
         self._carrier = np.arange(len(skeleton))
         for j in skeleton.order:
             if j not in self._joints:
                 self._carrier[j] = self._carrier[skeleton.parents[j]]
         middle = [
-            _HARDER_TO_SEE if "Elbow" in names[j] or "Knee" in names[j] else 1.0
+            _HARDER_TO_SEE if skeleton.joints[j].startswith(("Elbow", "Knee")) else 1.0
             for j in self._joints
         ]
         self._noise = np.repeat(_SENSOR_NOISE * np.array(middle), 3)

@@ -22,7 +22,7 @@ import numpy as np
 from sklearn.neural_network import MLPRegressor
 
 from kinefilter.characters import KINECT_V1, State, Take
-from kinefilter.characters.arrays import Array, Indices, Singles
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
@@ -42,7 +42,7 @@ from kinefilter.pipeline.reconstruct.prior import (
     part_of,
 )
 from kinefilter.pipeline.reconstruct.stage import hidden_joints
-from kinefilter.pipeline.reconstruct.windows import Limb, Seen, describe
+from kinefilter.pipeline.reconstruct.windows import Limb, Seen, Stretches, describe
 from kinefilter.pipeline.workers import workers
 
 from .database_build import mocap_body, whole_frames
@@ -117,7 +117,8 @@ def lessons_of(take: Take, seed: int, modes: Sequence[bool]) -> Lessons:
             joined = seen.joined[around][1:].all()
             if joined and known[around].mean(axis=0).min() > _SEEN:
                 for ahead in modes:
-                    name, rows = _rows(seen, one, start, length, at, ahead=ahead)
+                    starts, few = np.array([start]), at[None]
+                    name, rows = _rows(Stretches(seen, one, starts, length, few, ahead))
                     found.setdefault(name, []).append(rows)
     return {name: _joined(rows) for name, rows in found.items()}
 
@@ -136,19 +137,18 @@ def _limb(
     return limb_of(seen.skeleton, joints, known)
 
 
-def _rows(
-    seen: Seen, limb: Limb, start: int, length: int, at: Indices, *, ahead: bool
-) -> tuple[str, Rows]:
+def _rows(stretch: Stretches) -> tuple[str, Rows]:
     """Return the name of a stretch's network and what it learns."""
-    part, mirrored = part_of(seen.skeleton, limb)
-    stretch = (seen, limb, np.array([start]), length, at[None])
-    found = describe(*stretch, ahead=ahead)
+    part, mirrored = part_of(stretch.seen.skeleton, stretch.limb)
+    found = describe(stretch)
     base, truth = found.base[0].copy(), found.truth[0].copy()
     if mirrored:
         base[..., 0] *= -1.0
         truth[..., 0] *= -1.0
-    told = (inputs_of(found, *stretch, ahead=ahead)[0], base, truth)
-    return network_name(part, ahead=ahead), Rows(*(a.astype(np.float32) for a in told))
+    told = (inputs_of(stretch, found)[0], base, truth)
+    return network_name(part, ahead=stretch.ahead), Rows(
+        *(a.astype(np.float32) for a in told)
+    )
 
 
 def _joined(parts: Iterable[Rows]) -> Rows:
@@ -297,7 +297,7 @@ def main(out: Path, files: Sequence[str]) -> None:
         set(movements[k::3]) for k in range(3)
     ]
     for some in left_out:
-        print(", ".join(sorted(some)), _without(some, lessons), flush=True)  # noqa: T201
+        print(", ".join(sorted(some)), _without(some, lessons), flush=True)
 
 
 if __name__ == "__main__":

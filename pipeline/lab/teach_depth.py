@@ -376,7 +376,7 @@ def main(
 ) -> None:
     """Teach the forest of body parts by CMU's mocap, and write it (.npz)."""
     for line in teach_depth(folder, out, sizes):
-        print(line, flush=True)  # noqa: T201
+        print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -188,7 +188,7 @@ def main(out: Path, files: Sequence[str]) -> None:
         rows = [job.result() for job in jobs]
     for mine in rows:
         others = [row for row in rows if row is not mine]
-        print(mine.person, within(fit(others), mine))  # noqa: T201
+        print(mine.person, within(fit(others), mine))
     weights = fit(rows)
     lines = ["# Written by kinefilter.pipeline.lab.uncertainty_lessons: bias, weights."]
     for table, names in (("seen", SEEN), ("hidden", HIDDEN)):

@@ -124,7 +124,7 @@ def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
 def _damage(clip: Clip, raw: Array, distinct: Flags, *, fused: bool) -> tuple[str, ...]:
     """Return what was wrong with a take, whose joints [m] are in the clip's frame.
 
-    Of several sensors, fused, the gross failures of one are not told.
+    Gross failures of one of several sensors are left out: fusion has put them right.
     """
     time, state, skeleton = clip.time[distinct], clip.state[distinct], clip.skeleton
     take = Take(time, raw[distinct], state, skeleton, clip.source)

@@ -21,10 +21,10 @@ from kinefilter.retarget.stance import smooth_step
 
 from .continuity import bridge
 from .foothold import between_ends, standing_height
-from .limbs import is_hand, limb_of, limbs, with_tips
+from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior
 from .recall import SHORTEST, learn
-from .windows import Limb, Seen, describe
+from .windows import Limb, Seen, Stretches, describe
 
 _BREAK = 1.0  # s without a frame: what comes after does not go on from before
 PAUSE = 0.2
@@ -116,7 +116,7 @@ def seen_motion(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
             directions[:, j], lengths[j] = np.nan, np.nan
             continue
         lengths[j] = np.median(np.linalg.norm(bones[known[:, j], j], axis=1))
-        if is_hand(skeleton, j):
+        if skeleton.hands[j]:
             # Too short for what it did to show through the noise: it turns with the
             # forearm, bent as it is on average.
             along, seen = directions[:, parents[j]], known[:, j]
@@ -182,7 +182,7 @@ def _fill_limb(seen: Seen, gap: slice, limb: Limb, prior: MotionPrior) -> None:
     start, at = np.array([gap.start]), np.arange(length)[None]
     long = length > SHORTEST * seen.rate
     about = prior.describe if long else describe
-    found = about(seen, limb, start, length, at, ahead=ahead)
+    found = about(Stretches(seen, limb, start, length, at, ahead))
     directions, features = found.base[0], found.features[0]
     if long:
         recall = learn(seen, limb, length, features, prior, ahead=ahead, gap=gap.start)

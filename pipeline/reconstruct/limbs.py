@@ -58,11 +58,6 @@ def _tips(skeleton: Skeleton) -> tuple[list[int], list[int]]:
     return [tip for tip, _ in pairs], [end for _, end in pairs]
 
 
-def is_hand(skeleton: Skeleton, joint: int) -> bool:
-    """Tell whether a joint is beyond the wrist."""
-    return skeleton.joints[joint].startswith(("Hand", "Thumb"))
-
-
 def limb_of(
     skeleton: Skeleton, joints: tuple[int, int, int], known: Array
 ) -> Limb | None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.formats.npz import read_arrays
@@ -29,7 +29,7 @@ from .windows import (
     SEEN_CHANGE,
     SEEN_SPEED,
     Limb,
-    Seen,
+    Stretches,
     Windows,
     describe,
     visible_motion,
@@ -103,27 +103,17 @@ class MotionPrior:
                 values = np.maximum(values, 0.0)
         return np.clip(OUTPUT * values, -_MOST, _MOST)
 
-    def describe(
-        self,
-        seen: Seen,
-        limb: Limb,
-        starts: Indices,
-        length: int,
-        at: Indices,
-        *,
-        ahead: bool,
-    ) -> Windows:
+    def describe(self, hidden: Stretches) -> Windows:
         """Describe stretches as ``windows.describe`` does, with the learned base."""
-        found = describe(seen, limb, starts, length, at, ahead=ahead)
-        part, mirrored = part_of(seen.skeleton, limb)
-        name = network_name(part, ahead=ahead)
+        found = describe(hidden)
+        part, mirrored = part_of(hidden.seen.skeleton, hidden.limb)
+        name = network_name(part, ahead=hidden.ahead)
         if name not in self.networks:
             return found
-        inputs = inputs_of(found, seen, limb, starts, length, at, ahead=ahead)
+        inputs = inputs_of(hidden, found)
         change = self.change(name, inputs).reshape(found.base.shape)
-        since = at + 1.0
-        near = np.minimum(since, length - at) if ahead else since
-        change *= np.minimum(near / (_NEAR * seen.rate), 1.0)[..., None, None]
+        near = hidden.time[: 1 + hidden.ahead].min(axis=0)
+        change *= np.minimum(near / _NEAR, 1.0)[..., None, None]
         if mirrored:
             change[..., 0] *= -1.0
         return replace(found, base=unit(found.base + change))
@@ -150,32 +140,24 @@ def part_of(skeleton: Skeleton, limb: Limb) -> tuple[str, bool]:
     return "", False
 
 
-def inputs_of(
-    found: Windows,
-    seen: Seen,
-    limb: Limb,
-    starts: Indices,
-    length: int,
-    at: Indices,
-    *,
-    ahead: bool,
-) -> Array:
+def inputs_of(hidden: Stretches, found: Windows) -> Array:
     """Return what the networks are told, shape (W, M, F), as of a left limb.
 
-    ``found`` is what ``describe`` returns for the other arguments. Segments that are
-    not visible either are told as if they did not move.
+    ``found`` is what ``describe`` returns for the stretches. Segments that are not
+    visible either are told as if they did not move.
     """
-    skeleton, (_, mirrored) = seen.skeleton, part_of(seen.skeleton, limb)
+    skeleton, limb = hidden.seen.skeleton, hidden.limb
+    _, mirrored = part_of(skeleton, limb)
     trunk = (skeleton.parents[skeleton.girdle], skeleton.girdle)
     sides = SIDES[::-1] if mirrored else SIDES
     others = (skeleton.index(name + side) for side in sides for name in _OTHERS)
     body = tuple(j for j in (*trunk, *others) if j not in limb.hidden)
-    change, speed, place = visible_motion(seen, body, starts, length, at, ahead=ahead)
+    change, speed, place = visible_motion(hidden, body)
     gone = np.repeat([j not in limb.visible for j in body], 3)
     place[..., gone] -= change[..., gone]
     change[..., gone] = speed[..., gone] = 0.0
     # Of what ``describe`` tells, only what the visible segments do is told otherwise.
-    count, times = 3 * len(limb.visible), 1 + ahead
+    count, times = 3 * len(limb.visible), 1 + hidden.ahead
     root = found.features[..., count : count + 3]
     own = found.features[..., 3 * count + 3 : -times]
     moved = (found.base - found.still).reshape(*own.shape[:2], -1) / _MOVES

@@ -19,7 +19,7 @@ from kinefilter.characters.rotations import unit
 
 from .continuity import CONTEXT
 from .prior import MotionPrior
-from .windows import Limb, Seen, Windows
+from .windows import Limb, Seen, Stretches, Windows
 
 SHORTEST = 0.4
 """Shorter gaps [s] are bridged and nothing else: a spline does them well."""
@@ -128,7 +128,7 @@ def learn(
         shift = np.arange(len(starts)) * 0.618 % 1.0 - 0.5
         at = np.rint(at + shift[:, None] * frames / (_SAMPLES + 1)).astype(int)
         at = np.clip(at, 0, frames - 1)
-        found = prior.describe(seen, limb, starts, frames, at, ahead=ahead)
+        found = prior.describe(Stretches(seen, limb, starts, frames, at, ahead))
         begins = np.repeat(starts, _SAMPLES)
         stretches.append((found, begins, begins + frames))
     features = np.concatenate([_rows(w.features) for w, _, _ in stretches])

@@ -15,10 +15,10 @@ from kinefilter.retarget.stance import smooth_step
 
 from .foothold import standing_height
 from .hidden_limbs import PAUSE
-from .limbs import is_hand, limb_of, limbs, with_tips
+from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior
 from .recall import Recall, learn
-from .windows import Limb, Seen
+from .windows import Limb, Seen, Stretches
 
 _MEMORY = 1800  # frames that are learned from: a minute at 30 Hz
 _LEARNS = 0.1  # s that a limb is hidden before it is worth learning about
@@ -58,7 +58,7 @@ class HiddenLimbTracker:
         self._body, self._limbs = body, limbs(body.skeleton)
         self._parents = np.array(body.skeleton.parents)
         joints = body.skeleton.order
-        self._hands = [j for j in joints if is_hand(body.skeleton, j)]
+        self._hands = [j for j in joints if body.skeleton.hands[j]]
         self.start()
 
     def start(self) -> None:
@@ -158,8 +158,8 @@ class HiddenLimbTracker:
             gap = self._gaps[key] = _Gap(limb, *since, self._floor(k))
         seen = self._seen(k + 1, gap.floor)
         start, at = np.array([gap.start]), np.array([[k - gap.start]])
-        length = k - gap.start + 1
-        found = self._prior.describe(seen, limb, start, length, at, ahead=False)
+        stretch = Stretches(seen, limb, start, k - gap.start + 1, at, ahead=False)
+        found = self._prior.describe(stretch)
         directions = found.base[0]
         if gap.learned is None and time - gap.time >= _LEARNS:
             frames = round(_STRETCH * seen.rate)

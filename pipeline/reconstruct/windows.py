@@ -76,6 +76,59 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
+class Stretches:
+    """Stretches of a motion in which a limb is, or is taken to be, hidden."""
+
+    seen: Seen
+    """The motion."""
+    limb: Limb
+    """What is hidden of it."""
+    starts: Indices
+    """First hidden frame of each stretch, shape (W,)."""
+    length: int
+    """Hidden frames of each stretch."""
+    at: Indices
+    """Which of its frames are described, from 0 on, shape (W, M)."""
+    ahead: bool
+    """Whether what comes after the stretch is known."""
+
+    @property
+    def frames(self) -> Indices:
+        """Frames of the motion that are described, shape (W, M)."""
+        return self.starts[:, None] + self.at
+
+    @property
+    def last(self) -> Indices:
+        """Last frame before each stretch, shape (W, 1)."""
+        return self.starts[:, None] - 1
+
+    @property
+    def after(self) -> Indices:
+        """First frame after each stretch, or the motion's last one, shape (W, 1)."""
+        end = self.starts[:, None] + self.length
+        return np.minimum(end, len(self.seen.positions) - 1)
+
+    @property
+    def time(self) -> Array:
+        """Times since the limb was seen, and until it is next [s], shape (2, W, M)."""
+        return np.stack([self.at + 1.0, self.length - self.at + 0.0]) / self.seen.rate
+
+    @property
+    def share(self) -> Array:
+        """Share of the time between both ends that has passed, shape (W, M, 1)."""
+        return np.asarray((self.at + 1.0) / (self.length + 1.0))[..., None]
+
+    def between(self, before: Array, later: Array) -> Array:
+        """Return values on the straight way between both ends, if the later is known.
+
+        Args:
+            before: Values in ``last``, shape (W, 1, C).
+            later: Those in ``after``.
+        """
+        return before + self.share * (later - before) if self.ahead else before
+
+
+@dataclass(frozen=True, eq=False)
 class Windows:
     """A limb in some frames of some stretches of time."""
 
@@ -90,31 +143,18 @@ class Windows:
     """Their directions in the motion, shape (W, M, H, 3)."""
 
 
-def describe(
-    seen: Seen, limb: Limb, starts: Indices, length: int, at: Indices, *, ahead: bool
-) -> Windows:
-    """Describe stretches in which a limb is, or is taken to be, hidden.
-
-    Args:
-        seen: The motion.
-        limb: What is hidden of it.
-        starts: First hidden frame of each stretch, shape (W,).
-        length: Hidden frames of each stretch.
-        at: Which of its frames are described, from 0 on, shape (W, M).
-        ahead: Whether what comes after the stretch is known.
-    """
-    hidden, count = list(limb.hidden), len(seen.positions)
-    frames = starts[:, None] + at
-    last, after = starts[:, None] - 1, np.minimum(starts[:, None] + length, count - 1)
-    time = np.stack([at + 1.0, length - at + 0.0]) / seen.rate
-    share = (time[0] / time.sum(axis=0))[..., None]
+def describe(hidden: Stretches) -> Windows:
+    """Describe stretches in which a limb is hidden."""
+    seen, limb, ahead = hidden.seen, hidden.limb, hidden.ahead
+    frames, last, after = hidden.frames, hidden.last, hidden.after
+    end_of_motion = len(seen.positions) - 1
 
     def pointing(which: Indices) -> Array:
-        return _flat(seen.directions[which][..., hidden, :])
+        return _flat(seen.directions[which][..., list(limb.hidden), :])
 
-    rest = visible_motion(seen, limb.visible, starts, length, at, ahead=ahead)
+    rest = visible_motion(hidden, limb.visible)
     roots = seen.heading.root
-    moved = roots[frames] - _between(roots[last], roots[after], share, ahead=ahead)
+    moved = roots[frames] - hidden.between(roots[last], roots[after])
     root = HeadingFrame(np.zeros(3), seen.heading.yaw[frames]).remove(
         moved[..., None, :]
     )
@@ -132,74 +172,55 @@ def describe(
     if ahead:
         context = max(round(CONTEXT * seen.rate), 2)
         around = np.concatenate(
-            [np.arange(-context, 0), np.arange(length, length + context)]
+            [np.arange(-context, 0), np.arange(context) + hidden.length]
         )
-        around = np.clip(starts[:, None] + around, 0, count - 1)
-        matrix = bridge_matrix(length, context, seen.rate)[at]
+        around = np.clip(hidden.starts[:, None] + around, 0, end_of_motion)
+        matrix = bridge_matrix(hidden.length, context, seen.rate)[hidden.at]
         base = np.einsum("wmk,wkc->wmc", matrix, pointing(around))
         begin = pointing(after)
-        later = pointing(np.minimum(after + SPEED_FRAMES, count - 1))
+        later = pointing(np.minimum(after + SPEED_FRAMES, end_of_motion))
         begin_speed = per_second * (later - begin)
         features += [begin / _END, begin_speed / _END_SPEED]
     else:
-        base, begin = coast(end, end_speed, time[0][..., None]), end
-    still = end + share * (begin - end) if ahead else np.broadcast_to(end, base.shape)
+        base, begin = coast(end, end_speed, hidden.time[0][..., None]), end
+    still = np.broadcast_to(hidden.between(end, begin), base.shape)
     base, still = (unit(d.reshape(*frames.shape, -1, 3)) for d in (base, still))
     if limb.leg is None and ahead:
         going = _momentum(
             np.stack([np.broadcast_to(end_speed, begin_speed.shape), begin_speed]),
-            (length + 1) / seen.rate,
+            (hidden.length + 1) / seen.rate,
             *(np.linalg.norm(f, axis=-1) for f in (rest[0], root[..., 0, :])),
         )
         base = unit(still + going[..., None, None] * (base - still))
     if limb.leg is not None:
-        held = [
-            _on_foot(seen, limb, frames, (last, after), time, d, ahead=ahead)
-            for d in (base, still)
-        ]
+        held = [_on_foot(hidden, limb.leg, d) for d in (base, still)]
         features.append((held[0] - base).reshape(*frames.shape, -1) / _HELD)
         base, still = held
-    features += [elapsed[..., None] / _TIME for elapsed in time[: 1 + ahead]]
+    features += [elapsed[..., None] / _TIME for elapsed in hidden.time[: 1 + ahead]]
     wide = [np.broadcast_to(f, (*frames.shape, f.shape[-1])) for f in features]
-    truth = seen.directions[frames][..., hidden, :]
+    truth = seen.directions[frames][..., list(limb.hidden), :]
     return Windows(np.concatenate(wide, axis=2), base, still, truth)
 
 
 def visible_motion(
-    seen: Seen,
-    segments: tuple[int, ...],
-    starts: Indices,
-    length: int,
-    at: Indices,
-    *,
-    ahead: bool,
+    hidden: Stretches, segments: tuple[int, ...]
 ) -> tuple[Array, Array, Array]:
     """Return what segments do meanwhile: change [m], velocity [m/s] and bones [m].
 
-    Arguments as those of ``describe``; shapes (W, M, 3 S). The change is that since the
-    limb was last seen, or from the way between both ends of the stretch.
+    Shapes (W, M, 3 S). The change is that since the limb was last seen, or from the way
+    between both ends of the stretch.
     """
-    count, frames = len(seen.positions), starts[:, None] + at
-    last, after = starts[:, None] - 1, np.minimum(starts[:, None] + length, count - 1)
-    share = np.asarray((at + 1.0) / (length + 1.0))[..., None]
+    seen, frames, last = hidden.seen, hidden.frames, hidden.last
 
     def bones(which: Indices) -> Array:
         return _flat(seen.bones(segments, which))
 
     there, past = bones(frames), bones(np.maximum(frames - 1, 0))
-    if not ahead:
+    if not hidden.ahead:
         return there - bones(last), seen.rate * (there - past), there
-    following = bones(np.minimum(frames + 1, count - 1))
-    way = _between(bones(last), bones(after), share, ahead=ahead)
+    following = bones(np.minimum(frames + 1, len(seen.positions) - 1))
+    way = hidden.between(bones(last), bones(hidden.after))
     return there - way, 0.5 * seen.rate * (following - past), there
-
-
-def _between(before: Array, later: Array, share: Array, *, ahead: bool) -> Array:
-    """Return values on the straight way between both ends, if the later one is known.
-
-    ``share`` is how much of the time has passed; the others have shape (W, 1, C).
-    """
-    return before + share * (later - before) if ahead else before
 
 
 def _flat(values: Array) -> Array:
@@ -238,20 +259,11 @@ def _momentum(
     return np.asarray(np.clip(keeps, 0.0, 1.3))
 
 
-def _on_foot(
-    seen: Seen,
-    limb: Limb,
-    frames: Indices,
-    ends: tuple[Indices, Indices],
-    time: Array,
-    base: Array,
-    *,
-    ahead: bool,
-) -> Array:
+def _on_foot(hidden: Stretches, leg: tuple[int, int, int], base: Array) -> Array:
     """Return a leg's directions with its ankle held where it stood, as ``base``."""
-    assert limb.leg is not None
-    hip, knee, ankle = limb.leg
-    count, (last, after) = len(seen.positions), ends
+    seen, (hip, knee, ankle) = hidden.seen, leg
+    frames, last, after = hidden.frames, hidden.last, hidden.after
+    count = len(seen.positions)
     far = max(round(_STANDING_TIME * seen.rate), 2)
 
     def world(which: Indices) -> Array:
@@ -264,15 +276,15 @@ def _on_foot(
     stands = standing(world(after + np.arange(far)), seen.rate, seen.floor)
     place, firm = hold_place(
         world(last),
-        world(after) if ahead else None,
+        world(after) if hidden.ahead else None,
         stood[:, None],
         stands[:, None],
-        time,
+        hidden.time,
     )
     place = seen.heading.at(frames).remove(place[..., None, :])[..., 0, :]
     thigh, shin = seen.lengths[knee], seen.lengths[ankle]
     hips = seen.positions[frames, hip]
-    if knee not in limb.hidden:
+    if knee not in hidden.limb.hidden:
         knees = seen.positions[frames, knee]
         ankles = knees + shin * base[..., -1, :]
         return unit(ankles + firm[..., None] * (place - ankles) - knees)[..., None, :]

@@ -88,7 +88,7 @@ def write(browser: Browser, out: Path) -> None:
     time.sleep(SETTLED)
     out.write_bytes(browser.screenshot())
     height, width = image.imread(out).shape[:2]
-    print(f"wrote {out}, {width} x {height}, {out.stat().st_size // 1000} kB")  # noqa: T201
+    print(f"wrote {out}, {width} x {height}, {out.stat().st_size // 1000} kB")
 
 
 if __name__ == "__main__":
