@@ -92,10 +92,13 @@ def contents_of(
 
 
 def _of_glb(path: str | os.PathLike[str]) -> dict[str, Any]:
-    names, times = read_glb_times(path)
-    if own_skeleton(names) is not None:
+    people, times = read_glb_times(path)
+    if len(people) == 1 and own_skeleton(people[0]) is not None:
         return {"format": "glb"} | _of_clip(read_glb(path))
-    return {"kind": "clip", "format": "glb", "joints": len(names)} | _timing(times)
+    known: dict[str, Any] = {"kind": "clip", "format": "glb"}
+    if len(people) > 1:
+        known["people"] = len(people)
+    return known | {"joints": len(people[0])} | _timing(times)
 
 
 def _of_npz(name: str) -> dict[str, Any]:

@@ -6,10 +6,11 @@ This runs in a Python that has Blender's ``bpy``, which needs another numpy than
 kinefilter. Frames to look at are in ``NAME.frames.npy``: time codes of USD, frames of
 BVH and FBX counted from 0, 24 a second of GLB. Beside each file a ``NAME.npz`` is
 written, in Blender's unit (meters) and axes (z up): ``names`` and ``heads`` (F, N, 3)
-of the joints, their own axes in each frame, ``turns`` (F, N, 3, 3), and at rest,
-``axes`` (N, 3, 3); of the skinned mesh, if there is one, ``modifiers`` (their types),
-``groups`` (vertex groups that move something), ``rest`` (P, 3) and ``moved`` (F, P, 3);
-and ``props`` (names) and ``places`` (F, K, 3) of everything in ``Props``.
+of the joints, armature by armature, their own axes in each frame, ``turns``
+(F, N, 3, 3), and at rest, ``axes`` (N, 3, 3); of the first skinned mesh, if any,
+``modifiers`` (their types), ``groups`` (vertex groups that move something), ``rest``
+(P, 3) and ``moved`` (F, P, 3); and ``props`` (names) and ``places`` (F, K, 3) of
+everything in ``Props``.
 """
 
 from __future__ import annotations
@@ -49,28 +50,29 @@ def load(path: Path) -> float:
 
 def look(path: Path) -> None:
     first = load(path)
-    (armature,) = [o for o in bpy.data.objects if o.type == "ARMATURE"]
+    armatures = [o for o in bpy.data.objects if o.type == "ARMATURE"]
+    armatures.sort(key=lambda armature: armature.name)
     skins = [
         o
         for o in bpy.data.objects
         if o.type == "MESH" and any(m.type == "ARMATURE" for m in o.modifiers)
-    ]
+    ][:1]
     props = [o for o in bpy.data.objects if o.parent and o.parent.name == "Props"]
-    bones = armature.pose.bones
+    bones = [(a, bone) for a in armatures for bone in a.pose.bones]
     heads, turns, moved, places = [], [], [], []
     for frame in first + np.load(path.with_name(path.name + ".frames.npy")):
         whole = int(np.floor(frame))
         bpy.context.scene.frame_set(whole, subframe=float(frame - whole))
-        heads.append([armature.matrix_world @ b.head for b in bones])
-        turns.append([axes_of(armature, b.matrix) for b in bones])
+        heads.append([a.matrix_world @ b.head for a, b in bones])
+        turns.append([axes_of(a, b.matrix) for a, b in bones])
         moved.extend(points_of(skin, deformed=True) for skin in skins)
         places.append([prop.matrix_world.translation.copy() for prop in props])
     np.savez(
         path.with_name(path.name + ".npz"),
-        names=np.array([bone.name for bone in bones]),
+        names=np.array([bone.name for _, bone in bones]),
         heads=np.array(heads),
         turns=np.array(turns),
-        axes=np.array([axes_of(armature, b.bone.matrix_local) for b in bones]),
+        axes=np.array([axes_of(a, b.bone.matrix_local) for a, b in bones]),
         modifiers=np.array([m.type for s in skins for m in s.modifiers]),
         groups=len({g.group for s in skins for v in s.data.vertices for g in v.groups}),
         rest=np.array([points_of(skin, deformed=False) for skin in skins]),

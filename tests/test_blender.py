@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Clip, Skeleton
 from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import skin_of
-from kinefilter.pipeline.formats import Export, write_clip
+from kinefilter.pipeline.formats import Export, write_clip, write_people
 from kinefilter.pipeline.formats.export import in_strict_t, paced, resampled
 from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.scenes.library import random_body
@@ -102,12 +102,39 @@ def seen(
             frames = (clip.time - clip.time[0]) * rate
         np.save(folder / f"{name}.frames.npy", frames)
         clips[name] = clip
+    pair = together(make_clip)
+    write_people(pair, folder / "pair.glb", Export())
+    np.save(folder / "pair.glb.frames.npy", 24.0 * (pair[1].time - pair[0].time[0]))
     script = Path(__file__).with_name("blender_import.py")
     subprocess.run([BLENDER, str(script), str(folder)], check=True, timeout=300)
     return {
         name: (clip, dict(np.load(folder / f"{name}.npz")))
-        for name, clip in clips.items()
+        for name, clip in {**clips, "pair.glb": pair[1]}.items()
     }
+
+
+def together(make_clip: MakeClip) -> list[Clip]:
+    """Return clips of two people, the second of whom comes half a second later."""
+    first = make_clip(40, skeleton=KINECT_V2, seed=8)
+    second = make_clip(30, skeleton=KINECT_V2, seed=9, body=somebody(KINECT_V2, 9))
+    return [first, replace(second, time=first.time[0] + 0.5 + second.time)]
+
+
+def test_two_people_in_one_file_are_two_armatures(
+    make_clip: MakeClip, seen: Seen
+) -> None:
+    first, second = together(make_clip)
+    _, blender = seen["pair.glb"]
+    joints = second.skeleton.joints
+    plain = [name.removesuffix(".001") for name in blender["names"].tolist()]
+    names = np.reshape(plain, (2, -1)).tolist()  # Blender gives no name twice
+    one, other = np.split(blender["heads"], 2, axis=1)
+    away = other[:, [names[1].index(j) for j in joints]] - in_blender(second.positions)
+    assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
+    # Half a second is a frame of the first.
+    of_first = in_blender(first.positions[15 : 15 + len(second)])
+    away = one[: len(of_first), [names[0].index(j) for j in joints]] - of_first
+    assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
 
 
 every_variant = pytest.mark.parametrize("name", VARIANTS)

@@ -20,7 +20,13 @@ from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector
 from kinefilter.pipeline.contents import contents_of
-from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
+from kinefilter.pipeline.formats import (
+    Export,
+    read_clip,
+    read_take,
+    write_clip,
+    write_people,
+)
 from kinefilter.pipeline.formats.clips import target_rig
 from kinefilter.pipeline.formats.glb import _keys
 from kinefilter.pipeline.formats.rig import retargeted_motion
@@ -119,7 +125,7 @@ def test_keyframes_are_apart_in_single_precision(make_clip: MakeClip) -> None:
     clip = make_clip(
         6, KINECT_V2, time=np.array([0, 0.1, 0.1 + 1e-9, 5e5, 5e5 + 1e-3, 6e5])
     )
-    rows, stamps, held = _keys(clip)
+    rows, stamps, held = _keys(clip, 0.0)
     assert (np.diff(stamps.astype(np.float32)) > 0.0).all()
     assert rows.tolist() == [0, 2, 2, 4, 4, 5]
     assert held == [2, 4]
@@ -165,6 +171,36 @@ def test_three_draws_the_curves_between_the_keys_that_are_left(
     held = np.repeat(clip.positions[4:5], 50, axis=0)
     away = np.array(found["frames"])[:, columns] - [*clip.positions, *held]
     assert 0.2 * MILLIMETER < np.linalg.norm(away, axis=-1).max() < 0.81 * MILLIMETER
+
+
+@in_three
+@pytest.mark.parametrize("keys", [None, 0.5])
+def test_people_in_one_file_move_at_their_own_times(
+    make_clip: MakeClip, furnish: Furnish, tmp_path: Path, keys: float | None
+) -> None:
+    first, second = furnish(make_clip(40, KINECT_V2)), make_clip(30, KINECT_V2, seed=9)
+    first = replace(first, time=first.time + 2.0)
+    second = replace(second, time=first.time[0] + 0.5 + second.time)
+    path = tmp_path / "clip.glb"
+    write_people([first, second], path, Export(keys=keys))
+    times = (second.time - first.time[0]).tolist()
+    found = three(path, [0.0, *times])
+    assert found["issues"] == []
+    columns = [found["names"].index(joint) for joint in KINECT_V2.joints]
+    one, other = np.split(np.array(found["frames"]), 2, axis=1)
+    for places, wanted in (
+        (other[1:], second.positions),
+        (other[0], second.positions[0]),  # not there yet
+        (one[1:26], first.positions[15:]),
+        (one[0], first.positions[0]),
+        (one[26:], first.positions[-1]),  # gone
+    ):
+        away = np.linalg.norm(places[..., columns, :] - wanted, axis=-1)
+        assert away.max() < MILLIMETER
+    people = found["extras"]["kinefilter"]["people"]
+    assert [len(known["time"]) for known in people] == [40, 30]
+    with pytest.raises(InputError, match="holds 2 people"):
+        read_clip(path)
 
 
 @in_three

@@ -13,6 +13,7 @@ from text_files import write_text
 
 from kinefilter.characters import KINECT_V2, InputError, State, Take
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import (
     read_clip,
     read_recording,
@@ -232,6 +233,29 @@ def test_clean_writes_a_clip_for_each_person(
     assert main(["clean", str(path), "-o", str(out), *quick]) == 0
     assert "body 1 of 2" in capsys.readouterr().out
     np.testing.assert_array_equal(read_clip(out).positions, clips[0].positions)
+
+
+def test_people_go_into_one_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = people(tmp_path), tmp_path / "clip.glb"
+    quick = ["--no-physics", "--method", "none"]
+    words = ["clean", str(path), "-o", str(out), "--body", "all", "--one-file", *quick]
+    assert main(words) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["clip.glb", path.name]
+    assert contents_of(out)["people"] == 2
+    out.unlink()
+    capsys.readouterr()
+    for wrong, told in (
+        (["--begin", "1"], "--begin"),
+        (["--gaps", "split"], "--gaps split"),
+        (["--body", "1"], "--body all"),
+        (["-o", str(tmp_path / "clip.usdc")], ".glb"),
+        (["-o", str(path)], ".glb"),
+    ):
+        assert main([*words, *wrong]) == 2
+        assert told in capsys.readouterr().err
+        assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
 def test_an_unknown_body_is_refused_and_nothing_is_written(tmp_path: Path) -> None:

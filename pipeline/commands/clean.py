@@ -19,6 +19,7 @@ from kinefilter.pipeline.formats import (
     read_recording,
     write_clip,
     write_contacts,
+    write_people,
 )
 from kinefilter.pipeline.formats.export import paced
 from kinefilter.pipeline.formats.recording import numbered, part_paths
@@ -65,6 +66,9 @@ class Clean:
     """Also write a web page that shows clip and take side by side, .html."""
     json: Path | None = None
     """Also write the printed figures to this file."""
+    one_file: bool = False
+    """With --body all and .glb: one clip of all people, with a skeleton and a skin
+    each, in place of a file each. Nothing reads it back."""
     fail_on_damage: bool = False
     """End with exit code 1 if the tracker failed somewhere or a take has a long gap."""
     config_file: Annotated[Path | None, arg(name="config")] = None
@@ -92,9 +96,10 @@ class Clean:
         others = (self.json, self.save_contacts, self.report)
         for body in recording.numbers(settings.body):
             number, time = body if several else None, recording.take(body).time
+            clip = None if self.one_file else number
             split = settings.config.gaps == "split"
             parts = parts_of(time) if split else [slice(None)]
-            paths = part_paths(numbered(self.out, number), len(parts))
+            paths = part_paths(numbered(self.out, clip), len(parts))
             for path, part in zip(paths, parts, strict=True):
                 check_output(path, *used, *others)
                 paced(
@@ -111,9 +116,14 @@ class Clean:
             recording, results, merged = self._together(recording)
         else:
             results = self._cleaned(recording)
+        if self.one_file:
+            clips = [result.clip for result in results.values()]
+            write_people(clips, self.out, settings.export)
         for body, result in results.items():
             number = body if several else None
             self._write(result, recording.take(body), number, merged)
+        if self.one_file:
+            out.print(f"wrote {self.out}")
         figures = {body: as_json(result) for body, result in results.items()}
         only = next(iter(figures.values()))
         write_json({"bodies": figures} if several else only, self.json)
@@ -131,6 +141,8 @@ class Clean:
 
     def _check(self, used: list[Path | None]) -> None:
         """Raise an InputError for files that cannot be written or must be kept."""
+        if self.one_file:
+            self._check_one_file()
         check_writable(self.out, self.settings.export)
         if self.report is not None:
             from kinefilter.pipeline.look.page import check_report
@@ -139,6 +151,19 @@ class Clean:
         written = (self.out, self.json, self.save_contacts, self.report)
         for k, path in enumerate(written):
             check_output(path, *used, *written[:k])
+
+    def _check_one_file(self) -> None:
+        """Raise an InputError for what does not go with a file of several people."""
+        settings, export = self.settings, self.settings.export
+        alone = {
+            "--begin, --end and --loop": export.begin or export.end or export.loop,
+            "--gaps split": settings.config.gaps == "split",
+        }
+        for what, given in alone.items():
+            if given:
+                raise InputError(f"{what} cut each person's clip; leave --one-file out")
+        if settings.body != "all" or self.out.suffix.lower() != ".glb":
+            raise InputError("--one-file is for --body all and a clip in .glb")
 
     def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
         """Return the result of each person asked for, by their number."""
@@ -188,12 +213,14 @@ class Clean:
         from kinefilter.pipeline.summary import as_tables
 
         paths = part_paths(numbered(self.out, body), len(result.clips))
-        for path, clip in zip(paths, result.clips, strict=True):
-            write_clip(clip, path, self.settings.export)
+        if not self.one_file:
+            for path, clip in zip(paths, result.clips, strict=True):
+                write_clip(clip, path, self.settings.export)
         if self.save_contacts is not None:
             write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))
-        out.print(f"wrote {', '.join(map(str, paths))}")
+        if not self.one_file:
+            out.print(f"wrote {', '.join(map(str, paths))}")
         if self.report is not None:
             from kinefilter.pipeline.look.comparison import compare
             from kinefilter.pipeline.look.page import read_limits, write_report

@@ -7,7 +7,7 @@ Who is lost and back within 2 s and 0.5 m is the same person (``recording``).
 """
 
 from .bvh import Bvh, read_bvh
-from .clips import check_writable, read_clip, write_clip
+from .clips import check_writable, read_clip, write_clip, write_people
 from .export import Export
 from .files import atomic_path, check_folder
 from .recording import Recording
@@ -29,5 +29,6 @@ __all__ = [
     "read_takes",
     "write_clip",
     "write_contacts",
+    "write_people",
     "write_take_csv",
 ]

@@ -6,6 +6,7 @@ The name's extension says which kind of file it is.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,7 +40,7 @@ from .guarded import read_usd
 from .learning import write_joints
 from .npz import clip_of_arrays, read_npz, write_npz
 from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
-from .shaping import kept_still, shaped
+from .shaping import shaped
 from .sheets import write_take_csv
 from .takes import read_take
 
@@ -86,32 +87,19 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     path = Path(path)
     suffix = path.suffix.lower()
     export = paced(export, suffix, clip.time, clip.source)
-    clip = shaped(clip, export)
     if suffix == ".vrma":
         export = replace(export, rig="vrm")
-    if export.rig is None:
-        clip = kept_still(clip, export.root)
+    clip = shaped(clip, export)
     if suffix == ".csv":
         write_take_csv(clip, path)
     elif suffix == ".npz" and export.rig is None:
         write_npz(clip, path)
     else:
-        places = {0: clip.positions[:, clip.skeleton.root]}
-        moved = RigMotion(rig_of(clip.body), clip.rotations, places, clip.positions)
-        if export.rig is not None:
-            rig = target_rig(export.rig, export.target, clip.body)
-            axes = rig.rest.axes
-            if export.up == "z" and axes is not None:
-                # Turning the world must not rename the axes of bones.
-                axes = multiply(axes, about_x(np.pi / 2.0))
-                rig = replace(rig, rest=replace(rig.rest, axes=axes))
-            acted, own = repeated(clip) if export.loop else (clip, slice(None))
-            motion = Retargeted(*(values[own] for values in retarget(acted, rig)))
-            moved = retargeted_motion(rig, motion, export.root)
+        moved = _moved(clip, export)
         if suffix == ".bvh":
             write_bvh(clip, moved, path, export)
         elif suffix in (".glb", ".vrma"):
-            write_glb(clip, moved, path, export)
+            write_glb([(clip, moved)], path, export)
         elif suffix == ".fbx":
             write_fbx(clip, moved, path, export)
         elif suffix == ".npz":
@@ -121,6 +109,36 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
             from .usd import write_usd
 
             write_usd(clip, moved, path, export)
+
+
+def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
+    """Write clips of people who were recorded together as one GLB.
+
+    Raises InputError as ``write_clip``.
+    """
+    check_writable(path, export)
+    people = []
+    for clip in clips:
+        own = paced(export, ".glb", clip.time, clip.source)
+        part = shaped(clip, own)
+        people.append((part, _moved(part, own)))
+    write_glb(people, path, export)
+
+
+def _moved(clip: Clip, export: Export) -> RigMotion:
+    """Return how the skeleton that is asked for moves."""
+    if export.rig is None:
+        places = {0: clip.positions[:, clip.skeleton.root]}
+        return RigMotion(rig_of(clip.body), clip.rotations, places, clip.positions)
+    rig = target_rig(export.rig, export.target, clip.body)
+    axes = rig.rest.axes
+    if export.up == "z" and axes is not None:
+        # Turning the world must not rename the axes of bones.
+        axes = multiply(axes, about_x(np.pi / 2.0))
+        rig = replace(rig, rest=replace(rig.rest, axes=axes))
+    acted, own = repeated(clip) if export.loop else (clip, slice(None))
+    motion = Retargeted(*(values[own] for values in retarget(acted, rig)))
+    return retargeted_motion(rig, motion, export.root)
 
 
 def read_clip(path: AnyPath) -> Clip:

@@ -58,7 +58,7 @@ def write_fbx(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
         atomic_path(path) as temporary,
         tempfile.TemporaryDirectory(prefix="kinefilter-") as folder,
     ):
-        write_glb(keyed, moved, Path(folder) / "clip.glb", export)
+        write_glb([(keyed, moved)], Path(folder) / "clip.glb", export)
         made = Path(folder) / "clip.fbx"
         numbers = (len(clip), export.fps or clip.fps, _KEYS)
         said = _run([*command, folder, *map(repr, numbers)], most, path)

@@ -50,58 +50,47 @@ _DECIMALS = 9  # of time stamps [s]
 _MOST = 2.0**31  # of whole numbers: more than anything is
 
 
-def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> None:
-    """Write a clip as GLB or VRMA, whole or not at all.
+def write_glb(
+    people: Sequence[tuple[Clip, RigMotion]], path: AnyPath, export: Export
+) -> None:
+    """Write the clips of one or more people as GLB or VRMA, whole or not at all.
 
     Of frames with the same time the last counts; one more ends a long gap, so that the
-    character holds still until then. On another rig there is neither skin nor prop.
-    Raises InputError if the file cannot be written.
+    character holds still until then. Time counts from the first frame of all; who is
+    not there yet, or any more, stands still. Props are those of the first clip. On
+    another rig there is neither skin nor prop. Raises InputError if the file cannot be
+    written.
     """
-    rows, stamps, held = _keys(clip)
-    glb, rig = _Document(stamps), moved.rig
-    glb.scene.append(0)
-    glb.nodes += _nodes(rig)
-    turns = _turns(moved, rows)
-    paths = {node: places[rows] for node, places in moved.places.items()}
-    if export.keys is None or len(rows) < 2:
-        for node, places in paths.items():
-            glb.move(node, "translation", places)
-        for node in range(len(rig)):
-            glb.move(node, "rotation", _xyzw(turns[:, node]))
-    else:
-        from .keys import sparse_curves  # loads scipy
-
-        step, error = 1.0 / clip.fps, export.keys / 1000.0
-        for curve in sparse_curves(rig, stamps, step, paths, turns, error):
-            glb.bend(curve)
-    if export.rig is None:
-        mesh = glb.mesh("Skin", _skin(clip, rig, glb), (*COLOR, 1.0))
+    glb, known = _Document(), []
+    start = min(clip.time[0] for clip, _ in people)
+    for clip, moved in people:
+        rows, stamps, held = _keys(clip, start)
+        _add_person(glb, clip, moved, rows, stamps, export)
+        known.append(_provenance(clip, rows, held) | {"root": export.root})
+    clip, moved = people[0]
+    if export.rig is None and clip.props:
+        rows, stamps, _ = _keys(clip, start)
+        glb.begin(stamps)
         glb.scene.append(len(glb.nodes))
-        glb.nodes.append({"name": "Skin", "mesh": mesh, "skin": 0})
-        if clip.props:
-            glb.scene.append(len(glb.nodes))
-            glb.nodes.append({"name": "Props", "children": []})
+        glb.nodes.append({"name": "Props", "children": []})
         for prop in clip.props:
             glb.nodes[glb.scene[-1]]["children"].append(len(glb.nodes))
             _add_prop(glb, prop, rows)
-    skin = {
-        "joints": list(range(len(rig))),
-        "skeleton": 0,
-        "inverseBindMatrices": glb.add(_inverse_binds(rig)),
-    }
+    for number, skin in enumerate(glb.skins if len(people) > 1 else (), start=1):
+        skin["name"] = f"Person {number}"
     takes = clip.source.split(" + ")  # of a session, with their folders
     animation = {
         "name": " + ".join(Path(take).name.partition(".")[0] for take in takes),
         "samplers": glb.samplers,
         "channels": glb.channels,
-        "extras": {"kinefilter": _provenance(clip, rows, held) | {"root": export.root}},
+        "extras": {"kinefilter": known[0] if len(people) == 1 else {"people": known}},
     }
     document = {
         "asset": {"version": "2.0", "generator": "kinefilter"},
         "scene": 0,
         "scenes": [{"nodes": glb.scene}],
         "nodes": glb.nodes,
-        "skins": [skin],
+        "skins": glb.skins,
         "animations": [animation],
         "meshes": glb.meshes,
         "materials": glb.materials,
@@ -110,9 +99,9 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
         "buffers": [{"byteLength": len(glb.data)}],
     }
     if Path(path).suffix.lower() == ".vrma":
-        bones = {name: {"node": n} for n, name in enumerate(rig.names)}
-        known = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
-        document |= {"extensions": {_VRMA: known}, "extensionsUsed": [_VRMA]}
+        bones = {name: {"node": n} for n, name in enumerate(moved.rig.names)}
+        humanoid = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
+        document |= {"extensions": {_VRMA: humanoid}, "extensionsUsed": [_VRMA]}
     document = {name: value for name, value in document.items() if value != []}
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
@@ -126,9 +115,9 @@ def write_glb(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
 class _Document:
     """The lists of a glTF document; entries refer to each other by index."""
 
-    def __init__(self, stamps: Array) -> None:
-        """Take the time of each keyframe [s], from 0 on."""
+    def __init__(self) -> None:
         self.scene: list[int] = []
+        self.skins: list[dict[str, Any]] = []
         self.nodes: list[dict[str, Any]] = []
         self.meshes: list[dict[str, Any]] = []
         self.materials: list[dict[str, Any]] = []
@@ -137,6 +126,9 @@ class _Document:
         self.accessors: list[dict[str, Any]] = []
         self.views: list[dict[str, Any]] = []
         self.data = bytearray()
+
+    def begin(self, stamps: Array) -> None:
+        """Say when the keyframes are that ``move`` takes from now on [s]."""
         self._stamps, self._time = stamps, -1
 
     def add(
@@ -179,7 +171,7 @@ class _Document:
         self.channels.append({"sampler": len(self.samplers), "target": target})
         self.samplers.append(sampler | {"output": self.add(values.astype("<f4"))})
 
-    def bend(self, curve: Curve) -> None:
+    def bend(self, node: int, curve: Curve) -> None:
         """Animate a node's translation or rotation by a curve."""
         keys = np.stack([curve.slopes, curve.values, curve.slopes], axis=1)
         what = "translation"
@@ -187,7 +179,7 @@ class _Document:
             keys, what = _xyzw(keys), "rotation"
         times = self.add(curve.times.astype("<f4"), bounds=True)
         sampler = {"input": times, "interpolation": SMOOTH}
-        self._animate(curve.node, what, sampler, keys.reshape(-1, keys.shape[-1]))
+        self._animate(node, what, sampler, keys.reshape(-1, keys.shape[-1]))
 
     def mesh(self, name: str, primitive: dict[str, Any], color: Sequence[float]) -> int:
         """Return the index of a new mesh in a linear color with alpha."""
@@ -196,6 +188,44 @@ class _Document:
         self.materials.append({"name": name, "pbrMetallicRoughness": looks})
         self.meshes.append({"name": name, "primitives": [primitive]})
         return len(self.meshes) - 1
+
+
+def _add_person(
+    glb: _Document,
+    clip: Clip,
+    moved: RigMotion,
+    rows: Indices,
+    stamps: Array,
+    export: Export,
+) -> None:
+    """Add the skeleton of a person, how it moves, and without a rig the skin."""
+    first, rig = len(glb.nodes), moved.rig
+    glb.begin(stamps)
+    glb.scene.append(first)
+    glb.nodes += _nodes(rig, first)
+    turns = _turns(moved, rows)
+    paths = {node: places[rows] for node, places in moved.places.items()}
+    if export.keys is None or len(rows) < 2:
+        for node, places in paths.items():
+            glb.move(first + node, "translation", places)
+        for node in range(len(rig)):
+            glb.move(first + node, "rotation", _xyzw(turns[:, node]))
+    else:
+        from .keys import sparse_curves  # loads scipy
+
+        step, error = 1.0 / clip.fps, export.keys / 1000.0
+        for curve in sparse_curves(rig, stamps, step, paths, turns, error):
+            glb.bend(first + curve.node, curve)
+    if export.rig is None:
+        mesh = glb.mesh("Skin", _skin(clip, rig, glb), (*COLOR, 1.0))
+        glb.scene.append(len(glb.nodes))
+        glb.nodes.append({"name": "Skin", "mesh": mesh, "skin": len(glb.skins)})
+    skin = {
+        "joints": list(range(first, first + len(rig))),
+        "skeleton": first,
+        "inverseBindMatrices": glb.add(_inverse_binds(rig)),
+    }
+    glb.skins.append(skin)
 
 
 def _add_prop(glb: _Document, prop: Prop, rows: Indices) -> None:
@@ -219,9 +249,9 @@ def _add_prop(glb: _Document, prop: Prop, rows: Indices) -> None:
         glb.nodes.append(part | {"extras": {"kind": shape.kind, **known}})
 
 
-def _keys(clip: Clip) -> tuple[Indices, Array, list[int]]:
-    """Return each keyframe's frame, its time [s], and which ones end a long gap."""
-    stamps = key_times(clip.time.round(_DECIMALS))
+def _keys(clip: Clip, start: float) -> tuple[Indices, Array, list[int]]:
+    """Return each keyframe's frame, its time since the start [s], and ends of gaps."""
+    stamps = key_times(clip.time.round(_DECIMALS), round(start, _DECIMALS))
     rows = np.flatnonzero(np.append(np.diff(stamps) > 0.0, True))
     stamps = stamps[rows]
     starts = np.array([part.start for part in parts_of(stamps)[1:]], dtype=int)
@@ -234,9 +264,9 @@ def _keys(clip: Clip) -> tuple[Indices, Array, list[int]]:
     return np.insert(rows, starts, rows[starts - 1]), stamps, held
 
 
-def key_times(time: Array) -> Array:
-    """Return time stamps [s] (T,) since the first, rounded to single precision."""
-    return np.asarray((time - time[0]).astype(np.float32), dtype=np.float64)
+def key_times(time: Array, start: float) -> Array:
+    """Return time stamps [s] (T,) since the start, rounded to single precision."""
+    return np.asarray((time - start).astype(np.float32), dtype=np.float64)
 
 
 def _xyzw(wxyz: Array) -> Array:
@@ -251,10 +281,10 @@ def _placed(name: str, place: Array, turn: Array) -> dict[str, Any]:
     }
 
 
-def _nodes(rig: Rig) -> list[dict[str, Any]]:
+def _nodes(rig: Rig, first: int) -> list[dict[str, Any]]:
     nodes = [_placed(*node) for node in zip(rig.names, *rig.at_rest, strict=True)]
     for n, parent in enumerate(rig.parents[1:], start=1):
-        nodes[parent].setdefault("children", []).append(n)
+        nodes[parent].setdefault("children", []).append(first + n)
     return nodes
 
 

@@ -37,17 +37,23 @@ def read_glb(path: AnyPath) -> Clip:
         return _clip(*_chunks(source), os.fspath(path))
 
 
-def read_glb_times(path: AnyPath) -> tuple[list[str], Array]:
-    """Return the names of joints, and when there are keyframes [s], of any skeleton.
+def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array]:
+    """Return the names of each skeleton's joints, and when there are keyframes [s].
 
-    Raises InputError as ``read_glb``.
+    The keyframes are those of the first skeleton, which may be anybody's. Raises
+    InputError as ``read_glb``.
     """
     with _refused(path) as source:
         document, data = _chunks(source)
-        skin, animation = _animated(document)
-        names = [str(document["nodes"][n]["name"]) for n in skin["joints"]]
-        if known := animation.get("extras", {}).get("kinefilter"):
-            return names, key_times(np.array(known["time"], dtype=float))
+        _, animation = _animated(document)
+        names = [
+            [str(document["nodes"][n]["name"]) for n in skin["joints"]]
+            for skin in document["skins"]
+        ]
+        known = animation.get("extras", {}).get("kinefilter")
+        if known and "people" not in known:
+            time = np.array(known["time"], dtype=float)
+            return names, key_times(time, time[0])
         index = animation["samplers"][0]["input"]
         return names, _values(document, data, index).astype(float).ravel()
 
@@ -108,6 +114,11 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
         raise InputError(
             "lacks what kinefilter keeps in extras; give the clip as it was written"
         )
+    if "people" in known:
+        raise InputError(
+            f"holds {len(known['people'])} people; give a clip of one, as --body all "
+            "writes without --one-file"
+        )
     for name, table in name_tables(skeleton).items():
         if known[name] != table:
             raise InputError(f"its {name} are not kinefilter's; export it again")
@@ -120,7 +131,7 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
     time = np.array(known["time"], dtype=float)
     keys = len(known["state"])
     kept = np.delete(np.arange(keys), np.array(known["held"], dtype=int))
-    stamps = key_times(time)
+    stamps = key_times(time, time[0])
     # Frames with the same stamp share a keyframe.
     kept = kept[np.cumsum(np.diff(stamps, prepend=stamps[:1]) > 0.0)]
 

@@ -17,6 +17,8 @@ from .rig import Travel
 def shaped(clip: Clip, export: Export) -> Clip:
     """Return the part of a clip that is asked for, at its rate, as a loop, in its T.
 
+    Without a rig, which has a way of its own over the floor, as little of it as asked.
+
     Raises InputError where there is no such part, as ``even_frames``, or as ``looped``.
     """
     if (export.begin, export.end) != (None, None):
@@ -25,7 +27,8 @@ def shaped(clip: Clip, export: Export) -> Clip:
         clip = resampled(clip, export.fps)
     if export.loop:
         clip = looped(clip)
-    return in_strict_t(clip) if export.rest == "t" else clip
+    clip = in_strict_t(clip) if export.rest == "t" else clip
+    return kept_still(clip, export.root) if export.rig is None else clip
 
 
 def kept_still(clip: Clip, travel: Travel) -> Clip:
