@@ -24,6 +24,7 @@ from .checks import check_take, checked_frame
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft
+from .edits import Edited
 from .failures import Failure, find_displaced, told_failures
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
@@ -106,7 +107,9 @@ class Cleaner:
             check_kind(given, kind | None, f"the {kind.__name__.lower()}")
         if tracking is None and (gains := config.parameters.tracking):
             tracking = Tracking(**gains)
+        edited = [Edited(config.edits)] if config.edits else []
         self.stages: tuple[Stage, ...] = (
+            *edited,  # what somebody who saw the take says of it
             Upright(config),  # where the sensor was upside down, or tilted far
             Failures(),  # gross failures: sides put back, impossible limbs distrusted
             MeasureBody(config),  # how long the person's segments are
@@ -127,6 +130,7 @@ class Cleaner:
         left_out["failures"] = config.preset is None  # no paper mends what it was given
         self.stages = tuple(s for s in self.stages if left_out.get(s.name, True))
         self._gaps = config.gaps
+        self._edits = tuple(str(edit) for stage in edited for edit in stage.edits)
         self._time: float | None = None
         self._body: Body | None = None
 
@@ -291,6 +295,7 @@ class Cleaner:
             draft.trace,
             tuple(failures),
             (
+                *self._edits,
                 *told_gaps(long_gaps(take.time), take.time[0], f": {becomes}"),
                 *_notes(draft),
             ),

@@ -67,6 +67,9 @@ class CleanConfig:
     """When feet stand still instead: a file of --save-contacts, edited or not, or a
     clip (.npz). A foot stands on heel or toe; a heel that is 0 is up only as far as
     the ankle was measured."""
+    edits: Path | None = None
+    """What you saw in the take: a TOML file of when which joints or limbs are wrong,
+    and when left and right are exchanged; see CONVENTIONS.md."""
     floor: Literal["auto", "none"] | float = "auto"
     """Where the floor is: found under the feet, none: the take's own y = 0, or its
     height in the take [m]."""

@@ -23,6 +23,7 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.edits import read_edits
 from kinefilter.pipeline.formats import (
     read_bvh,
     read_clip,
@@ -82,6 +83,8 @@ def write_valid(folder: Path, clip: Clip, v1: Take, v2: Take) -> dict[str, Path]
     for suffix in ("bvh", "npz", "usda", "usdc", "glb"):
         write_clip(clip, folder / f"clip.{suffix}")
     header, rows = ",".join(("time", *CONTACTS)), "0,1,1,0,0\n0.1,0,0,1,1\n"
+    edits = '[[distrust]]\njoints = ["left-arm", "Head"]\nbegin = 0\nend = 1.5\n'
+    (folder / "edits.toml").write_text(edits, encoding="utf-8")
     (folder / "contacts.csv").write_text(f"{header}\n{rows}", encoding="utf-8")
     write_c3d(folder / "points.c3d", standing(KINECT_V1, "plug_in_gait"))
     write_trc(folder / "points.trc", standing(KINECT_V1, "plug_in_gait"))
@@ -145,6 +148,7 @@ READERS: dict[str, list[Reader]] = {
     "points.c3d": [as_mocap],
     "points.trc": [as_mocap, contents_of],
     "contacts.csv": [lambda path: read_contacts(path, TIME)],
+    "edits.toml": [read_edits],
     "clip.npz": [read_clip, contents_of, lambda path: read_contacts(path, TIME)],
     "database.npz": [PostureDatabase.load, contents_of],
     "model.npz": [load_model, contents_of],

@@ -275,7 +275,7 @@ def test_settings_that_mean_nothing_are_refused() -> None:
         for field in fields(kind):
             make: Any = lambda value, k=kind, name=field.name: k(**{name: value})  # noqa: E731
             free = ("model", "person", "database", "scene", "character", "rig")
-            free += ("contacts", "target", "blender")
+            free += ("contacts", "edits", "target", "blender")
             allowed = {"text"} if field.name in free else {}
             allowed = {"400 digits", "5000 digits"} if field.name == "seed" else allowed
             refused(make, ((n, v) for n, v in NO_VALUES.items() if n not in allowed))

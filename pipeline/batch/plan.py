@@ -304,12 +304,14 @@ def _check(settings: Settings, out: Store, suffix: str) -> None:
 
 
 def _check_contacts(jobs: Iterable[Job]) -> None:
-    """Raise an InputError if a file of contacts would be used for several people."""
-    takes: dict[Path, str] = {}
+    """Raise an InputError if contacts or edits would be used for several people."""
+    takes: dict[tuple[str, Path], str] = {}
     for job in jobs:
         settings, source = job.settings, job.sources[0]
-        file = settings.config.contacts
-        if file is None:
+        config = settings.config
+        given = {"--contacts": config.contacts, "--edits": config.edits}
+        files = [(flag, file) for flag, file in given.items() if file is not None]
+        if not files:
             continue
         try:
             with source.store.reading(source.file.name) as path:
@@ -317,12 +319,14 @@ def _check_contacts(jobs: Iterable[Job]) -> None:
                     continue
         except InputError:  # in its own job, it fails for this
             continue
-        if settings.body == "all":
-            raise InputError(f"--contacts {file}: is for one person; choose by --body")
-        if file in takes:
-            raise InputError(
-                f"--contacts {file}: is for one take, not for both {takes[file]} and "
-                f"{job.take}; put that take in a folder of its own, with a "
-                "kinefilter.toml that sets it, or use 'kinefilter clean'"
-            )
-        takes[file] = job.take
+        for flag, file in files:
+            if settings.body == "all":
+                raise InputError(f"{flag} {file}: is for one person; choose by --body")
+            if (flag, file) in takes:
+                raise InputError(
+                    f"{flag} {file}: is for one take, not for both "
+                    f"{takes[flag, file]} and {job.take}; put that take in a folder of "
+                    "its own, with a kinefilter.toml that sets it, or use "
+                    "'kinefilter clean'"
+                )
+            takes[flag, file] = job.take

@@ -170,8 +170,9 @@ class Clean:
         from kinefilter.pipeline.cleaner import clean
 
         config, numbers = self.settings.config, recording.numbers(self.settings.body)
-        if config.contacts is not None and len(numbers) > 1:
-            raise InputError("--contacts is for one person; choose one with --body")
+        for name in ("contacts", "edits"):
+            if getattr(config, name) is not None and len(numbers) > 1:
+                raise InputError(f"--{name} is for one person; choose one with --body")
         results: dict[int, CleanResult] = {}
         for number in numbers:
             take = recording.take(number)

@@ -97,7 +97,8 @@ class View:
         if save.suffix.lower() != ".csv":
             raise InputError(f"{save}: contacts are saved as a table; name it .csv")
         config, takes = self.config, self.take or self.motion
-        used = (config.database, config.model, config.contacts, self.calibration)
+        files = (config.database, config.model, config.contacts, config.edits)
+        used = (*files, self.calibration)
         keep(save, *self.motion, *self.take, *used)
         if self._is_clip and config != CleanConfig():
             raise InputError(

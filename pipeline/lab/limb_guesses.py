@@ -11,22 +11,12 @@ import numpy as np
 from kinefilter.characters import Skeleton, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import unit
+from kinefilter.pipeline.edits import LIMBS
 from kinefilter.pipeline.reconstruct.continuity import REFERENCE_RATE, bridge
 from kinefilter.retarget import HeadingFrame, find_yaw
 
-_PARTS = {
-    "arm": ("Elbow", "Wrist", "Hand", "HandTip", "Thumb"),
-    "hand": ("Wrist", "Hand", "HandTip", "Thumb"),
-    "leg": ("Knee", "Ankle", "Foot"),
-    "shin": ("Ankle", "Foot"),
-}
-HIDDEN = {
-    f"{side}-{part}": tuple(joint + side.capitalize() for joint in joints)
-    for part, joints in _PARTS.items()
-    for side in ("left", "right")
-}
+HIDDEN = dict(LIMBS)
 """Joints that are hidden with a limb, by its name."""
-HIDDEN |= {f"{p}s": HIDDEN[f"left-{p}"] + HIDDEN[f"right-{p}"] for p in _PARTS}
 HIDDEN["hand"] = HIDDEN["wrist"] = HIDDEN["right-hand"]
 
 Guess = Literal["none", "drift", "hang", "jitter"]
