@@ -24,9 +24,8 @@ import csv
 import io
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import datetime
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,6 @@ from kinefilter.characters import KINECT_V2, InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import check_order
 
-from .bvh import MOST_CELLS
 from .files import read_bytes, read_json
 from .markers import mocap_of_points
 from .mocap import measured, plain_name, read_points
@@ -145,7 +143,7 @@ def claims_npy(source: str) -> bool:
 def read_freemocap(source: str) -> Recording:
     """Read a table with a column a coordinate; raises InputError if it is malformed."""
     with open_rows(source) as (row, line, lines):
-        header = [cell.strip() for cell in next(csv.reader([line]))]
+        header = [cell.strip() for cell in _cells(line, source)]
         ends = [cell.rpartition("_")[::2] for cell in header]
         at = {pair: k for k, pair in reversed(list(enumerate(ends)))}
         names = [n for n in dict.fromkeys(n for n, _ in ends) if (n, "z") in at]
@@ -156,7 +154,7 @@ def read_freemocap(source: str) -> Recording:
         stamp = header.index("timestamp") if "timestamp" in header else None
 
         def cells(line: str) -> str:
-            found = next(csv.reader([line]))
+            found = _cells(line, source)
             found += [""] * (len(header) - len(found))
             wanted = [found[k].strip() for k in columns]
             return ",".join([_seconds(found, stamp), *wanted, *found[len(header) :]])
@@ -166,7 +164,7 @@ def read_freemocap(source: str) -> Recording:
         for block in reader.blocks(lines, row + 1):
             blocks.append(block.values)
             rows += len(block.values)
-            if rows > MOST_FRAMES or rows * len(names) > MOST_CELLS:
+            if rows > MOST_FRAMES:
                 break
     check_length(rows, source)
     values = np.concatenate(blocks)
@@ -177,6 +175,13 @@ def read_freemocap(source: str) -> Recording:
         return read_points(found, "freemocap", None, (_ASSUMED,))
     check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp'", "frames")
     return read_points(found, "freemocap", time - time[0])
+
+
+def _cells(line: str, source: str) -> list[str]:
+    try:
+        return next(csv.reader([line]), [])
+    except csv.Error as error:
+        raise InputError(f"{source}: a row is no CSV ({error})") from None
 
 
 def _seconds(cells: Sequence[str], column: int | None) -> str:
@@ -305,7 +310,12 @@ def _recording(
     check_length(len(frames), source)
     time = (np.array(numbers) - numbers[0]) / FRAMES_PER_SECOND
     check_order(time, lambda k: f"{source}: frame {k + 1}: its number", "frames")
-    found = list(_seen(frames))
+    found = [
+        (frame, number, body)
+        for frame, bodies in enumerate(frames)
+        for number, body in enumerate(bodies)
+        if body is not None
+    ]
     if not found:
         raise InputError(f"{source}: nobody is in any of {len(frames)} frames")
     names = found[0][2][0]
@@ -322,11 +332,3 @@ def _recording(
     known = {"unit": known["unit"], "notes": (_ASSUMED, *known["notes"])}
     people = recording_of_people(time, sightings, KINECT_V2, source, layout, **known)
     return of_other_tracker(people)
-
-
-def _seen(frames: Sequence[Sequence[_Body | None]]) -> Iterator[tuple[int, int, _Body]]:
-    """Yield frame, number in it, and body of everybody who is seen."""
-    numbered = (((t, k, b) for k, b in enumerate(f)) for t, f in enumerate(frames))
-    for frame, number, body in chain.from_iterable(numbered):
-        if body is not None:
-            yield frame, number, body
