@@ -79,10 +79,10 @@ _TOLERANCE = 1.5
 _SURE = 0.5  # confidence from which on a joint counts as tracked, see above
 _STILL = 1e-3  # m; hips that move less are where a tracker always puts them
 _AHEAD = np.array([0.0, 0.0, 2.0])
-"""Where such hips go [m]: before the sensor, whose origin stands for missing joints."""
+"""How far such hips are moved [m], as a joint at the origin counts as missing."""
 _NO_TRAVEL = (
-    "the hips stay in one place: the tracker knows postures, but not where the person "
-    "goes, nor how far they jump or squat"
+    "the hips stay over one place: the tracker knows postures, but not where somebody "
+    "goes"
 )
 
 
@@ -185,8 +185,8 @@ def measured(
         notes.append(f"no unit of length fits the bones; scaled by {motion.meters:.4g}")
     hips = positions[:, skeleton.root]
     hips = hips[np.isfinite(hips).all(axis=1)]
-    if mocap.rotations is None and np.ptp(hips, axis=0).max(initial=0.0) < _STILL:
-        positions = positions - np.median(hips, axis=0) + _AHEAD
+    if mocap.rotations is None and np.ptp(hips[:, [0, 2]], axis=0).max() < _STILL:
+        positions = positions + _AHEAD
         notes.append(_NO_TRAVEL)
     state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
     if motion.confidence is not None:
