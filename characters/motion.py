@@ -209,6 +209,8 @@ class Take(_Frames):
     """The joints, in the order of the arrays."""
     source: str = "take"
     """Where the take came from, for messages."""
+    by_kinect: bool = True
+    """Whether a Kinect's tracker put the joints where they are, with its offsets."""
 
     def __post_init__(self) -> None:
         _check(self)

@@ -28,7 +28,8 @@ class CleanConfig:
 
     method: MethodName | None = None
     """How joints are corrected; default: by the model where one is given, otherwise
-    by the weights of learned that ship, then local-pca. none fills gaps only."""
+    by the weights of learned that ship, where a Kinect's tracker put the joints, then
+    local-pca. none fills gaps only."""
     model: Path | None = None
     """Model (.npz) of 'kinefilter train'; with --method local-pca, that follows it."""
     person: str | None = None

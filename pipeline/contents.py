@@ -82,7 +82,12 @@ def contents_of(
         contents = _of_glb(path)
     elif packed:
         contents = _of_npz(name)
-    elif file.name.lower().removesuffix(".gz").endswith((".amc", ".c3d", ".trc")):
+    elif file.name.lower().removesuffix(".gz").endswith((".c3d", ".trc")):
+        try:
+            contents = _of_recording(read_recording(path))
+        except InputError:  # bare markers, which are no take
+            contents = _of_mocap(read_mocap(file))
+    elif file.name.lower().removesuffix(".gz").endswith(".amc"):
         contents = _of_mocap(read_mocap(file))
     elif claims_contacts(file):
         contents = _of_contacts(file)

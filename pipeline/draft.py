@@ -42,6 +42,8 @@ class Draft:
     """Tracking states (State), shape (J,), exchanged as the positions are."""
     source: str = "take"
     """Where the take came from, for messages."""
+    by_kinect: bool = True
+    """Whether a Kinect's tracker put the joints where they are."""
     elapsed: float = 1.0 / 30.0
     """Time since the last frame [s]; frames only."""
 
@@ -113,7 +115,8 @@ class Draft:
     @classmethod
     def of(cls, take: Take) -> Draft:
         """Return the draft of a take about which nothing was found out yet."""
-        return cls(take.skeleton, take.time, take.positions, take.state, take.source)
+        known = (take.skeleton, take.time, take.positions, take.state, take.source)
+        return cls(*known, take.by_kinect)
 
     @property
     def parts(self) -> list[Draft]:
@@ -169,4 +172,5 @@ class Draft:
 
     def take(self) -> Take:
         """Return the draft's take."""
-        return Take(self.time, self.measured, self.state, self.skeleton, self.source)
+        known = (self.time, self.measured, self.state, self.skeleton, self.source)
+        return Take(*known, by_kinect=self.by_kinect)

@@ -18,8 +18,13 @@ _MODEL_RELIABILITY = 0.5
 In simulated takes 0.5 to 0.75 do about as well."""
 
 
-def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
+def make_corrector(
+    skeleton: Skeleton, config: CleanConfig, *, by_kinect: bool = True
+) -> Corrector:
     """Return the correction method that a config names, for a skeleton.
+
+    The default takes off what a Kinect's tracker errs by; where another tracker put
+    the joints, it is local PCA alone.
 
     Raises an InputError if the database or model is of another skeleton, or missing.
     """
@@ -29,7 +34,7 @@ def make_corrector(skeleton: Skeleton, config: CleanConfig) -> Corrector:
         raise InputError("--adapt needs --model with a model of method local-gp")
     if config.person is not None:
         raise InputError("--person needs --model, of 'kinefilter train --people'")
-    name = config.method or "default"
+    name = config.method or ("default" if by_kinect else "local-pca")
     if METHODS[name].made_of == "pairs":
         asked = f"--preset {config.preset}" if config.preset else f"--method {name}"
         raise InputError(

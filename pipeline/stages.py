@@ -213,15 +213,18 @@ class Correct(Stage):
 
     def __init__(self, config: CleanConfig, corrector: Corrector | None = None) -> None:
         self._config, self._given = config, corrector
-        self._made: dict[str, Corrector] = {}
+        self._made: dict[tuple[str, bool], Corrector] = {}
 
-    def _method(self, skeleton: Skeleton) -> Corrector:
+    def _method(self, skeleton: Skeleton, *, by_kinect: bool = True) -> Corrector:
         """Return the method for a skeleton, made once for many takes."""
         if self._given is not None:
             return self._given
-        if skeleton.name not in self._made:
-            self._made[skeleton.name] = make_corrector(skeleton, self._config)
-        return self._made[skeleton.name]
+        key = (skeleton.name, by_kinect)
+        if key not in self._made:
+            self._made[key] = make_corrector(
+                skeleton, self._config, by_kinect=by_kinect
+            )
+        return self._made[key]
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
@@ -241,7 +244,8 @@ class Correct(Stage):
         """Correct a take; what the method leaves open keeps its last bones."""
         steps = progress(self.name, len(draft.time))
         seen = self._seen(draft, draft.body)
-        found = self._method(draft.skeleton).whole(seen, steps)
+        method = self._method(draft.skeleton, by_kinect=draft.by_kinect)
+        found = method.whole(seen, steps)
         del draft.standard, seen
         positions = found.positions
         if np.isnan(positions).any():

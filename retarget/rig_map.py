@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Sequence, Set
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import shown
@@ -201,11 +203,14 @@ def listed(names: Sequence[str]) -> str:
 class SourceJoint:
     """Where a Kinect joint lies on another skeleton: at the mean of these joints.
 
-    ``turned_by`` is the joint that turns the segment which ends there, if it is known.
+    ``turned_by`` is the joint that turns the segment which ends there, if it is known;
+    ``others`` are where it lies if the skeleton lacks the first ones, the best first.
     """
 
     at: tuple[str, ...]
-    turned_by: str | None
+    turned_by: str | None = None
+    others: tuple[tuple[str, ...], ...] = ()
+    optional: bool = False
 
 
 @dataclass(frozen=True)
@@ -220,9 +225,22 @@ class SourceRig:
 
     @property
     def needed(self) -> set[str]:
-        """Names of the joints that must be there."""
-        names = {name for joint in self.joints.values() for name in joint.at}
-        return names | {j.turned_by for j in self.joints.values() if j.turned_by}
+        """Names of the joints that must be there, or what stands for them."""
+        joints = [joint for joint in self.joints.values() if not joint.optional]
+        names = {name for joint in joints for name in joint.at}
+        return names | {joint.turned_by for joint in joints if joint.turned_by}
+
+    def among(self, names: Set[str]) -> tuple[SourceRig, set[str]]:
+        """Return the rig with the joints that are there, and what it lacks."""
+        there, lacks = dict[str, SourceJoint](), set[str]()
+        for joint, row in self.joints.items():
+            by = {row.turned_by} if row.turned_by else set[str]()
+            found = [at for at in (row.at, *row.others) if by.union(at) <= names]
+            if found:
+                there[joint] = SourceJoint(found[0], row.turned_by)
+            elif not row.optional:
+                lacks |= by.union(row.at) - names
+        return SourceRig(self.name, there), lacks
 
 
 @cache
@@ -231,7 +249,12 @@ def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
     tables = _embedded("source_rigs", name)
     rows = {**tables["limbs"], **tables[skeleton.name]}
     joints = {
-        joint: SourceJoint(tuple(row["at"]), row.get("turned_by"))
+        joint: SourceJoint(
+            tuple(row["at"]),
+            row.get("turned_by"),
+            tuple(map(tuple, row.get("or", ()))),
+            row.get("optional", False),
+        )
         for joint, row in rows.items()
     }
     return SourceRig(name, joints)
@@ -247,8 +270,10 @@ def matching_source_rig(
     """
     fine = ("HandTip", "Thumb")
     own = [joint for joint in skeleton.joints if not joint.startswith(fine)]
-    kinect = SourceRig(skeleton.name, {j: SourceJoint((j,), None) for j in own})
+    kinect = SourceRig(skeleton.name, {j: SourceJoint((j,)) for j in own})
     rigs = [kinect, *(load_source_rig(name, skeleton) for name in known)]
-    lacks = [sorted(rig.needed - set(names)) for rig in rigs]
-    best = min(range(len(rigs)), key=lambda k: len(lacks[k]) / len(rigs[k].needed))
-    return rigs[best], lacks[best]
+    found = [rig.among(set(names)) for rig in rigs]
+    shares = [len(f[1]) / len(rig.needed) for f, rig in zip(found, rigs, strict=True)]
+    best = int(np.argmin(shares))
+    there, lacks = found[best]
+    return (rigs[best] if lacks else there), sorted(lacks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,16 @@ from typing import Any
 
 import numpy as np
 from mutations import mutated, mutated_arrays
-from published_layouts import azure_json, msr_action3d_text, msrc_12_text, ntu_text
+from published_layouts import (
+    azure_json,
+    freemocap_csv,
+    landmarks,
+    mmpose_json,
+    msr_action3d_text,
+    msrc_12_text,
+    ntu_text,
+    openpose_frames,
+)
 from test_mocap_files import ARM, ARM_MOTION, standing, write_c3d, write_trc
 
 from kinefilter.characters import (
@@ -32,6 +42,7 @@ from kinefilter.pipeline.formats import (
     write_clip,
     write_take_csv,
 )
+from kinefilter.pipeline.formats.keypoints import BLAZEPOSE
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.lab.methods.joint_offsets import JointOffsets
 from kinefilter.pipeline.models import Model, load_model, save_model
@@ -72,6 +83,9 @@ def write_valid(folder: Path, clip: Clip, v1: Take, v2: Take) -> dict[str, Path]
         "msr-action3d.txt": msr_action3d_text(v1),
         "ntu.skeleton": ntu_text([v2, two]),
         "azure.json": azure_json([v2, two], levels=True),
+        "openpose.json": json.dumps(openpose_frames([v2, two])),
+        "mmpose.json": mmpose_json([v2, two], named=True),
+        "freemocap.csv": freemocap_csv(v2, start="2024-01-01 12:00:00"),
         "arm.amc": ARM_MOTION,
         "arm.asf": ARM,
     }
@@ -88,6 +102,8 @@ def write_valid(folder: Path, clip: Clip, v1: Take, v2: Take) -> dict[str, Path]
     (folder / "contacts.csv").write_text(f"{header}\n{rows}", encoding="utf-8")
     write_c3d(folder / "points.c3d", standing(KINECT_V1, "plug_in_gait"))
     write_trc(folder / "points.trc", standing(KINECT_V1, "plug_in_gait"))
+    write_trc(folder / "pose2sim.trc", standing(KINECT_V2, "keypoints"))
+    np.save(folder / "mediapipe.npy", landmarks(v2, BLAZEPOSE).astype(np.float32))
     _write_arrays(folder)
     return {path.name: path for path in sorted(folder.iterdir())}
 
@@ -139,13 +155,15 @@ def as_mocap(path: Path) -> object:
 TAKES = (
     *("kinefilter.csv", "zipped.csv", "kinect-v1.csv", "kinect-v2.csv"),
     *("msrc-12.csv", "msr-action3d.txt", "ntu.skeleton", "azure.json"),
+    *("openpose.json", "mmpose.json", "freemocap.csv", "mediapipe.npy"),
+    "pose2sim.trc",
 )
 READERS: dict[str, list[Reader]] = {
     **{name: [read_recording, contents_of] for name in TAKES},
     "clip.bvh": [read_bvh, read_clip, read_recording, contents_of, as_mocap],
     "arm.amc": [as_mocap, contents_of],
     "arm.asf": [lambda path: read_mocap(path.with_name("arm.amc"), [path])],
-    "points.c3d": [as_mocap],
+    "points.c3d": [as_mocap, read_recording],
     "points.trc": [as_mocap, contents_of],
     "contacts.csv": [lambda path: read_contacts(path, TIME)],
     "edits.toml": [read_edits],

@@ -179,7 +179,7 @@ def standing(skeleton: Skeleton, rig: str) -> Mocap:
 
 
 @every_skeleton
-@pytest.mark.parametrize("rig", [*RIGS, "jointed"])
+@pytest.mark.parametrize("rig", [*RIGS, "jointed", "rokoko", "ipi"])
 def test_every_rig_stands_upright_in_meters(skeleton: Skeleton, rig: str) -> None:
     motion = kinect_motion(standing(skeleton, rig), skeleton, (rig,))
     assert (motion.rig, motion.unit) == (rig, "cm")
@@ -195,10 +195,11 @@ def test_every_rig_stands_upright_in_meters(skeleton: Skeleton, rig: str) -> Non
 
 
 @every_skeleton
-@pytest.mark.parametrize("rig", [*RIGS, "jointed"])
+@pytest.mark.parametrize("rig", [*RIGS, "jointed", "rokoko", "ipi"])
 def test_rigs_name_joints_that_the_skeleton_has(skeleton: Skeleton, rig: str) -> None:
-    needed = load_source_rig(rig, skeleton).needed
-    found, missing = matching_source_rig(needed, skeleton, (rig,))
+    source = load_source_rig(rig, skeleton)
+    names = source.needed.union(*(joint.at for joint in source.joints.values()))
+    found, missing = matching_source_rig(names, skeleton, (rig,))
     assert missing == []
     assert set(found.joints) <= set(skeleton.joints)
     limbs = {"Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle"}

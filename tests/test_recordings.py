@@ -12,8 +12,17 @@ from typing import get_args
 import numpy as np
 import pytest
 from made_up_people import made_up
-from published_layouts import azure_json, msr_action3d_text, msrc_12_text, ntu_text
+from published_layouts import (
+    azure_json,
+    freemocap_csv,
+    mmpose_json,
+    msr_action3d_text,
+    msrc_12_text,
+    ntu_text,
+    openpose_frames,
+)
 from skeletons import every_skeleton
+from test_mocap_files import standing, write_trc
 from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton, State
@@ -24,6 +33,7 @@ from kinefilter.pipeline.formats.takes import FORMATS
 from kinefilter.pipeline.lab.simulate import simulate
 
 MakeClip = Callable[..., Clip]
+_AT_ONCE = ("azure", "trc")  # no blank line before them in the text
 
 
 def test_ntu_keeps_positions_states_and_thirty_frames_a_second(tmp_path: Path) -> None:
@@ -164,13 +174,20 @@ def test_every_format_is_detected_and_can_be_forced(
         "ntu": ntu_text([v2]),
         "azure": azure_json([v2]),
         "bvh": (tmp_path / "clip.bvh").read_text(),
+        "freemocap": freemocap_csv(v2),
+        "openpose": json.dumps(openpose_frames([v2])),
+        "mmpose": mmpose_json([v2]),
+        "trc": write_trc(
+            tmp_path / "a.trc", standing(KINECT_V2, "keypoints")
+        ).read_text(),
     }
-    assert {*texts, "kinefilter", "kinect-v2", "kinect-v1"} == set(FORMATS)
+    elsewhere = {"kinefilter", "kinect-v2", "kinect-v1", "npy", "c3d"}
+    assert {*texts, *elsewhere} == set(FORMATS)
     assert tuple(FORMATS) == get_args(TakeFormat)
     for name, text in texts.items():
         zipped = tmp_path / "take.csv"
         zipped.write_bytes(gzip.compress(text.encode()))
-        plain = write_text(tmp_path / "take", "\n" * (name != "azure") + text)
+        plain = write_text(tmp_path / "take", "\n" * (name not in _AT_ONCE) + text)
         for path in (plain, zipped):
             assert read_recording(path).format == name
             forced = read_recording(path, format=name)

@@ -26,7 +26,7 @@ from .manifest import Row, Status
 from .sessions import Source, find_sessions
 from .store import Store, StoredFile, canonical, is_folder, is_url, store_at
 
-_TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh")
+_TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh", ".npy", ".trc", ".c3d")
 """Extensions of files that may be takes, zipped (``.gz``) or not."""
 _SESSION = ".session"  # instead of the extension that a session does not have
 _ZIPPED = 4  # size of text over that of its gzip file: numbers give 2 to 10

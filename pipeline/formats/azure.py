@@ -13,7 +13,6 @@ database, reliability, failures. Face and clavicles tell nothing more about the 
 
 from __future__ import annotations
 
-import json
 import re
 from typing import Any
 
@@ -22,7 +21,7 @@ import numpy as np
 from kinefilter.characters import KINECT_V2, InputError, State
 from kinefilter.characters.motion import check_order
 
-from .files import read_limited
+from .files import read_json
 from .recording import Recording, Sighting, check_length, recording_of_people
 
 _LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with
@@ -67,16 +66,7 @@ about z, after which a take faces the sensor as takes of Kinect v2 do."""
 
 def read_azure(source: str) -> Recording:
     """Read a JSON file of bodies; raises InputError where it is malformed."""
-    try:
-        text = read_limited(source, _LARGEST)
-        root = json.loads(text, object_hook=_slim, parse_int=float)
-    except json.JSONDecodeError as error:
-        raise InputError(
-            f"{source}: row {error.lineno} is not JSON ({error.msg}); the file may be "
-            "cut off, export it again"
-        ) from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{source}: not JSON from a sensor; export it again") from None
+    root = read_json(source, _LARGEST, _slim)
     frames = root.get("frames") if isinstance(root, dict) else None
     if not isinstance(frames, list):
         raise InputError(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import os
 import re
 import sys
 import tomllib
 import uuid
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
@@ -167,14 +168,41 @@ def read_limited(path: AnyPath, most: int) -> str:
     """Return a file's text, unzipped; raises InputError beyond ``most`` bytes."""
     path = check_file(path)
     with _readable(path, most) as (stream, most):
-        data = stream.read(most + 1)
-        if len(data) > most:
-            raise _too_long(path, most)
-        return data.decode("utf-8-sig")
+        return _all(stream, path, most).decode("utf-8-sig")
+
+
+def read_bytes(path: AnyPath, most: int) -> bytes:
+    """Return what is in a file, unzipped; raises InputError beyond ``most`` bytes."""
+    path = check_file(path)
+    with _readable(path, most) as (stream, most):
+        return _all(stream, path, most)
+
+
+def _all(stream: io.BufferedReader | gzip.GzipFile, path: Path, most: int) -> bytes:
+    data = stream.read(most + 1)
+    if len(data) > most:
+        raise _too_long(path, most)
+    return data
+
+
+def read_json(path: AnyPath, most: int, hook: Callable[[Any], Any]) -> Any:
+    """Return what is in a file of JSON, whole numbers as floats.
+
+    ``hook`` is json's for objects. Raises InputError if it is malformed or too long.
+    """
+    try:
+        return json.loads(read_limited(path, most), object_hook=hook, parse_int=float)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"{path}: row {error.lineno} is not JSON ({error.msg}); the file may be "
+            "cut off, export it again"
+        ) from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: not JSON of a take; export it again") from None
 
 
 def _too_long(path: Path, most: int) -> InputError:
-    return InputError(f"{path}: more than {most / 1e6:.3g} MB of text; split it")
+    return InputError(f"{path}: more than {most / 1e6:.3g} MB; split it")
 
 
 @contextmanager

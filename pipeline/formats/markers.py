@@ -66,7 +66,7 @@ def read_trc(path: AnyPath) -> Mocap:
     if rows < 2:
         raise InputError(f"{source}: has {rows} frames, expected at least 2")
     positions = np.concatenate(frames).reshape(rows, len(names), 3)
-    return _mocap(names, positions, rate, source)
+    return mocap_of_points(names, positions, rate, source)
 
 
 def _rate(values: dict[str, str], source: str) -> float:
@@ -99,7 +99,7 @@ def read_c3d(path: AnyPath) -> Mocap:
     positions = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1)
     unseen = arrays["residuals"] < 0
     positions = np.where(unseen[..., None], np.nan, positions)
-    return _mocap(names[:count], positions, rate, source)
+    return mocap_of_points(names[:count], positions, rate, source)
 
 
 def c3d_arrays(path: str) -> dict[str, NDArray[Any]]:
@@ -146,10 +146,16 @@ def _check_header(source: str) -> None:
         )
 
 
-def _mocap(names: tuple[str, ...], positions: Array, rate: float, source: str) -> Mocap:
+def mocap_of_points(
+    names: tuple[str, ...],
+    positions: Array,
+    rate: float,
+    source: str,
+    confidence: Array | None = None,
+) -> Mocap:
     """Return points (T, N, 3), NaN where they are in part, or zeros, as unseen ones."""
     unseen = np.isnan(positions).any(axis=2) | (positions == 0).all(axis=2)
     positions = np.where(unseen[..., None], np.nan, positions)
     if not np.nanmax(np.abs(positions), initial=0.0) < LARGEST_NUMBER:
         raise InputError(f"{source}: a point is beyond any room; export it again")
-    return Mocap(names, positions, None, 1.0 / rate, source)
+    return Mocap(names, positions, None, 1.0 / rate, source, confidence)

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from itertools import count
+from tokenize import TokenError
 from typing import IO, Any
 
 import numpy as np
@@ -81,23 +82,27 @@ def read_arrays(path: AnyPath, expected: str = _OURS) -> dict[str, NDArray[Any]]
         arrays = {}
         for member in members:
             with archive.open(member) as file:
-                _check_header(file, member.file_size)
+                check_header(file, member.file_size)
                 file.seek(0)
                 array: NDArray[Any] = npy.read_array(file, allow_pickle=False)
             arrays[member.filename.removesuffix(".npy")] = np.asarray(array)
         return arrays
 
 
-def _check_header(file: IO[bytes], size: int) -> None:
-    """Raise ValueError if an array would be larger than the archive holds of it."""
+def check_header(file: IO[bytes], size: int) -> tuple[int, ...]:
+    """Return an array's shape; raises ValueError if it is larger than what holds it."""
     version = npy.read_magic(file)
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
     if version not in readers:
         raise ValueError(f"version {version}")
-    shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
+    try:
+        shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
+    except (TokenError, RecursionError):
+        raise ValueError("no header") from None
     needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
     if needed > size or dtype.kind not in _KINDS:
         raise ValueError("larger than the archive says, or not numbers or text")
+    return shape
 
 
 def write_arrays(path: AnyPath, arrays: Mapping[str, Any]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -77,6 +77,18 @@ class Recording:
                 f"{len(self.takes)}; 'kinefilter info' lists them"
             )
         return self.takes[body - 1]
+
+
+_OTHER_TRACKER = (
+    "no Kinect put these joints where they are: the default corrects them as "
+    "--method local-pca does"
+)
+
+
+def of_other_tracker(recording: Recording) -> Recording:
+    """Return a recording whose joints no Kinect's tracker put where they are."""
+    takes = tuple(replace(take, by_kinect=False) for take in recording.takes)
+    return replace(recording, takes=takes, notes=(*recording.notes, _OTHER_TRACKER))
 
 
 def numbered(path: _Path, body: int | None) -> _Path:
@@ -345,6 +357,7 @@ class Mocap:
     rotations: Array | None  # of each joint in the world, wxyz, (T, N, 4), or unknown
     frame_time: float  # between frames [s]
     source: str
+    confidence: Array | None = None  # in each joint, 0 to 1, shape (T, N), or unknown
 
     @property
     def bare_names(self) -> list[str]:

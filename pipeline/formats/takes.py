@@ -18,11 +18,19 @@ from .files import AnyPath, beginning, check_file
 from .recording import Recording, open_rows
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
+_SAID = ("kinefilter", "kinect-v2", "kinect-v1")  # in messages, in words
 _JOINTS = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")
 """Joints that headers of takes name: the root or what hangs on it."""
-_AZURE_KEYS = ('"bone_list"', '"joint_names"', '"timestamp_usec"', '"joint_positions"')
+_JSON_KEYS = {
+    "openpose": ('"people"', '"pose_keypoints_3d"'),
+    "mmpose": ('"meta_info"', '"instance_info"', '"instances"', '"keypoint_scores"'),
+    "azure": ('"bone_list"', '"joint_names"', '"timestamp_usec"', '"joint_positions"'),
+}
+"""Words that takes in JSON have near the beginning."""
+_NPY, _C3D = "NUMPY", "\x02P"  # how they begin, without what is no text
 _CLIPS = (b"glTF", b"PXR-USDC", b"PK\x03\x04")  # how they begin
-_AZURE_BEGINNING = 2**16  # characters: a bone list is a tenth of it
+_BEGINNING = 2**16  # characters: a bone list is a tenth of it
+_CLAIMED = ("bvh", "c3d", "trc", "freemocap")  # by how they begin
 
 
 def _cells(line: str) -> list[str]:
@@ -33,7 +41,17 @@ def _words(line: str) -> list[str]:
     return line.replace(",", " ").split()
 
 
+def _has(line: str, layout: str) -> bool:
+    return line[:1] in ("{", "[") and any(key in line for key in _JSON_KEYS[layout])
+
+
 FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
+    "npy": ("keypoints:read_npy", lambda line: line.startswith(_NPY)),
+    "c3d": ("mocap:read_c3d_take", lambda line: line.startswith(_C3D)),
+    "trc": ("mocap:read_trc_take", lambda line: line.startswith("PathFileType")),
+    "freemocap": ("keypoints:read_freemocap", lambda line: "left_hip_x" in line),
+    "openpose": ("keypoints:read_openpose", lambda line: _has(line, "openpose")),
+    "mmpose": ("keypoints:read_mmpose", lambda line: _has(line, "mmpose")),
     "kinefilter": (
         "sheets:read_kinefilter",
         lambda line: _cells(line)[0].strip().strip('"').lower() == "time",
@@ -76,10 +94,12 @@ def read_take(
       v1's 20 joints in the SDK's order, split by blanks or commas. Where no state is 2,
       1 says that there is a joint (Fothergill et al. 2012, CHI).
     - ``msr-action3d`` and ``ntu``: see ``datasets``. ``azure``: see the module of this
-      name. ``bvh``: see ``mocap``.
+      name. ``bvh``, ``trc`` and ``c3d``, if they have joints: see ``mocap``.
+    - ``npy``, ``freemocap``, ``openpose`` and ``mmpose``: see ``keypoints``.
 
     A joint that is not tracked, not a number or exactly at the origin, where the
-    sensors put what they do not see, is missing: NaN and state 0.
+    sensors put what they do not see, is missing: NaN and state 0. Joints of trackers of
+    images count as tracked from a confidence of 0.5 on, and under it as inferred.
 
     ``format`` overrides the content. ``body`` is a person, counted from 1 in order of
     appearance; by default the one who is seen in most frames. Raises InputError, which
@@ -125,25 +145,30 @@ def claims_take(path: AnyPath) -> bool:
     """Return whether a file claims by how it begins to be a recording.
 
     Names of joints in a header, or numbers, tell a damaged recording from notes and
-    other tables. Raises InputError if it is missing, empty, or not text.
+    other tables. Of OpenPose's files only the first stands for all frames. Raises
+    InputError if it is missing, empty, or not text.
     """
-    start = beginning(path, _AZURE_BEGINNING)
-    if start.startswith("{"):
-        return any(key in start for key in _AZURE_KEYS)
-    line = _first_line(os.fspath(path))
+    from .keypoints import claims_npy, frame_files
+
+    line, source = _first_line(os.fspath(path)), os.fspath(path)
     try:
-        name = _detected(line, os.fspath(path))
+        name = _detected(line, source)
+        if name in _JSON_KEYS:
+            first = name != "openpose" or frame_files(source)[0][1] == Path(source)
+            return first and _has(line, name)
         if name in ("kinefilter", "kinect-v1"):
             return _JOINTS.search(line) is not None
-        return name == "bvh" or bool([float(word) for word in _words(line)])
+        if name == "npy":
+            return claims_npy(source)
+        return name in _CLAIMED or bool([float(word) for word in _words(line)])
     except (InputError, ValueError):
         return False
 
 
 def _first_line(source: str) -> str:
-    start = beginning(source)
-    if start.startswith("{"):
-        return start  # the first line of JSON may be all of it
+    start = beginning(source, _BEGINNING)
+    if start.startswith(("{", "[", _NPY, _C3D)):
+        return start  # the first line of JSON may be all of it, the others have none
     with open_rows(source) as (_, line, _):
         return line
 
@@ -152,9 +177,10 @@ def _detected(line: str, source: str) -> str:
     for name, (_, begins) in FORMATS.items():
         if begins(line):
             return name
+    others = [name for name in FORMATS if name not in _SAID]
     raise InputError(
         f"{source}: row 1 is of no known layout ({len(_cells(line))} comma-separated "
         "cells); expected a kinefilter CSV (header time,Joint.x,Joint.y,Joint.z,"
         f"Joint.state), Kinect v2 rows of {_V2_CELLS} numbers, Kinect v1 joints split "
-        f"by ;, or one of the other formats: {', '.join(list(FORMATS)[3:])}"
+        f"by ;, or one of the other formats: {', '.join(others)}"
     )

@@ -8,6 +8,7 @@ what one sensor's tracker exchanged, another one settles.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -199,4 +200,4 @@ def _joined(parts: Sequence[Take]) -> Take:
     ]
     order = np.argsort(whole[0], kind="stable")
     time, positions, state = (values[order] for values in whole)
-    return Take(time, positions, state, parts[0].skeleton, parts[0].source)
+    return replace(parts[0], time=time, positions=positions, state=state)

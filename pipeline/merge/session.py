@@ -169,8 +169,9 @@ def fuse(
         np.array(x) for x in zip(*found, strict=True)
     )
     source = " + ".join(take.source for take in takes)
+    by_kinect = any(take.by_kinect for take in takes)
     return Merged(
-        Take(time, positions, state, skeleton, source),
+        Take(time, positions, state, skeleton, source, by_kinect),
         reliability,
         shares,
         exchanged,

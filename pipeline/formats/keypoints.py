@@ -1,0 +1,334 @@
+"""Landmarks that trackers of camera images found in three dimensions, as takes.
+
+Layouts, after the tools' own documentation:
+
+- ``npy``: an array (frames, landmarks, 3), or 4 with the landmark's visibility, 0 to 1.
+  MediaPipe's 33 landmarks of a pose, alone, with both hands (75), or as FreeMoCap
+  writes them, with hands and face first to last (543 or 553); COCO's whole body (133);
+  HALPE_26; OpenPose's BODY_25 with hands and face (137).
+- ``freemocap``: CSV with a column for each coordinate of a landmark, such as
+  ``body_left_hip_x``, and perhaps a ``timestamp``.
+- ``openpose``: ``--write_json`` with ``--3d``: a file for each frame, of which one
+  stands for all that are beside it, or a list of their contents in one file. Each has
+  ``people`` with ``pose_keypoints_3d``: x, y, z and confidence of BODY_25's landmarks.
+- ``mmpose``: predictions of MMPose's 3D lifters, RTMPose's among them: a list of frames
+  with ``instances``, each with ``keypoints`` and ``keypoint_scores``, by itself or as
+  ``instance_info`` beside ``meta_info``.
+
+Where a file has no time stamps, it has 30 frames a second, and a note says so.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from kinefilter.characters import KINECT_V2, InputError
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import check_order
+
+from .files import read_bytes, read_json
+from .markers import mocap_of_points
+from .mocap import measured, plain_name, read_points
+from .npz import check_header
+from .recording import (
+    MOST_FRAMES,
+    Recording,
+    Sighting,
+    check_length,
+    of_other_tracker,
+    open_rows,
+    recording_of_people,
+)
+from .rows import RowReader
+
+FRAMES_PER_SECOND = 30.0
+_ASSUMED = f"no time stamps in the file: {FRAMES_PER_SECOND:g} frames a second assumed"
+_LARGEST = 2**29  # bytes
+_LONGEST_STAMP = 40  # characters
+_FRAME_FILE = re.compile(r"(.*?)(\d{12})(_keypoints\.json)")
+_UNREADABLE = (ValueError, TypeError, EOFError, MemoryError, SyntaxError, OverflowError)
+_LIMBS = "shoulder elbow wrist hip knee ankle"
+
+
+def _sides(words: str) -> list[str]:
+    """Return each word's left and right landmark."""
+    return [side + word for word in words.split() for side in "lr"]
+
+
+BLAZEPOSE = (
+    *("nose", "leyeinner", "leye", "leyeouter", "reyeinner", "reye", "reyeouter"),
+    *("lear", "rear", "mouthleft", "mouthright"),
+    *_sides("shoulder elbow wrist pinky index thumb hip knee ankle heel footindex"),
+)
+"""MediaPipe's landmarks of a pose in its order (PoseLandmark)."""
+COCO = ("nose", *_sides(f"eye ear {_LIMBS}"))
+_TOES = ("bigtoe", "smalltoe", "heel")
+WHOLE_BODY = (*COCO, *(side + toe for side in "lr" for toe in _TOES))
+"""COCO-WholeBody's landmarks, without those of face and hands, which come after."""
+HALPE = (*COCO, "head", "neck", "hip", *_sides(" ".join(_TOES)))
+BODY_25 = (
+    *("nose", "neck", "rshoulder", "relbow", "rwrist", "lshoulder", "lelbow", "lwrist"),
+    *("midhip", "rhip", "rknee", "rankle", "lhip", "lknee", "lankle"),
+    *("reye", "leye", "rear", "lear"),
+    *(side + toe for side in "lr" for toe in _TOES),
+)
+HUMAN_36M = (
+    *("root", "rhip", "rknee", "rfoot", "lhip", "lknee", "lfoot"),
+    *("spine", "thorax", "neckbase", "head"),
+    *("lshoulder", "lelbow", "lwrist", "rshoulder", "relbow", "rwrist"),
+)
+_IN_NPY = {
+    **dict.fromkeys((33, 75, 543, 553), BLAZEPOSE),
+    133: WHOLE_BODY,
+    26: HALPE,
+    137: BODY_25,
+}
+"""By their number, landmarks that an array begins with. 17 and 25 have too many
+meanings: COCO's or Human3.6M's, BODY_25 or Kinect v2."""
+_IN_JSON = {17: HUMAN_36M, 25: BODY_25, 26: HALPE, 33: BLAZEPOSE, 133: WHOLE_BODY}
+"""Of trackers that do not name theirs; lifters to 3D give Human3.6M's 17."""
+
+
+# Arrays and tables of one person
+
+
+def read_npy(source: str) -> Recording:
+    """Read an array of landmarks; raises InputError if it is malformed or of others."""
+    data = io.BytesIO(read_bytes(source, _LARGEST))
+    try:
+        check_header(data, len(data.getvalue()))
+        data.seek(0)
+        array = np.asarray(npy.read_array(data, allow_pickle=False))
+    except _UNREADABLE as error:
+        name = type(error).__name__
+        raise InputError(
+            f"{source}: cannot be read as npy ({name}); expected an array of numbers"
+        ) from None
+    if not _is_pose(array.shape) or array.dtype.kind not in "fiu":
+        counts = ", ".join(map(str, sorted(_IN_NPY)))
+        raise InputError(
+            f"{source}: {array.dtype} of shape {array.shape}, expected numbers of shape"
+            f" (frames, landmarks, 3 or 4) with {counts} landmarks; name others in TRC"
+        )
+    names = _IN_NPY[array.shape[1]]
+    values = array[:, : len(names)].astype(np.float64)
+    sure = values[..., 3] if values.shape[2] == 4 else None
+    found = mocap_of_points(names, values[..., :3], FRAMES_PER_SECOND, source, sure)
+    return read_points(found, "npy", None, (_ASSUMED,))
+
+
+def _is_pose(shape: tuple[int, ...]) -> bool:
+    return len(shape) == 3 and shape[1] in _IN_NPY and shape[2] in (3, 4)
+
+
+def claims_npy(source: str) -> bool:
+    """Return whether an array has the shape of landmarks; others lie beside them."""
+    data = io.BytesIO(read_bytes(source, _LARGEST))
+    try:
+        return _is_pose(check_header(data, len(data.getvalue())))
+    except _UNREADABLE:
+        return False
+
+
+def read_freemocap(source: str) -> Recording:
+    """Read a table with a column a coordinate; raises InputError if it is malformed."""
+    with open_rows(source) as (row, line, lines):
+        header = [cell.strip() for cell in _cells(line, source)]
+        ends = [cell.rpartition("_")[::2] for cell in header]
+        at = {pair: k for k, pair in reversed(list(enumerate(ends)))}
+        names = [n for n in dict.fromkeys(n for n, _ in ends) if (n, "z") in at]
+        names = [n for n in names if plain_name(n) in BLAZEPOSE]
+        if missing := [n for n in names if not {(n, "x"), (n, "y")} <= set(at)]:
+            raise InputError(f"{source}: row {row} lacks the x or y of {missing[0]!r}")
+        columns = [at[name, axis] for name in names for axis in "xyz"]
+        stamp = header.index("timestamp") if "timestamp" in header else None
+
+        def cells(line: str) -> str:
+            found = _cells(line, source)
+            found += [""] * (len(header) - len(found))
+            wanted = [found[k].strip() for k in columns]
+            return ",".join([_seconds(found, stamp), *wanted, *found[len(header) :]])
+
+        reader = RowReader(source, ("timestamp", *(header[k] for k in columns)), cells)
+        blocks, rows = [], 0
+        for block in reader.blocks(lines, row + 1):
+            blocks.append(block.values)
+            rows += len(block.values)
+            if rows > MOST_FRAMES:
+                break
+    check_length(rows, source)
+    values = np.concatenate(blocks)
+    positions = values[:, 1:].reshape(rows, len(names), 3)
+    found = mocap_of_points(tuple(names), positions, FRAMES_PER_SECOND, source)
+    time = values[:, 0]
+    if np.isnan(time).any():
+        return read_points(found, "freemocap", None, (_ASSUMED,))
+    check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp'", "frames")
+    return read_points(found, "freemocap", time - time[0])
+
+
+def _cells(line: str, source: str) -> list[str]:
+    try:
+        return next(csv.reader([line]), [])
+    except csv.Error as error:
+        raise InputError(f"{source}: a row is no CSV ({error})") from None
+
+
+def _seconds(cells: Sequence[str], column: int | None) -> str:
+    """Return a time stamp in seconds, as a number, of a number or a date and time."""
+    stamp = "" if column is None else cells[column].strip()[:_LONGEST_STAMP]
+    try:
+        return repr(datetime.fromisoformat(stamp).timestamp())
+    except (ValueError, OverflowError, OSError):
+        return stamp
+
+
+# JSON of several people
+
+
+def read_openpose(source: str) -> Recording:
+    """Read OpenPose's files of frames; raises InputError where one is malformed."""
+    frames, numbers = [], []
+    for number, path in frame_files(source):
+        found = read_json(path, _LARGEST, lambda value: value)
+        found = found if isinstance(found, list) else [found]
+        for k, frame in enumerate(found):
+            where = f"{path}: frame {k + 1}" if len(found) > 1 else os.fspath(path)
+            people = frame.get("people") if isinstance(frame, dict) else None
+            if not isinstance(people, list):
+                raise InputError(f"{where} has no 'people', expected a list")
+            frames.append([_of_openpose(person, where) for person in people])
+            numbers.append(float(number + k))
+    return _recording(frames, numbers, source, "openpose")
+
+
+def frame_files(source: str) -> list[tuple[int, Path]]:
+    """Return number and path of a frame's file and all beside it, in their order."""
+    path = Path(source)
+    name = _FRAME_FILE.fullmatch(path.name)
+    if name is None:
+        return [(0, path)]
+    found = {}
+    for file in path.parent.iterdir():
+        other = _FRAME_FILE.fullmatch(file.name)
+        if other and other[1] == name[1]:
+            found[int(other[2])] = file
+        if len(found) > MOST_FRAMES:
+            raise InputError(f"{source}: is one of too many frames; split them")
+    return sorted(found.items())
+
+
+_Body = tuple[tuple[str, ...], Array, Array]  # names, positions and confidence
+
+
+def _of_openpose(person: Any, where: str) -> _Body | None:
+    values = person.get("pose_keypoints_3d") if isinstance(person, dict) else None
+    if values == []:
+        return None
+    numbers = _numbers(values)
+    if numbers.ndim != 1 or len(numbers) != 4 * len(BODY_25):
+        raise InputError(
+            f"{where} has no 'pose_keypoints_3d' with x, y, z and confidence of "
+            f"BODY_25's {len(BODY_25)} landmarks; run OpenPose with --3d"
+        )
+    places = numbers.reshape(-1, 4)
+    return BODY_25, places[:, :3], places[:, 3]
+
+
+def read_mmpose(source: str) -> Recording:
+    """Read predictions of MMPose's 3D lifters; raises InputError if malformed."""
+    root = read_json(source, _LARGEST, lambda value: value)
+    meta = root.get("meta_info") if isinstance(root, dict) else None
+    listed = root.get("instance_info") if isinstance(root, dict) else root
+    if not isinstance(listed, list):
+        raise InputError(f"{source}: JSON without 'instance_info'; export it again")
+    names, frames, numbers = _named(meta), [], []
+    for k, frame in enumerate(listed):
+        where = f"{source}: frame {k + 1}"
+        bodies = frame.get("instances") if isinstance(frame, dict) else None
+        if not isinstance(bodies, list):
+            raise InputError(f"{where} has no 'instances', expected a list")
+        number = frame.get("frame_id", float(k))
+        if not isinstance(number, float) or not abs(number) < MOST_FRAMES:
+            raise InputError(f"{where} has 'frame_id' {number!s:.20}, not a number")
+        frames.append([_of_mmpose(body, names, where) for body in bodies])
+        numbers.append(number)
+    return _recording(frames, numbers, source, "mmpose")
+
+
+def _named(meta: Any) -> tuple[str, ...] | None:
+    """Return the landmarks that meta_info names, or None."""
+    table = meta.get("keypoint_id2name") if isinstance(meta, dict) else None
+    if not isinstance(table, dict):
+        return None
+    names = [table.get(str(k)) for k in range(len(table))]
+    return tuple(plain_name(str(name)) for name in names)
+
+
+def _of_mmpose(body: Any, names: tuple[str, ...] | None, where: str) -> _Body:
+    body = body if isinstance(body, dict) else {}
+    places, sure = (_numbers(body.get(k)) for k in ("keypoints", "keypoint_scores"))
+    if places.ndim == 3 and len(places) == 1:
+        places = places[0]
+    names = names or _IN_JSON.get(len(places) if places.ndim else 0)
+    right = names is not None and places.ndim == 2 and places.shape[1] == 3
+    if not right or names is None or not len(names) <= len(places) == sure.size:
+        counts = ", ".join(map(str, _IN_JSON))
+        raise InputError(
+            f"{where} has 'keypoints' of shape {places.shape} with {sure.size} "
+            f"'keypoint_scores', expected x, y, z of {counts} landmarks or of those "
+            "that 'meta_info' names; use a 3D lifter"
+        )
+    return names, places[: len(names)], sure.reshape(-1)[: len(names)]
+
+
+def _numbers(values: Any) -> Array:
+    """Return nested lists of numbers as an array; an empty one of anything else."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def _recording(
+    frames: Sequence[Sequence[_Body | None]],
+    numbers: Sequence[float],
+    source: str,
+    layout: str,
+) -> Recording:
+    """Return the recording of everybody in frames with these numbers."""
+    check_length(len(frames), source)
+    time = (np.array(numbers) - numbers[0]) / FRAMES_PER_SECOND
+    check_order(time, lambda k: f"{source}: frame {k + 1}: its number", "frames")
+    found = [
+        (frame, number, body)
+        for frame, bodies in enumerate(frames)
+        for number, body in enumerate(bodies)
+        if body is not None
+    ]
+    if not found:
+        raise InputError(f"{source}: nobody is in any of {len(frames)} frames")
+    names = found[0][2][0]
+    if any(body[0] != names for _, _, body in found):
+        raise InputError(f"{source}: bodies have different landmarks; split it")
+    points = np.stack([body[1] for _, _, body in found])
+    sure = np.stack([body[2] for _, _, body in found])
+    mocap = mocap_of_points(names, points, FRAMES_PER_SECOND, source, sure)
+    positions, state, known = measured(mocap, KINECT_V2)
+    sightings = [
+        Sighting(frame, number, positions[k], state[k])
+        for k, (frame, number, _) in enumerate(found)
+    ]
+    known = {"unit": known["unit"], "notes": (_ASSUMED, *known["notes"])}
+    people = recording_of_people(time, sightings, KINECT_V2, source, layout, **known)
+    return of_other_tracker(people)
