@@ -325,6 +325,9 @@ def test_info_tells_takes_from_bare_markers(tmp_path: Path) -> None:
         InputError, match=r"b\.trc: no joint.*landmarks of MediaPipe.*found M0"
     ):
         read_take(tmp_path / "b.trc")
+    # In a folder of takes they are mocap that lies beside them.
+    claimed = [claims_take(tmp_path / name) for name in ("a.trc", "a.c3d", "b.trc")]
+    assert claimed == [True, True, False]
 
 
 def test_batch_cleans_what_is_a_take_in_a_folder_of_freemocap(tmp_path: Path) -> None:

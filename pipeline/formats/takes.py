@@ -30,7 +30,6 @@ _JSON_KEYS = {
 _NPY, _C3D = "NUMPY", "\x02P"  # how they begin, without what is no text
 _CLIPS = (b"glTF", b"PXR-USDC", b"PK\x03\x04")  # how they begin
 _BEGINNING = 2**16  # characters: a bone list is a tenth of it
-_CLAIMED = ("bvh", "c3d", "trc", "freemocap")  # by how they begin
 
 
 def _cells(line: str) -> list[str]:
@@ -145,7 +144,8 @@ def claims_take(path: AnyPath) -> bool:
     """Return whether a file claims by how it begins to be a recording.
 
     Names of joints in a header, or numbers, tell a damaged recording from notes and
-    other tables. Of OpenPose's files only the first stands for all frames. Raises
+    other tables. Of OpenPose's files only the first stands for all frames, and TRC and
+    C3D are read: those of bare markers are mocap that lies beside takes. Raises
     InputError if it is missing, empty, or not text.
     """
     from .keypoints import claims_npy, frame_files
@@ -160,7 +160,11 @@ def claims_take(path: AnyPath) -> bool:
             return _JOINTS.search(line) is not None
         if name == "npy":
             return claims_npy(source)
-        return name in _CLAIMED or bool([float(word) for word in _words(line)])
+        if name in ("c3d", "trc"):
+            return bool(read_recording(path, format=name).takes)
+        return name in ("bvh", "freemocap") or bool(
+            [float(word) for word in _words(line)]
+        )
     except (InputError, ValueError):
         return False
 
