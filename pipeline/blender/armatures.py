@@ -20,6 +20,7 @@ from mathutils import Matrix
 
 _Y_UP = Matrix.Rotation(-math.pi / 2.0, 4, "X")  # of Blender's z up
 _NEAR = 0.005  # frames: stamps have single precision
+_ROOT = 0.1  # m, drawn
 
 
 def extras(clip: Path) -> dict[str, Any]:
@@ -83,6 +84,11 @@ def imported(context: Any, clip: Path, fps: float, *, own: bool) -> Any:
                 )
                 curve.keyframe_points.foreach_set("co", keys.ravel())
                 curve.update()
+    if own:  # its root, on which all hangs in its own place, would be long
+        context.view_layer.objects.active = armature
+        bpy.ops.object.mode_set(mode="EDIT")
+        armature.data.edit_bones[0].length = _ROOT
+        bpy.ops.object.mode_set(mode="OBJECT")
     return armature
 
 
