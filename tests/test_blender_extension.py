@@ -68,6 +68,8 @@ def test_the_same_version_is_the_same_bytes(tmp_path: Path) -> None:
     for path in paths:
         assert main(["blender", "-o", str(path)]) == 0
     assert paths[0].read_bytes() == paths[1].read_bytes()
+    with zipfile.ZipFile(paths[0]) as archive:
+        assert {i.date_time for i in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
 def test_other_names_and_folders_are_refused(
@@ -324,7 +326,7 @@ def test_nothing_is_left_of_what_is_cancelled(
     assert len(pids) == 2
     assert not any(alive(pid) for pid in pids)
     left = [path.name for path in (folder / "temporary").iterdir()]
-    assert not [name for name in left if name.startswith("kinefilter-")]
+    assert not [name for name in left if not name.startswith("blender_")]  # its own
 
 
 def alive(pid: int) -> bool:
