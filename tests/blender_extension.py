@@ -3,10 +3,11 @@
     python tests/blender_extension.py FOLDER
 
 This runs in a Python that has Blender's ``bpy``. In the folder are ``kinefilter.zip``,
-``asked.json`` (``program``, ``take``, ``short``, ``slow``: a program that never ends
-and names its processes in ``pids.txt``) and ``mixamo.glb``, somebody on that rig. What
-was said is written to ``told.json``; to ``NAME.npz`` what ``blender_import.py`` says of
-armatures, heads (N, 3) at rest, and of curves what ``saved`` says.
+``mixamo.glb``, somebody on that rig, and ``asked.json``: ``program``, the command line;
+``take`` and ``short``, takes; ``giant``, how many times taller than people the armature
+on Mixamo's rig is; ``slow``, a program that never ends and names its processes in
+``pids.txt``. What Blender said is written to ``told.json``, and what it has of the
+active armature, markers and texts to ``NAME.npz`` (see ``saved``), in meters, z up.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def curves(action: Any) -> Any:
 
 
 def somebody_of_mixamo() -> None:
-    """Import them as Blender imports Mixamo's FBX: in centimeters, turned, placed."""
+    """Import them as Blender does Mixamo's FBX, in centimeters and turned: a giant."""
     bpy.ops.import_scene.gltf(
         filepath=str(FOLDER / "mixamo.glb"), disable_bone_shape=True
     )
@@ -88,7 +89,8 @@ def somebody_of_mixamo() -> None:
         bone.matrix_basis = Matrix()
     turn = Matrix.Rotation(math.pi / 2.0, 4, "X")
     armature.data.transform(turn.inverted() @ Matrix.Scale(100.0, 4))
-    armature.matrix_world = Matrix.Translation((1, 2, 0)) @ turn @ Matrix.Scale(0.01, 4)
+    size = Matrix.Scale(0.01 * ASKED["giant"], 4)
+    armature.matrix_world = Matrix.Translation((1, 2, 0)) @ turn @ size
     bpy.context.view_layer.objects.active = armature
     bpy.context.view_layer.update()
 
@@ -151,6 +153,7 @@ empty()
 refused("no take", filepath=str(FOLDER / "absent.csv"))
 refused("no armature", filepath=ASKED["short"], onto=True, rig="mixamo")
 refused("wrong option", filepath=ASKED["short"], options="--cutoff -3")
+refused("wrong quotes", filepath=ASKED["short"], options="--cutoff '3")
 told["objects"] = len(bpy.data.objects)
 refused("own", filepath=ASKED["take"])
 saved("own")

@@ -195,7 +195,7 @@ class KINEFILTER_OT_clean(bpy.types.Operator, _Options):
             next(work)
         except StopIteration:
             return {"FINISHED"}
-        except _RefusedError as error:
+        except (_RefusedError, OSError, RuntimeError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return None
