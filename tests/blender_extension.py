@@ -154,6 +154,8 @@ refused("no take", filepath=str(FOLDER / "absent.csv"))
 refused("no armature", filepath=ASKED["short"], onto=True, rig="mixamo")
 refused("wrong option", filepath=ASKED["short"], options="--cutoff -3")
 refused("wrong quotes", filepath=ASKED["short"], options="--cutoff '3")
+elsewhere = f"-o '{FOLDER / 'elsewhere.glb'}'"
+refused("elsewhere", filepath=ASKED["short"], options=elsewhere)
 told["objects"] = len(bpy.data.objects)
 refused("own", filepath=ASKED["take"])
 saved("own")

@@ -172,6 +172,7 @@ def test_it_is_enabled_after_every_time_that_it_was_disabled(
         ("no rig", "choose the rig whose names the bones have"),
         ("other rig", "which rigify has; found mixamorig:Hips"),
         ("wrong option", "cutoff"),
+        ("elsewhere", "leave out -o, --body all"),
         ("wrong quotes", "No closing quotation"),
     ],
 )

@@ -232,15 +232,15 @@ class KINEFILTER_OT_clean(bpy.types.Operator, _Options):
                 command += ["--target", str(rest)]
             command += shlex.split(self.options)
             said = yield from _ran(program, command, folder)
-            if not clip.is_file():
+            known = armatures.extras(clip) if clip.is_file() else {}
+            if "turnedBy" not in known:
                 raise _RefusedError(
-                    f"{self.options}: not one clip was written; leave out -o, --body "
-                    "all and --gaps split"
+                    f"{self.options}: the clip is not one of one person; leave out "
+                    "-o, --body all, --one-file and --gaps split"
                 )
             if target is not None and (target := bpy.data.objects.get(called)) is None:
                 raise _RefusedError(f"{called}: this armature is gone")
             found = json.loads(figures.read_text("utf-8"))
-            known = armatures.extras(clip)
             armature = armatures.imported(context, clip, fps, own=self.rig == _OWN)
         if target is not None:
             armature = armatures.brought(armature, target)
