@@ -228,7 +228,8 @@ class KINEFILTER_OT_clean(bpy.types.Operator, _Options):
             command += [] if self.rig == _OWN else ["--rig", self.rig]
             if target is not None:
                 called = target.name
-                rest.write_text(armatures.rest_pose(target), encoding="utf-8")
+                text = armatures.rest_pose(target)
+                rest.write_text(text, encoding="utf-8", newline="\n")
                 command += ["--target", str(rest)]
             command += shlex.split(self.options)
             said = yield from _ran(program, command, folder)
