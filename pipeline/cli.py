@@ -23,14 +23,14 @@ from .formats.plain import printable
 from .workers import one_thread
 
 _GROUPS = {
-    "daily": "clean, batch, merge, info, render, report, view, character",
+    "daily": "clean, batch, merge, info, render, report, view, character, blender",
     "live": "live, replay",
     "learning": "pair, train, database",
     "lab": "evaluate, simulate, rate, ratings, reproduce, bench",
 }
 _FILES = {
     "commands.clean": "clean, batch",
-    "commands.info": "info, character",
+    "commands.info": "info, character, blender",
     "commands.merge": "merge",
     "commands.view": "render, report, view",
     "commands.live": "live, replay",

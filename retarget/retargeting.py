@@ -268,7 +268,8 @@ def segment_of(skeleton: Skeleton, part: str) -> int:
         return skeleton.index(f"{_SEGMENTS[limb]}{side.capitalize()}")
     head, chest = skeleton.index("Head"), skeleton.girdle
     neck = head if skeleton.parents[head] == chest else skeleton.parents[head]
-    return {"pelvis": skeleton.root, "neck": neck, "head": head}[part]
+    trunk = {"pelvis": skeleton.root, "spine": chest, "neck": neck, "head": head}
+    return trunk[part]
 
 
 def turned(motion: Motion, rig: TargetRig) -> dict[int, Array]:

@@ -339,7 +339,8 @@ def test_help_has_every_command_in_a_group_with_one_sentence(
     assert caught.value.code == 0
     printed = capsys.readouterr().out
     for group in (
-        "- daily: clean, batch, merge, info, render, report, view, character\n",
+        "- daily: clean, batch, merge, info, render, report, view, character, "
+        "blender\n",
         "- live: live, replay\n",
         "- learning: pair, train, database\n",
         "- lab: evaluate, simulate, rate, ratings, reproduce, bench\n",

@@ -221,6 +221,29 @@ def test_rigs_are_where_usd_has_them(
     assert found["issues"] == ["UNUSED_OBJECT /skins/0"]
 
 
+@pytest.mark.parametrize(
+    ("rig", "wanted"),
+    [
+        (None, {"KneeLeft": "AnkleLeft", "HipLeftPivot": "HipLeft", "Head": "Head"}),
+        (
+            "rigify",
+            {"shin.L": "AnkleLeft", "spine": "SpineBase", "hand.R": "HandRight"},
+        ),
+    ],
+)
+def test_it_says_which_segment_turns_a_bone(
+    make_clip: MakeClip, tmp_path: Path, rig: str | None, wanted: dict[str, str]
+) -> None:
+    clip, path = make_clip(3, KINECT_V2), tmp_path / "clip.glb"
+    write_clip(clip, path, Export(rig=rig))
+    data = path.read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    (animation,) = json.loads(data[20 : 20 + size])["animations"]
+    known = animation["extras"]["kinefilter"]
+    found = {n: known["joints"][j] for n, j in known["turnedBy"].items()}
+    assert found.items() >= wanted.items()
+
+
 @in_three
 def test_vrma_moves_every_bone_as_the_vrm_rig_moves(
     make_clip: MakeClip, tmp_path: Path
@@ -230,7 +253,7 @@ def test_vrma_moves_every_bone_as_the_vrm_rig_moves(
     write_clip(clip, tmp_path / "clip.vrma")
     found = three(tmp_path / "clip.vrma")
     rig = target_rig("vrm", None, clip.body)
-    moved = retargeted_motion(rig, retarget(clip, rig))
+    moved = retargeted_motion(rig, retarget(clip, rig), clip.skeleton)
     turns = moved.rig.local_rotations(moved.rotations)
     assert set(found["bones"]["turns"]) == set(moved.rig.names)
     for n, name in enumerate(moved.rig.names):

@@ -26,7 +26,7 @@ def test_every_command_is_in_the_readme() -> None:
     for command in (
         *("clean", "info", "database build", "pair", "train", "evaluate"),
         *("simulate", "reproduce", "bench", "character", "render"),
-        *("report", "view", "live", "replay", "batch", "rate", "ratings"),
+        *("report", "view", "live", "replay", "batch", "rate", "ratings", "blender"),
     ):
         assert f"kinefilter {command}" in readme
 

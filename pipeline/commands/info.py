@@ -1,4 +1,4 @@
-"""The commands ``info`` and ``character``."""
+"""The commands ``info``, ``character`` and ``blender``."""
 
 from __future__ import annotations
 
@@ -69,4 +69,27 @@ class Character:
             file.write(text)
         size = f"{body.height:.2f} m, {body.mass:.0f} kg"
         out.print(f"wrote {self.out}: {self.skeleton}, {size}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Blender:
+    """Write the extension for Blender 4.2 and later, which cleans takes from there.
+
+    In Blender, install it with Edit, Preferences, Get Extensions, Install from Disk.
+    File, Import, Kinect take then runs this command line, and brings the clip onto an
+    armature of its own or onto the active one: bones are colored by reliability,
+    markers say where the tracker failed.
+    """
+
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """File to write (.zip)."""
+
+    def run(self) -> int:
+        """Write the extension."""
+        from kinefilter.pipeline.blender import write_extension
+
+        check_output(self.out, suffix=".zip")
+        write_extension(self.out)
+        out.print(f"wrote {self.out}")
         return 0

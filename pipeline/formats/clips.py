@@ -39,7 +39,7 @@ from .glb_reader import read_glb
 from .guarded import read_usd
 from .learning import write_joints
 from .npz import clip_of_arrays, read_npz, write_npz
-from .rig import RigMotion, motion_of_rig, own_skeleton, retargeted_motion, rig_of
+from .rig import RigMotion, motion_of_rig, own_motion, own_skeleton, retargeted_motion
 from .shaping import shaped
 from .sheets import write_take_csv
 from .takes import read_take
@@ -128,8 +128,7 @@ def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
 def _moved(clip: Clip, export: Export) -> RigMotion:
     """Return how the skeleton that is asked for moves."""
     if export.rig is None:
-        places = {0: clip.positions[:, clip.skeleton.root]}
-        return RigMotion(rig_of(clip.body), clip.rotations, places, clip.positions)
+        return own_motion(clip)
     rig = target_rig(export.rig, export.target, clip.body)
     axes = rig.rest.axes
     if export.up == "z" and axes is not None:
@@ -138,7 +137,7 @@ def _moved(clip: Clip, export: Export) -> RigMotion:
         rig = replace(rig, rest=replace(rig.rest, axes=axes))
     acted, own = repeated(clip) if export.loop else (clip, slice(None))
     motion = Retargeted(*(values[own] for values in retarget(acted, rig)))
-    return retargeted_motion(rig, motion, export.root)
+    return retargeted_motion(rig, motion, clip.skeleton, export.root)
 
 
 def read_clip(path: AnyPath) -> Clip:

@@ -66,7 +66,8 @@ def write_glb(
     for clip, moved in people:
         rows, stamps, held = _keys(clip, start)
         _add_person(glb, clip, moved, rows, stamps, export)
-        known.append(_provenance(clip, rows, held) | {"root": export.root})
+        once = {"root": export.root, "turnedBy": dict(moved.turned_by)}
+        known.append(_provenance(clip, rows, held) | once)
     clip, moved = people[0]
     if export.rig is None and clip.props:
         rows, stamps, _ = _keys(clip, start)

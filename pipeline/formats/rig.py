@@ -12,11 +12,11 @@ from typing import Literal
 
 import numpy as np
 
-from kinefilter.characters import SKELETONS, Body, Motion, Skeleton, standard_body
+from kinefilter.characters import SKELETONS, Body, Clip, Motion, Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.body_size import measured_body
-from kinefilter.retarget.retargeting import Retargeted, rig_frame
+from kinefilter.retarget.retargeting import Retargeted, rig_frame, segment_of
 from kinefilter.retarget.target_rig import TargetRig
 
 Travel = Literal["travel", "in-place", "none"]
@@ -181,12 +181,25 @@ class RigMotion:
     """Where nodes are in their parents [m], (T, 3), by index: ``rig.mover``, and a root
     below it that moves over the floor."""
     positions: Array  # world positions of joints, all that differ [m], shape (T, J, 3)
+    turned_by: Mapping[str, int]
+    """Index of the sensor's joint at the end of the segment that turns a node, by the
+    node's name; without nodes that no segment turns."""
+
+
+def own_motion(clip: Clip) -> RigMotion:
+    """Return a clip's motion on the rig of its body."""
+    rig, places = rig_of(clip.body), {0: clip.positions[:, clip.skeleton.root]}
+    turned_by = dict(zip(rig.names, rig.segments.tolist(), strict=True))
+    return RigMotion(rig, clip.rotations, places, clip.positions, turned_by)
 
 
 def retargeted_motion(
-    target: TargetRig, motion: Retargeted, travel: Travel = "travel"
+    target: TargetRig,
+    motion: Retargeted,
+    skeleton: Skeleton,
+    travel: Travel = "travel",
 ) -> RigMotion:
-    """Return a motion on another skeleton, whose nodes turn each for itself.
+    """Return a sensor's motion on another skeleton, whose nodes turn each for itself.
 
     ``travel`` says what is left of its way over the floor.
     """
@@ -209,4 +222,9 @@ def retargeted_motion(
         if rig.axes is not None:
             path = rotate(inverse(rig.axes[above]), path)
         places = {0: positions[:, 0], mover: path}
-    return RigMotion(rig, rotations, places, positions)
+    turned_by = {
+        rest.names[node]: segment_of(skeleton, part)
+        for part, nodes in target.parts.items()
+        for node in nodes
+    }
+    return RigMotion(rig, rotations, places, positions, turned_by)
