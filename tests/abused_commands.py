@@ -174,8 +174,8 @@ def _no_constant(word: str) -> float:
 
 
 def _check_clip(path: Path, words: Sequence[str]) -> None:
-    if words[0] not in ("clean", "batch"):
-        return  # models, databases, takes
+    if words[0] not in ("clean", "batch") or "--one-file" in words:
+        return  # models, databases, takes, and what nothing reads back
     if "--rig" in words:
         if path.suffix not in (".glb", ".npz"):  # which nothing here reads of rigs
             bvh = path.suffix == ".bvh"
@@ -333,6 +333,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ".usda": (*_CLIP, "clean {take.csv} -o {out}/o.usda --character {}"),
     **dict.fromkeys((".usd", ".usdc", ".usdz", ".glb"), _CLIP),
     "contacts.csv": ("info {}", "clean {take.csv} -o {out}/o.npz --contacts {}"),
+    "edits.toml": ("clean {take.csv} -o {out}/o.npz --edits {}",),
     "clip.npz": (*_CLIP, "clean {take.csv} -o {out}/o.bvh --contacts {}"),
     "database.npz": (
         "database info {}",

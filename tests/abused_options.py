@@ -45,7 +45,18 @@ _WEIGHTS = {"clean": 12, "report": 4} | {
         (3, ("info", "character", "batch")),
         (2, ("replay", "live", "merge", "train", "evaluate", "simulate")),
         (2, ("database build", "rate", "ratings")),
-        (1, ("view", "render", "pair", "database info", "reproduce", "bench")),
+        (
+            1,
+            (
+                "view",
+                "render",
+                "pair",
+                "database info",
+                "reproduce",
+                "bench",
+                "blender",
+            ),
+        ),
     )
     for name in names
 }
@@ -58,7 +69,7 @@ _SUPPRESSED = get_args(Suppress[int])[1]
 _TAKES = (
     *("{take.csv}", "{kinefilter.csv}", "{kinect-v1.csv}", "{kinect-v2.csv}"),
     *("{msrc-12.csv}", "{msr-action3d.txt}", "{ntu.skeleton}", "{azure.json}"),
-    *("{zipped.csv}", "{clip.bvh}", "{take.csv}", "{take.csv}"),
+    *("{zipped.csv}", "{clip.bvh}", "{take.csv}", "{take.csv}", "{mediapipe.npy}"),
 )
 _CLIPS = tuple(
     f"{{clip.{suffix}}}" for suffix in ("npz", "bvh", "usda", "usdc", "usdz", "glb")
@@ -89,6 +100,7 @@ _USED = {
     "person": ("s1", "nobody"),
     "database": ("{database.npz}",),
     "contacts": ("{contacts.csv}", "{clip.npz}"),
+    "edits": ("{edits.toml}", "{options.toml}"),
     "scene": _SCENES,
     "config_file": ("{options.toml}",),
     "thresholds": ("{limits.toml}",),
@@ -143,6 +155,7 @@ _WRITTEN = {
     "report": ["o.html"],
     "rate": ["o.html"],
     "character": ["o.xml"],
+    "blender": ["o.zip"],
     "simulate": ["o.csv"],
     "merge": ["o.csv"],
     "live": ["-"],

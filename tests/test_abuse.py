@@ -19,7 +19,7 @@ def valid(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize(
-    ("function", "seed", "count"), [(abuse_file, 1, 20), (abuse_options, 7, 8)]
+    ("function", "seed", "count"), [(abuse_file, 1, 20), (abuse_options, 1, 8)]
 )
 def test_whatever_is_tried_is_done_or_refused(
     valid: dict[str, Path], tmp_path: Path, function: object, seed: int, count: int

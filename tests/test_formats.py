@@ -155,10 +155,10 @@ def test_an_array_that_claims_to_be_larger_than_its_file_is_refused() -> None:
         np.lib.format.write_array_header_1_0(file, header)
         file.seek(0)
         if fits:
-            npz._check_header(file, 5 * 3 * 8)
+            npz.check_header(file, 5 * 3 * 8)
         else:
             with pytest.raises(ValueError, match="larger than the archive says"):
-                npz._check_header(file, 5 * 3 * 8)
+                npz.check_header(file, 5 * 3 * 8)
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ import csv
 import io
 import os
 import re
+import warnings
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -108,7 +109,8 @@ def read_npy(source: str) -> Recording:
     try:
         check_header(data, len(data.getvalue()))
         data.seek(0)
-        array = np.asarray(npy.read_array(data, allow_pickle=False))
+        with warnings.catch_warnings(action="ignore"):  # a header that Python 2 wrote
+            array = np.asarray(npy.read_array(data, allow_pickle=False))
     except _UNREADABLE as error:
         name = type(error).__name__
         raise InputError(
@@ -121,7 +123,8 @@ def read_npy(source: str) -> Recording:
             f" (frames, landmarks, 3 or 4) with {counts} landmarks; name others in TRC"
         )
     names = _IN_NPY[array.shape[1]]
-    values = array[:, : len(names)].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # there are NaN that casting complains of
+        values = array[:, : len(names)].astype(np.float64)
     sure = values[..., 3] if values.shape[2] == 4 else None
     found = mocap_of_points(names, values[..., :3], FRAMES_PER_SECOND, source, sure)
     return read_points(found, "npy", None, (_ASSUMED,))

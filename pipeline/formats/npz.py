@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -96,7 +97,8 @@ def check_header(file: IO[bytes], size: int) -> tuple[int, ...]:
     if version not in readers:
         raise ValueError(f"version {version}")
     try:
-        shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
+        with warnings.catch_warnings(action="ignore"):  # a header that Python 2 wrote
+            shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
     except (TokenError, RecursionError):
         raise ValueError("no header") from None
     needed = dtype.itemsize * math.prod(max(length, 0) for length in shape)
