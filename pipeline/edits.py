@@ -99,7 +99,10 @@ def _edit(kind: Any, row: Any, where: str) -> Edit:
         raise InputError(f"{where}: begin and end are seconds after the first frame")
     begin, end = map(float, times)
     if not 0.0 <= begin < end:
-        raise InputError(f"{where}: begin {begin:g}, end {end:g}: the end comes after")
+        raise InputError(
+            f"{where}: begin {begin:g}, end {end:g}: expected 0 or more, and the "
+            "end after the beginning"
+        )
     return Edit(kind, tuple(joints), begin, end)
 
 
@@ -115,7 +118,7 @@ class Edited(Stage):
     def step(self, draft: Draft) -> None:
         """Do nothing: nobody has seen the frames that are to come."""
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002 - at once
         """Edit a take; raises InputError if it has no such joint or frame."""
         take = draft.take()
         for edit in self.edits:
@@ -131,7 +134,9 @@ class Edited(Stage):
             else:
                 take = _without(take, frames, self._joints(edit, take))
         if not np.isfinite(take.positions).any():
-            raise InputError(f"{self._path}: leaves no joint of the take; trust some")
+            raise InputError(
+                f"{self._path}: distrusts every joint of the whole take; leave some"
+            )
         draft.measured, draft.state = take.positions, take.state
 
     def _joints(self, edit: Edit, take: Take) -> list[int]:

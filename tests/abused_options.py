@@ -45,18 +45,8 @@ _WEIGHTS = {"clean": 12, "report": 4} | {
         (3, ("info", "character", "batch")),
         (2, ("replay", "live", "merge", "train", "evaluate", "simulate")),
         (2, ("database build", "rate", "ratings")),
-        (
-            1,
-            (
-                "view",
-                "render",
-                "pair",
-                "database info",
-                "reproduce",
-                "bench",
-                "blender",
-            ),
-        ),
+        (1, ("view", "render", "pair", "reproduce", "bench", "blender")),
+        (1, ("database info",)),
     )
     for name in names
 }
@@ -125,12 +115,7 @@ _USED = {
     "count": ("20", "2", "1", "10000000"),
     "speed": ("1000", "1e9", "50", "0", "nan", "inf"),
     "sources": (
-        "-",
-        "-",
-        "udp://127.0.0.1:0",
-        "ws://127.0.0.1:0",
-        "udp://h:99999",
-        "x",
+        *("-", "-", "udp://127.0.0.1:0", "ws://127.0.0.1:0", "udp://h:99999", "x"),
     ),
     "bind": ("127.0.0.1", "127.0.0.1", "127.0.0.2", "192.0.2.1", "x y"),
     "port": ("0", "0", "-1", "65536"),

@@ -115,8 +115,8 @@ def test_sides_that_are_exchanged_are_put_back(
         ("[[distrust]]\njoints = []\nbegin = 0\nend = 1", "no joints"),
         ("[[exchange]]\nbegin = 0\nend = nan", "seconds after the first frame"),
         ("[[exchange]]\nbegin = true\nend = 2", "seconds after the first frame"),
-        (table("exchange", 3.0, 2.0), "the end comes after"),
-        (table("exchange", -1.0, 2.0), "the end comes after"),
+        (table("exchange", 3.0, 2.0), "the end after the beginning"),
+        (table("exchange", -1.0, 2.0), "the end after the beginning"),
         ("[[distrust]", "not TOML"),
     ],
 )
@@ -135,7 +135,7 @@ def test_a_file_that_says_nothing_of_the_kind_is_refused(
         (table("exchange", 99.0, 100.0), "no frame from 99 to 100 s; the take is"),
         (
             table("distrust", 0.0, 1e6, ", ".join(f'"{j}"' for j in KINECT_V2.joints)),
-            "leaves no joint",
+            "distrusts every joint",
         ),
     ],
 )

@@ -61,24 +61,18 @@ def write_glb(
     another rig there is neither skin nor prop. Raises InputError if the file cannot be
     written.
     """
-    glb, known = _Document(), []
+    glb, known = _Document(), list[dict[str, Any]]()
     start = min(clip.time[0] for clip, _ in people)
     for clip, moved in people:
         rows, stamps, held = _keys(clip, start)
         _add_person(glb, clip, moved, rows, stamps, export)
+        if not known and export.rig is None and clip.props:
+            _add_props(glb, clip.props, rows)
         once = {"root": export.root, "turnedBy": dict(moved.turned_by)}
         known.append(_provenance(clip, rows, held) | once)
-    clip, moved = people[0]
-    if export.rig is None and clip.props:
-        rows, stamps, _ = _keys(clip, start)
-        glb.begin(stamps)
-        glb.scene.append(len(glb.nodes))
-        glb.nodes.append({"name": "Props", "children": []})
-        for prop in clip.props:
-            glb.nodes[glb.scene[-1]]["children"].append(len(glb.nodes))
-            _add_prop(glb, prop, rows)
     for number, skin in enumerate(glb.skins if len(people) > 1 else (), start=1):
         skin["name"] = f"Person {number}"
+    clip, moved = people[0]
     takes = clip.source.split(" + ")  # of a session, with their folders
     animation = {
         "name": " + ".join(Path(take).name.partition(".")[0] for take in takes),
@@ -227,6 +221,16 @@ def _add_person(
         "inverseBindMatrices": glb.add(_inverse_binds(rig)),
     }
     glb.skins.append(skin)
+
+
+def _add_props(glb: _Document, props: Sequence[Prop], rows: Indices) -> None:
+    """Add a node with the props below it, moving at the times given last."""
+    node: dict[str, Any] = {"name": "Props", "children": []}
+    glb.scene.append(len(glb.nodes))
+    glb.nodes.append(node)
+    for prop in props:
+        node["children"].append(len(glb.nodes))
+        _add_prop(glb, prop, rows)
 
 
 def _add_prop(glb: _Document, prop: Prop, rows: Indices) -> None:

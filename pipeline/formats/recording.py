@@ -80,8 +80,8 @@ class Recording:
 
 
 _OTHER_TRACKER = (
-    "no Kinect put these joints where they are: the default corrects them as "
-    "--method local-pca does"
+    "not a Kinect's joints: the default corrects them as --method local-pca does, "
+    "without what it learned of a Kinect's errors"
 )
 
 
