@@ -14,7 +14,7 @@ from .motion import (
 )
 from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
-from .tracking import Tracking
+from .tracking import TRACKINGS, Tracking, TrackingName
 
 __all__ = [
     "CONTACTS",
@@ -23,6 +23,7 @@ __all__ = [
     "SKELETONS",
     "STANDARD_HEIGHT",
     "STATURES",
+    "TRACKINGS",
     "Body",
     "Clip",
     "InputError",
@@ -37,6 +38,7 @@ __all__ = [
     "Take",
     "Term",
     "Tracking",
+    "TrackingName",
     "positions_from_rotations",
     "skeleton_named",
     "standard_body",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Literal
 
 import numpy as np
 
@@ -35,3 +36,40 @@ class Tracking:
                     f"{field.name} of the tracking is {value:g}; give a finite number "
                     "above 0"
                 )
+
+
+@dataclass(frozen=True)
+class GameTracking(Tracking):
+    """A character that gives way where it is hit, and comes back to the performer.
+
+    ``kinefilter.pipeline.physics.compliance`` says how. All constants are guesses,
+    tried on recorded takes.
+    """
+
+    sway_frequency: float = 9.0
+    """Natural frequency of the body's sway on its feet after a blow, critically damped
+    [rad/s]: as that of somebody who stands, and is back after a second."""
+    hit_frequency: float = 30.0
+    """Natural frequency of the pull where the body is hit [rad/s], until it is back."""
+    felling_speed: float = 2.5
+    """A blow that would make the whole body this fast [m/s] fells it."""
+    lying: float = 1.0
+    """How long nothing pulls a felled body [s]."""
+    rising: float = 1.5
+    """How long the pull takes to come back then [s]."""
+    return_speed: float = 2.5
+    """How fast the body comes back to where the performer is, once it stands [m/s]."""
+
+
+@dataclass(frozen=True)
+class RagdollTracking(Tracking):
+    """A character that nothing pulls, until somebody takes hold of it."""
+
+
+TRACKINGS = {
+    "faithful": Tracking(),
+    "game": GameTracking(),
+    "ragdoll": RagdollTracking(),
+}
+"""Ways to follow the performer, by name."""
+TrackingName = Literal["faithful", "game", "ragdoll"]

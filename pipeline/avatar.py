@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import Body, Tracking
+from kinefilter.characters import Body, Tracking, TrackingName
 from kinefilter.characters.arrays import Array, Flags
 
 from .cleaner import Cleaner
@@ -51,7 +51,8 @@ class Avatar:
         scene: One of the scenes, or an MJCF file. The person begins at its origin,
             facing +z (MuJoCo's +x); without one, where the sensor sees them.
         floor: Its height in the sensor's frame [m]; by default followed under the feet.
-        tracking: How hard the character is pulled; 15 rad/s gives way to pushes.
+        tracking: How hard the character is pulled, or one of TRACKINGS by name: game
+            gives way to pushes and gets up again.
         corrector: What corrects frames; by default as ``clean``.
     """
 
@@ -61,12 +62,14 @@ class Avatar:
         scene: str | Path | None = None,
         *,
         floor: float | None = None,
-        tracking: Tracking | None = None,
+        tracking: Tracking | TrackingName | None = None,
         corrector: Corrector | None = None,
     ) -> None:
         self.body = body
         room = str(scene) if isinstance(scene, Path) else scene
         config = CleanConfig(scene=room, floor="auto" if floor is None else floor)
+        if isinstance(tracking, str):
+            config, tracking = replace(config, tracking=tracking), None
         self.cleaner = Cleaner(config, tracking=tracking, corrector=corrector)
         self.start()
 

@@ -7,15 +7,15 @@ entry and measures what comes out at the end.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import Body, Clip, InputError, Take, Tracking
+from kinefilter.characters import TRACKINGS, Body, Clip, InputError, Take, Tracking
 from kinefilter.characters.arrays import Array, as_number, check_kind, check_word
 from kinefilter.characters.gaps import long_gaps, parts_of, told_gaps
 from kinefilter.characters.motion import LATEST
@@ -23,8 +23,9 @@ from kinefilter.characters.motion import LATEST
 from .checks import check_take, checked_frame
 from .config import CleanConfig
 from .correct import Corrector
-from .draft import Draft
-from .edits import Edited
+from .draft import Draft, Unedited
+from .editing import clean_again, unedited
+from .edits import Edit, edited, read_edits
 from .failures import Failure, find_displaced, told_failures
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
@@ -105,11 +106,10 @@ class Cleaner:
         check_kind(config, CleanConfig, "the config")
         for given, kind in ((tracking, Tracking), (corrector, Corrector)):
             check_kind(given, kind | None, f"the {kind.__name__.lower()}")
-        if tracking is None and (gains := config.parameters.tracking):
-            tracking = Tracking(**gains)
-        edited = [Edited(config.edits)] if config.edits else []
+        if tracking is None:
+            named = TRACKINGS[config.tracking]
+            tracking = replace(named, **config.parameters.tracking)
         self.stages: tuple[Stage, ...] = (
-            *edited,  # what somebody who saw the take says of it
             Upright(config),  # where the sensor was upside down, or tilted far
             Failures(),  # gross failures: sides put back, impossible limbs distrusted
             MeasureBody(config),  # how long the person's segments are
@@ -130,7 +130,7 @@ class Cleaner:
         left_out["failures"] = config.preset is None  # no paper mends what it was given
         self.stages = tuple(s for s in self.stages if left_out.get(s.name, True))
         self._gaps = config.gaps
-        self._edits = tuple(str(edit) for stage in edited for edit in stage.edits)
+        self._edits = read_edits(config.edits) if config.edits else ()
         self._time: float | None = None
         self._body: Body | None = None
 
@@ -219,21 +219,17 @@ class Cleaner:
         check_kind(take, Take, "the take")
         draft = Draft.of(take)
         for stage in self.stages:
-            parts = draft.parts if stage.in_parts else [draft]
-            if len(parts) == 1:
-                stage.whole(draft, progress)
-                continue
-            steps = iter(progress(stage.name, len(draft.time)))  # one bar for all
-            for part in parts:
-                stage.whole(part, partial(_drawn, steps))
-            draft.join(parts)
+            stage.run(draft, progress)
         return draft
 
-    def clean(self, take: Take, *, progress: Progress = silent) -> CleanResult:
-        """Clean a take; ``progress`` wraps the frame loops, for a progress bar.
+    def unedited(self, take: Take, progress: Progress = silent) -> Unedited:
+        """Clean a take without edits; ``clean`` can then do some of it again."""
+        return unedited(self.stages, self._frames(take)[0], progress)
 
-        Raises an InputError if the take holds nothing to clean, or a long gap that is
-        not to be, or the database does not fit.
+    def _frames(self, take: Take) -> tuple[Take, Any]:
+        """Return a take's frames of distinct time stamps, and which each frame shows.
+
+        Raises an InputError if it holds nothing to clean, or a gap that is not to be.
         """
         check_take(take)
         if self._gaps == "refuse" and (gaps := long_gaps(take.time)):
@@ -242,10 +238,38 @@ class Cleaner:
                 "--gaps hold or split, or cut it there"
             )
         distinct = np.concatenate([[True], np.diff(take.time) > 0])
-        # Which distinct frame each of the take's shows; a slice copies nothing.
-        frames = slice(None) if distinct.all() else np.cumsum(distinct) - 1
-        recorded = take if distinct.all() else take.at(distinct)
-        draft = self.whole(recorded, progress)
+        if distinct.all():
+            return take, slice(None)  # which copies nothing
+        return take.at(distinct), np.cumsum(distinct) - 1
+
+    def clean(
+        self,
+        take: Take,
+        *,
+        edits: Sequence[Edit] | None = None,
+        before: Unedited | None = None,
+        progress: Progress = silent,
+    ) -> CleanResult:
+        """Clean a take.
+
+        Args:
+            take: The take.
+            edits: What somebody says of it; by default what the config's file says.
+            before: The take without edits; by default it is cleaned for them.
+            progress: Wraps the frame loops, for a progress bar.
+
+        Raises an InputError if the take holds nothing to clean, or a long gap that is
+        not to be, or the database does not fit, or
+        the edits do not.
+        """
+        edits = self._edits if edits is None else tuple(edits)
+        recorded, frames = self._frames(take)
+        if edits:
+            told = edited(recorded, edits)  # refused before any work is done
+            before = before or self.unedited(take, progress)
+            draft = clean_again(self.stages, told, edits, before, progress)
+        else:
+            draft = before.done if before else self.whole(recorded, progress)
         mended = to_world(draft.measured, draft.tilt, draft.floor)
         moved_by_correction = distances(draft.posed, mended)
         late = find_displaced(
@@ -295,7 +319,7 @@ class Cleaner:
             draft.trace,
             tuple(failures),
             (
-                *self._edits,
+                *map(str, edits),
                 *told_gaps(long_gaps(take.time), take.time[0], f": {becomes}"),
                 *_notes(draft),
             ),
@@ -308,11 +332,6 @@ def clean(
 ) -> CleanResult:
     """Clean a take as ``Cleaner.clean``, which does many and makes its methods once."""
     return Cleaner(config).clean(take, progress=progress)
-
-
-def _drawn(steps: Iterator[int], _stage: str, count: int) -> Iterator[int]:
-    """Yield the steps of a part, one for each that is drawn from those of all parts."""
-    return (k for k, _ in zip(range(count), steps, strict=False))
 
 
 def _notes(draft: Draft) -> Iterable[str]:

@@ -24,7 +24,7 @@ from .workers import one_thread
 
 _GROUPS = {
     "daily": "clean, batch, merge, info, render, report, view, character, blender",
-    "live": "live, replay",
+    "live": "live, replay, play",
     "learning": "pair, train, database",
     "lab": "evaluate, simulate, rate, ratings, reproduce, bench",
 }
@@ -34,6 +34,7 @@ _FILES = {
     "commands.merge": "merge",
     "commands.view": "render, report, view",
     "commands.live": "live, replay",
+    "commands.play": "play",
     "lab.commands.learn": "pair, train, database",
     "lab.commands.measure": "evaluate, reproduce, bench",
     "lab.commands.simulate": "simulate",
@@ -50,10 +51,10 @@ _DESCRIPTION = f"""Turn noisy Kinect takes into clips that animators ship.
 'kinefilter COMMAND --help' says more about a command; its group may stand before it, as
 in 'kinefilter lab rate'.
 
-Exit codes: 0 done, also if Ctrl-C or SIGTERM ended live, replay or view; 1 done, but
-some takes or clips were left out, the recording of live ended early, a metric is beyond
---fail-on, --fail-on-damage found damage, or a figure of README did not hold; 2 the
-input or the command was wrong, or a file could not be written; 130 interrupted: the
+Exit codes: 0 done, also if Ctrl-C or SIGTERM ended live, replay, play or view; 1 done,
+but some takes or clips were left out, the recording of live ended early, a metric is
+beyond --fail-on, --fail-on-damage found damage, or a figure of README did not hold; 2
+the input or the command was wrong, or a file could not be written; 130 interrupted: the
 same batch, render or reproduce --all command goes on where it ended. Files are written
 whole or not at all."""
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from kinefilter.characters import InputError
+from kinefilter.characters import InputError, TrackingName
 
 from .field_types import check_fields, type_hints
 from .formats.takes import FORMATS
@@ -27,72 +27,78 @@ class CleanConfig:
     """How a take is cleaned."""
 
     method: MethodName | None = None
-    """How joints are corrected; default: by the model where one is given, otherwise
-    by the weights of learned that ship, where a Kinect's tracker put the joints, then
-    local-pca. none fills gaps only."""
+    """How joints are corrected. The default is your --model if you give one; otherwise
+    the learned weights that ship, followed by local-pca, for takes of a Kinect, and
+    local-pca alone for other trackers. none only fills gaps."""
     model: Path | None = None
-    """Model (.npz) of 'kinefilter train'; with --method local-pca, that follows it."""
+    """Model (.npz) from 'kinefilter train'. With --method local-pca, local-pca corrects
+    what the model leaves."""
     person: str | None = None
-    """Who is in the take: one of the people that --model knows by name, after
+    """Who is in the take: the name of a person whom --model was trained on with
     'kinefilter train --people'."""
     adapt: bool = False
-    """Let a model of local-gp learn on from the take, where it is sure."""
+    """Let a local-gp model keep learning from the reliable frames of the take."""
     scoring: ScorerName = "shum"
-    """How reliability is scored: after Shum 2013, after Chiang 2017, by noise and
-    segment lengths, or as learned on simulated people. learned doubts also what is
-    always misplaced: it tells best where a take is wrong, but corrects worse."""
+    """How reliability is scored: as in Shum 2013, as in Chiang 2017, from noise and
+    segment lengths, or as learned on simulated people. learned also doubts joints that
+    the sensor always misplaces: best for finding errors, worse for correcting them."""
     search: Literal["solver", "stochastic"] = "solver"
     """How local-pca finds its posture: the solver, or the sampling of Shum 2013."""
     database: Path | None = None
-    """Motion database (.npz) of 'kinefilter database build'; default: the built-in, of
-    scripted motions, that ships with kinefilter. With one of recorded mocap, what no
-    natural posture does is taken back as well."""
+    """Motion database (.npz) from 'kinefilter database build'; default: the one that
+    ships with kinefilter, built from scripted motions. With a database of recorded
+    mocap, reliable joints are corrected towards natural postures as well."""
     cutoff: float = 6.0
-    """Frequency [Hz] over which movement is smoothed away, without lag; 0: nothing,
-    otherwise 0.5 or more."""
+    """Cutoff frequency of the smoothing [Hz], 0.5 or more; 0 switches it off. Smoothing
+    adds no lag."""
     reconstruct: bool = True
-    """Let hidden limbs go on as they went before joints are corrected; without it,
-    the method fills them."""
+    """Reconstruct hidden limbs from how they moved before and after; otherwise the
+    method fills them in."""
     same_person: tuple[Path, ...] = ()
-    """Other takes of the person by the same sensor: hidden limbs move as they do there,
-    too, as far as that would have helped where they were seen."""
+    """Other takes of the same person by the same sensor, from which hidden limbs are
+    reconstructed too, as far as that helps on limbs that were seen."""
     gaps: Literal["hold", "split", "refuse"] = "hold"
-    """What to do where more than two seconds have no frame: hold the character still
-    in one clip, split the take into a clip for each part, clip.part1.usda,
-    clip.part2.usda and so on, or refuse the take."""
+    """What to do with gaps of more than two seconds without a frame: hold the
+    character still, split the take into several clips (clip.part1.usda,
+    clip.part2.usda and so on), or refuse the take."""
     physics: bool = True
-    """Pull a simulated character through the motion, so that dynamics hold."""
+    """Pull a simulated character through the motion, so that it obeys dynamics."""
+    tracking: TrackingName = "faithful"
+    """How the simulated character follows: faithful; game, which gives way where it is
+    hit, falls and gets up again; or ragdoll, which nothing pulls."""
     feet: Literal["auto", "always", "never"] = "auto"
-    """When feet stand still on the floor: where they rest, always, or never."""
+    """When feet are planted: auto finds when they stand; or always, or never."""
     contacts: Path | None = None
-    """When feet stand still instead: a file of --save-contacts, edited or not, or a
-    clip (.npz). A foot stands on heel or toe; a heel that is 0 is up only as far as
-    the ankle was measured."""
+    """When feet are planted, in place of --feet: a table from --save-contacts, edited
+    or not, or a clip (.npz). A foot stands on its heel, its toes, or both; a heel that
+    is off rises as far as the ankle was measured."""
     edits: Path | None = None
-    """What you saw in the take: a TOML file of when which joints or limbs are wrong,
-    and when left and right are exchanged; see CONVENTIONS.md."""
+    """TOML file of what you saw in the take: which limbs are wrong and when, where left
+    and right are swapped, when feet stand and where joints are. 'kinefilter view'
+    writes it; see CONVENTIONS.md."""
     floor: Literal["auto", "none"] | float = "auto"
-    """Where the floor is: found under the feet, none: the take's own y = 0, or its
-    height in the take [m]."""
+    """Height of the floor in the take [m]. auto finds it under the feet, none takes
+    y = 0 of the take."""
     tilt: float | None = None
-    """By how much the floor rises away along the sensor's z axis [degrees]; default:
-    found where somebody walks a meter or more, or stands 15 degrees or more off the
-    vertical, upside down or not; 0: the take's own y is up."""
+    """Slope of the floor along the sensor's z axis, positive where it rises away from
+    the sensor [degrees]. By default it is found where somebody walks a meter or more,
+    or stands 15 degrees or more off the vertical. 0 keeps the take's y axis as up."""
     scene: str | None = None
-    """What is around the person, who begins at its origin: a scene (an unknown name
-    lists them), or an MJCF file (.xml); default: the floor alone."""
+    """Surroundings, at whose origin the person begins: the name of a scene (an unknown
+    name lists them), or an MJCF file (.xml); default: a floor."""
     height: float | None = None
     """The person's stature [m]; default: from the take."""
     mass: float | None = None
     """The person's mass [kg]; default: from the stature."""
     seed: int = 0
-    """Seed of the stochastic search: same seed, same bytes."""
+    """Seed of --search stochastic; the same seed gives the same clip."""
     preset: PresetName | None = None
-    """A paper's system, whole: its reliability, method and constants, and no stage that
-    it does not have. Those that learn need --model, of 'kinefilter train --preset'."""
+    """The complete system of a paper: its reliability, method and constants, without
+    the stages that it does not have. Systems that learn also need --model, from
+    'kinefilter train --preset'."""
     set: tuple[str, ...] = ()
-    """Parameters of --preset or --method, such as neighbors=20 steps=10; an unknown
-    name lists them."""
+    """Parameters of --preset or --method, such as neighbors=20 steps=10. An unknown
+    name lists those that exist."""
 
     @property
     def floor_height(self) -> float | None:
@@ -138,8 +144,9 @@ class CleanConfig:
                 f"--cutoff {self.cutoff:g} Hz: expected 0 (no smoothing) or 0.5 and "
                 "more; 6 keeps what people do"
             )
-        if self.scene is not None and not self.physics:
-            raise InputError("--scene needs the physics; leave --no-physics out")
+        for name in ("scene", "tracking"):
+            if getattr(self, name) != vars(CleanConfig)[name] and not self.physics:
+                raise InputError(f"--{name} needs the physics; leave --no-physics out")
         if self.contacts is not None and self.feet != "auto":
             raise InputError("--contacts and --feet both say when feet stand; give one")
         if self.tilt is not None and not abs(self.tilt) < 90.0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -111,6 +111,9 @@ class Draft:
     """What the simulation did; takes only."""
     props: tuple[Prop, ...] = ()
     """What was around the character in the simulation; takes only."""
+    unedited: Unedited | None = None
+    """The same take as it was cleaned without edits: body, tilt and floor are measured
+    there; None unless the take is edited."""
 
     @classmethod
     def of(cls, take: Take) -> Draft:
@@ -122,9 +125,10 @@ class Draft:
     def parts(self) -> list[Draft]:
         """The parts of a take between its long gaps: the draft itself without one."""
         spans = parts_of(self.time)
-        return [self] if len(spans) == 1 else [self._part(frames) for frames in spans]
+        return [self] if len(spans) == 1 else [self.part(frames) for frames in spans]
 
-    def _part(self, frames: slice) -> Draft:
+    def part(self, frames: slice) -> Draft:
+        """Return the draft of some of the frames of a take."""
         part = copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
@@ -137,6 +141,26 @@ class Draft:
             if frames.start <= found.first < frames.stop
         )
         return part
+
+    def put(self, part: Draft, frames: slice, which: Flags) -> None:
+        """Take over what ``part`` has of some of its ``frames``, flags (T,)."""
+        count, inside = len(self.time), which[frames]
+
+        def mixed(own: Any, others: Any) -> Any:
+            if isinstance(own, np.ndarray) and len(own) == count:
+                own = own.copy()
+                own[frames][inside] = others[inside]
+            elif isinstance(own, HeadingFrame | PhysicsTrace):
+                values = {
+                    name: mixed(value, getattr(others, name))
+                    for name, value in vars(own).items()
+                }
+                own = replace(own, **values)
+            return own
+
+        for name, value in vars(part).items():
+            if name in vars(self):
+                setattr(self, name, mixed(getattr(self, name), value))
 
     def join(self, parts: Sequence[Draft]) -> None:
         """Take over the arrays and failures that a stage gave to ``parts``."""
@@ -174,3 +198,15 @@ class Draft:
         """Return the draft's take."""
         known = (self.time, self.measured, self.state, self.skeleton, self.source)
         return Take(*known, by_kinect=self.by_kinect)
+
+
+@dataclass(frozen=True, eq=False)
+class Unedited:
+    """A take that was cleaned without edits, for cleaning some of it again."""
+
+    corrected: Draft
+    """After correction."""
+    planted: Draft
+    """After feet were planted."""
+    done: Draft
+    """After all stages."""

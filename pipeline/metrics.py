@@ -21,6 +21,7 @@ from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.gaps import LONG_GAP, parts_of
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.target.feet import ankles_and_toes
+from kinefilter.pipeline.target.support import unexplained
 
 SKATE_HEIGHT = 0.05
 """A foot joint lower than this over its standing height [m] should not slide."""
@@ -53,6 +54,12 @@ class Quality:
         "speed of the hands in the fastest 1% of frames, m/s"
     )
     flight_error: float = _metric("acceleration in flight off gravity, m/s²")
+    unexplained_force: float = _metric(
+        "force that no contact with the floor explains, body weights"
+    )
+    unexplained_moment: float = _metric(
+        "moment that no contact with the floor explains, body weights times m"
+    )
     moved_cm: float = _metric("moved from raw, mean, cm")
 
 
@@ -217,6 +224,7 @@ def measure(
     low = _known(lowest_point(positions, body))
     moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
     both = raw_moves > 1e-6
+    force, moment = unexplained(time, positions, body)
     kept = moves[both].sum() / raw_moves[both].sum() if both.any() else np.nan
     return Quality(
         bone_length_cv=bone_length_cv(positions, body),
@@ -230,6 +238,8 @@ def measure(
         amplitude_kept=float(kept),
         peak_hand_speed=peak_speed(time, positions, body.skeleton.sides("Wrist")),
         flight_error=flight_error(time, positions, stands, body),
+        unexplained_force=_mean(_known(force)),
+        unexplained_moment=_mean(_known(moment)),
         lowest_point_mm=float(low.min() * 1e3),
         moved_cm=float(np.nanmean(distances(positions, raw)) * 1e2),
     )

@@ -14,6 +14,7 @@ from tyro.conf import Suppress
 from kinefilter.characters import InputError
 
 from .config import CleanConfig, TakeFormat
+from .formats import Recording, read_recording
 from .formats.export import Export
 from .formats.files import check_file
 
@@ -28,6 +29,9 @@ class Settings:
     export: Export = field(default_factory=Export)
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
+    take_fps: float | None = None
+    """Frames a second of a take that has no time stamps, as of MediaPipe, FreeMoCap and
+    OpenPose; default: 30."""
     body: int | Literal["all"] | None = None
     """Which person, counted from 1 in order of appearance, or all: a clip each,
     clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
@@ -48,6 +52,10 @@ class Settings:
             raise InputError(
                 f"--sensors {' '.join(self.sensors)}: expected two or more, each once"
             )
+
+    def read(self, path: Path) -> Recording:
+        """Read a take as the settings say; raises InputError as ``read_recording``."""
+        return read_recording(path, format=self.format, fps=self.take_fps)
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -8,6 +8,7 @@ ahead and does a take at once.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
@@ -52,6 +53,10 @@ class Stage(ABC):
     """Whether it does each part between long gaps as a take of its own; otherwise it
     measures what is the same in all of them, or minds the gaps itself."""
 
+    local = False
+    """Whether some seconds of a take come out the same where only they and those about
+    them are given, so that the edited ones alone are done again."""
+
     goes_on: ClassVar[bool] = False
     """Whether its steps go on where the person is suddenly elsewhere; others begin
     anew."""
@@ -83,6 +88,17 @@ class Stage(ABC):
                 found.setdefault(name, []).append(getattr(frame, name))
         for name, values in found.items():
             setattr(draft, name, np.array(values))
+
+    def run(self, draft: Draft, progress: Progress) -> None:
+        """Do a whole take, in its parts between long gaps where it is ``in_parts``."""
+        parts = draft.parts if self.in_parts else [draft]
+        if len(parts) == 1:
+            self.whole(draft, progress)
+            return
+        steps = iter(progress(self.name, len(draft.time)))  # one bar for all
+        for part in parts:
+            self.whole(part, partial(_drawn, steps))
+        draft.join(parts)
 
 
 class Failures(Stage):
@@ -127,6 +143,10 @@ class MeasureBody(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Measure the person of a take."""
+        if draft.unedited is not None:
+            before = draft.unedited.corrected
+            draft.reference, draft.body = before.reference, before.body
+            return
         draft.reference = measure_reference(draft.take())
         draft.body = self._measured(draft.take(), draft.reference)
 
@@ -143,6 +163,9 @@ class MeasureCorrectedBody(MeasureBody):
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Measure the person of a take."""
+        if draft.unedited is not None:
+            draft.body = draft.unedited.planted.body
+            return
         some = slice(None, None, -(-len(draft.time) // _BODY_FRAMES))
         missing = draft.missing[some, :, None]
         positions = np.where(missing, np.nan, draft.positions[some])
@@ -210,6 +233,7 @@ class Correct(Stage):
     """
 
     name = "correct"
+    local = True
 
     def __init__(self, config: CleanConfig, corrector: Corrector | None = None) -> None:
         self._config, self._given = config, corrector
@@ -294,6 +318,7 @@ class Physics(Stage):
 
     def __init__(self, config: CleanConfig, tracking: Tracking | None = None) -> None:
         self._scene, self._tracking = config.scene, tracking
+        self.local = config.scene is None  # things stay where they were put
         self._body: Body | None = None
         self._place: HeadingFrame
 
@@ -346,6 +371,11 @@ class Physics(Stage):
             draft.props = result.things.props(place)
         draft.trace = result.trace
         draft.external_force = result.trace.external_force
+
+
+def _drawn(steps: Iterator[int], _stage: str, count: int) -> Iterator[int]:
+    """Yield the steps of a part, one for each that is drawn from those of all parts."""
+    return (k for k, _ in zip(range(count), steps, strict=False))
 
 
 def _known(draft: Draft) -> tuple[Array, Array]:

@@ -24,6 +24,7 @@ _ROWS = (
     ("amplitude kept", "amplitude_kept", "{:.3f}"),
     ("feet slide, mm/frame", "skate_mm_per_frame", "{:.1f}"),
     ("feet slide over 0.2 m/s", "skate_share_over_0p2", "{:.1%}"),
+    ("unexplained force, body weights", "unexplained_force", "{:.2f}"),
     ("standing soles float, mm", "float_mm", "{:.1f}"),
 )
 _WORST = 5

@@ -4,6 +4,6 @@
 cleans a take imports these two.
 """
 
-from .rooms import SCENES, load_scene, scene_xml
+from .rooms import SAMPLE, SCENES, load_scene, scene_xml
 
-__all__ = ["SCENES", "load_scene", "scene_xml"]
+__all__ = ["SAMPLE", "SCENES", "load_scene", "scene_xml"]

@@ -18,6 +18,9 @@ _FOLDER = Path(__file__).parent
 SCENES = tuple(sorted(path.stem for path in _FOLDER.glob("*.xml")))
 """Names of the scenes that ship: the settings of Shum et al. 2013, table II."""
 
+SAMPLE = _FOLDER / "takes" / "wave_punch_bend.csv"
+"""The take that ships."""
+
 _ATTACHED = "attached--"  # taken off again: no name of a scene begins so
 _SKIN = [0.37, 0.53, 0.60, 1.0]  # a quiet color that no prop has
 

@@ -28,6 +28,7 @@ from kinefilter.pipeline.cli import _command
 from kinefilter.pipeline.commands import live
 from kinefilter.pipeline.lab import bench, scripted_database, simulate, studies, teach
 from kinefilter.pipeline.lab.commands.learn import DatabaseBuild, DatabaseInfo
+from kinefilter.pipeline.look.player import Player
 from kinefilter.pipeline.look.viewer import Viewer
 from kinefilter.pipeline.methods import METHODS
 from kinefilter.retarget.rig_map import RIGS
@@ -45,7 +46,7 @@ _WEIGHTS = {"clean": 12, "report": 4} | {
         (3, ("info", "character", "batch")),
         (2, ("replay", "live", "merge", "train", "evaluate", "simulate")),
         (2, ("database build", "rate", "ratings")),
-        (1, ("view", "render", "pair", "reproduce", "bench", "blender")),
+        (1, ("play", "view", "render", "pair", "reproduce", "bench", "blender")),
         (1, ("database info",)),
     )
     for name in names
@@ -353,11 +354,14 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
     Args:
         alone: Batches clean in this process.
     """
-    view, stopped = Viewer.run, live.stopped_by_signals
+    stopped = live.stopped_by_signals
 
-    def shown(viewer: Viewer) -> None:
-        Timer(_ENDED_AFTER, viewer.stop).start()
-        view(viewer)
+    def ended(run: Any) -> Any:
+        def shown(page: Any) -> None:
+            Timer(_ENDED_AFTER, page.stop).start()
+            run(page)
+
+        return shown
 
     @contextmanager
     def soon(stop: asyncio.Event) -> Iterator[None]:
@@ -367,7 +371,7 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
 
     quick = {name: studies.STUDIES[name] for name in _QUICK}
     changes: Sequence[tuple[Any, str, Any]] = (
-        (Viewer, "run", shown),
+        *((page, "run", ended(page.run)) for page in (Player, Viewer)),
         (live, "stopped_by_signals", soon),
         (simulate, "simulated_pairs", _few(simulate.simulated_pairs)),
         (simulate, "furnished_pairs", _few(simulate.furnished_pairs)),

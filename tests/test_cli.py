@@ -341,7 +341,7 @@ def test_help_has_every_command_in_a_group_with_one_sentence(
     for group in (
         "- daily: clean, batch, merge, info, render, report, view, character, "
         "blender\n",
-        "- live: live, replay\n",
+        "- live: live, replay, play\n",
         "- learning: pair, train, database\n",
         "- lab: evaluate, simulate, rate, ratings, reproduce, bench\n",
     ):

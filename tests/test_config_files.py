@@ -26,6 +26,7 @@ def test_every_kind_of_value_is_taken() -> None:
     found = _parsed(
         'method = "none"\ncutoff = 4\nadapt = true\nfloor = 0.1\nseed = 3\n'
         'rotation-order = "xyz"\nfps = 24.0\nbody = 2\nformat = "ntu"\n'
+        "take-fps = 60.0\n"
         'database = "cmu.npz"\nscene = "box"\ncalibration = "places.json"\n'
         'sessions = "{name}_{sensor}.csv"\nsensors = ["side", "front"]\n'
     )
@@ -41,7 +42,7 @@ def test_every_kind_of_value_is_taken() -> None:
     export = Export(rotation_order="xyz", fps=24.0)
     names = "{name}_{sensor}.csv", ("side", "front")
     places = Path("/folder/places.json")
-    assert found == Settings(config, export, "ntu", 2, places, *names)
+    assert found == Settings(config, export, "ntu", 60.0, 2, places, *names)
     assert isinstance(found.config.cutoff, float)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, standard_body
+from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.retarget import BoneLengths, rotations_from_positions
@@ -94,3 +95,27 @@ def test_who_sits_rests_on_the_chair_and_does_not_sink_in() -> None:
         hips.append(clip.positions[:, clip.skeleton.root, 1].min())
     assert hips[1] > hips[0] + 0.01  # as seen, the sitter sinks into the seat
     assert 0.45 < hips[1] < 0.75  # whose top is at 0.45 m
+
+
+def test_the_grip_of_a_hand_is_no_external_force(tmp_path: Path) -> None:
+    scene = tmp_path / "parcel.xml"
+    scene.write_text(PARCEL)
+    touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
+    apart = np.append(np.linspace(0.25, touch, 40), np.full(60, touch))
+    positions, rotations = reaching(apart, np.full(len(apart), 1.0))
+    character = PhysicsFilter(BODY, scene=scene)
+    character.start(positions[0], rotations[0])
+    for k in range(1, len(apart)):
+        character.step(
+            positions[k], rotations[k], 1 / 30, stands=np.ones(2, dtype=bool)
+        )
+    assert character.data.ctrl[character._grips].all()
+    character.model.actuator_gainprm[character._grips[0], 0] = 0.0  # one hand alone
+    for _ in range(30):
+        character.step(
+            positions[-1], rotations[-1], 1 / 30, stands=np.ones(2, dtype=bool)
+        )
+    # At rest, the last substep says what all of them do.
+    pulls = character.data.actuator_force[: 3 * len(KINECT_V1)].reshape(-1, 3)
+    wanted = np.linalg.norm(pulls.sum(axis=0) - [0.0, 0.0, character._pressure])
+    assert abs(character.external_force - wanted / (BODY.mass * GRAVITY)) < 0.01

@@ -35,7 +35,7 @@ from kinefilter import clean
 from kinefilter.characters import KINECT_V2, InputError, State, Take, standard_body
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
-from kinefilter.pipeline.formats import read_recording, read_take
+from kinefilter.pipeline.formats import read_clip, read_recording, read_take
 from kinefilter.pipeline.formats.keypoints import BLAZEPOSE, BODY_25, WHOLE_BODY
 from kinefilter.pipeline.formats.mocap import plain_name
 from kinefilter.pipeline.formats.recording import Mocap
@@ -279,6 +279,30 @@ def test_times_are_those_of_the_file_or_thirty_frames_a_second_and_told(
     recording = read_recording(write_text(tmp_path / "a.csv", freemocap_csv(slow)))
     np.testing.assert_allclose(recording.takes[0].time, truth.time, atol=1e-9)
     assert "30 frames a second assumed" in recording.notes[0]
+
+
+def test_the_frame_rate_of_a_take_without_time_stamps_can_be_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_npy(tmp_path / "a.npy", y_down(landmarks(scripted(), BLAZEPOSE)))
+    assumed = read_recording(path)
+    told = read_recording(path, fps=60.0)
+    np.testing.assert_allclose(told.takes[0].time, 0.5 * assumed.takes[0].time)
+    assert told.notes == assumed.notes[1:]
+    clip = str(tmp_path / "clip.npz")
+    asked = ["clean", str(path), "--no-physics", "--take-fps"]
+    assert main([*asked, "60", "-o", clip]) == 0
+    assert read_clip(clip).time[-1] == pytest.approx(told.takes[0].time[-1])
+    page = str(tmp_path / "page.html")
+    assert main(["report", clip, "--take", str(path), "-o", page]) == 0
+    capsys.readouterr()
+    for rate in ("0", "nan", "1e9"):
+        assert main([*asked, rate, "-o", clip]) == 2
+        assert "--take-fps" in capsys.readouterr().err
+    text = freemocap_csv(scripted(), start="2024-01-01 12:00:00.250")
+    stamped = write_text(tmp_path / "a.csv", text)
+    with pytest.raises(InputError, match=r"a\.csv: has time stamps"):
+        read_take(stamped, fps=60.0)
 
 
 @pytest.mark.parametrize("shape", [(9, 25, 3), (9, 33, 2), (9, 33), (0, 33, 3)])

@@ -156,4 +156,8 @@ def test_raw_beside_itself_keeps_all_and_empty_frames_do_not_count() -> None:
     assert quality.penetration_mm == pytest.approx(0.0, abs=1e-9)
     figures = asdict(quality)
     assert np.isnan(figures.pop("flight_error"))  # no foot ever left the floor
+    # Without a joint nobody knows where the mass is.
+    assert np.isnan(
+        [figures.pop(f"unexplained_{x}") for x in ("force", "moment")]
+    ).all()
     assert all(np.isfinite(value) for value in figures.values())

@@ -16,13 +16,17 @@ from hypothesis import strategies as st
 
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
+from kinefilter.characters.arrays import Flags
+from kinefilter.pipeline.edits import FEET, Edit, EditsFile, read_edits, with_contacts
+from kinefilter.pipeline.failures import Failure, FailureKind
 from kinefilter.pipeline.formats import write_clip
-from kinefilter.pipeline.formats.sheets import read_contacts, write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import read_comparison
-from kinefilter.pipeline.look.contact_editing import PARTS, ContactEdits, timeline_html
+from kinefilter.pipeline.look.doubts import doubtful
 from kinefilter.pipeline.look.drawing import Drawing
-from kinefilter.pipeline.look.viewer import Playback, Viewer, status_html
+from kinefilter.pipeline.look.edit_history import EditHistory, timeline_html
+from kinefilter.pipeline.look.playback import Playback
+from kinefilter.pipeline.look.viewer import Viewer, status_html
 from kinefilter.pipeline.look.viewer_server import opened_server
 
 QUICK = CleanConfig(method="none", physics=False)
@@ -85,51 +89,91 @@ def test_a_motion_of_one_frame_plays() -> None:
     assert playback.frame(12.3) == 0
 
 
-@given(st.sampled_from(list(PARTS)), st.integers(0, 9), st.integers(0, 9))
-def test_an_edit_changes_its_part_in_its_frames_and_nothing_else(
+@given(st.sampled_from(list(FEET)), st.integers(0, 9), st.integers(0, 9))
+def test_a_contact_changes_its_part_in_its_frames_and_nothing_else(
     part: str, one: int, other: int
 ) -> None:
     before = np.random.default_rng(0).random((10, 4)) < 0.5
     first, last = sorted((one, other))
+    since = np.arange(10) / 30.0
     for stands in (True, False):
-        edits = ContactEdits(before)
-        edits.put(part, first, last, stands=stands)
+        told = Edit("contact", since[first], since[last], part=part, stands=stands)
         inside = np.zeros((10, 4), dtype=bool)
-        inside[first : last + 1, list(PARTS[part])] = True
-        np.testing.assert_array_equal(edits.contacts, np.where(inside, stands, before))
-        edits.undo()
-        np.testing.assert_array_equal(edits.contacts, before)
+        inside[first : last + 1, list(FEET[part])] = True
+        found = with_contacts(before, [told], since)
+        np.testing.assert_array_equal(found, np.where(inside, stands, before))
 
 
-def test_edits_are_undone_in_turn_until_there_are_none() -> None:
-    edits = ContactEdits(np.zeros((5, 4), dtype=bool))
-    assert not edits.unsaved
-    edits.put("left foot", 0, 2, stands=True)
-    edits.put("ToeRight", 4, 4, stands=True)
-    edits.put("ToeRight", 4, 4, stands=True)  # changes nothing: no step
-    edits.mark_saved()
-    edits.undo()
-    assert edits.contacts.sum() == 6
-    assert edits.unsaved
-    for _ in range(2):
-        edits.undo()
-        assert not edits.contacts.any()
+def test_edits_are_undone_in_turn_and_redone_until_another_is_made(
+    make_clip: MakeClip,
+) -> None:
+    clip = make_clip(30)
+    one, two, three = (Edit("exchange", 0.0, 0.1 * k) for k in (1, 2, 3))
+    history = EditHistory([one], clip)
+    assert not history.unsaved
+    history.replace([one, two])
+    history.replace([one, two])  # changes nothing: no step
+    history.mark_saved()
+    history.undo()
+    assert history.edits == (one,)
+    assert history.unsaved
+    history.redo()
+    assert history.edits == (one, two)
+    assert not history.unsaved
+    history.undo()
+    history.undo()  # there is nothing more
+    assert history.edits == (one,)
+    assert history.edited.sum() == (clip.time - clip.time[0] <= 0.1005).sum()
+    history.replace([three])
+    history.redo()
+    assert history.edits == (three,)
 
 
-def test_nobody_changes_contacts_past_the_edits() -> None:
-    given_ones = np.zeros((3, 4), dtype=bool)
-    edits = ContactEdits(given_ones)
-    given_ones[:] = True
-    assert not edits.contacts.any()
-    with pytest.raises(ValueError, match="read-only"):
-        edits.contacts[0, 0] = True
+def test_what_somebody_wrote_by_hand_is_kept_when_a_page_saves(tmp_path: Path) -> None:
+    path, told = tmp_path / "take.edits.toml", [Edit("exchange", 1.0, 2.0)]
+    file = EditsFile(path)
+    assert file.read() == ()
+    assert file.write(told) is None
+    assert file.write([]) is None  # its own is replaced
+    by_hand = "# the left one, surely\n[[exchange]]\nbegin = 3\nend = 4\n"
+    path.write_text(by_hand, encoding="utf-8")
+    other = EditsFile(path)
+    assert other.read() == (Edit("exchange", 3.0, 4.0),)
+    kept = other.write(told)
+    assert kept == tmp_path / "take.edits.1.toml"
+    assert kept.read_text(encoding="utf-8") == by_hand
+    assert file.write(told) is None  # the same
+    path.write_text(by_hand, encoding="utf-8")
+    assert other.write([]) == tmp_path / "take.edits.2.toml"
+    assert read_edits(path) == ()
+
+
+def test_failures_and_what_is_hardly_reliable_are_doubtful(make_clip: MakeClip) -> None:
+    clip = make_clip(90)
+    rates = np.full_like(clip.reliability, 0.9)
+    rates[40:60, clip.skeleton.index("KneeLeft")] = 0.1
+    rates[70:, clip.skeleton.index("HandLeft")] = 0.0  # as mostly
+    rates[5, 3] = 0.0  # a frame alone
+    clip = replace(clip, reliability=rates)
+    time = clip.time
+    bent = FailureKind.BENT_BACKWARDS
+    failed = Failure(bent, "left leg", 10, 12, time[10], time[12])
+    found = doubtful(clip, [failed])
+    assert found[10:13].all()
+    assert found[44:56].all()
+    assert not found[np.r_[:10, 13:34, 67:90]].any()
+
+
+def named(contacts: Flags) -> dict[str, Flags]:
+    names = ("Heel L", "Toe L", "Heel R", "Toe R")
+    return dict(zip(names, contacts.T, strict=True))
 
 
 def test_the_timeline_has_a_bar_for_each_stance_and_a_mark_at_the_frame() -> None:
     contacts = np.zeros((100, 4), dtype=bool)
     contacts[10:30, 0] = contacts[50:100, 0] = contacts[20:25, 3] = True
-    html = timeline_html(contacts, 75, (20, 39))
-    rows = re.findall(r'class="stands" d="([^"]*)"', html)
+    html = timeline_html(named(contacts), 75, (20, 39))
+    rows = re.findall(r'class="row" d="([^"]*)"', html)
     bars = [re.findall(r"M([\d.]+) \d+h([\d.]+)", row) for row in rows]
     assert [len(row) for row in bars] == [2, 0, 0, 1]
     spans = [(float(x) / 6.0, float(w) / 6.0) for x, w in bars[0]]  # 600 wide
@@ -141,23 +185,25 @@ def test_the_timeline_has_a_bar_for_each_stance_and_a_mark_at_the_frame() -> Non
 def test_of_a_long_motion_the_frames_around_are_shown_closer() -> None:
     contacts = np.zeros((3000, 4), dtype=bool)
     contacts[1000:1030, 1] = True
-    html = timeline_html(contacts, 1010, (1005, 2999))
-    assert timeline_html(contacts[:600], 10, (0, 599)).count("<svg") == 1
+    html = timeline_html(named(contacts), 1010, (1005, 2999))
+    assert timeline_html(named(contacts[:600]), 10, (0, 599)).count("<svg") == 1
     near = html.split('id="close-up"')[1]
     # 300 frames around the marked one, from 860 on, two steps each.
-    assert re.findall(r'class="stands" d="([^"]*)"', near)[1] == "M280.0 24h60.0"
+    assert re.findall(r'class="row" d="([^"]*)"', near)[1] == "M280.0 24h60.0"
     assert 'd="M301.0 0V' in near
     assert '<rect x="290.0" width="310.0"' in near
     whole = html.split('id="close-up"')[0]
-    assert re.findall(r'class="stands" d="([^"]*)"', whole)[1] == "M200.0 24h6.0"
+    assert re.findall(r'class="row" d="([^"]*)"', whole)[1] == "M200.0 24h6.0"
     for frame, first in ((0, 0), (2999, 2700)):  # it stays within the motion
-        near = timeline_html(contacts, frame, (0, 2999)).split('id="close-up"')[1]
+        near = timeline_html(named(contacts), frame, (0, 2999)).split('id="close-up"')[
+            1
+        ]
         assert f'd="M{2 * (frame - first) + 1}.0 0V' in near
 
 
 def test_the_picture_of_an_hour_stays_small() -> None:
     contacts = np.random.default_rng(0).random((108_000, 4)) < 0.5
-    assert len(timeline_html(contacts, 70_000, (0, 107_999))) < 50_000
+    assert len(timeline_html(named(contacts), 70_000, (0, 107_999))) < 50_000
 
 
 def test_the_status_names_the_least_reliable_joint_and_the_force(
@@ -240,20 +286,9 @@ def test_a_motion_with_things_and_gaps_is_put_on_a_page(
     raw[0], raw[frames // 2, 4], raw[frames // 2, 2, 1] = np.nan, np.nan, np.nan
     with opened_server() as server:
         drawing = Drawing(clip, raw, clip.positions)
-        viewer = Viewer(server, drawing, tmp_path / "c.csv")
+        viewer = Viewer(server, drawing, tmp_path / "c.toml")
         viewer.stop()
         viewer.run()
         with urllib.request.urlopen(viewer.address, timeout=10) as page:
             assert b"<html" in page.read()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_saved_contacts_are_those_that_clean_reads(
-    make_clip: MakeClip, tmp_path: Path
-) -> None:
-    clip: Clip = make_clip(50)
-    edits = ContactEdits(clip.contacts)
-    edits.put("HeelRight", 10, 19, stands=True)
-    write_contacts(replace(clip, contacts=edits.contacts), tmp_path / "c.csv")
-    read = read_contacts(tmp_path / "c.csv", clip.time)
-    np.testing.assert_array_equal(read, edits.contacts)

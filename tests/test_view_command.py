@@ -130,18 +130,20 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
     clip, take = str(clip_path), str(sample_path())
     contacts = tmp_path / "take.contacts.csv"
     write_contacts(read_finite_clip(clip_path), contacts)
-    copied = tmp_path / "take.csv"
+    copied = tmp_path / "malformed.csv"
     copied.write_bytes(sample_path().read_bytes())
+    copied.with_suffix(".edits.toml").write_text("oddly = 1", encoding="utf-8")
     for arguments, words in (
         ([str(tmp_path / "absent.npz")], "no such file"),
         ([str(tmp_path / "absent.csv")], "no such file"),
         ([""], "is a folder"),
         ([clip, "--method", "none"], "options of cleaning"),
         ([take, "--take", take], "is for a clip"),
-        ([take, "--save-contacts", take], "would overwrite"),
-        ([clip, "--save-contacts", clip], "name it .csv"),
-        ([clip, "--save-contacts", str(tmp_path / "none" / "c.csv")], "not exist"),
-        ([str(copied), "--contacts", str(contacts)], "would overwrite"),
+        ([take, "--edits", take], "would overwrite"),
+        ([clip, "--edits", clip], "would overwrite"),
+        ([clip, "--edits", str(tmp_path / "none" / "e.toml")], "not exist"),
+        ([take, "--contacts", str(contacts), "--edits", str(contacts)], "overwrite"),
+        ([str(copied)], "malformed.edits.toml: unknown 'oddly'"),
         ([clip, "--bind", "192.0.2.1"], "no address of this machine"),
         ([clip, "--port", "70000"], "--port 70000"),
         ([], "nothing to view"),

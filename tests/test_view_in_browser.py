@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -19,8 +19,8 @@ import viser
 from browser import Browser
 from numpy.typing import NDArray
 
-from kinefilter import CleanConfig, clean, clean_session, read_take
-from kinefilter.pipeline.formats.sheets import read_contacts
+from kinefilter import CleanConfig, Cleaner, clean, clean_session, read_take
+from kinefilter.pipeline.edits import Edit, read_edits
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulate import simulate_session
 from kinefilter.pipeline.look.drawing import Drawing
@@ -45,6 +45,7 @@ while (!row.querySelector('input[type=checkbox]')) row = row.parentElement;
 row.querySelector('input[type=checkbox]').click();
 """
 _TEXT = "return document.body.innerText"
+_LISTED = "return [...document.querySelectorAll('input')].map((i) => i.value).join()"
 
 
 @pytest.fixture(scope="module")
@@ -55,15 +56,17 @@ def viewed() -> Drawing:
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    return tmp_path / "contacts.csv"
+    return tmp_path / "take.edits.toml"
 
 
 @pytest.fixture
 def viewer(viewed: Drawing, saved: Path) -> Iterator[Viewer]:
-    def again(contacts: Path, progress: Progress) -> Drawing:
-        take = read_take(sample_path())
-        config = CleanConfig(contacts=contacts)
-        return Drawing.of(clean(take, config, progress=progress), take)
+    take, cleaner = read_take(sample_path()), Cleaner()
+    before = cleaner.unedited(take)
+
+    def again(edits: Sequence[Edit], progress: Progress) -> Drawing:
+        found = cleaner.clean(take, edits=edits, before=before, progress=progress)
+        return Drawing.of(found, take)
 
     with _running(viewed, saved, again) as opened:
         yield opened
@@ -142,33 +145,44 @@ def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
     assert not [line for line in page.console() if "SEVERE" in line]
 
 
-def test_contacts_are_edited_and_saved_and_the_take_is_cleaned_with_them(
-    page: Browser, viewed: Drawing, saved: Path
+def test_edits_are_made_undone_saved_and_the_take_is_cleaned_with_them(
+    page: Browser, saved: Path
 ) -> None:
-    take, before = read_take(sample_path()), viewed.clip.contacts
+    take = read_take(sample_path())
     bars = (
-        "return [...document.querySelectorAll('#timeline .stands')]"
+        "return [...document.querySelectorAll('#timeline .row')]"
         ".map((row) => row.getAttribute('d'))"
     )
+    page.run(_PRESS, "Next doubtful second")
+    _wait(lambda: "frame 1 of" not in page.run(_TEXT))
+    page.run(_PRESS, "+10")
     whole = page.run(bars)
-    page.run(_PRESS, "+10")
-    page.run(_PRESS, "+10")
-    _wait(lambda: "frame 21 of" in page.run(_TEXT))
-    page.run(_PRESS, "from here")
+    assert whole[4] == ""
+    page.run(_PRESS, "to here")
     page.run(_PRESS, "lifts")
-    _wait(lambda: page.run(bars) != whole)
+    _wait(lambda: page.run(bars)[4] != "")
+    page.run(_PRESS, "distrust")
+    _wait(lambda: "2. left-arm distrusted" in page.run(_LISTED))
+    page.run(_PRESS, "undo")
+    _wait(lambda: "1. both feet lifts" in page.run(_LISTED))
+    page.run(_PRESS, "redo")
+    _wait(lambda: "2. left-arm distrusted" in page.run(_LISTED))
     assert not saved.exists()
-    page.run(_PRESS, "Save contacts")
+    page.run(_PRESS, "Save edits")
     _wait(lambda: f"saved {saved}" in page.run(_TEXT))
-    expected = before.copy()
-    expected[20:] = False
-    np.testing.assert_array_equal(read_contacts(saved, take.time), expected)
+    by_kind = {edit.kind: edit for edit in read_edits(saved)}
+    assert by_kind["distrust"].joints == ("left-arm",)
+    assert by_kind["contact"].part == "both feet"
     page.run(_PRESS, "Save and clean again")
     _wait(lambda: f"cleaned with {saved}" in page.run(_TEXT))
-    again = clean(take, CleanConfig(contacts=saved)).clip.contacts
-    shown = [row.count("M") for row in page.run(bars)]
-    runs = (np.diff(again.astype(int), axis=0) == 1).sum(axis=0) + again[0]
-    assert shown == runs.tolist()
+    again = clean(take, CleanConfig(edits=saved)).clip
+    inside = by_kind["contact"].frames(take.time - take.time[0])
+    assert not again.contacts[inside].any()
+    shown = [row.count("M") for row in page.run(bars)[:4]]
+    runs = (np.diff(again.contacts.astype(int), axis=0) == 1).sum(axis=0)
+    assert shown == (runs + again.contacts[0]).tolist()
+    page.run(_PRESS, "remove")
+    _wait(lambda: "2. " not in page.run(_LISTED))
 
 
 def test_a_page_from_elsewhere_cannot_connect(

@@ -53,11 +53,14 @@ class ClipRow:
     jitter_raw: float | None  # of the take [m/s^3], see Quality
     jitter: float | None  # of the clip [m/s^3]
     skate_mm_per_frame: float | None  # how far feet slide on the floor, mean
-    external_force_body_weights: float | None  # beyond what a floor could bear, mean
+    external_force_body_weights: (
+        float | None
+    )  # that only the pulls of physics explain, mean
     share_outside_database: float | None  # of frames; the database lacks their posture
     failures: int  # of the tracker: gross ones, and displaced limbs
     notes: tuple[str, ...]  # what the user should know
     damage: tuple[str, ...] = ()  # of the take: what and when, a sentence each
+    unexplained_force_body_weights: float | None = None  # no contact gives it, mean
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,11 +18,10 @@ import numpy as np
 
 from kinefilter.characters import Clip, InputError
 from kinefilter.pipeline.cleaner import Cleaner, CleanResult
-from kinefilter.pipeline.config import CleanConfig, TakeFormat
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.plain import finite, printable
 from kinefilter.pipeline.formats.recording import numbered, part_paths
-from kinefilter.pipeline.formats.takes import read_recording
 from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 
@@ -45,7 +44,7 @@ def clean_file(job: Job) -> Row:
         try:
             suffix = PurePosixPath(job.output).suffix
             _check_same(job.settings, suffix, job.fingerprint)
-            read = [_read(source, job.settings.format) for source in job.sources]
+            read = [_read(source, job.settings) for source in job.sources]
             known["sha256"] = " ".join(sha256 for _, sha256 in read)
             if any(recording for recording, _ in read):
                 known |= _write_clips([recording for recording, _ in read], job)
@@ -63,14 +62,14 @@ def clean_file(job: Job) -> Row:
     return job.row(**known, seconds=perf_counter() - start)
 
 
-def _read(source: Source, layout: TakeFormat | None) -> tuple[Recording | None, str]:
+def _read(source: Source, settings: Settings) -> tuple[Recording | None, str]:
     """Return a take's content, or None if the file is none, and the file's hash."""
     with source.store.reading(source.file.name) as path:
         sha256 = hash_of(path)
         try:
-            if not source.is_take(path, layout):
+            if not source.is_take(path, settings.format):
                 return None, sha256
-            recording = read_recording(path, format=layout)
+            recording = settings.read(path)
         except InputError as error:
             # The user does not know the name of a temporary copy.
             where = source.store.path(source.file.name)
@@ -178,6 +177,7 @@ def _written(
         jitter=finite(last.jitter),
         skate_mm_per_frame=finite(last.skate_mm_per_frame),
         external_force_body_weights=finite(force),
+        unexplained_force_body_weights=finite(last.unexplained_force),
         share_outside_database=finite(result.share_outside),
         failures=len(result.failures),
         notes=result.notes,

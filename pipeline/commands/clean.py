@@ -16,7 +16,6 @@ from kinefilter.pipeline.config_files import overlaid, read_settings
 from kinefilter.pipeline.formats import (
     Recording,
     check_writable,
-    read_recording,
     write_clip,
     write_contacts,
     write_people,
@@ -54,25 +53,26 @@ class Clean:
     """
 
     takes: Positional[tuple[Path, ...]]
-    """Recording in any of the formats of --format; .gz too. Of several sensors one of
-    each: the clip has the clock of the first."""
+    """Recording in any of the formats of --format, gzipped or not. For several sensors
+    give one recording of each; the clip has the clock of the first."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Clip to write; the extension decides: .usda .usdc .usd .usdz .glb
     .vrma .fbx .bvh .csv .npz."""
     settings: _Settings = field(default_factory=Settings)
     save_contacts: Path | None = None
-    """Also write when which foot stands as a table (CSV), to edit and to use again."""
+    """Also write a table (CSV) of when each foot is planted, to edit and to pass to
+    --contacts."""
     report: Path | None = None
-    """Also write a web page that shows clip and take side by side, .html."""
+    """Also write a web page (.html) that shows the clip beside the take."""
     json: Path | None = None
     """Also write the printed figures to this file."""
     one_file: bool = False
-    """With --body all and .glb: one clip of all people, with a skeleton and a skin
-    each, in place of a file each. Nothing reads it back."""
+    """With --body all and .glb: write everybody into one file, each with a skeleton and
+    skin, instead of a file each. kinefilter does not read such a file back."""
     fail_on_damage: bool = False
     """End with exit code 1 if the tracker failed somewhere or a take has a long gap."""
     config_file: Annotated[Path | None, arg(name="config")] = None
-    """TOML file of options such as cutoff = 4.0; options given here override it."""
+    """TOML file of options, such as cutoff = 4.0; the command line overrides it."""
     given: Suppress[frozenset[str]] = frozenset()
 
     def run(self) -> int:
@@ -91,7 +91,7 @@ class Clean:
         check_calibration(settings.calibration, self.takes)
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
-        recording = read_recording(self.takes[0], format=settings.format)
+        recording = settings.read(self.takes[0])
         several = len(recording.takes) > 1 and settings.body == "all"
         others = (self.json, self.save_contacts, self.report)
         for body in recording.numbers(settings.body):
@@ -195,7 +195,7 @@ class Clean:
             raise InputError(
                 "--body all is for one sensor; choose a person of its take"
             )
-        others = [read_recording(p, format=settings.format) for p in self.takes[1:]]
+        others = [settings.read(path) for path in self.takes[1:]]
         with progress_bars() as progress:
             result, merged = clean_session(
                 [first, *others],
@@ -288,7 +288,8 @@ class Batch:
     minute for each megabyte of the take. On a cluster such a take ends its Dask worker,
     which is started again if it has a nanny."""
     fail_on_damage: bool = False
-    """End with exit code 1 if a take is damaged, see the manifest."""
+    """End with exit code 1 if the tracker failed in a take, or it has a long gap; the
+    manifest says where."""
     config_file: Annotated[Path | None, arg(name="config")] = None
     """TOML file of options for all takes; kinefilter.toml in a folder overrides it."""
     settings: _Settings = field(default_factory=Settings)

@@ -40,12 +40,13 @@ class Live:
     receiver on the next port; --out ws://127.0.0.1:9001 sends poses to pages of this
     machine, which read them by new WebSocket("ws://127.0.0.1:9001").onmessage = e =>
     JSON.parse(e.data). Each person is measured in the first second, unless --height is
-    given. A sensor that is upside down or tilted far is told and put right. The newest
-    frame wins; late, missing, malformed and dropped frames are counted, and those with
-    an impossible body. Several sensors, each by an --in of its own, follow people
-    together: where they stand and how their clocks differ is found while somebody walks
-    to and fro before them, and told. Poses are at the frames of the first one and never
-    wait for another; people whom it loses go on by those that see them. Needs pip
+    given. A sensor that is upside down or tilted far is reported and corrected for. The
+    newest frame wins; late, missing, malformed and dropped frames are counted, and
+    those with an impossible body. Several sensors, each with an --in of its own, follow
+    people together: where they stand and how their clocks differ is found, and printed,
+    while somebody walks to and fro in front of them. Poses come with the frames of the
+    first sensor and never wait for another; people whom it loses are followed by those
+    that still see them. Needs pip
     install "kinefilter[live]".
     """
 
@@ -181,7 +182,7 @@ class Replay:
     token_file: Path | None = None
     """File with the token that the WebSocket server asks for."""
     certificate: Path | None = None
-    """Certificate (PEM) to confidence for wss, besides those of the system."""
+    """Certificate (PEM) to trust for wss, besides those of the system."""
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
+from kinefilter.pipeline.edits import Edit, EditsFile
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
@@ -21,18 +23,21 @@ from kinefilter.pipeline.progress import Progress
 from .terminal import check_calibration, check_output, err, keep, out, progress_bars
 
 if TYPE_CHECKING:
+    from kinefilter.pipeline.draft import Unedited
     from kinefilter.pipeline.look.viewer import CleanAgain
 
 
 @dataclass(frozen=True)
 class View:
-    """Look at a motion in the browser, and edit when its feet stand.
+    """Look at a motion in the browser, and say where it is wrong.
 
     Prints the address of a page: play and scrub raw, cleaned and simulated motion,
-    skin, contacts and forces, turn them with the mouse, edit when which part of a foot
-    stands, save that for clean --contacts, or clean again at once. Takes of several
-    sensors become one motion, as of clean, and the page shows where each sensor stands
-    and what it saw. Needs pip install "kinefilter[view]".
+    skin, contacts and forces, turn them with the mouse. Go to what is doubtful; say
+    when a limb or joint is wrong, sides are exchanged or a foot stands, or drag a joint
+    to where it is; save that for clean --edits, or clean again at once. Edits are read
+    from the file of --edits and saved there, by default NAME.edits.toml beside what is
+    shown. Takes of several sensors become one motion, as of clean, and the page shows
+    where each sensor stands and what it saw. Needs pip install "kinefilter[view]".
     """
 
     motion: Annotated[Positional[tuple[Path, ...]], arg(metavar="TAKE...|CLIP")]
@@ -42,6 +47,8 @@ class View:
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: TakeFormat | None = None
     """Layout of the take; default: detected from its content."""
+    take_fps: float | None = None
+    """Frames a second of a take that has no time stamps; default: 30."""
     body: int | None = None
     """Which person of the take, counted from 1; default: who is seen in most
     frames."""
@@ -50,9 +57,6 @@ class View:
     the order of clean."""
     calibration: Path | None = None
     """Where and when several sensors are, as of 'merge --save-calibration'."""
-    save_contacts: Path | None = None
-    """Where the page saves contacts, for clean --contacts, and nothing else; default:
-    beside what is shown, NAME.contacts.csv."""
     bind: str = "127.0.0.1"
     """Address to listen at; the default is reached from this machine alone. Whoever
     reaches it may look and save."""
@@ -69,14 +73,13 @@ class View:
 
         if not self.motion:
             raise InputError("nothing to view; name a take or a clip")
-        # By default wave.contacts.csv for wave.csv.gz.
+        # By default wave.edits.toml for wave.csv.gz.
         first = self.motion[0]
         stem = Path(first.name.removesuffix(".gz")).stem
-        beside = first.parent / f"{stem}.contacts.csv"
-        save = self.save_contacts or beside
+        save = self.config.edits or first.parent / f"{stem}.edits.toml"
         self._check(save)
         try:
-            drawing, again = self._drawing()
+            drawing, again = self._drawing(EditsFile(save).read())
             with opened_server(self.bind, self.port) as server:
                 viewer = Viewer(server, drawing, save, again)
                 shown = ", ".join(map(str, self.motion))
@@ -93,11 +96,9 @@ class View:
         from kinefilter.pipeline.look.viewer_server import check_address
 
         check_address(self.bind, self.port)
-        check_output(self.save_contacts)
-        if save.suffix.lower() != ".csv":
-            raise InputError(f"{save}: contacts are saved as a table; name it .csv")
-        config, takes = self.config, self.take or self.motion
-        files = (config.database, config.model, config.contacts, config.edits)
+        check_output(save)
+        config, takes = replace(self.config, edits=None), self.take or self.motion
+        files = (config.database, config.model, config.contacts)
         used = (*files, self.calibration)
         keep(save, *self.motion, *self.take, *used)
         if self._is_clip and config != CleanConfig():
@@ -127,9 +128,9 @@ class View:
         kinds = (*WHOLE_CLIPS, ".bvh", ".csv") if with_take else WHOLE_CLIPS
         return not suffixes.isdisjoint(kinds)
 
-    def _drawing(self) -> tuple[Drawing, CleanAgain | None]:
+    def _drawing(self, edits: Sequence[Edit]) -> tuple[Drawing, CleanAgain | None]:
         """Return what is looked at, and how it is cleaned again."""
-        from kinefilter.pipeline.cleaner import clean
+        from kinefilter.pipeline.cleaner import Cleaner
         from kinefilter.pipeline.look.comparison import read_comparison
         from kinefilter.pipeline.merge import clean_session, read_calibration
 
@@ -145,30 +146,39 @@ class View:
                     progress=progress,
                 ), None
         known = read_calibration(self.calibration)
-        recordings = [read_recording(path, format=self.format) for path in self.motion]
+        recordings = [
+            read_recording(path, format=self.format, fps=self.take_fps)
+            for path in self.motion
+        ]
         for note in recordings[0].notes:
             out.print(note)
 
-        def made(config: CleanConfig, progress: Progress) -> Drawing:
+        config = replace(self.config, edits=None)
+        cleaner, take = Cleaner(config), recordings[0].take(self.body)
+        before: list[Unedited] = []
+
+        def made(edits: Sequence[Edit], progress: Progress) -> Drawing:
             if len(recordings) == 1:
-                take = recordings[0].take(self.body)
-                return Drawing.of(clean(take, config, progress=progress), take)
+                if not before:
+                    before.append(cleaner.unedited(take, progress))
+                found = cleaner.clean(
+                    take, edits=edits, before=before[0], progress=progress
+                )
+                return Drawing.of(found, take)
             result, merged = clean_session(
                 recordings,
                 config,
                 body=self.body,
                 calibration=known,
+                edits=edits,
                 progress=progress,
             )
             for note in merged.told():
                 out.print(note)
             return Drawing.of(result, merged.take, merged)
 
-        def again(contacts: Path, progress: Progress) -> Drawing:
-            return made(replace(self.config, contacts=contacts), progress)
-
         with progress_bars() as progress:
-            return made(self.config, progress), again
+            return made(edits, progress), made
 
 
 @dataclass(frozen=True)

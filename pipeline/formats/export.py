@@ -76,56 +76,55 @@ _LONGEST_HELD = 600.0  # s in which nothing moves: who animates that? A guess
 
 @dataclass(frozen=True)
 class Export:
-    """How a clip is written; each field's docstring is also its flag's help."""
+    """How a clip is written."""
 
     up: Literal["y", "z"] = "y"
-    """Axis of USD and BVH that points up. The T-pose faces +z, with z up it faces -y;
-    its left is +x."""
+    """Up axis of USD and BVH. The character faces +z, or -y if z is up; its left is
+    +x."""
     units: Literal["m", "cm"] = "m"
     """Unit of length of USD and BVH."""
     fps: float | None = None
-    """Frames a second of the clip, between the take's; default: the take's own frames,
-    where they are, and in BVH the mean frame time, or with a long gap the take's rate.
-    FBX has even ones. Blender keeps its own rate when it imports USD or GLB: set it to
-    the clip's."""
+    """Frame rate of the clip, resampled from the take's. By default the clip has the
+    take's own frames and time stamps; BVH and FBX, whose frames are evenly spaced, have
+    the take's mean rate. Blender keeps its own rate when it imports USD or GLB: set
+    that to the clip's."""
     begin: float | None = None
-    """Seconds after the take's first frame at which the clip begins. The take is
-    cleaned whole all the same."""
+    """Where the clip begins, in seconds after the take's first frame. The whole take is
+    cleaned all the same."""
     end: float | None = None
-    """Seconds after the take's first frame at which the clip ends."""
+    """Where the clip ends, in seconds after the take's first frame."""
     loop: bool = False
-    """Blend the clip's end into its beginning: in the last frame the person is as in
-    the first, wherever they have come to and face by then. Standing feet stay."""
+    """Blend the end of the clip into its beginning: the last frame has the posture of
+    the first, wherever the person stands and faces by then. Planted feet stay put."""
     root: Travel = "travel"
-    """What is left of the way over the floor: travel (all; on a rig with a root below
-    the pelvis, such as unreal's, that root goes there and turns), in-place (turns
-    alone, for games that move the character themselves), or none (the hips stay over
-    the origin, facing +z)."""
+    """Root motion: travel keeps all of it (on a rig with a root bone on the floor, such
+    as unreal's, that bone travels and turns); in-place keeps only turns, for games that
+    move the character themselves; none keeps the hips over the origin, facing +z."""
     keys: float | None = None
-    """Leave keys of GLB out as long as no joint moves more than this [mm], or turns
-    more than half a degree for each: smooth curves go through those that are left."""
+    """Thin out the keys of GLB, with smooth curves between those that are left: no
+    joint is off by more than this [mm], or by more than half a degree for each mm."""
     rest: Literal["own", "t"] = "own"
-    """Rest pose of USD, GLB, FBX and BVH: a T-pose with trunk, shoulders and hips as
-    this person has them, or a strict T, upright and square."""
+    """Rest pose of USD, GLB, FBX and BVH: own is a T-pose with this person's own trunk,
+    shoulders and hips; t is a strict T-pose, upright and square."""
     rotation_order: RotationOrder = "zyx"
-    """Order of BVH's angles: about the first axis, then the turned second, then the
-    twice turned third."""
+    """Rotation order of BVH's Euler angles, intrinsic: about the first axis, then the
+    rotated second, then the rotated third."""
     character: Path | None = None
-    """USD layer with skeleton and mesh that the USD clip refers to; made if it is not
-    there. Default: the clip holds both itself."""
+    """USD layer with the skeleton and mesh, which the USD clip references; made if it
+    does not exist. By default the clip holds both itself."""
     rig: str | None = None
-    """Skeleton of USD, GLB, FBX, BVH and npz: mixamo, unreal (Manny, Quinn), unreal4,
-    unity, vrm, smpl, smplx, lafan1, rigify, or a map (.toml) such as those in
-    retarget/rigs; default: the sensor's joints. Skeleton and animation without skin
-    and props: hands and feet at the same place relative to limb length, standing
-    feet still; bones that no map names, such as fingers, keep their rest pose."""
+    """Skeleton to retarget to, in USD, GLB, FBX, BVH and npz: mixamo, unreal (Manny,
+    Quinn), unreal4, unity, vrm, smpl, smplx, lafan1, rigify, or your own map (.toml)
+    like those in retarget/rigs; default: the sensor's joints. Hands and feet keep their
+    place relative to limb length, and planted feet stay still. There is no skin and no
+    prop; bones that the map does not name, such as fingers, keep their rest pose."""
     target: Path | None = None
-    """File (.bvh or USD) whose skeleton at rest the clip is for, its joints called as
-    in --rig; default: an average one, as tall as the person. Axes and unit of the clip
-    are those of --up and --units all the same."""
+    """File (.bvh or USD) with your own character's skeleton at rest, its joints named
+    as in --rig; default: an average skeleton as tall as the person. Axes and units are
+    still those of --up and --units."""
     blender: str | None = None
-    """Blender (4.2 or later) that makes FBX, or a Python that has its bpy; default: the
-    blender that the shell finds."""
+    """Blender (4.2 or later) that writes FBX, or a Python that has its bpy; default:
+    the blender on the PATH."""
 
     def __post_init__(self) -> None:
         check_fields(self)

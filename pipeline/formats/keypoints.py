@@ -15,7 +15,7 @@ Layouts, after the tools' own documentation:
   with ``instances``, each with ``keypoints`` and ``keypoint_scores``, by itself or as
   ``instance_info`` beside ``meta_info``.
 
-Where a file has no time stamps, it has 30 frames a second, and a note says so.
+Files without time stamps are read at 30 frames a second (``recording.at_rate``).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import os
 import re
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ from .markers import mocap_of_points
 from .mocap import measured, plain_name, read_points
 from .npz import check_header
 from .recording import (
+    ASSUMED_FPS,
     MOST_FRAMES,
     Recording,
     Sighting,
@@ -52,8 +54,6 @@ from .recording import (
 )
 from .rows import RowReader
 
-FRAMES_PER_SECOND = 30.0
-_ASSUMED = f"no time stamps in the file: {FRAMES_PER_SECOND:g} frames a second assumed"
 _LARGEST = 2**29  # bytes
 _LONGEST_STAMP = 40  # characters
 _FRAME_FILE = re.compile(r"(.*?)(\d{12})(_keypoints\.json)")
@@ -126,8 +126,8 @@ def read_npy(source: str) -> Recording:
     with np.errstate(invalid="ignore"):  # there are NaN that casting complains of
         values = array[:, : len(names)].astype(np.float64)
     sure = values[..., 3] if values.shape[2] == 4 else None
-    found = mocap_of_points(names, values[..., :3], FRAMES_PER_SECOND, source, sure)
-    return read_points(found, "npy", None, (_ASSUMED,))
+    found = mocap_of_points(names, values[..., :3], ASSUMED_FPS, source, sure)
+    return replace(read_points(found, "npy"), timed=False)
 
 
 def _is_pose(shape: tuple[int, ...]) -> bool:
@@ -172,10 +172,10 @@ def read_freemocap(source: str) -> Recording:
     check_length(rows, source)
     values = np.concatenate(blocks)
     positions = values[:, 1:].reshape(rows, len(names), 3)
-    found = mocap_of_points(tuple(names), positions, FRAMES_PER_SECOND, source)
+    found = mocap_of_points(tuple(names), positions, ASSUMED_FPS, source)
     time = values[:, 0]
     if np.isnan(time).any():
-        return read_points(found, "freemocap", None, (_ASSUMED,))
+        return replace(read_points(found, "freemocap"), timed=False)
     check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp'", "frames")
     return read_points(found, "freemocap", time - time[0])
 
@@ -311,7 +311,7 @@ def _recording(
 ) -> Recording:
     """Return the recording of everybody in frames with these numbers."""
     check_length(len(frames), source)
-    time = (np.array(numbers) - numbers[0]) / FRAMES_PER_SECOND
+    time = (np.array(numbers) - numbers[0]) / ASSUMED_FPS
     check_order(time, lambda k: f"{source}: frame {k + 1}: its number", "frames")
     found = [
         (frame, number, body)
@@ -326,12 +326,12 @@ def _recording(
         raise InputError(f"{source}: bodies have different landmarks; split it")
     points = np.stack([body[1] for _, _, body in found])
     sure = np.stack([body[2] for _, _, body in found])
-    mocap = mocap_of_points(names, points, FRAMES_PER_SECOND, source, sure)
+    mocap = mocap_of_points(names, points, ASSUMED_FPS, source, sure)
     positions, state, known = measured(mocap, KINECT_V2)
     sightings = [
         Sighting(frame, number, positions[k], state[k])
         for k, (frame, number, _) in enumerate(found)
     ]
-    known = {"unit": known["unit"], "notes": (_ASSUMED, *known["notes"])}
+    known = {"unit": known["unit"], "notes": known["notes"], "timed": False}
     people = recording_of_people(time, sightings, KINECT_V2, source, layout, **known)
     return of_other_tracker(people)

@@ -140,16 +140,14 @@ def read_c3d_take(source: str) -> Recording:
     return read_points(read_c3d(source), "c3d")
 
 
-def read_points(
-    mocap: Mocap, layout: str, time: Array | None = None, notes: tuple[str, ...] = ()
-) -> Recording:
+def read_points(mocap: Mocap, layout: str, time: Array | None = None) -> Recording:
     """Return a take of named points, at even times or those given [s].
 
     Raises InputError if they are not of a known rig, or nobody's.
     """
     _, missing = matching_source_rig(mocap.bare_names, KINECT_V1, ())
     skeleton = KINECT_V2 if missing else KINECT_V1
-    return _recording(mocap, skeleton, _POINT_RIGS, layout, time, notes)
+    return _recording(mocap, skeleton, _POINT_RIGS, layout, time)
 
 
 def _recording(
@@ -158,14 +156,12 @@ def _recording(
     rigs: Sequence[str],
     layout: str,
     time: Array | None = None,
-    notes: tuple[str, ...] = (),
 ) -> Recording:
     check_length(len(mocap.positions), mocap.source)
     positions, state, known = measured(mocap, skeleton, rigs)
     if time is None:
         time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
     rig = known.pop("rig")
-    known["notes"] = (*notes, *known["notes"])
     found = recording_of(
         time, positions, state, skeleton, mocap.source, layout, **known
     )

@@ -26,6 +26,8 @@ _Path = TypeVar("_Path", bound=PurePath)
 
 MOST_FRAMES = 1_000_000  # of a recording: nine hours at 30 a second
 FASTEST = 2000.0  # frames a second, of marker mocap
+ASSUMED_FPS = 30.0
+"""Frames a second of files that have no time stamps."""
 _LONGEST_STEP = 1.0  # s between frames, in the median: less is no motion. A guess
 _SHORTEST_NUMBER = 4.0  # of a step that is not in seconds: ms at 250 frames a second
 _UNITS = {"milliseconds": 10**3, "microseconds": 10**6, "ticks of 100 ns": 10**7}
@@ -54,6 +56,7 @@ class Recording:
     format: str  # name of the file's layout (``takes.FORMATS``)
     unit: str = "m"  # the file's own unit of length
     notes: tuple[str, ...] = ()  # what the user should know about how it was read
+    timed: bool = True  # whether the time stamps are the file's own
 
     @property
     def main(self) -> int:
@@ -89,6 +92,28 @@ def of_other_tracker(recording: Recording) -> Recording:
     """Return a recording whose joints no Kinect's tracker put where they are."""
     takes = tuple(replace(take, by_kinect=False) for take in recording.takes)
     return replace(recording, takes=takes, notes=(*recording.notes, _OTHER_TRACKER))
+
+
+def at_rate(recording: Recording, fps: float | None) -> Recording:
+    """Return a recording without time stamps at so many frames a second, or as assumed.
+
+    Raises InputError if it has time stamps, and a rate is given all the same.
+    """
+    source = recording.takes[0].source
+    if fps is None:
+        told = f"no time stamps in the file: {ASSUMED_FPS:g} frames a second assumed"
+        notes = recording.notes if recording.timed else (told, *recording.notes)
+        return replace(recording, notes=notes)
+    if recording.timed:
+        raise InputError(f"{source}: has time stamps; leave --take-fps out")
+    if not 1.0 <= fps <= FASTEST:
+        raise InputError(f"--take-fps {fps:g}: expected 1 to {FASTEST:g} frames/s")
+    takes = tuple(
+        replace(take, time=take.time * (ASSUMED_FPS / fps)) for take in recording.takes
+    )
+    for take in takes:
+        check_rate(take.time, source)
+    return replace(recording, takes=takes)
 
 
 def numbered(path: _Path, body: int | None) -> _Path:

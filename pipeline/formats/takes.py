@@ -15,7 +15,7 @@ from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import check_word
 
 from .files import AnyPath, beginning, check_file
-from .recording import Recording, open_rows
+from .recording import Recording, at_rate, open_rows
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
 _SAID = ("kinefilter", "kinect-v2", "kinect-v1")  # in messages, in words
@@ -76,7 +76,11 @@ the format of a file."""
 
 
 def read_take(
-    path: AnyPath, *, format: str | None = None, body: int | None = None
+    path: AnyPath,
+    *,
+    format: str | None = None,
+    body: int | None = None,
+    fps: float | None = None,
 ) -> Take:
     """Read a recording of a person.
 
@@ -101,10 +105,12 @@ def read_take(
     images count as tracked from a confidence of 0.5 on, and under it as inferred.
 
     ``format`` overrides the content. ``body`` is a person, counted from 1 in order of
-    appearance; by default the one who is seen in most frames. Raises InputError, which
-    says where, if the file is missing, malformed, without joints or not in meters.
+    appearance; by default the one who is seen in most frames. ``fps`` is the frame rate
+    of a file without time stamps, by default 30. Raises InputError, which says where,
+    if the file is missing, malformed, without joints or not in meters, or has time
+    stamps beside ``fps``.
     """
-    return read_recording(path, format=format).take(body)
+    return read_recording(path, format=format, fps=fps).take(body)
 
 
 def read_takes(path: AnyPath, *, format: str | None = None) -> tuple[Take, ...]:
@@ -112,7 +118,9 @@ def read_takes(path: AnyPath, *, format: str | None = None) -> tuple[Take, ...]:
     return read_recording(path, format=format).takes
 
 
-def read_recording(path: AnyPath, *, format: str | None = None) -> Recording:
+def read_recording(
+    path: AnyPath, *, format: str | None = None, fps: float | None = None
+) -> Recording:
     """Read all that is known about a recorded file; raises InputError as read_take."""
     source = os.fspath(check_file(path))
     if format is not None:
@@ -126,7 +134,7 @@ def read_recording(path: AnyPath, *, format: str | None = None) -> Recording:
     module, _, function = FORMATS[name][0].partition(":")
     read: Callable[[str], Recording]
     read = getattr(import_module(f".{module}", __package__), function)
-    return _with_y_up(read(source))
+    return at_rate(_with_y_up(read(source)), fps)
 
 
 def _with_y_up(recording: Recording) -> Recording:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from math import prod
 from pathlib import Path
 from time import perf_counter
@@ -25,6 +24,7 @@ from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.stages import Physics, Stage
 from kinefilter.pipeline.workers import cores, workers
+from kinefilter.scenes import SAMPLE
 
 _TAKES_PER_CORE = 6  # that are cleaned side by side
 _WARM_UP = 10  # frames that are run and not counted
@@ -63,9 +63,7 @@ class Timed(Stage):
 
 def sample_path() -> Path:
     """Return the recording that comes with kinefilter."""
-    folder = Path(str(resources.files("kinefilter.scenes"))) / "takes"
-    (sample,) = folder.glob("*.csv")
-    return sample
+    return SAMPLE
 
 
 def bench(path: Path | None = None) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import UseAppendAction, arg
 
-from kinefilter.characters import InputError
+from kinefilter.characters import InputError, TrackingName
 
 MOST_BODIES = 6
 """People at once: as many as a Kinect v2 sees."""
@@ -31,8 +31,8 @@ class AccessConfig:
     key: Path | None = None
     """The certificate's private key (PEM); default: in the same file."""
     origin: UseAppendAction[tuple[str, ...]] = ()
-    """Also let pages of this origin connect, such as https://studio.example, not only
-    those of this machine; may be given several times."""
+    """Also let web pages of this origin connect, such as https://studio.example,
+    besides those of this machine; may be given several times."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,16 @@ class LiveConfig:
     """Also write the raw frames to this take (.csv); for several bodies to take.1.csv,
     take.2.csv and so on, of several sensors to take.sensor1.csv and so on."""
     calibration: Path | None = None
-    """Where the sensors are, from --save-calibration of merge; default: found from how
-    people go to and fro."""
+    """Where the sensors are, from 'merge --save-calibration'; default: found while
+    somebody walks to and fro."""
     skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
     """The joints of the frames."""
     scene: str | None = None
     """Surroundings of each person, who is alone in them: a scene (an unknown name lists
     the scenes), or an MJCF file (.xml); default: only the floor."""
+    tracking: TrackingName = "faithful"
+    """How each person's character follows: faithful; game, which gives way to what it
+    meets, falls and gets up again; or ragdoll, which nothing pulls."""
     height: float | None = None
     """Height of every person [m]; default: each is measured in the first second."""
     mass: float | None = None

@@ -95,7 +95,8 @@ class Person:
         return None
 
     def _follow(self, body: Body) -> Avatar:
-        return Avatar(body, self._config.scene, floor=self._config.floor)
+        config = self._config
+        return Avatar(body, config.scene, floor=config.floor, tracking=config.tracking)
 
 
 class Stamps:

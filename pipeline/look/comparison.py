@@ -20,7 +20,7 @@ from kinefilter.pipeline.failures import (
     told_failures,
     unmirrored,
 )
-from kinefilter.pipeline.formats import read_recording, read_take
+from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.metrics import METRICS, measure
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.feet import feet_of
@@ -82,7 +82,7 @@ def read_comparison(
         merged = merge(takes, body=body, calibration=known, progress=progress)
         take = merged.take
     else:
-        take = read_take(take_paths[0], body=body)
+        take = _read_take(take_paths[0], clip, body)
     try:
         return compare(clip, take, merged)
     except InputError as error:
@@ -142,7 +142,7 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
     NaN where nothing was measured, shape (T, J, 3). Raises an InputError if the file is
     no take, or not the one that the clip was made from.
     """
-    take, own = read_take(path), clip.time
+    take, own = _read_take(path, clip), clip.time
     try:
         _check_skeletons(clip, take)
         clip = in_time_of(clip, take)
@@ -159,6 +159,15 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
     except InputError as error:
         raise InputError(f"--compare {path}: {error}") from None
     return np.where((apart > _APART)[:, None, None], np.nan, placed[nearest])
+
+
+def _read_take(path: Path, clip: Clip, body: int | None = None) -> Take:
+    """Read a take, one without time stamps at the clip's, if it has its frames."""
+    recording = read_recording(path)
+    take = recording.take(body)
+    if not recording.timed and len(clip) == len(take):
+        return replace(take, time=clip.time)
+    return take
 
 
 def in_time_of(clip: Clip, take: Take) -> Clip:

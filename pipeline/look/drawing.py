@@ -21,6 +21,7 @@ from .sensors import Sensor, sensors_of
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.cleaner import CleanResult
+    from kinefilter.pipeline.failures import Failure
     from kinefilter.pipeline.merge import Merged
 
 Color = tuple[int, int, int]
@@ -105,6 +106,8 @@ class Drawing:
     raw: Array | None = None
     target: Array | None = None
     sensors: tuple[Sensor, ...] = ()
+    failures: tuple[Failure, ...] = ()
+    """Where the tracker failed, as far as that is known."""
 
     @classmethod
     def of(cls, result: CleanResult, take: Take, merged: Merged | None = None) -> Self:
@@ -114,7 +117,7 @@ class Drawing:
         raw = in_world(take, result.clip)
         target = None if result.trace is None else result.target
         sensors = () if merged is None else sensors_of(merged, raw)
-        return cls(clip=result.clip, raw=raw, target=target, sensors=sensors)
+        return cls(result.clip, raw, target, sensors, result.failures)
 
     @property
     def simulated(self) -> bool:

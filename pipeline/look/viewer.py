@@ -1,8 +1,7 @@
-"""A motion in the browser: played, turned, and its foot contacts edited."""
+"""A motion in the browser: played, turned and edited."""
 
 from __future__ import annotations
 
-import html
 import queue
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -14,90 +13,43 @@ from typing import Any
 import numpy as np
 import viser
 
-from kinefilter.characters import Clip, InputError, Term
-from kinefilter.characters.arrays import Array
-from kinefilter.characters.motion import nominal_step
-from kinefilter.pipeline.formats import write_contacts
+from kinefilter.characters import CONTACTS, Clip, InputError, Term
+from kinefilter.characters.arrays import Flags, runs
+from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile
 from kinefilter.pipeline.progress import Progress
 
-from .contact_editing import PARTS, ContactEdits, timeline_html
+from .doubts import doubtful
 from .drawing import Drawing
+from .edit_history import EditHistory, timeline_html
+from .playback import Playback
 from .sensors import Sensor
+from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import ViewerScene
 
-CleanAgain = Callable[[Path, Progress], Drawing]
-"""Cleans the take once more, with the contacts of a file."""
-Action = Callable[[Any], object]
-"""What is to be done, given the value of the widget that asked for it."""
+CleanAgain = Callable[[Sequence[Edit], Progress], Drawing]
+"""Cleans the take once more, with edits."""
 
 _STEPS = {"-10": -10, "-1": -1, "+1": 1, "+10": 10}  # frames, by button
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 _BESIDE = "raw beside"  # checkbox: the raw take stands beside the character
 _SHADOWS = "shadows"  # checkbox: they are half of the work where no GPU draws
+_NONE = "none yet"
+_ROWS = [name.replace("Left", " L").replace("Right", " R") for name in CONTACTS]
+_EDIT = (
+    "What the sensor says of a limb or joint counts for nothing; left is right; or "
+    "drag a joint to where it is in this frame"
+)
+_PIN = 0.25  # m, size of what a joint is dragged by
 _PROGRESS_EVERY = 0.1  # s between two reports of progress
 _LOOK = 1.0  # s between looks for Ctrl-C, which on Windows wakes nobody who waits
-_SHORTEST = 1.0 / 60.0  # s between two pictures: screens show no more
 
 
-class Playback:
-    """A place in a motion, at rest or ``playing`` with a clock; the end leads back."""
-
-    def __init__(self, time: Array) -> None:
-        last = np.nan_to_num(nominal_step(time), nan=1.0)
-        self._starts = time - time[0]
-        self._ends = np.append(self._starts[1:], self._starts[-1] + last)
-        self._frame, self._speed, self.playing = 0, 1.0, False
-        self._began = 0.0  # clock at which frame 0 was or would be, while it plays
-
-    def frame(self, clock: float) -> int:
-        """Return the frame that is shown at a time of the clock [s]."""
-        if not self.playing:
-            return self._frame
-        return int(np.searchsorted(self._ends[:-1], self._now(clock), side="right"))
-
-    def play(self, clock: float) -> None:
-        """Go on from the present frame, or from the first if it is the last."""
-        if not self.playing:
-            last = self._frame == len(self._starts) - 1
-            self._start(0 if last else self._frame, clock)
-
-    def pause(self, clock: float) -> None:
-        """Stay at the present frame."""
-        self.seek(self.frame(clock))
-
-    def seek(self, frame: int) -> None:
-        """Stay at a frame, or at the nearest there is."""
-        self._frame = min(max(frame, 0), len(self._starts) - 1)
-        self.playing = False
-
-    def change_speed(self, speed: float, clock: float) -> None:
-        """Play ``speed`` times as fast from now on."""
-        frame, self._speed = self.frame(clock), speed
-        if self.playing:
-            self._start(frame, clock)
-
-    def until_next(self, clock: float) -> float | None:
-        """Return how long [s] the present picture stays; None at rest."""
-        if not self.playing:
-            return None
-        left = self._ends[self.frame(clock)] - self._now(clock)
-        return max(float(left) / self._speed, _SHORTEST)
-
-    def _now(self, clock: float) -> float:
-        return (clock - self._began) * self._speed % float(self._ends[-1])
-
-    def _start(self, frame: int, clock: float) -> None:
-        self._began, self.playing = clock - self._starts[frame] / self._speed, True
-
-
-class Viewer:
+class Viewer(ServedPage):
     """One motion on one page; every browser that opens it sees the same.
 
-    Contacts are saved in the file ``save``, the only one that is written; ``again``
-    cleans the take once more, if it can be.
-
-    What browsers ask for comes from threads of the server. It waits in a queue for
-    ``run``, which alone changes anything, so that no locks are needed.
+    Edits are read from the file ``save`` and saved there, and nothing else is written
+    but what was there before, where somebody else wrote it; ``again`` cleans the take
+    once more, if it can be.
     """
 
     def __init__(
@@ -107,22 +59,15 @@ class Viewer:
         save: Path,
         again: CleanAgain | None = None,
     ) -> None:
-        self._server, self._save, self._again = server, save, again
-        self._asked: queue.Queue[tuple[Action, Any] | None] = queue.Queue()
+        super().__init__(server)
+        self._file, self._again = EditsFile(save), again
         self._playback = Playback(drawing.clip.time)
-        self._edits = ContactEdits(drawing.clip.contacts)
+        self._edits = EditHistory(self._file.read(), drawing.clip)
+        self._pin: Any = None
         self._add_panel(server.gui, drawing)
         self._look_at(drawing)
-        exists = ", which is there and will be replaced" if save.exists() else ""
-        self._say(f"to be saved as {save.name}{exists}")
-
-    @property
-    def address(self) -> str:
-        """What a browser opens."""
-        host = self._server.get_host()
-        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-        name = f"[{host}]" if ":" in host else host
-        return f"http://{name}:{self._server.get_port()}"
+        count = len(self._edits.edits)
+        self._say(f"{count} edits of {save.name}" if count else f"no {save.name} yet")
 
     def run(self) -> None:
         """Do what the page asks for, until ``stop``."""
@@ -142,15 +87,7 @@ class Viewer:
             except queue.Empty:
                 pass
 
-    def stop(self) -> None:
-        """Let ``run`` return; from any thread."""
-        self._asked.put(None)
-
     def _add_panel(self, gui: viser.GuiApi, drawing: Drawing) -> None:
-        plain: Any = {"show_logo": False, "show_share_button": False}
-        gui.configure_theme(control_width="large", **plain)
-        gui.set_panel_label("kinefilter")
-        gui.main_panel.dock_right()
         last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
         self._status = gui.add_html("")
         self._frame: Any = gui.add_slider("frame", 1, last, 1, 1)
@@ -164,6 +101,9 @@ class Viewer:
             "K": ("Play or pause", self._play_or_pause),
             "J": ("A frame back", lambda _: self._step("-1")),
             "L": ("A frame on", lambda _: self._step("+1")),
+            "N": ("To the next doubtful second", self._go_to_doubt),
+            "U": ("Undo an edit", lambda _: self._change("undo")),
+            "R": ("Redo an edit", lambda _: self._change("redo")),
         }
         for key, (label, action) in keys.items():
             self._on(gui.add_command(label, hotkey=key).on_trigger, action)
@@ -172,16 +112,29 @@ class Viewer:
             speed.on_update,
             lambda s: self._playback.change_speed(float(s), perf_counter()),
         )
-        with gui.add_folder("Foot contacts"):
+        doubt = gui.add_button("Next doubtful second", hint="key N")
+        self._on(doubt.on_click, self._go_to_doubt)
+        with gui.add_folder("Edits"):
             self._picture = gui.add_html("")
             self._span: Any = gui.add_multi_slider("frames", 1, last, 1, (1, last))
             self._on(self._span.on_update, lambda _: None)  # draws the timeline again
             ends = gui.add_button_group("set", ("from here", "to here", "all"))
             self._on(ends.on_click, self._set_end)
-            self._part = gui.add_dropdown("part", tuple(PARTS))
-            edit = gui.add_button_group("edit", ("stands", "lifts", "undo"))
+            known = drawing.clip.skeleton.joints
+            self._joint = gui.add_dropdown("limb or joint", (*LIMBS, *known))
+            edit = gui.add_button_group(
+                "edit", ("distrust", "exchange", "pin"), hint=_EDIT
+            )
             self._on(edit.on_click, self._edit)
-            self._on(gui.add_button("Save contacts").on_click, self._save_contacts)
+            self._part = gui.add_dropdown("foot", tuple(FEET))
+            contact = gui.add_button_group("contact", ("stands", "lifts"))
+            self._on(contact.on_click, self._edit)
+            self._list: Any = gui.add_dropdown("edits", (_NONE,))
+            change = gui.add_button_group(
+                "change", ("remove", "undo", "redo"), hint="keys U and R"
+            )
+            self._on(change.on_click, self._change)
+            self._on(gui.add_button("Save edits").on_click, self._save)
             possible = self._again is not None
             again = gui.add_button("Save and clean again", visible=possible)
             self._on(again.on_click, self._clean_again)
@@ -196,17 +149,14 @@ class Viewer:
         for box in self._boxes.values():
             self._on(box.on_update, self._choose)
 
-    def _on(self, register: Callable[[Any], Any], action: Action) -> None:
-        async def ask(event: Any) -> None:
-            if event.client is not None:  # not where this program changed a widget
-                self._asked.put((action, getattr(event.target, "value", None)))
-
-        register(ask)
-
     def _look_at(self, drawing: Drawing) -> None:
         self._clip, self._sensors = drawing.clip, drawing.sensors
         with self._server.atomic():
             self._scene = ViewerScene(self._server, drawing, self._edits)
+        self._pin = None  # is gone with the scene
+        self._edits.look_at(drawing.clip)
+        self._doubtful = doubtful(drawing.clip, drawing.failures)
+        self._show_edits()
         self._choose()
 
     def _show(self) -> None:
@@ -218,11 +168,20 @@ class Viewer:
                 self._frame.value = frame + 1
             self._status.content = status_html(self._clip, frame, self._sensors)
             chosen = self._first_and_last
-            self._picture.content = timeline_html(self._edits.contacts, frame, chosen)
+            rows = dict(zip(_ROWS, self._edits.contacts.T, strict=True))
+            rows |= {"edited": self._edits.edited, "doubtful": self._doubts}
+            self._picture.content = timeline_html(rows, frame, chosen)
+            if self._pin is not None:
+                self._pin.visible = frame == self._pinned
             self._play.label = "Pause" if playing else "Play"
             icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
             if self._play.icon != icon:
                 self._play.icon = icon
+
+    @property
+    def _doubts(self) -> Flags:
+        """Frames that are doubtful, and of which nothing is said yet, shape (T,)."""
+        return np.asarray(self._doubtful & ~self._edits.edited)
 
     @property
     def _first_and_last(self) -> tuple[int, int]:
@@ -251,44 +210,98 @@ class Viewer:
             "all": (1, len(self._clip)),
         }[which]
 
-    def _edit(self, button: str) -> None:
-        """Change the contacts, or take the last change back."""
-        edits = self._edits
-        if button == "undo":
-            edits.undo()
-        else:
-            first, last = self._first_and_last
-            edits.put(self._part.value, first, last, stands=button == "stands")
-        self._say("not saved" if edits.unsaved else "")
+    def _go_to_doubt(self, _: object = None) -> None:
+        """Show the next second that is to be doubted, and choose its frames."""
+        here, found = self._playback.frame(perf_counter()), runs(self._doubts)
+        if not found:
+            self._say("nothing here is doubtful")
+            return
+        span = next((span for span in found if span.start > here), found[0])
+        self._playback.seek(span.start)
+        self._span.value = (span.start + 1, span.stop)
 
-    def _save_contacts(self, _: object = None) -> bool:
-        """Write the contacts; return whether that worked."""
+    def _edit(self, button: str) -> None:
+        """Say something of the chosen frames."""
+        first, last = self._first_and_last
+        begin, end = (round(float(self._edits.since[k]), 4) for k in (first, last))
+        if button == "pin":
+            self._offer_pin(self._joint.value)
+        elif button in ("stands", "lifts"):
+            stands = button == "stands"
+            self._add(Edit("contact", begin, end, part=self._part.value, stands=stands))
+        else:
+            joints = (self._joint.value,) if button == "distrust" else ()
+            self._add(Edit(button, begin, end, joints))
+
+    def _add(self, *edits: Edit) -> None:
+        self._edits.replace(dict.fromkeys((*self._edits.edits, *edits)))
+        self._show_edits()
+
+    def _offer_pin(self, name: str) -> None:
+        """Let a joint be dragged to where it is in the present frame."""
+        joints = self._clip.skeleton.joints
+        if name not in joints:
+            self._say("choose a joint to pin, not a limb", wrong=True)
+            return
+        self._playback.pause(perf_counter())
+        self._pinned = frame = self._playback.frame(perf_counter())
+        place = self._clip.positions[frame, joints.index(name)]
+        self._pin = self._server.scene.add_transform_controls(
+            "/pin", _PIN, position=place, disable_rotations=True, depth_test=False
+        )
+
+        def dropped(_: object) -> None:
+            time = round(float(self._edits.since[frame]), 4)
+            there = tuple(round(float(x), 4) for x in self._pin.position)
+            pin = Edit("pin", time, time, (name,), position=there)
+            same = [e for e in self._edits.edits if replace(e, position=there) == pin]
+            self._edits.replace([e for e in (*self._edits.edits, pin) if e not in same])
+            self._show_edits()
+
+        self._on(self._pin.on_update, dropped)
+        self._say(f"drag {name} to where it is")
+
+    def _change(self, button: str) -> None:
+        """Remove the edit that the list shows, or undo or redo a change."""
+        edits, shown = self._edits, self._list.options.index(self._list.value)
+        if button == "remove":
+            edits.replace(edit for k, edit in enumerate(edits.edits) if k != shown)
+        else:
+            (edits.undo if button == "undo" else edits.redo)()
+        self._show_edits()
+
+    def _show_edits(self) -> None:
+        told = [f"{k}. {edit.told}" for k, edit in enumerate(self._edits.edits, 1)]
+        self._list.options = told or [_NONE]
+        self._list.value = self._list.options[-1]  # the last one made
+        self._say("not saved" if self._edits.unsaved else "")
+
+    def _save(self, _: object = None) -> bool:
+        """Write the edits; return whether that worked."""
         try:
-            clip = replace(self._clip, contacts=self._edits.contacts)
-            write_contacts(clip, self._save)
+            kept = self._file.write(self._edits.edits)
         except InputError as error:
             self._say(str(error), wrong=True)
             return False
         self._edits.mark_saved()
-        self._say(f"saved {self._save}")
+        also = f"; what was there is now {kept.name}" if kept else ""
+        self._say(f"saved {self._file.path}{also}")
         return True
 
     def _clean_again(self, _: object) -> None:
-        """Save, and clean as ``clean --contacts`` would with that file."""
+        """Save, and clean as ``clean --edits`` would with that file."""
         self._playback.pause(perf_counter())
-        if self._again is None or not self._save_contacts():
+        if self._again is None or not self._save():
             return
         try:
-            drawing = self._again(self._save, self._progress)
+            drawing = self._again(self._edits.edits, self._progress)
         except InputError as error:
             self._say(str(error), wrong=True)
             return
         finally:
             self._busy.visible = False
-        self._edits.replace(drawing.clip.contacts)
-        self._edits.mark_saved()
         self._look_at(drawing)
-        self._say(f"cleaned with {self._save}")
+        self._say(f"cleaned with {self._file.path}")
 
     def _progress(self, stage: str, count: int) -> Iterable[int]:
         """Show on the page how far a stage is."""
@@ -300,13 +313,6 @@ class Viewer:
                 self._busy.value = 100.0 * step / count
                 shown = perf_counter()
             yield step
-
-    def _say(self, words: str, *, wrong: bool = False) -> None:
-        color = "#c92a2a" if wrong else "inherit"
-        self._said.content = (
-            f'<div id="said" style="font-size:12px;margin:0 8px;color:{color};'
-            f'overflow-wrap:anywhere">{html.escape(words)}</div>'
-        )
 
 
 def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
@@ -332,11 +338,4 @@ def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
             text += f"{np.median(apart[seen]) * 100.0:.1f} cm apart"
         style = f"font-weight:600;color:rgb{sensor.color};overflow-wrap:anywhere"
         rows.append((style, sensor.name, text))
-    cells = "".join(
-        f'<div style="{style}">{html.escape(name)}</div><div>{html.escape(text)}</div>'
-        for style, name, text in rows
-    )
-    return (
-        '<div id="status" style="display:grid;grid-template-columns:auto 1fr;'
-        f'gap:1px 8px;font-size:12px;margin:2px 8px">{cells}</div>'
-    )
+    return table_html(rows)

@@ -10,15 +10,16 @@ import trimesh
 import viser
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip
+from kinefilter.characters import Body, Clip, Prop
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.props import UPRIGHT
 from kinefilter.characters.rotations import IDENTITY
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_over, camera_path
-from .contact_editing import ContactEdits
 from .drawing import Color, Drawing, StickFigure, left_of, segment_starts
+from .edit_history import EditHistory
 from .sensors import Sensor
 
 Update = Callable[[int], None]
@@ -49,12 +50,12 @@ class ViewerScene:
     """Everything that is drawn, in layers (Drawing.layers) that are shown or hidden."""
 
     def __init__(
-        self, server: viser.ViserServer, drawing: Drawing, edits: ContactEdits
+        self, server: viser.ViserServer, drawing: Drawing, edits: EditHistory
     ) -> None:
         scene = server.scene
         scene.reset()
         self._offset = drawing.raw_offset
-        self._sun = _set_stage(server, drawing)
+        self._sun = set_stage(server, drawing)
         self._skin, update = _add_skin(scene, drawing.clip)
         self._layers: dict[str, Layer] = {"skin": (self._skin, update)}
         for name, figure in drawing.figures.items():
@@ -85,12 +86,12 @@ class ViewerScene:
             self._layers[name][1](frame)
 
 
-def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: ContactEdits) -> Layer:
+def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: EditHistory) -> Layer:
     """Add a disk on the floor under every heel and toe that stands."""
     parts = np.transpose(ankles_and_toes(clip.skeleton)).ravel()
     places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
-    disk = _cylinder(_DISK, _THICK, sections=32)
-    disks = _add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
+    disk = cylinder(_DISK, _THICK, sections=32)
+    disks = add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
 
     def update(frame: int) -> None:
         disks.batched_positions = places[frame]
@@ -103,10 +104,10 @@ def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
     """Add spheres and cylinders for joints and bones, which can be moved together."""
     group = scene.add_frame(f"/{name}", show_axes=False)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=_JOINT)
-    stick = _cylinder(_BONE, 1.0, sections=12)
+    stick = cylinder(_BONE, 1.0, sections=12)
     color, count = figure.color or _BONE_COLOR, len(figure.skeleton)
-    joints = _add_batch(scene, f"/{name}/joints", ball, count, color)
-    bones = _add_batch(scene, f"/{name}/bones", stick, count - 1, color)
+    joints = add_batch(scene, f"/{name}/joints", ball, count, color)
+    bones = add_batch(scene, f"/{name}/bones", stick, count - 1, color)
 
     def update(frame: int) -> None:
         now = figure.at(frame)
@@ -138,8 +139,19 @@ def _add_frusta(scene: viser.SceneApi, sensors: Sequence[Sensor]) -> None:
 
 
 def _add_skin(scene: viser.SceneApi, clip: Clip) -> Layer:
-    body, joints = clip.body, len(clip.skeleton)
-    starts = segment_starts(clip.skeleton)
+    mesh, pose = add_skin(scene, clip.body)
+    positions, rotations = clip.positions, clip.rotations
+    return mesh, lambda frame: pose(positions[frame], rotations[frame])
+
+
+def add_skin(
+    scene: viser.SceneApi, body: Body
+) -> tuple[viser.MeshSkinnedHandle, Callable[[Array, Array], None]]:
+    """Add a body's skin; also return what poses it.
+
+    Takes joint positions [m], (J, 3), and rotations, wxyz, (J, 4).
+    """
+    starts, joints = segment_starts(body.skeleton), len(body.skeleton)
     skin = skin_of(body)
     weights = np.zeros((len(skin.points), joints))
     np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
@@ -152,21 +164,37 @@ def _add_skin(scene: viser.SceneApi, clip: Clip) -> Layer:
         skin_weights=weights,
         color=_SKIN,
     )
-    positions, rotations = clip.positions[:, starts], clip.rotations
 
-    def update(frame: int) -> None:
+    def pose(positions: Array, rotations: Array) -> None:
         for joint, bone in enumerate(mesh.bones):
-            bone.position = positions[frame, joint]
-            bone.wxyz = rotations[frame, joint]
+            bone.position = positions[starts[joint]]
+            bone.wxyz = rotations[joint]
 
-    return mesh, update
+    return mesh, pose
 
 
 def _add_props(scene: viser.SceneApi, clip: Clip) -> Layer:
+    group, frames = add_props(scene, clip.props)
+
+    def update(frame: int) -> None:
+        for prop, handle in zip(clip.props, frames, strict=True):
+            k = frame if prop.moves else 0
+            handle.position, handle.wxyz = prop.positions[k], prop.rotations[k]
+
+    return group, update
+
+
+def add_props(
+    scene: viser.SceneApi, props: Sequence[Prop]
+) -> tuple[viser.FrameHandle, list[viser.FrameHandle]]:
+    """Add props, each where it begins; return a handle of all, and of each."""
     group = scene.add_frame("/things", show_axes=False)
     frames = []
-    for n, prop in enumerate(clip.props):
-        frames.append(scene.add_frame(f"/things/{n}", show_axes=False))
+    for n, prop in enumerate(props):
+        place, turn = prop.positions[0], prop.rotations[0]
+        frames.append(
+            scene.add_frame(f"/things/{n}", show_axes=False, position=place, wxyz=turn)
+        )
         for k, shape in enumerate(prop.shapes):
             mesh = shape.surface()
             scene.add_mesh_simple(
@@ -178,18 +206,12 @@ def _add_props(scene: viser.SceneApi, clip: Clip) -> Layer:
                 position=shape.position,
                 wxyz=shape.rotation,
             )
-
-    def update(frame: int) -> None:
-        for prop, handle in zip(clip.props, frames, strict=True):
-            k = frame if prop.moves else 0
-            handle.position, handle.wxyz = prop.positions[k], prop.rotations[k]
-
-    return group, update
+    return group, frames
 
 
 def _add_force(scene: viser.SceneApi, clip: Clip) -> Layer:
     """Add a bar beside the character, as high as the external force is large."""
-    mesh = _cylinder(_BAR, 1.0, sections=24)
+    mesh = cylinder(_BAR, 1.0, sections=24)
     mesh.apply_translation([0.0, 0.5, 0.0])
     group = scene.add_frame("/force", show_axes=False)
     bar = scene.add_mesh_simple("/force/bar", mesh.vertices, mesh.faces, color=_FORCE)
@@ -207,9 +229,10 @@ def _add_force(scene: viser.SceneApi, clip: Clip) -> Layer:
     return group, update
 
 
-def _set_stage(
+def set_stage(
     server: viser.ViserServer, drawing: Drawing
 ) -> viser.DirectionalLightHandle:
+    """Set sky, floor and lights, and a camera that sees a drawing; return the sun."""
     scene, clip = server.scene, drawing.clip
     scene.set_up_direction("+y")
     top, bottom = (np.array(color) for color in _SKY)
@@ -245,8 +268,9 @@ def _set_stage(
         camera = camera_over(points, edges[:, 0, 0], aspect=_ASPECT)
     else:
         camera = camera_path("front", clip, points, aspect=_ASPECT, rate=clip.fps)
-    server.initial_camera.position, server.initial_camera.look_at = camera.at(0)
-    server.initial_camera.fov = np.radians(camera.fov)
+    if not server.get_clients():  # who looks on already stays where they are
+        server.initial_camera.position, server.initial_camera.look_at = camera.at(0)
+        server.initial_camera.fov = np.radians(camera.fov)
     front = camera.toward * [1.0, 0.0, 1.0]
     front /= np.linalg.norm(front)
     left = np.array([-front[2], 0.0, front[0]])  # in the picture
@@ -258,7 +282,7 @@ def _set_stage(
     )
 
 
-def _add_batch(
+def add_batch(
     scene: viser.SceneApi,
     name: str,
     mesh: trimesh.Trimesh,
@@ -281,7 +305,8 @@ def _add_batch(
     )
 
 
-def _cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
+def cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
+    """Return a cylinder along y about the origin."""
     make: Callable[..., trimesh.Trimesh] = trimesh.creation.cylinder
     return make(radius, height, sections, transform=UPRIGHT)
 

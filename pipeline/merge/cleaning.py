@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.edits import Edit, edited, read_edits
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.stages import Correct
@@ -34,6 +36,7 @@ def clean_session(
     body: int | None = None,
     calibration: Sequence[Alignment] = (),
     tracking: Tracking | None = None,
+    edits: Sequence[Edit] | None = None,
     progress: Progress = silent,
 ) -> tuple[CleanResult, Merged]:
     """Return the clip of a person whom several sensors recorded, and what was merged.
@@ -48,18 +51,41 @@ def clean_session(
         body: Which person of the first recording; see ``merge``.
         calibration: Where and when the other sensors are; see ``merge``.
         tracking: How hard the simulated character is pulled.
+        edits: What somebody says of the merged take; by default what the config's file
+            says.
         progress: Wraps the frame loops, for a progress bar.
 
     Raises:
         InputError: As ``merge`` and ``clean``.
     """
     config = CleanConfig() if config is None else config
+    if edits is None:
+        edits = read_edits(config.edits) if config.edits else ()
+    config = replace(config, edits=None)
     merged = merge(takes, body=body, calibration=calibration, progress=progress)
+    edited(merged.take, edits)  # refused before any work is done
+    cleaner, before = _cleaner(merged, config, (), tracking, progress), None
+    if edits:
+        before = cleaner.unedited(merged.take, progress)
+        cleaner = _cleaner(merged, config, edits, tracking, progress)
+    clean = partial(cleaner.clean, edits=edits, before=before)
+    return clean(merged.take, progress=progress), merged
+
+
+def _cleaner(
+    merged: Merged,
+    config: CleanConfig,
+    edits: Sequence[Edit],
+    tracking: Tracking | None,
+    progress: Progress,
+) -> Cleaner:
+    """Return what cleans a merged take, with joints where each sensor's are right."""
     # The frames stay those of the sensors, in which their alignments hold; failures
     # were mended before sides were settled.
     corrector = _without_failures(Cleaner(replace(config, tilt=0.0)).until("correct"))
     corrected, scores = [], []
-    for take in merged.untangled():
+    for take, since in merged.untangled():
+        take = edited(take, edits, since)
         draft = corrector.whole(take, progress)
         places = np.where(draft.missing[..., None], np.nan, draft.positions)
         corrected.append(replace(take, positions=places))
@@ -69,8 +95,7 @@ def clean_session(
     fused = fuse(corrected, scores, merged.alignments, progress)
     # A person who turns away from one sensor is no failure of all.
     cleaner = _without_failures(Cleaner(config, tracking=tracking))
-    cleaner = cleaner.replaced(Corrected(config, fused.take.positions))
-    return cleaner.clean(merged.take, progress=progress), merged
+    return cleaner.replaced(Corrected(config, fused.take.positions))
 
 
 def _without_failures(cleaner: Cleaner) -> Cleaner:
@@ -88,6 +113,7 @@ class Corrected(Correct):
     """
 
     in_parts = False
+    local = False  # the places are those of the whole take
 
     def __init__(self, config: CleanConfig, places: Array | None = None) -> None:
         super().__init__(config)

@@ -43,14 +43,18 @@ class Merged:
     notes: tuple[str, ...] = ()
     """What users should know about who is who."""
 
-    def untangled(self) -> list[Take]:
-        """Return each sensor's take with its sides as all sensors have them."""
+    def untangled(self) -> list[tuple[Take, Array]]:
+        """Return each sensor's take with its sides as all sensors have them.
+
+        With times [s] (T,) of its frames, counted from the merged take's first.
+        """
         takes = []
         for k, take in enumerate(self.takes):
             time = (HERE, *self.alignments)[k].clock.undone(take.time)
             frames = np.searchsorted(self.take.time, time)
             frames = frames.clip(max=len(self.take) - 1)
-            takes.append(take.exchanged(self.exchanged[frames, k]))
+            since = time - self.take.time[0]
+            takes.append((take.exchanged(self.exchanged[frames, k]), since))
         return takes
 
     @property

@@ -40,6 +40,8 @@ class Things:
         data: Its state, of which ``record`` takes the poses.
         character: Index of the character's root body.
         frames: How many frames there will be.
+
+    ``poses`` are places [m] and rotations of what moves, MuJoCo's, (frames, N, 7).
     """
 
     def __init__(
@@ -53,13 +55,27 @@ class Things:
             if model.body_rootid[body] != character
         }
         self._moving = [b for b in self._geoms if model.body_weldid[b] != 0]
-        self._poses = np.empty((frames, len(self._moving), 7))
+        self.poses = np.empty((frames, len(self._moving), 7))
 
     def record(self, frame: int) -> None:
         """Record the pose of everything that can move."""
         if self._moving:
-            self._poses[frame, :, :3] = self._data.xpos[self._moving]
-            self._poses[frame, :, 3:] = self._data.xquat[self._moving]
+            self.poses[frame, :, :3] = self._data.xpos[self._moving]
+            self.poses[frame, :, 3:] = self._data.xquat[self._moving]
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the props that can move."""
+        return tuple(self._name(body) for body in self._moving)
+
+    @property
+    def now(self) -> tuple[Array, Array]:
+        """Where these were last [m], (N, 3), and their rotations, wxyz, (N, 4)."""
+        poses = self.poses[-1]
+        return from_mujoco(poses[:, :3]), from_mujoco(poses[:, 3:])
+
+    def _name(self, body: int) -> str:
+        return self._model.body(body).name or f"body{body}"
 
     def props(self, place: HeadingFrame) -> tuple[Prop, ...]:
         """Return the things and their motion in the world frame of a take.
@@ -72,9 +88,9 @@ class Things:
     def _prop(self, body: int, place: HeadingFrame) -> Prop:
         poses = np.append(self._data.xpos[body], self._data.xquat[body])[None]
         if body in self._moving:
-            poses = self._poses[:, self._moving.index(body)]
+            poses = self.poses[:, self._moving.index(body)]
         return Prop(
-            self._model.body(body).name or f"body{body}",
+            self._name(body),
             tuple(self._shape(geom) for geom in self._geoms[body]),
             place.restore(from_mujoco(poses[:, None, :3]))[:, 0],
             continuous(place.restore_rotations(from_mujoco(poses[:, 3:]))),
@@ -108,7 +124,7 @@ class PhysicsTrace:
     tracking_error: Array
     """Mean distance of the joints from their targets [m]."""
     external_force: Array
-    """Force on the body that no muscle and no floor gives [body weights]."""
+    """Mean force over the frame that no muscle and no floor gives [body weights]."""
     contacts: NDArray[np.int64]
     """Number of points in which the character touches itself or anything else."""
     reset: Flags

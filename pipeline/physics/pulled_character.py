@@ -7,6 +7,7 @@ gravity and the floor, so the result obeys them whatever the target does.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -18,10 +19,13 @@ from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags, as_number, as_numbers
 from kinefilter.characters.humanoid import PULLS, build_humanoid, from_mujoco, to_mujoco
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
+from kinefilter.characters.tracking import GameTracking, RagdollTracking
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, sunk
 from kinefilter.scenes import load_scene
 
+from .compliance import TENSION, Compliance
+from .momentum import Momentum
 from .stuck_limbs import StuckLimbs
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -65,6 +69,7 @@ class PulledCharacter:
         body: The person.
         tracking: How hard the character is pulled.
         scene: What is around it, one of SCENES or an MJCF file; by default the floor.
+        more: Adds to the scene before it is compiled.
 
     Raises:
         InputError: As ``load_scene``.
@@ -76,12 +81,14 @@ class PulledCharacter:
         tracking: Tracking | None = None,
         *,
         scene: str | Path | None = None,
+        more: Callable[[mujoco.MjSpec], object] = lambda _: None,
     ) -> None:
         self.body = body
         if scene is None:
             spec = build_humanoid(body, tracking)
         else:
             spec = load_scene(scene, body, tracking=tracking)
+        more(spec)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         joints = body.skeleton.joints
@@ -117,12 +124,27 @@ class PulledCharacter:
         self._weight = float(body.mass * GRAVITY)
         self._masses = joint_masses(body)[:, None]
         self._shares = self._masses[:, 0] / self._masses.sum()
+        self._momentum = Momentum(
+            self.model,
+            self._sites,
+            self._masses[:, 0],
+            int(self._bodies[body.skeleton.root]),
+        )
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
         ankles, toes = ankles_and_toes(body.skeleton)
         self._feet = np.stack([ankles, toes], axis=1)
         self._soles = self._bodies[toes]
         self._load = np.zeros(2)
         self._pushes: list[tuple[int, Array, float]] = []
+        self._gains = self._stiffness, self._damping
+        self._resists = self.model.dof_damping.copy()
+        # For each body of the model the joint at its end, -1 if not the character's.
+        self.parts = np.full(self.model.nbody, -1)
+        self.parts[self._bodies] = np.arange(n)
+        self.compliance = None
+        if isinstance(tracking, GameTracking):
+            self.compliance = Compliance(body, tracking)
+        self.limp = isinstance(tracking, RagdollTracking)
         if mujoco.get_mju_user_warning() is None:
             # The engine's own handler writes a log into the user's working folder; a
             # diverging step is in the trace.
@@ -149,8 +171,14 @@ class PulledCharacter:
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
         self._load[:], self._pressure = 0.0, 0.0
+        self._momentum.start()
+        self._external = np.zeros(3)
         self._limbs.start()
         self._pushes.clear()
+        if self.compliance is not None:
+            self.limp &= not self.compliance.felled
+            self._lay = self.limp
+            self.compliance.start()
         self._place(*self._target)
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
@@ -212,8 +240,10 @@ class PulledCharacter:
             raise InputError(
                 f"a step takes {dt:g} s; give the time since the last one, more than 0"
             )
-        before_p, before_q = self._target
+        if (gives := self.compliance) is not None:
+            positions, rotations = self._give_way(gives, positions, rotations, dt)
         after_p, after_q = to_mujoco(positions), to_mujoco(rotations)
+        before_p, before_q = self._target
         flipped = np.vecdot(before_q, after_q) < 0.0
         after_q[flipped] *= -1.0
         velocity = (after_p - before_p) / dt
@@ -221,18 +251,25 @@ class PulledCharacter:
             gained = (velocity - self._velocity) / dt
         else:
             gained = to_mujoco(acceleration)
+            gained = gained if gives is None else gained + to_mujoco(gives.gained)
         self._target, self._velocity = (after_p, after_q), velocity
         needed = self._masses * (gained + _UP * GRAVITY)
+        carries = not self.limp
+        if gives is not None:
+            needed, carries = needed * gives.hold, gives.upright and carries
         self.data.xfrc_applied[self._bodies] = 0.0
-        self._bear(after_p, needed.sum(axis=0), None if self.limp else stands, dt)
+        self._bear(after_p, needed.sum(axis=0), stands if carries else None, dt)
         for part, force, left in self._pushes:
             # What is left may be shorter than the frame: the impulse is what was asked.
             self.data.xfrc_applied[part, :3] += force * min(left / dt, 1.0)
+        pushed = self.data.xfrc_applied[self._bodies, :3].sum(axis=0)
+        pushed[2] += self._pressure
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n, nu = after_p.size, len(self._stiffness)
         # In the segment's own frame, as the torques' axes are.
         turning = rotation_vector(multiply(inverse(before_q), after_q)) / dt
         ctrl, data, began = self.data.ctrl, self.data, self.data.time
+        before = data.qpos.copy(), data.qvel.copy()
         ctrl[n:nu] = self._damping[n:] * np.vecdot(
             turning[self._turned], self._turn_axes
         )
@@ -249,14 +286,51 @@ class PulledCharacter:
             ctrl[:n] = self._stiffness[:n] * point.ravel() + forward
             # The engine makes them unit quaternions.
             data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
-            mujoco.mj_step(self.model, data, nstep=substeps)
-        mujoco.mj_kinematics(self.model, data)
+            for _ in range(substeps):
+                mujoco.mj_step(self.model, data)
+                self._momentum.add(data)
+                if gives is not None and self._props.any():
+                    gives.feel(self.model, data, self.parts, self._props)
+        self._external = self._momentum.beyond(data, pushed)
         if self._astray(after_p, began) or self._stuck(dt):
             mujoco.mj_resetData(self.model, data)
+            data.qpos[:], data.qvel[:] = before  # of what is around it
             self._place(after_p, after_q)
+            self._momentum.start()
+            self._external[:] = 0.0
             return False
         self._raise()
         return True
+
+    @property
+    def _yields(self) -> bool:
+        """Whether it need not be where its target is: let go, felled, or rising."""
+        return self.limp or not (self.compliance is None or self.compliance.upright)
+
+    def _give_way(
+        self, gives: Compliance, positions: Array, rotations: Array, dt: float
+    ) -> tuple[Array, Array]:
+        """Return the target as blows have changed it, and scale the pulls."""
+        for part, force, left in self._pushes:
+            gives.hit(self.parts[part], from_mujoco(force) * min(left, dt))
+        if self.limp and gives.lies(dt, float(np.linalg.norm(self.data.qvel[:3]))):
+            self.limp = False
+        if self._lay and not self.limp:
+            there = positions[self.body.skeleton.root]
+            gives.get_up(self.root, self.rotations, there)
+            self._target = self.data.site_xpos[self._sites], to_mujoco(self.rotations)
+            self._velocity = np.zeros_like(positions)
+        if not self.limp:
+            self.limp = gives.fall(dt)
+        self._lay = self.limp
+        share = gives.strength
+        share = np.concatenate([share.repeat(3), share[self._turned]])
+        stiffness, damping = self._gains
+        self._stiffness, self._damping = stiffness * share**2, damping * share
+        self.model.actuator_biasprm[: len(share), 1] = -self._stiffness
+        self.model.actuator_biasprm[: len(share), 2] = -self._damping
+        self.model.dof_damping[:] = self._resists * (TENSION if gives.felled else 1.0)
+        return gives.target(positions, rotations, dt)
 
     def _holds(self) -> bool:
         """Tell whether both hands touch the same prop and should stay on it."""
@@ -305,14 +379,14 @@ class PulledCharacter:
         # The engine begins anew at time 0 when its numbers run away.
         if not self.data.time > before or not np.abs(self.data.qvel).max() < _FASTEST:
             return True
-        if self.limp:
+        if self._yields:
             return False
         away = np.abs(self.data.site_xpos[self._sites] - target).max()
         return not away < LOST  # also true for NaN
 
     def _stuck(self, dt: float) -> bool:
         """Tell whether a limb is stuck, unless it may hang or was pushed away."""
-        if self.limp or self._pushes:
+        if self._yields or self._pushes:
             self._limbs.start()
             return False
         there = self.data.site_xpos[self._sites], self.data.xquat[self._bodies]
@@ -324,7 +398,7 @@ class PulledCharacter:
         above = inverse(rotations[bones.segment_parents])
         relative = multiply(above, rotations[bones.segments])
         qpos[self._balls[:, None] + np.arange(4)] = relative
-        self.data.qvel[:] = 0.0
+        self.data.qvel[: 3 * len(self._balls) + 6] = 0.0
         self.data.mocap_quat[self._mocap] = rotations
         mujoco.mj_kinematics(self.model, self.data)
         self._raise()
@@ -358,15 +432,15 @@ class PulledCharacter:
 
     @property
     def external_force(self) -> float:
-        """What pulls the body as a whole and comes from no floor [body weights].
+        """Mean force over the last step that only the pulls explain [body weights].
 
-        The magnitude of the sum of all pulls and of what the feet take from the floor
-        for them: what no person could do by muscles.
+        The magnitude of what the body gained beyond what gravity, floor, things and
+        pushes gave: what no person could do by muscles. 0 where nothing pulls, and
+        where the character was put back.
         """
-        n = 3 * len(self._sites)
-        pulls = self.data.actuator_force[:n].reshape(-1, 3).sum(axis=0)
-        pulls[2] -= self._pressure
-        return float(np.linalg.norm(pulls) / self._weight)
+        if self.limp:
+            return 0.0
+        return float(np.linalg.norm(self._external) / self._weight)
 
     @property
     def tracking_error(self) -> float:

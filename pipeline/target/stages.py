@@ -84,7 +84,9 @@ class Upright(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Turn a take."""
         if not self._given:
-            self._turn = find_turn(draft.measured, draft.skeleton)
+            before = draft.unedited
+            turn = before.done.turn if before else None
+            self._turn = turn or find_turn(draft.measured, draft.skeleton)
             self._apply(draft)
 
     def _apply(self, draft: Draft) -> None:
@@ -115,7 +117,10 @@ class Level(Stage):
             ]
         )
         feet = draft.positions, draft.confidence, draft.stands, draft.body
-        draft.tilt = sensor_tilt(*feet) if self._tilt is None else self._tilt
+        if draft.unedited is not None:
+            draft.tilt = draft.unedited.planted.tilt
+        else:
+            draft.tilt = sensor_tilt(*feet) if self._tilt is None else self._tilt
         draft.positions = leveled(draft.positions, draft.tilt)
 
 
@@ -194,7 +199,10 @@ class Floor(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Find the floor under the feet of a take, unless it is known."""
         feet = draft.positions, draft.confidence, draft.stands, draft.body
-        draft.floor = floor_height(*feet) if self._given is None else self._given
+        if draft.unedited is not None:
+            draft.floor = draft.unedited.planted.floor
+        else:
+            draft.floor = floor_height(*feet) if self._given is None else self._given
         draft.positions = draft.positions - [0.0, draft.floor, 0.0]
 
 
@@ -210,7 +218,7 @@ class Feet(Stage):
     in_parts = False  # the contacts that are given are those of the whole take
 
     def __init__(self, config: CleanConfig, contacts: Flags | None = None) -> None:
-        self._feet, self._file, self._given = config.feet, config.contacts, contacts
+        self._feet, self._file, self.given = config.feet, config.contacts, contacts
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
@@ -246,8 +254,8 @@ class Feet(Stage):
         stands, heels = draft.stands, None
         if self._feet != "auto":
             stands = np.full_like(stands, self._feet == "always")
-        contacts = self._given
-        if self._file is not None:
+        contacts = self.given
+        if contacts is None and self._file is not None:
             contacts = read_contacts(self._file, draft.time)
         if contacts is not None:
             stands, heels = feet_of(contacts), contacts[:, ::2]
@@ -275,6 +283,7 @@ class Bones(Stage):
     """Puts joints on the person's own segments, over the floor."""
 
     name = "bones"
+    local = True
 
     def start(self, body: Body) -> None:
         """Forget all frames."""
@@ -312,6 +321,7 @@ class Orient(Stage):
     """Gives every segment an orientation."""
 
     name = "orientation"
+    local = True
     in_parts = False  # rotations keep their sign across gaps
 
     def start(self, body: Body) -> None:

@@ -44,7 +44,7 @@ def take_view(take: Take, out: Path) -> Clip:
     """Write the picture of view; return the clip."""
     drawing = Drawing.of(clean(take), take)
     with opened_server() as server:
-        viewer = Viewer(server, drawing, Path("wave_punch_bend.contacts.csv"))
+        viewer = Viewer(server, drawing, Path("wave_punch_bend.edits.toml"))
         work = threading.Thread(target=viewer.run)
         work.start()
         with Browser(size=VIEW, webgl=True) as browser:

@@ -81,6 +81,7 @@ def _figures(result: CleanResult) -> dict[str, float]:
         "amplitude, share of raw": after.amplitude_kept,
         "distance from the target, cm": 100.0 * float(trace.tracking_error.mean()),
         "external force, body weights": float(trace.external_force.mean()),
+        "unexplained force, body weights": after.unexplained_force,
         "frames outside the database, %": 100.0 * float(np.mean(result.coverage < 0.5)),
         "simulation resets": float(trace.reset.sum()),
     }

@@ -1,0 +1,61 @@
+"""A place in a motion that plays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import nominal_step
+
+_SHORTEST = 1.0 / 60.0  # s between two pictures: screens show no more
+
+
+class Playback:
+    """A place in a motion, at rest or ``playing`` with a clock; the end leads back."""
+
+    def __init__(self, time: Array) -> None:
+        last = np.nan_to_num(nominal_step(time), nan=1.0)
+        self._starts = time - time[0]
+        self._ends = np.append(self._starts[1:], self._starts[-1] + last)
+        self._frame, self._speed, self.playing = 0, 1.0, False
+        self._began = 0.0  # clock at which frame 0 was or would be, while it plays
+
+    def frame(self, clock: float) -> int:
+        """Return the frame that is shown at a time of the clock [s]."""
+        if not self.playing:
+            return self._frame
+        return int(np.searchsorted(self._ends[:-1], self._now(clock), side="right"))
+
+    def play(self, clock: float) -> None:
+        """Go on from the present frame, or from the first if it is the last."""
+        if not self.playing:
+            last = self._frame == len(self._starts) - 1
+            self._start(0 if last else self._frame, clock)
+
+    def pause(self, clock: float) -> None:
+        """Stay at the present frame."""
+        self.seek(self.frame(clock))
+
+    def seek(self, frame: int) -> None:
+        """Stay at a frame, or at the nearest there is."""
+        self._frame = min(max(frame, 0), len(self._starts) - 1)
+        self.playing = False
+
+    def change_speed(self, speed: float, clock: float) -> None:
+        """Play ``speed`` times as fast from now on."""
+        frame, self._speed = self.frame(clock), speed
+        if self.playing:
+            self._start(frame, clock)
+
+    def until_next(self, clock: float) -> float | None:
+        """Return how long [s] the present picture stays; None at rest."""
+        if not self.playing:
+            return None
+        left = self._ends[self.frame(clock)] - self._now(clock)
+        return max(float(left) / self._speed, _SHORTEST)
+
+    def _now(self, clock: float) -> float:
+        return (clock - self._began) * self._speed % float(self._ends[-1])
+
+    def _start(self, frame: int, clock: float) -> None:
+        self._began, self.playing = clock - self._starts[frame] / self._speed, True

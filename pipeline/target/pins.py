@@ -1,0 +1,68 @@
+"""Joints that somebody pinned where they are; neighbors in time and body follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from kinefilter.characters import Origin
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.edits import Edit
+from kinefilter.pipeline.reconstruct.foothold import between_ends
+from kinefilter.pipeline.reconstruct.limbs import limbs
+
+from .feet import PLANTED
+
+_AROUND = 0.5
+"""Time [s] before and after a pin in which the joint joins its own path."""
+
+
+def pin(draft: Draft, pins: Sequence[Edit]) -> None:
+    """Put joints where they are pinned, and what hangs on them along with them.
+
+    Of a limb whose end is pinned the elbow or knee bends as it did; what is out of
+    reach the stage that restores bones makes up for. Of a pinned trunk the feet that
+    stand stay.
+    """
+    skeleton, since = draft.skeleton, draft.time - draft.time[0]
+    positions, weights = draft.positions.copy(), draft.bone_weights.copy()
+    origin, stands = draft.origin.copy(), weights >= PLANTED
+    for name in dict.fromkeys(pinned.joints[0] for pinned in pins):
+        j = skeleton.index(name)
+        own = sorted((p for p in pins if p.joints[0] == name), key=lambda p: p.begin)
+        places = {int(p.frames(since).argmax()): p.position for p in own}
+        frames = list(places)
+        away = np.array(list(places.values())) - positions[frames, j]
+        curve = _curve(since[frames], np.column_stack([away, np.ones(len(away))]))
+        moves, firm = np.split(curve(np.clip(since, *curve.x[[0, -1]])), [3], axis=1)
+        limb = next((x for x in limbs(skeleton) if j in skeleton.beyond(x[1])), None)
+        first = j if limb is None else limb[2]
+        for k in (first, *skeleton.beyond(first)):
+            stays = stands[:, k, None] & (limb is None)
+            positions[:, k] += np.where(stays, 0.0, moves)
+        if limb is not None:
+            _, middle, end = limb
+            lengths = (draft.body.lengths[middle], draft.body.lengths[end])
+            top, inner, outer = np.moveaxis(positions[:, limb], 1, 0)
+            there, _ = between_ends(top, inner, outer, lengths)
+            positions[:, middle] += firm * (there - positions[:, middle])
+        weights[:, j] = np.maximum(weights[:, j], PLANTED * firm[:, 0])
+        moved = origin[frames, j] == Origin.MEASURED
+        origin[np.array(frames)[moved], j] = Origin.CORRECTED
+    draft.positions, draft.bone_weights, draft.origin = positions, weights, origin
+
+
+def _curve(times: Array, values: Array) -> CubicHermiteSpline:
+    """Return smooth steps through values (N, C) at times [s] (N,), else to 0."""
+    knots = {
+        t + d: np.zeros_like(values[0]) for t in times for d in (-_AROUND, _AROUND)
+    }
+    near = [k for k in knots if np.abs(times - k).min() < _AROUND - 1e-6]
+    knots = {k: v for k, v in knots.items() if k not in near}
+    knots |= dict(zip(times, values, strict=True))
+    at = sorted(knots)
+    rows = np.array([knots[t] for t in at])
+    return CubicHermiteSpline(at, rows, np.zeros_like(rows))

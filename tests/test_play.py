@@ -1,0 +1,152 @@
+"""A character that gives way, falls and gets up, and what kinefilter play does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinefilter import CleanConfig, clean, read_take
+from kinefilter.characters import TRACKINGS, Clip, InputError, Tracking
+from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.avatar import Avatar
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.formats import read_clip, write_clip
+from kinefilter.pipeline.look.player import Player
+from kinefilter.pipeline.look.viewer_server import opened_server
+from kinefilter.pipeline.physics.playground import RATE, Playground
+from kinefilter.scenes import SAMPLE
+
+FORWARD = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def motion() -> Clip:
+    return clean(read_take(SAMPLE), CleanConfig("none", physics=False)).clip
+
+
+def _chest(
+    ground: Playground, seconds: float, force: Array | None = None, at: float = 1.0
+) -> Array:
+    """Return where the chest is in each frame [m], pushed for 0.3 s or not."""
+    chest = ground.motion.skeleton.girdle
+    found = []
+    for frame in range(round(seconds * RATE)):
+        if force is not None and frame == round(at * RATE):
+            joint = ground.motion.skeleton.joints[chest]
+            ground.character.push(joint, force, 0.3)
+        ground.step(1.0 / RATE)
+        found.append(ground.character.positions[chest])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("degrees", [20.0, 130.0, 250.0])
+def test_a_shoved_character_gives_way_and_is_back_in_time(
+    motion: Clip, degrees: float
+) -> None:
+    angle = np.radians(degrees)
+    force = 300.0 * np.array([np.sin(angle), 0.0, np.cos(angle)])
+    free = _chest(Playground(motion, "basic"), 2.5)
+    pushed = _chest(Playground(motion, "basic"), 2.5, force)
+    away = np.linalg.norm(pushed - free, axis=1)
+    assert 0.05 < away.max() < 0.15
+    assert away[-1] < 0.01
+    way = (pushed - free)[np.argmax(away)]
+    assert way @ force > 0.9 * np.linalg.norm(way) * np.linalg.norm(force)
+
+
+def test_a_hard_blow_fells_it_and_it_gets_up_to_the_performer(motion: Clip) -> None:
+    ground = Playground(motion, "basic")
+    lowest = _chest(ground, 4.0, 900.0 * FORWARD)[:, 1].min()
+    assert lowest < 0.5
+    _chest(ground, 10.0)
+    assert ground.doing == "follows"
+    target = ground._target()[0]
+    assert np.abs(ground.character.positions - target).max() < 0.05
+
+
+def test_a_ball_gives_the_body_its_momentum(motion: Clip) -> None:
+    away = {}
+    for tracking in ("faithful", "game"):
+        free = _chest(Playground(motion, "basic", tracking), 1.5)
+        ground = Playground(motion, "basic", tracking)
+        ground.throw(free[0] + 1.5 * FORWARD, -FORWARD)
+        away[tracking] = np.linalg.norm(_chest(ground, 1.5) - free, axis=1).max()
+    assert away["faithful"] < 0.03 < 0.05 < away["game"] < 0.15
+
+
+def test_a_ragdoll_falls_and_a_faithful_character_is_the_default(motion: Clip) -> None:
+    assert _chest(Playground(motion, "basic", "ragdoll"), 3.0)[-1, 1] < 0.5
+    assert TRACKINGS["faithful"] == Tracking()
+    assert CleanConfig().tracking == "faithful"
+    avatar = Avatar(motion.body, tracking="game")
+    assert avatar.physics.compliance is not None
+    with pytest.raises(InputError, match="tracking"):
+        CleanConfig(tracking="game", physics=False)
+
+
+def test_a_reset_leaves_things_where_they_are(motion: Clip) -> None:
+    ground = Playground(motion, "box")
+    ground.throw([0.5, 1.0, 2.0], FORWARD)
+    _chest(ground, 1.0)
+    before = ground.things.now[0].copy()
+    ground.character.data.qvel[:3] = 1e5
+    ground.step(1.0 / RATE)
+    assert ground.resets == 1
+    assert np.abs(ground.things.now[0] - before).max() < 0.5
+
+
+def test_what_was_played_is_a_clip_with_the_balls_that_flew(
+    motion: Clip, tmp_path: Path
+) -> None:
+    ground = Playground(motion, "box")
+    ground.record()
+    ground.throw([0.0, 1.3, 3.0], -FORWARD)
+    chest = _chest(ground, 1.0)
+    path = tmp_path / "played.npz"
+    write_clip(ground.recorded(), path)
+    clip = read_clip(path)
+    np.testing.assert_allclose(
+        clip.positions[:, clip.skeleton.girdle], chest, atol=1e-4
+    )
+    balls = [prop.name for prop in clip.props if "ball" in prop.name]
+    assert balls == ["thrown ball 1"]
+
+
+def test_the_page_plays_records_and_changes(motion: Clip, tmp_path: Path) -> None:
+    save = tmp_path / "play.npz"
+    ground = Playground(motion, "basic")
+    with opened_server() as server:
+        player = Player(server, ground, save)
+        for action in (player._record, player._let_go, player._pause):
+            action(None)
+        assert ground.limp
+        assert ground.recording == 0
+        for name in ("play.npz", "play.2.npz"):
+            if ground.recording is None:
+                player._record(None)
+            _chest(ground, 0.2)
+            player._record(None)
+            assert (tmp_path / name).exists()
+        player._change(scene="basketball")
+        player._show()
+        assert "ball" in {prop.name for prop in ground.props}
+        player.stop()
+        player.run()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere"], "unknown scene"),
+        (["--save", "clip.txt"], "unknown extension"),
+        (["--take", "absent.csv"], "absent.csv"),
+        (["--port", "-1"], "--port -1"),
+    ],
+)
+def test_what_cannot_be_played_is_refused(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["play", *arguments]) == 2
+    assert words in capsys.readouterr().err
