@@ -16,6 +16,7 @@ from live_session import (
     WS,
     Sender,
     config,
+    do,
     pose,
     reading,
     running,
@@ -280,7 +281,7 @@ def test_the_second_person_goes_to_the_next_port_and_who_leaves_is_told() -> Non
                     engine.came.clear()
                     await engine.came.wait()
 
-    asyncio.run(session())
+    do(session())
 
 
 def test_an_engine_that_comes_back_goes_on() -> None:
@@ -300,7 +301,7 @@ def test_an_engine_that_comes_back_goes_on() -> None:
                 await engine.whole(3)
             assert engine.poses[-1].time == pytest.approx(7 / 30.0, abs=1e-5)
 
-    asyncio.run(session())
+    do(session())
 
 
 def _both(
