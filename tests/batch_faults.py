@@ -35,8 +35,8 @@ from typing import Any
 from batch_takes import make_takes
 
 _ALONE = {"OPENBLAS_NUM_THREADS": "1"}
+_ENOUGH = 1800.0  # s after which a batch of workers that are killed hangs
 _DISK = "64m"  # for 60 takes of 100 frames
-_PATIENCE = 60.0  # s for a scheduler or worker to be there
 
 
 def batch(takes: Path, out: Path, *options: str) -> list[str]:
@@ -220,12 +220,14 @@ def killed_workers(
         command = batch(takes, out, "--scheduler", address, *options)
         run = begin(command)
         try:
-            done = 0
+            done, until = 0, time.monotonic() + _ENOUGH
             while run.poll() != 0:
+                assert time.monotonic() < until, "the batch does not end"
                 if run.poll() is not None:
                     assert disk is not None, run.returncode  # it was full
                     run = begin(command)
                 while run.poll() is None and len(rows_done(out)) <= done:
+                    assert time.monotonic() < until, "no take is done any more"
                     time.sleep(0.01)
                 time.sleep(every)
                 if disk is not None and killed % 3 == 0 and killed < kills:

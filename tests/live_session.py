@@ -65,7 +65,7 @@ async def running(
             yield session, places.result()
         finally:
             stop.set()
-            await task
+            await asyncio.wait_for(task, PATIENCE)  # also after the time was up
 
 
 class Sender:
