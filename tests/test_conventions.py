@@ -62,8 +62,8 @@ def test_every_convention_names_a_test() -> None:
     ("heading", "words"),
     [
         ("Joint states", [state.name.lower().replace("_", " ") for state in State]),
-        ("How sure a joint is", [origin.name.lower() for origin in Origin]),
-        ("How sure a joint is", [term.words for term in Term]),
+        ("How certain a joint is", [origin.name.lower() for origin in Origin]),
+        ("How certain a joint is", [term.words for term in Term]),
         ("Contacts", list(CONTACTS)),
     ],
 )
