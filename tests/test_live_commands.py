@@ -171,7 +171,7 @@ def test_a_token_is_printed_where_nobody_knows_it_yet(
     said = capsys.readouterr().err
     assert ("\ntoken " in said) is told
     assert "0123456789abcdef" not in said
-    assert ("anybody on the network" in said) is warned
+    assert ("anyone on the network" in said) is warned
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

@@ -274,7 +274,7 @@ def test_what_only_several_sensors_have_needs_several(
     out = ["-o", str(tmp_path / "clip.npz")]
     for words, said in (
         ([paths[0], "--calibration", "session.json"], "several sensors"),
-        ([*paths, "--body", "all"], "--body all is for one sensor"),
+        ([*paths, "--body", "all"], "--body all works with one sensor only"),
         ([], "no take given"),
     ):
         assert main(["clean", *words, *out]) == 2

@@ -197,7 +197,7 @@ def test_an_interrupted_video_leaves_nothing(
     write_clip(make_clip(70), clip)
     out.write_text("older")
     assert main(["render", str(clip), "-o", str(out), "--size", "32x18"]) == 130
-    hint = "kinefilter: interrupted; the same command again goes on"
+    hint = "kinefilter: interrupted; run the same command again"
     assert capsys.readouterr().err.startswith(hint)
     assert sorted(tmp_path.iterdir()) == [out, clip]
     assert out.read_text() == "older"

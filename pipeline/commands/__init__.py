@@ -1,6 +1,6 @@
-"""The commands of the command line: they parse and print, nothing else.
+"""Command-line commands: parsing and printing only.
 
-``cli`` loads a file when one of its commands is asked for.
+``cli`` imports a file only when one of its commands is used.
 """
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""The commands that clean takes: ``clean`` and ``batch``."""
+"""The commands ``clean`` and ``batch``."""
 
 from __future__ import annotations
 
@@ -49,30 +49,32 @@ _Settings = OmitArgPrefixes[Annotated[Settings, arg(name="")]]
 class Clean:
     """Clean a Kinect take and write it as an animation clip.
 
-    Takes of the same person by several sensors become one clip; see 'kinefilter merge'.
+    Simultaneous takes of a person by several sensors become one clip; see 'kinefilter
+    merge'.
     """
 
     takes: Positional[tuple[Path, ...]]
-    """Recording in any of the formats of --format, gzipped or not. For several sensors
-    give one recording of each; the clip has the clock of the first."""
+    """Recording in any of the formats of --format, gzipped or not. For several sensors,
+    give one recording from each; the clip uses the clock of the first."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """Clip to write; the extension decides: .usda .usdc .usd .usdz .glb
+    """Clip to write; its extension selects the format: .usda .usdc .usd .usdz .glb
     .vrma .fbx .bvh .csv .npz."""
     settings: _Settings = field(default_factory=Settings)
     save_contacts: Path | None = None
-    """Also write a table (CSV) of when each foot is planted, to edit and to pass to
+    """Also write a CSV table of foot contacts, which can be edited and passed to
     --contacts."""
     report: Path | None = None
     """Also write a web page (.html) that shows the clip beside the take."""
     json: Path | None = None
-    """Also write the printed figures to this file."""
+    """Also write the printed figures to this JSON file."""
     one_file: bool = False
-    """With --body all and .glb: write everybody into one file, each with a skeleton and
-    skin, instead of a file each. kinefilter does not read such a file back."""
+    """With --body all and .glb: write all people into one file, each with a skeleton
+    and skin, instead of one file per person. kinefilter cannot read such a file
+    back."""
     fail_on_damage: bool = False
-    """End with exit code 1 if the tracker failed somewhere or a take has a long gap."""
+    """Exit with code 1 if a tracker failure or a long gap is found."""
     config_file: Annotated[Path | None, arg(name="config")] = None
-    """TOML file of options, such as cutoff = 4.0; the command line overrides it."""
+    """TOML file with options, such as cutoff = 4.0; the command line overrides it."""
     given: Suppress[frozenset[str]] = frozenset()
 
     def run(self) -> int:
@@ -87,7 +89,7 @@ class Clean:
 
         settings = self.settings
         if not self.takes:
-            raise InputError("no take given; name a recording")
+            raise InputError("no take given; give the path of a recording")
         check_calibration(settings.calibration, self.takes)
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
@@ -131,15 +133,15 @@ class Clean:
         count = len(recording.takes)
         if count > 1 and settings.body is None:
             out.print(
-                f"body {recording.main + 1} of {count}, seen in most frames; --body 1 "
-                f"to {count} cleans another, --body all cleans each"
+                f"cleaned body {recording.main + 1} of {count}, the one seen in most "
+                f"frames; choose another with --body 1 to {count}, or --body all"
             )
         damaged = any(result.damage for result in results.values())
         left_out = several and len(results) < count
         return 1 if left_out or (self.fail_on_damage and damaged) else 0
 
     def _check(self, used: list[Path | None]) -> None:
-        """Raise an InputError for files that cannot be written or must be kept."""
+        """Raise an InputError if an output cannot be written or is also an input."""
         if self.one_file:
             self._check_one_file()
         check_writable(self.out, self.settings.export)
@@ -152,7 +154,7 @@ class Clean:
             check_output(path, *used, *written[:k])
 
     def _check_one_file(self) -> None:
-        """Raise an InputError for what does not go with a file of several people."""
+        """Raise an InputError for options that do not combine with --one-file."""
         settings, export = self.settings, self.settings.export
         alone = {
             "--begin, --end and --loop": export.begin or export.end or export.loop,
@@ -160,18 +162,20 @@ class Clean:
         }
         for what, given in alone.items():
             if given:
-                raise InputError(f"{what} cut each person's clip; leave --one-file out")
+                raise InputError(f"{what} cannot be combined with --one-file")
         if settings.body != "all" or self.out.suffix.lower() != ".glb":
-            raise InputError("--one-file is for --body all and a clip in .glb")
+            raise InputError("--one-file requires --body all and a .glb clip")
 
     def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
-        """Return the result of each person asked for, by their number."""
+        """Return the result for each requested person, by number."""
         from kinefilter.pipeline.cleaner import clean
 
         config, numbers = self.settings.config, recording.numbers(self.settings.body)
         for name in ("contacts", "edits"):
             if getattr(config, name) is not None and len(numbers) > 1:
-                raise InputError(f"--{name} is for one person; choose one with --body")
+                raise InputError(
+                    f"--{name} applies to one person; choose one with --body"
+                )
         results: dict[int, CleanResult] = {}
         for number in numbers:
             take = recording.take(number)
@@ -181,19 +185,19 @@ class Clean:
             except InputError as error:
                 if number == numbers[-1] and not results:
                     raise
-                err.print(f"kinefilter: {error}; left out")
+                err.print(f"kinefilter: {error}; skipped")
         return results
 
     def _together(
         self, first: Recording
     ) -> tuple[Recording, dict[int, CleanResult], Merged]:
-        """Return what several sensors recorded as one, and the result."""
+        """Merge and clean the takes of several sensors."""
         from kinefilter.pipeline.merge import clean_session, read_calibration
 
         settings, body = self.settings, self.settings.body
         if body == "all":
             raise InputError(
-                "--body all is for one sensor; choose a person of its take"
+                "--body all works with one sensor only; choose one person by number"
             )
         others = [settings.read(path) for path in self.takes[1:]]
         with progress_bars() as progress:
@@ -239,41 +243,42 @@ class Clean:
 
 @dataclass(frozen=True)
 class Batch:
-    """Clean all takes of folders; the same command again goes on where it ended.
+    """Clean all takes in folders; run it again to resume.
 
     Files that are not takes are skipped. OUT/manifest.jsonl (at a URL:
-    OUT/manifest/*.jsonl) has a line for each take that is finished, OUT/manifest.csv is
-    a table of them. A take is cleaned again if it failed, if its clip is missing, or if
+    OUT/manifest/*.jsonl) gets a line for each finished take; OUT/manifest.csv is the
+    table of them. A take is cleaned again if it failed, if its clip is missing, or if
     anything changed: the take, its clip, the options, a database or model, or
-    kinefilter's version. A file kinefilter.toml in a folder of takes holds options for
-    them and for the folders in it, such as cutoff = 4.0 or rotation-order = "xyz";
-    options on the command line override it.
+    kinefilter's version. A file kinefilter.toml in a folder holds options for the takes
+    in it and its subfolders, such as cutoff = 4.0 or rotation-order = "xyz"; options on
+    the command line override it.
 
-    With --sessions '{name}_{sensor}.csv*' takes whose names differ only in {sensor} are
-    of several sensors at the same time: they become one clip, NAME, as by 'kinefilter
-    clean A B', and one row of the manifest. Other patterns: '{name}/{sensor}.csv' for a
-    folder a session, '{sensor}/{name}.csv' for a folder a sensor. A take without a
-    partner is cleaned by itself; a session whose takes do not belong together fails.
+    With --sessions '{name}_{sensor}.csv*', takes whose names differ only in {sensor}
+    are treated as simultaneous: they become one clip, NAME, as with 'kinefilter clean A
+    B', and one row of the manifest. Other patterns: '{name}/{sensor}.csv' for one
+    folder per session, '{sensor}/{name}.csv' for one folder per sensor. A take without
+    a partner is cleaned alone; a session whose takes do not match fails.
 
-    URLs are those that fsspec knows, such as s3://bucket/takes with pip install s3fs;
-    run one batch at a time into a store, which cannot be locked. For --scheduler every
-    worker needs pip install "kinefilter[cluster]"; workers may come and go. Start them
-    with dask scheduler --host 127.0.0.1, then dask worker tcp://127.0.0.1:8786
-    --nworkers 2 --nthreads 1. Keep the scheduler in a network of your own: whoever
-    reaches it can run code.
+    URLs may be any that fsspec supports, such as s3://bucket/takes after pip install
+    s3fs; remote stores cannot be locked, so run one batch at a time into each. With
+    --scheduler, every worker needs pip install "kinefilter[cluster]"; workers may join
+    and leave. Start them with dask scheduler --host 127.0.0.1, then dask worker
+    tcp://127.0.0.1:8786 --nworkers 2 --nthreads 1. Keep the scheduler on a private
+    network: anyone who can reach it can run code.
     """
 
     inputs: Positional[tuple[str, ...]]
-    """Takes, and folders to search for takes; paths, or URLs such as
+    """Takes, and folders to search for takes, as paths or URLs such as
     s3://bucket/takes."""
     out: Annotated[str, arg(aliases=["-o"])]
-    """Folder to write to, a path or URL: the tree of the takes, and the manifest."""
+    """Output folder, a path or URL: clips in the same tree as the takes, and the
+    manifest."""
     sessions: str | None = None
-    """Names of takes of several sensors, with {name} and {sensor}; * is anything. Also
-    sessions = "..." in kinefilter.toml."""
+    """Pattern of the file names of simultaneous takes, with {name}, {sensor} and the
+    wildcard *. Can also be set as sessions = "..." in kinefilter.toml."""
     sensors: tuple[str, ...] = ()
-    """What {sensor} may be; the clip has the clock and frame of the first. Default:
-    anything, by the alphabet."""
+    """Allowed values of {sensor}; the clip uses the clock and frame of reference of the
+    first. Default: any, in alphabetical order."""
     to: Literal[
         "usdc", "usda", "usd", "usdz", "glb", "vrma", "fbx", "bvh", "csv", "npz"
     ] = "usdc"
@@ -281,32 +286,34 @@ class Batch:
     jobs: int | None = None
     """Number of processes; default: one per core."""
     scheduler: str | None = None
-    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers clean instead; they
-    must reach the same paths and URLs."""
+    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers do the cleaning; they
+    must have access to the same paths and URLs."""
     take_timeout: float | None = None
-    """Seconds after which a take fails and the batch goes on; default: an hour and a
-    minute for each megabyte of the take. On a cluster such a take ends its Dask worker,
-    which is started again if it has a nanny."""
+    """Seconds after which a take fails and the batch continues; default: one hour plus
+    one minute per megabyte of the take. On a cluster, such a take ends its Dask worker,
+    which restarts if it has a nanny."""
     fail_on_damage: bool = False
-    """End with exit code 1 if the tracker failed in a take, or it has a long gap; the
-    manifest says where."""
+    """Exit with code 1 if any take has a tracker failure or a long gap; the manifest
+    lists them."""
     config_file: Annotated[Path | None, arg(name="config")] = None
-    """TOML file of options for all takes; kinefilter.toml in a folder overrides it."""
+    """TOML file with options for all takes; a folder's kinefilter.toml overrides it."""
     settings: _Settings = field(default_factory=Settings)
     given: Suppress[frozenset[str]] = frozenset()
 
     def run(self) -> int:
-        """Clean the takes, and print what became of them."""
+        """Clean the takes and print a summary."""
         from kinefilter.pipeline.batch import as_tables, clean_files
 
         if not self.inputs:
-            raise InputError("no takes given; name files or folders of takes")
+            raise InputError("no takes given; give files or folders of takes")
         if self.jobs is not None and self.jobs < 1:
-            raise InputError(f"--jobs {self.jobs}: expected 1 or more")
+            raise InputError(f"--jobs {self.jobs}: must be at least 1")
         if self.take_timeout is not None and not self.take_timeout > 0:
-            raise InputError(f"--take-timeout {self.take_timeout:g}: expected over 0 s")
+            raise InputError(
+                f"--take-timeout {self.take_timeout:g}: must be greater than 0"
+            )
         if self.jobs is not None and self.scheduler is not None:
-            raise InputError("--jobs is for this machine; leave it or --scheduler out")
+            raise InputError("--jobs cannot be combined with --scheduler")
         settings = replace(self.settings, sessions=self.sessions, sensors=self.sensors)
         try:
             with _bar(self.scheduler) as show:
@@ -323,7 +330,7 @@ class Batch:
                     on_progress=show,
                 )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt("the same command again goes on") from None
+            raise KeyboardInterrupt("run the same command again to resume") from None
         out.print(as_tables(outcome))
         damaged = self.fail_on_damage and outcome.damaged
         return 1 if outcome.failed or damaged else 0
@@ -331,16 +338,18 @@ class Batch:
 
 @contextmanager
 def _bar(scheduler: str | None) -> Iterator[OnProgress]:
-    """Yield what shows how many takes are done, and when all will be."""
-    told = False
+    """Yield a callback that displays the progress of a batch."""
+    warned = False
     with progress_display(counted=False) as bars:
         task = bars.add_task("clean", visible=False)
 
         def show(progress: JobProgress) -> None:
-            nonlocal told
-            if progress.idle and not told:
-                err.print(f"no worker; start one: dask worker {scheduler} --nthreads 1")
-                told = True
+            nonlocal warned
+            if progress.idle and not warned:
+                err.print(
+                    f"no workers; start one with: dask worker {scheduler} --nthreads 1"
+                )
+                warned = True
             words = f"clean {progress.takes_done}/{progress.takes}"
             if progress.failed:
                 words += f", {progress.failed} failed"

@@ -20,17 +20,17 @@ from .terminal import Skeletons, check_output, out
 
 @dataclass(frozen=True)
 class Info:
-    """Say what is in a take, a clip, or another file that kinefilter reads."""
+    """Describe a take, a clip, or any other file that kinefilter reads."""
 
     file: Positional[Path]
     """The file."""
     format: TakeFormat | None = None
-    """Layout of a take; default: detected from its content."""
+    """Format of a take; default: detected from its content."""
     json: bool = False
     """Print JSON."""
 
     def run(self) -> int:
-        """Read and print."""
+        """Read the file and print a description."""
         from kinefilter.pipeline.contents import as_tables, contents_of
 
         contents = contents_of(self.file, format=self.format)
@@ -43,7 +43,7 @@ class Info:
 
 @dataclass(frozen=True)
 class Character:
-    """Write the simulated character as MJCF, for your own MuJoCo scenes."""
+    """Write the simulated character as MJCF for use in your own MuJoCo scenes."""
 
     out: Annotated[Path, arg(aliases=["-o"])]
     """File to write (.xml)."""
@@ -52,7 +52,7 @@ class Character:
     mass: float | None = None
     """Body mass [kg]; default: estimated from the height."""
     skeleton: Skeletons = "kinect_v2"
-    """Skeleton whose joints the character has."""
+    """Skeleton of the character."""
     scene: str = "basic"
     """Surroundings: a scene (an unknown name lists the scenes), or an MJCF file
     (.xml)."""
@@ -74,12 +74,12 @@ class Character:
 
 @dataclass(frozen=True)
 class Blender:
-    """Write the extension for Blender 4.2 and later, which cleans takes from there.
+    """Write an extension for Blender 4.2 and later that cleans takes inside Blender.
 
-    In Blender, install it with Edit, Preferences, Get Extensions, Install from Disk.
-    File, Import, Kinect take then runs this command line, and brings the clip onto an
-    armature of its own or onto the active one: bones are colored by reliability,
-    markers say where the tracker failed.
+    Install it in Blender with Edit, Preferences, Get Extensions, Install from Disk.
+    File, Import, Kinect take then runs this command line and puts the clip onto a new
+    armature or onto the active one. Bones are colored by reliability, and markers show
+    where the tracker failed.
     """
 
     out: Annotated[Path, arg(aliases=["-o"])]

@@ -28,32 +28,31 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.live.endpoints import Address
     from kinefilter.pipeline.live.session import Session
 
-_REFRESH = 0.3  # s between two lines on a terminal
-_LOGGED = 60.0  # s between two lines where there is no terminal, as in a log file
+_REFRESH = 0.3  # s between status updates on a terminal
+_LOGGED = 60.0  # s between status lines without a terminal, as in a log file
 
 
 @dataclass(frozen=True)
 class Live:
-    """Follow people frame by frame: for games, engines and browsers.
+    """Stream cleaned poses frame by frame to games, engines and browsers.
 
-    --out vmc://127.0.0.1:39539 moves a VMC receiver, and with the second person the
-    receiver on the next port; --out ws://127.0.0.1:9001 sends poses to pages of this
-    machine, which read them by new WebSocket("ws://127.0.0.1:9001").onmessage = e =>
-    JSON.parse(e.data). Each person is measured in the first second, unless --height is
-    given. A sensor that is upside down or tilted far is reported and corrected for. The
-    newest frame wins; late, missing, malformed and dropped frames are counted, and
-    those with an impossible body. Several sensors, each with an --in of its own, follow
-    people together: where they stand and how their clocks differ is found, and printed,
-    while somebody walks to and fro in front of them. Poses come with the frames of the
-    first sensor and never wait for another; people whom it loses are followed by those
-    that still see them. Needs pip
-    install "kinefilter[live]".
+    --out vmc://127.0.0.1:39539 drives a VMC receiver, and a second person the receiver
+    on the next port; --out ws://127.0.0.1:9001 sends poses to web pages on this
+    machine, which read them with new WebSocket("ws://127.0.0.1:9001").onmessage = e =>
+    JSON.parse(e.data). Each person is measured during the first second unless --height
+    is given. A sensor that is upside down or strongly tilted is reported and corrected
+    for. The newest frame wins; late, missing, malformed and dropped frames are counted,
+    as are frames with an impossible body. Several sensors, with one --in each, follow
+    people together: their placement and clock offsets are found and printed while a
+    person walks back and forth in front of them. Poses are sent with the frames of the
+    first sensor and never wait for another; people it loses are followed by the sensors
+    that still see them. Needs pip install "kinefilter[live]".
     """
 
     config: OmitArgPrefixes[LiveConfig]
     access: OmitArgPrefixes[AccessConfig]
     json: Path | None = None
-    """Also write the counts and latencies at the end to this file."""
+    """Also write the final counts and latencies to this JSON file."""
 
     def run(self) -> int:
         """Follow people until Ctrl-C, SIGTERM or the end of the input."""
@@ -78,7 +77,7 @@ class Live:
                 await session.run(stop, lambda used: self._print_places(session, used))
 
     def _print_places(self, session: Session, used: list[Address]) -> None:
-        """Print where frames are expected and poses go, and a token that is new."""
+        """Print the addresses in use, and the token if it was generated."""
         count = len(session.endpoints.sources)
         sources, targets = (
             ", ".join(map(str, u)) for u in (used[:count], used[count:])
@@ -90,16 +89,16 @@ class Live:
             err.print(f"token {token}")
         if any(a.scheme == "ws" and not is_loopback(a.host) for a in sockets):
             err.print(
-                "without --certificate, anybody on the network can read token and poses"
+                "without --certificate, anyone on the network can read token and poses"
             )
 
 
 async def _show(session: Session) -> None:
-    """Show a line of the session's state again and again, and each note once."""
+    """Keep a status line up to date, and print each note once."""
     from rich.live import Live as Display
     from rich.text import Text
 
-    known: list[str] = []
+    printed: list[str] = []
     shown = Display(console=err, auto_refresh=False, transient=True)
     with shown if err.is_terminal else nullcontext() as display:
         while True:
@@ -111,13 +110,13 @@ async def _show(session: Session) -> None:
                 err.print(status(session))
             notes = session.tally.told()
             for note in notes:
-                if note not in known:
+                if note not in printed:
                     err.print(note)
-            known = notes
+            printed = notes
 
 
 def status(session: Session) -> str:
-    """Return one line of how the session goes."""
+    """Return a one-line status of the session."""
     tally, crowd = session.tally, session.crowd
     events = tally.events
     frames, poses = events[Event.FRAMES], events[Event.POSES]
@@ -128,8 +127,8 @@ def status(session: Session) -> str:
         f"{counted(poses, 'pose')} out",
     ]
     if poses:
-        half, most = tally.latency.recent(0.5), tally.latency.recent(0.99)
-        parts.append(f"{half * 1e3:.1f} ms (99 %: {most * 1e3:.1f})")
+        median, p99 = tally.latency.recent(0.5), tally.latency.recent(0.99)
+        parts.append(f"{median * 1e3:.1f} ms (99 %: {p99 * 1e3:.1f})")
     noted = (
         Event.IMPOSSIBLE,
         Event.DROPPED,
@@ -142,12 +141,12 @@ def status(session: Session) -> str:
     if tally.malformed:
         parts.append(f"{tally.malformed.total()} malformed")
     if session.failure is not None:
-        parts.append("recording ended")
+        parts.append("recording stopped")
     return ", ".join(parts)
 
 
 def summary(tally: Tally) -> Table:
-    """Return a table of what happened, without counts of zero."""
+    """Return a table of all nonzero counts and the latencies."""
     from rich.table import Table
 
     table = Table(show_header=False, box=None)
@@ -162,32 +161,32 @@ def summary(tally: Tally) -> Table:
         latency = tally.latency
         values = (latency.quantile(0.5), latency.quantile(0.99), latency.most)
         cells = " / ".join(f"{value * 1e3:.1f}" for value in values)
-        table.add_row("ms from frame to pose: half, 99 %, most", cells)
+        table.add_row("ms from frame to pose: median, 99 %, maximum", cells)
     return table
 
 
 @dataclass(frozen=True)
 class Replay:
-    """Send a recorded take to 'kinefilter live', at its own time stamps."""
+    """Send a recorded take to 'kinefilter live' in real time."""
 
     take: Positional[Path]
-    """Recording in any of the formats of --format; .gz too."""
+    """Recording in any of the formats of --format, gzipped or not."""
     out: Annotated[str, arg(metavar="ADDRESS")]
     """Where to send frames: udp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT, or - for
-    the standard output."""
+    standard output."""
     speed: float = 1.0
-    """Speed relative to that of the recording."""
+    """Playback speed relative to the recording."""
     loop: bool = False
-    """Begin again at the end."""
+    """Start over at the end."""
     token_file: Path | None = None
-    """File with the token that the WebSocket server asks for."""
+    """File with the token that the WebSocket server requires."""
     certificate: Path | None = None
-    """Certificate (PEM) to trust for wss, besides those of the system."""
+    """Certificate (PEM) to trust for wss, in addition to the system's."""
     format: TakeFormat | None = None
-    """Layout of the take; default: detected from its content."""
+    """Format of the take; default: detected from its content."""
 
     def run(self) -> int:
-        """Send until the take ends."""
+        """Send the take, until it ends or a signal arrives."""
         address = read_address(self.out, ("udp", "ws", "wss", "-"))
         takes = read_recording(self.take, format=self.format).takes
         sent = asyncio.run(self._sent(takes, address))

@@ -1,4 +1,4 @@
-"""The command that makes one take of several sensors' takes: ``merge``."""
+"""The command ``merge``."""
 
 from __future__ import annotations
 
@@ -20,39 +20,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Merge:
-    """Make one take of what two or more sensors recorded of a person.
+    """Merge simultaneous takes of a person by two or more sensors into one take.
 
-    Sensors stand still, at any angle to each other, with clocks of their own; nothing
-    has to be calibrated. Lag and place of each are found from the motion itself. Every
-    joint is fused from what the sensors saw of it: by its reliability, by how far a
-    sensor sees the person from in front, and by whether the limb is on its side of the
-    body. Takes may be of any format, skeleton and frame rate; those that do not show
-    the same movement are refused.
+    The sensors must not move during the take, but may stand at any angle to each other
+    with independent clocks; no calibration is needed. The lag and the placement of each
+    are found from the motion itself. Each joint is a weighted mean over the sensors:
+    weights depend on its reliability, on how frontally the sensor sees the person, and
+    on whether the limb is on the sensor's side of the body. Takes may have any format,
+    skeleton and frame rate; takes that do not show the same movement are refused.
     """
 
     takes: Positional[tuple[Path, ...]]
-    """A take of each sensor; the first one's clock and frame are those of the merged
-    take."""
+    """One take per sensor; the merged take uses the clock and the frame of reference of
+    the first."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Take to write (.csv), with the reliability of each joint and the number of the
-    sensor that has the largest share in it."""
+    sensor with the largest share in it."""
     body: int | None = None
-    """Which person of the first take, counted from 1; default: the one seen in most
-    frames. Who that is in the other takes, and who is who after people pass each other
-    or come back, is found by place, time and body lengths. Sensors that do not see the
-    person are left out; for somebody whom only one sensor sees, name its take first."""
+    """Number of the person in the first take, from 1; default: the one seen in most
+    frames. The same person in the other takes, and after people pass each other or
+    return, is identified by place, time and body lengths. Sensors that do not see the
+    person are left out; for a person seen by one sensor only, give its take first."""
     calibration: Path | None = None
-    """Where and when the sensors are, from --save-calibration of another take of the
-    session: for takes in which people stand. It is refused if a sensor was moved."""
+    """Calibration from --save-calibration of another take with the sensors in the same
+    places, needed for takes in which the person does not walk around. It is refused if
+    a sensor was moved."""
     save_calibration: Path | None = None
-    """Write where and when the sensors are to this file (.json)."""
+    """Also write the placement and lag of the sensors to this file (.json)."""
     format: TakeFormat | None = None
-    """Layout of the takes; default: detected from the content of each."""
+    """Format of the takes; default: detected from the content of each."""
     json: Path | None = None
-    """Write the printed figures to this file too."""
+    """Also write the printed figures to this JSON file."""
 
     def run(self) -> int:
-        """Merge, write, print."""
+        """Merge the takes, write the result, and print a summary."""
         from kinefilter.pipeline.formats import read_recording
         from kinefilter.pipeline.formats.sheets import write_merged_csv
         from kinefilter.pipeline.merge import (
@@ -67,11 +68,11 @@ class Merge:
             check_output(
                 path, *self.takes, self.calibration, *written[:k], suffix=suffix
             )
-        known = read_calibration(self.calibration)
+        calibration = read_calibration(self.calibration)
         recordings = [read_recording(path, format=self.format) for path in self.takes]
         with progress_bars() as progress:
             merged = merge(
-                recordings, body=self.body, calibration=known, progress=progress
+                recordings, body=self.body, calibration=calibration, progress=progress
             )
         write_merged_csv(merged.take, merged.reliability, merged.shares, self.out)
         if self.save_calibration is not None:
@@ -87,13 +88,13 @@ class Merge:
 
 
 def _as_table(merged: Merged) -> Table:
-    sensor = Column("sensor", overflow="fold")  # what differs may be at the end
+    sensor = Column("sensor", overflow="fold")  # names may differ only at the end
     table = Table(sensor, title=f"{len(merged.take)} frames merged")
-    headings = ("lag, s", "ms a minute", "degrees", "m")
-    for heading in (*headings, "share, %", "apart, cm"):
+    headings = ("lag, s", "drift, ms/min", "angle, deg", "distance, m")
+    for heading in (*headings, "share, %", "residual, cm"):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in merged.figures()["sensors"]:
-        apart = row["apart_meters"]
+        residual = row["apart_meters"]
         table.add_row(
             Path(row["source"]).name,
             f"{row['lag_seconds']:.3f}",
@@ -101,6 +102,6 @@ def _as_table(merged: Merged) -> Table:
             f"{row['turned_degrees']:.1f}",
             f"{row['away_meters']:.2f}",
             f"{100.0 * row['share']:.0f}",
-            "-" if isnan(apart) else f"{100.0 * apart:.1f}",
+            "-" if isnan(residual) else f"{100.0 * residual:.1f}",
         )
     return table

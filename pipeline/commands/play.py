@@ -22,41 +22,40 @@ from .terminal import keep, out, progress_bars
 
 @dataclass(frozen=True)
 class Play:
-    """Play with a character in the browser: push it, throw balls at it, let it fall.
+    """Interact with a character in the browser: push it, throw balls, let it fall.
 
-    Prints the address of a page. The character performs a take again and again; the
-    mouse drags it and throws balls, buttons and keys let it go and take hold of it,
-    pause, slow down, begin again, and record a clip. Needs pip install
-    "kinefilter[view]".
+    Prints the address of a page. The character performs a take in a loop; drag it or
+    throw balls with the mouse, and use buttons and keys to release and reattach it,
+    pause, slow down, restart, and record a clip. Needs pip install "kinefilter[view]".
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "basic"
-    """What is around the character: a scene (an unknown name lists them), or an MJCF
-    file (.xml)."""
+    """Surroundings: a scene (an unknown name lists the scenes), or an MJCF file
+    (.xml)."""
     take: Path | None = None
-    """What it performs: a take in any of the formats of --format, or a clip, .npz, USD
-    or GLB; default: the take that comes with kinefilter."""
+    """The motion to perform: a take in any of the formats of --format, or a clip (.npz,
+    USD or GLB); default: the sample take."""
     format: TakeFormat | None = None
-    """Layout of the take; default: detected from its content."""
+    """Format of the take; default: detected from its content."""
     body: int | None = None
-    """Which person of the take, counted from 1; default: who is seen in most
+    """Number of the person in the take, from 1; default: the one seen in most
     frames."""
     tracking: TrackingName = "game"
-    """How the character follows: faithful, as in clean, game: it gives way where it is
-    hit, falls and gets up, or ragdoll: not at all."""
+    """How the character follows the motion: faithful, as in clean; game, which gives
+    way when hit, falls and gets up; or ragdoll, which does not follow."""
     save: Path = Path("play.npz")
-    """Where the page records, and nothing else; the next ones to play.2.npz and so on.
-    Any suffix of clips."""
+    """File that the page records to, in any clip format; further recordings go to
+    play.2.npz and so on. The page writes nothing else."""
     bind: str = "127.0.0.1"
-    """Address to listen at; the default is reached from this machine alone. Whoever
-    reaches it may play and record."""
+    """Address to listen on; the default accepts connections from this machine only.
+    Anyone who can connect may play and record."""
     port: int = 0
-    """Port to listen at; 0: any that is free."""
+    """Port to listen on; 0 picks a free one."""
     open: bool = False
-    """Open the page in this machine's browser."""
+    """Open the page in the default browser."""
 
     def run(self) -> int:
-        """Clean what is performed, serve, wait until it is ended."""
+        """Clean the take, and serve the page until interrupted."""
         require("viser", "playing", "view")
         from kinefilter.pipeline.look.player import Player
         from kinefilter.pipeline.look.viewer_server import check_address, opened_server
@@ -73,12 +72,12 @@ class Play:
             with opened_server(self.bind, self.port) as server:
                 player = Player(server, ground, self.save)
                 shown = self.take or SAMPLE.name
-                out.print(f"{player.address} plays {shown}; Ctrl-C ends")
+                out.print(f"{player.address} plays {shown}; press Ctrl-C to quit")
                 if self.open:
                     webbrowser.open(player.address)
                 player.run()
         except KeyboardInterrupt:
-            pass  # that is how it ends
+            pass  # the regular way to quit
         return 0
 
     def _motion(self, path: Path) -> Clip:

@@ -1,4 +1,4 @@
-"""What commands share: consoles, progress bars, signals, files not to overwrite."""
+"""Shared by commands: consoles, progress bars, signals, overwrite protection."""
 
 from __future__ import annotations
 
@@ -23,40 +23,41 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress as RichProgress
 
-# Names of files are printed as they are, whatever brackets and colons they hold.
+# File names may contain brackets and colons, which rich would interpret.
 out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
 err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 Skeletons = Literal["kinect_v1", "kinect_v2"]
 
-# Windows' SIGBREAK is Ctrl-Break, and a console that is closed.
-_REQUESTS = ("SIGTERM", "SIGBREAK")  # to end; no system has all of them
+# SIGBREAK is sent on Windows by Ctrl-Break, or when the console is closed.
+_REQUESTS = ("SIGTERM", "SIGBREAK")  # no system has both
 _ENDS = (*_REQUESTS, "SIGINT", "SIGHUP")
 
 
 def check_output(path: Path | None, *others: Path | None, suffix: str = "") -> None:
-    """Raise an InputError if a file, if any, is not one that should be written.
+    """Raise an InputError if an output path is unusable; None is ignored.
 
-    It needs a folder and the suffix, and must not be one of ``others``.
+    Its folder must exist, its name must end in ``suffix``, and it must not be one of
+    ``others``.
     """
     if path is None:
         return
     if not path.name.endswith(suffix):
-        raise InputError(f"{path}: expected a name that ends in {suffix}")
+        raise InputError(f"{path}: the name must end in {suffix}")
     check_folder(path)
     keep(path, *others)
 
 
 def keep(written: Path, *others: Path | None) -> None:
-    """Raise an InputError if a file to write is one that must not be lost."""
+    """Raise an InputError if writing a file would overwrite one of ``others``."""
     for other in others:
         if other is not None and written.resolve() == other.resolve():
-            raise InputError(f"{written}: would overwrite {other}; give another name")
+            raise InputError(f"{written}: would overwrite {other}; choose another name")
 
 
 def progress_display(*, counted: bool = True) -> RichProgress:
-    """Return bars, with counts or percentages, for a terminal; nothing elsewhere."""
-    from rich import progress  # takes long to load
+    """Return progress bars with counts or percentages; hidden without a terminal."""
+    from rich import progress  # slow to import
 
     return progress.Progress(
         progress.TextColumn("{task.description}"),
@@ -71,19 +72,19 @@ def progress_display(*, counted: bool = True) -> RichProgress:
 
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
-    """Yield what shows on the terminal how far long work is."""
+    """Yield a factory of progress bars on the terminal."""
     with progress_display() as bars:
         yield lambda stage, count: bars.track(range(count), count, description=stage)
 
 
 def check_calibration(path: Path | None, takes: Collection[Path]) -> None:
-    """Raise an InputError if the place of sensors is given for a take of one."""
+    """Raise an InputError if a calibration is given for a single sensor."""
     if path is not None and len(takes) < 2:
-        raise InputError("--calibration is for takes of several sensors")
+        raise InputError("--calibration requires the takes of several sensors")
 
 
 def write_json(figures: object, path: Path | None) -> None:
-    """Write figures as JSON, whole or not at all, if a file for them is given."""
+    """Write figures as JSON, whole or not at all; no-op without a path."""
     if path is not None:
         with new_text(path) as file:
             file.write(json.dumps(finite(figures), indent=2, allow_nan=False) + "\n")
@@ -91,9 +92,9 @@ def write_json(figures: object, path: Path | None) -> None:
 
 @contextmanager
 def ended_gently() -> Iterator[None]:
-    """Treat a request to end, as batch systems send it, like Ctrl-C."""
+    """Treat SIGTERM, as batch systems send it, like Ctrl-C."""
     if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may say what a signal does
+        yield  # only the main thread may install signal handlers
         return
     with _handling(_REQUESTS, signal.default_int_handler):
         yield
@@ -101,21 +102,21 @@ def ended_gently() -> Iterator[None]:
 
 @contextmanager
 def stopped_by_signals(stop: asyncio.Event) -> Iterator[None]:
-    """Set an event when the process is asked to end."""
-    import asyncio  # takes long to load, and few commands need it
+    """Set an event when the process receives a signal to end."""
+    import asyncio  # slow to import, and few commands need it
 
     loop = asyncio.get_running_loop()
 
-    def asked(*_: object) -> None:
+    def request_stop(*_: object) -> None:
         loop.call_soon_threadsafe(stop.set)
 
-    with _handling(_ENDS, asked):
+    with _handling(_ENDS, request_stop):
         yield
 
 
 @contextmanager
 def _handling(names: Collection[str], handler: Callable[..., Any]) -> Iterator[None]:
-    """Handle those of the signals that this system has."""
+    """Install a handler for those signals that exist on this system."""
     numbers = [number for number in signal.Signals if number.name in names]
     before = {number: signal.signal(number, handler) for number in numbers}
     try:

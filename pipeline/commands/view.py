@@ -1,4 +1,4 @@
-"""The commands that show motions: ``view``, ``render`` and ``report``."""
+"""The commands ``view``, ``render`` and ``report``."""
 
 from __future__ import annotations
 
@@ -29,50 +29,51 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """Look at a motion in the browser, and say where it is wrong.
+    """View and correct a motion in the browser.
 
-    Prints the address of a page: play and scrub raw, cleaned and simulated motion,
-    skin, contacts and forces, turn them with the mouse. Go to what is doubtful; say
-    when a limb or joint is wrong, sides are exchanged or a foot stands, or drag a joint
-    to where it is; save that for clean --edits, or clean again at once. Edits are read
-    from the file of --edits and saved there, by default NAME.edits.toml beside what is
-    shown. Takes of several sensors become one motion, as of clean, and the page shows
-    where each sensor stands and what it saw. Needs pip install "kinefilter[view]".
+    Prints the address of a page that plays the raw, cleaned and simulated motion with
+    skin, contacts and forces. The page jumps to doubtful seconds. There you can mark
+    limbs or joints as wrong, swap left and right, set foot contacts and drag joints
+    into place, then save these edits for clean --edits or clean again at once. Edits
+    are read from and saved to the file of --edits, by default NAME.edits.toml beside
+    the take. Takes of several sensors become one motion, as with clean, and the page
+    shows where each sensor stands and what it saw. Needs pip install
+    "kinefilter[view]".
     """
 
     motion: Annotated[Positional[tuple[Path, ...]], arg(metavar="TAKE...|CLIP")]
-    """A take in any of the formats of --format, which is cleaned first, or one of each
-    of several sensors; or a clip, .npz, USD or GLB, which is shown as it is. With
-    --take, .bvh and .csv are clips too."""
+    """A take in any of the formats of --format, which is cleaned first, or one take per
+    sensor; or a clip (.npz, USD or GLB), which is shown as it is. With --take, .bvh and
+    .csv are clips too."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: TakeFormat | None = None
-    """Layout of the take; default: detected from its content."""
+    """Format of the take; default: detected from its content."""
     take_fps: float | None = None
-    """Frames a second of a take that has no time stamps; default: 30."""
+    """Frames per second of a take without time stamps; default: 30."""
     body: int | None = None
-    """Which person of the take, counted from 1; default: who is seen in most
+    """Number of the person in the take, from 1; default: the one seen in most
     frames."""
     take: UseAppendAction[tuple[Path, ...]] = ()
-    """The take that a clip was made of, to see beside it; of several sensors each, in
-    the order of clean."""
+    """The take that the clip was made from, shown beside it. For several sensors,
+    repeat the option in the order given to clean."""
     calibration: Path | None = None
-    """Where and when several sensors are, as of 'merge --save-calibration'."""
+    """Calibration of several sensors, from 'merge --save-calibration'."""
     bind: str = "127.0.0.1"
-    """Address to listen at; the default is reached from this machine alone. Whoever
-    reaches it may look and save."""
+    """Address to listen on; the default accepts connections from this machine only.
+    Anyone who can connect may view and save."""
     port: int = 0
-    """Port to listen at; 0: any that is free."""
+    """Port to listen on; 0 picks a free one."""
     open: bool = False
-    """Open the page in this machine's browser."""
+    """Open the page in the default browser."""
 
     def run(self) -> int:
-        """Read or clean, serve, wait until it is ended."""
+        """Read or clean the motion, and serve the page until interrupted."""
         require("viser", "viewing", "view")
         from kinefilter.pipeline.look.viewer import Viewer
         from kinefilter.pipeline.look.viewer_server import opened_server
 
         if not self.motion:
-            raise InputError("nothing to view; name a take or a clip")
+            raise InputError("nothing to view; give a take or a clip")
         # By default wave.edits.toml for wave.csv.gz.
         first = self.motion[0]
         stem = Path(first.name.removesuffix(".gz")).stem
@@ -83,16 +84,16 @@ class View:
             with opened_server(self.bind, self.port) as server:
                 viewer = Viewer(server, drawing, save, again)
                 shown = ", ".join(map(str, self.motion))
-                out.print(f"{viewer.address} shows {shown}; Ctrl-C ends")
+                out.print(f"{viewer.address} shows {shown}; press Ctrl-C to quit")
                 if self.open:
                     webbrowser.open(viewer.address)
                 viewer.run()
         except KeyboardInterrupt:
-            pass  # that is how it ends
+            pass  # the regular way to quit
         return 0
 
     def _check(self, save: Path) -> None:
-        """Raise what is wrong before any work is done."""
+        """Check all options before doing any work."""
         from kinefilter.pipeline.look.viewer_server import check_address
 
         check_address(self.bind, self.port)
@@ -103,24 +104,23 @@ class View:
         keep(save, *self.motion, *self.take, *used)
         if self._is_clip and config != CleanConfig():
             raise InputError(
-                f"{self.motion[0]}: a clip is shown as it is; options of cleaning are "
-                "for takes"
+                f"{self.motion[0]}: a clip is shown as it is; cleaning options are for "
+                "takes"
             )
         if self.take and not self._is_clip:
             raise InputError(
-                f"--take {self.take[0]} is for a clip; {self.motion[0]} is taken for a "
-                "take itself"
+                f"--take {self.take[0]} requires a clip, but {self.motion[0]} is a take"
             )
         if self._is_clip and len(self.motion) > 1:
             raise InputError(
-                f"{self.motion[0]}: a clip is shown alone; give the takes that it was "
-                "made of with --take"
+                f"{self.motion[0]}: only one clip can be shown; give the takes that it "
+                "was made from with --take"
             )
         check_calibration(self.calibration, takes)
 
     @property
     def _is_clip(self) -> bool:
-        """Whether the motion is shown as it is; .bvh and .csv may be either."""
+        """True if the motion is a clip; .bvh and .csv may also be takes."""
         suffixes = {
             Path(path.name.removesuffix(".gz")).suffix.lower() for path in self.motion
         }
@@ -129,7 +129,7 @@ class View:
         return not suffixes.isdisjoint(kinds)
 
     def _drawing(self, edits: Sequence[Edit]) -> tuple[Drawing, CleanAgain | None]:
-        """Return what is looked at, and how it is cleaned again."""
+        """Return the drawing, and a function that cleans it with other edits."""
         from kinefilter.pipeline.cleaner import Cleaner
         from kinefilter.pipeline.look.comparison import read_comparison
         from kinefilter.pipeline.merge import clean_session, read_calibration
@@ -145,7 +145,7 @@ class View:
                     calibration=self.calibration,
                     progress=progress,
                 ), None
-        known = read_calibration(self.calibration)
+        calibration = read_calibration(self.calibration)
         recordings = [
             read_recording(path, format=self.format, fps=self.take_fps)
             for path in self.motion
@@ -157,19 +157,19 @@ class View:
         cleaner, take = Cleaner(config), recordings[0].take(self.body)
         before: list[Unedited] = []
 
-        def made(edits: Sequence[Edit], progress: Progress) -> Drawing:
+        def draw(edits: Sequence[Edit], progress: Progress) -> Drawing:
             if len(recordings) == 1:
                 if not before:
                     before.append(cleaner.unedited(take, progress))
-                found = cleaner.clean(
+                result = cleaner.clean(
                     take, edits=edits, before=before[0], progress=progress
                 )
-                return Drawing.of(found, take)
+                return Drawing.of(result, take)
             result, merged = clean_session(
                 recordings,
                 config,
                 body=self.body,
-                calibration=known,
+                calibration=calibration,
                 edits=edits,
                 progress=progress,
             )
@@ -178,34 +178,35 @@ class View:
             return Drawing.of(result, merged.take, merged)
 
         with progress_bars() as progress:
-            return made(edits, progress), made
+            return draw(edits, progress), draw
 
 
 @dataclass(frozen=True)
 class Render:
-    """Draw clips as videos, animations or pictures.
+    """Render clips as videos, GIFs or image sequences.
 
-    Needs no screen: EGL draws or, where no GPU is, OSMesa (Debian's libosmesa6).
+    Needs no display: rendering uses EGL or, without a GPU, OSMesa (Debian's
+    libosmesa6).
     """
 
     clips: Positional[tuple[Path, ...]]
-    """Clips: .npz, USD, GLB, .bvh or .csv; the last two hold no props and
+    """Clips: .npz, USD, GLB, .bvh or .csv; the last two contain neither props nor
     reliability."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """What to write: out.mp4, out.gif or frames/%05d.png; {clip} stands for a clip's
-    name. Pictures that are there already are kept."""
+    """Output: out.mp4, out.gif or frames/%05d.png; {clip} stands for the clip's name.
+    Existing images are kept."""
     look: OmitArgPrefixes[Look] = field(default_factory=Look)
     jobs: int | None = None
-    """Processes that draw; default: one a core."""
+    """Number of rendering processes; default: one per core."""
 
     def run(self) -> int:
-        """Draw, write, report."""
+        """Render, and print what was written."""
         from kinefilter.pipeline.look.video import render_clips
 
         if not self.clips:
-            raise InputError("no clips given; name one or more to draw")
+            raise InputError("no clips given; give one or more to render")
         if self.jobs is not None and self.jobs < 1:
-            raise InputError(f"--jobs {self.jobs}: expected 1 or more")
+            raise InputError(f"--jobs {self.jobs}: must be at least 1")
         keep(self.out, *self.clips, self.look.compare)
         try:
             with progress_bars() as progress:
@@ -214,53 +215,55 @@ class Render:
                 )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
-                "the same command again goes on with numbered pictures, a video begins "
-                "anew"
+                "run the same command again: image sequences resume, videos start over"
             ) from None
         out.print(str(done.backend))
         for path in done.written:
             out.print(f"wrote {path}")
         for failure in done.failures:
-            err.print(f"kinefilter: {failure}; left out")
+            err.print(f"kinefilter: {failure}; skipped")
         return 1 if done.failures else 0
 
 
 @dataclass(frozen=True)
 class Report:
-    """Show a clip beside its take in one web page, which needs no network.
+    """Write a self-contained web page that compares a clip with its take.
 
-    Raw and clean play side by side over reliability and origin of every joint,
-    contacts, distances moved, and the metrics, passed or failed; where there were
-    several sensors, also over where each stands, what it saw, how far that is from the
-    merged take, and how much of each joint is of it. clean --report writes it too.
+    The raw and the cleaned motion play side by side above reliability and origin of
+    every joint, contacts, distances moved, and metrics marked as passed or failed. For
+    several sensors, the page also shows where each stands, what it saw, its distance
+    from the merged take, and its share of each joint. clean --report writes the same
+    page.
     """
 
     clip: Positional[Path]
     """Clip: .npz, USD, GLB, .bvh or .csv."""
     take: UseAppendAction[tuple[Path, ...]]
-    """The take that the clip was made of; of several sensors each, in the order of
-    clean."""
+    """The take that the clip was made from. For several sensors, repeat the option in
+    the order given to clean."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Page to write, .html."""
     body: int | None = None
-    """Which person of the take, counted from 1; default: who is seen in most
+    """Number of the person in the take, from 1; default: the one seen in most
     frames."""
     calibration: Path | None = None
-    """Where and when several sensors are, as of 'merge --save-calibration'."""
+    """Calibration of several sensors, from 'merge --save-calibration'."""
     thresholds: Path | None = None
-    """TOML file of limits, as fail_on = ["skate > 0.003"]; default: those that ship
-    with kinefilter. They color the table of metrics."""
+    """TOML file with limits for the table of metrics, such as fail_on = ["skate >
+    0.003"]; default: the limits that ship with kinefilter."""
     fail_on: UseAppendAction[tuple[str, ...]] = ()
-    """A limit, as skate>0.003 (quoted, for the shell); beyond it, exit code 1. May be
-    given several times."""
+    """A limit such as "skate>0.003"; if it is exceeded, the exit code is 1. May be
+    repeated."""
 
     def run(self) -> int:
-        """Compare, write, say what failed."""
+        """Write the page, and print which limits were exceeded."""
         from kinefilter.pipeline.look import page
         from kinefilter.pipeline.look.comparison import read_comparison
 
         if not self.take:
-            raise InputError("no --take given; give the take that the clip was made of")
+            raise InputError(
+                "no --take given; give the take that the clip was made from"
+            )
         check_calibration(self.calibration, self.take)
         page.check_report(self.out)
         check_output(self.out, self.clip, *self.take, self.calibration, self.thresholds)
@@ -274,7 +277,7 @@ class Report:
                 calibration=self.calibration,
                 progress=progress,
             )
-        # A gate that is a threshold too stands once in the table.
+        # A gate that is also a threshold appears once in the table.
         limits = tuple(dict.fromkeys((*limits, *gates)))
         page.write_report(comparison, self.out, limits)
         out.print(f"wrote {self.out}")
