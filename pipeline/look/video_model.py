@@ -99,8 +99,8 @@ class ClipModel:
             return
         sticks, model, data = self._raw.at(frame), self.model, self.data
         model.geom_rgba[self._joints, :3] = sticks.joint_colors
-        model.geom_rgba[self._joints, 3] = sticks.joint_there
-        model.geom_rgba[self._bones, 3] = sticks.bone_there
+        model.geom_rgba[self._joints, 3] = sticks.joint_present
+        model.geom_rgba[self._bones, 3] = sticks.bone_present
         model.geom_size[self._bones, 1] = 0.5 * np.maximum(sticks.lengths, 1e-6)
         data.geom_xpos[self._joints] = to_mujoco(sticks.joints)
         data.geom_xpos[self._bones] = to_mujoco(sticks.centers)
