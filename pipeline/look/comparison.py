@@ -306,7 +306,7 @@ def _check_made_from(clip: Clip, measured: Array) -> None:
         joint = clip.skeleton.joints[int(np.nanargmax(beyond[worst]))]
         raise InputError(
             f"in {len(wrong)} of {len(clip)} frames the take does not match the clip: "
-            f"in frame {worst + 1} {joint} is {most[worst] * 100:.1f} cm or more from "
+            f"{joint} in frame {worst + 1} is {most[worst] * 100:.1f} cm or more from "
             f"where the clip says it was measured; {_TRY}, the same --body, and a clip "
             "written without --loop, --root and coarse --keys"
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
@@ -11,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 import viser
 
-from kinefilter.characters import InputError, TrackingName
+from kinefilter.characters import TrackingName
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.recording import numbered
@@ -56,20 +55,10 @@ class Player(ServedPage):
     def run(self) -> None:
         """Play until ``stop`` is called, one step per frame of the motion."""
         due = perf_counter()
-        while True:
-            try:
-                while request := self._requests.get(
-                    timeout=max(due - perf_counter(), 0.0)
-                ):
-                    action, value = request
-                    try:
-                        action(value)
-                    except InputError as error:
-                        self._report(str(error), error=True)
-                return
-            except queue.Empty:
-                pass
+        while self._serve(max(due - perf_counter(), 0.0)):
             began = perf_counter()
+            if began < due:  # a request arrived before the next step
+                continue
             due = max(due + 1.0 / RATE, began - _MAX_DELAY)
             if self._playing:
                 self._playground.step(self._speed / RATE)

@@ -167,7 +167,10 @@ def _drawn(
             if len(planned) == 1:
                 job = left.pop()
                 clip = job.task.clip
-                yield job, f"{clip}: a process drawing it died, perhaps for lack of memory"
+                yield (
+                    job,
+                    f"{clip}: a process drawing it died, perhaps for lack of memory",
+                )
     # To find the clip that a process died of, draw each with processes of its own.
     for job in left:
         yield from _drawn([job], backend, count, steps)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -71,22 +70,14 @@ class Viewer(ServedPage):
         self._report(f"{count or 'no'} edits in {save.name}")
 
     def run(self) -> None:
-        """Serve the requests of the page until ``stop`` is called."""
-        while True:
+        """Play and serve the requests of the page until ``stop`` is called."""
+        serving = True
+        while serving:
             self._show()
-            try:
-                wait = self._playback.until_next(perf_counter())
-                if sys.platform == "win32":
-                    wait = min(wait or _POLL, _POLL)
-                request = self._requests.get(timeout=wait)
-                while request is not None:
-                    action, value = request
-                    action(value)
-                    # Empty the queue first, to draw only the last of many scrubs.
-                    request = self._requests.get_nowait()
-                return
-            except queue.Empty:
-                pass
+            wait = self._playback.until_next(perf_counter())
+            if sys.platform == "win32":
+                wait = min(wait or _POLL, _POLL)
+            serving = self._serve(wait)
 
     def _add_panel(self, gui: viser.GuiApi, drawing: Drawing) -> None:
         def add_buttons(
@@ -240,8 +231,7 @@ class Viewer(ServedPage):
         """Add a handle to drag a joint to its true position in the current frame."""
         joints = self._clip.skeleton.joints
         if name not in joints:
-            self._report("a limb cannot be pinned; choose a joint", error=True)
-            return
+            raise InputError("a limb cannot be pinned; choose a joint")
         self._playback.pause(perf_counter())
         self._pinned = frame = self._playback.frame(perf_counter())
         place = self._clip.positions[frame, joints.index(name)]
@@ -275,28 +265,19 @@ class Viewer(ServedPage):
         self._list.value = self._list.options[-1]  # the latest
         self._report("unsaved changes" if self._edits.unsaved else "")
 
-    def _save(self, _: object = None) -> bool:
-        """Write the edits; return True if that succeeded."""
-        try:
-            kept = self._file.write(self._edits.edits)
-        except InputError as error:
-            self._report(str(error), error=True)
-            return False
+    def _save(self, _: object = None) -> None:
+        kept = self._file.write(self._edits.edits)
         self._edits.mark_saved()
         also = f"; another program had changed it: see {kept.name}" if kept else ""
         self._report(f"saved {self._file.path}{also}")
-        return True
 
     def _clean_again(self, _: object) -> None:
         """Save, and clean as ``clean --edits`` would with the saved file."""
         self._playback.pause(perf_counter())
-        if self._again is None or not self._save():
-            return
+        self._save()
+        assert self._again is not None  # or the button is hidden
         try:
             drawing = self._again(self._edits.edits, self._progress)
-        except InputError as error:
-            self._report(str(error), error=True)
-            return
         finally:
             self._busy.visible = False
         self._look_at(drawing)

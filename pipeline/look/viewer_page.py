@@ -9,6 +9,8 @@ from typing import Any
 
 import viser
 
+from kinefilter.characters import InputError
+
 Action = Callable[[Any], object]
 """What to do, given the value of the widget that was used."""
 
@@ -17,7 +19,8 @@ class ServedPage:
     """A page on a server; every browser that opens it sees the same.
 
     Requests from browsers arrive on the server's threads and wait in a queue for
-    ``run``. Only ``run`` changes anything, so no locks are needed.
+    ``run``. Only ``run`` changes anything, so no locks are needed. What raises an
+    InputError is reported on the page.
     """
 
     _message: viser.GuiHtmlHandle
@@ -55,6 +58,21 @@ class ServedPage:
                 self._requests.put((action, value))
 
         register(enqueue)
+
+    def _serve(self, wait: float | None) -> bool:
+        """Wait [s] for a request, do all in the queue; return False once stopped."""
+        try:
+            request = self._requests.get(timeout=wait)
+            while request is not None:
+                action, value = request
+                try:
+                    action(value)
+                except InputError as error:
+                    self._report(str(error), error=True)
+                request = self._requests.get_nowait()
+            return False
+        except queue.Empty:
+            return True
 
     def _report(self, text: str, *, error: bool = False) -> None:
         color = "#c92a2a" if error else "inherit"
