@@ -77,50 +77,42 @@ def timeline_html(
     shaded. Long motions also get a close-up of the frames around ``frame``.
     """
     flags = np.column_stack(list(rows.values()))
-    count, names = len(flags), list(rows)
+    count, height = len(flags), _ROW * len(rows)
+
+    def strip(name: str, flags: Flags, frames: range) -> str:
+        step, scale, bars = _WIDTH / len(flags), _WIDTH / len(frames), ""
+        for k, row in enumerate(rows):
+            path = "".join(
+                f"M{run.start * step:.1f} {_ROW * k + _ROW // 2}"
+                f"h{(run.stop - run.start) * step:.1f}"
+                for run in runs(flags[:, k])
+            )
+            bars += (
+                f'<path class="row" d="{path}" stroke="{_COLORS[row.split()[-1]]}" '
+                f'stroke-width="{_BAR}" fill="none"/>'
+            )
+        ends = np.array([chosen[0], chosen[1] + 1]) - frames.start
+        first, end = np.clip(ends, 0, len(frames)).tolist()
+        mark = (frame - frames.start + 0.5) * scale
+        return (
+            '<div style="display:flex;gap:6px;font-size:11px;margin:4px 8px">'
+            f'<div style="flex:none;line-height:{_ROW}px">{"<br>".join(rows)}</div>'
+            f'<svg id="{name}" viewBox="0 0 {_WIDTH} {height}" width="100%" '
+            f'height="{height}" preserveAspectRatio="none" '
+            'style="background:rgba(128,128,128,0.12)">'
+            f'<rect x="{first * scale:.1f}" width="{(end - first) * scale:.1f}" '
+            f'height="{height}" fill="rgba(128,128,128,0.25)"/>'
+            f'{bars}<path d="M{mark:.1f} 0V{height}" stroke="#d9342b" '
+            'stroke-width="2" vector-effect="non-scaling-stroke"/></svg></div>'
+        )
+
     # However long the motion, send no more steps than can be seen.
     columns = min(count, _WIDTH)
     starts = np.arange(columns) * count // columns
     coarse = np.logical_or.reduceat(flags, starts, axis=0)
-    strips = _strip("timeline", names, coarse, range(count), frame, chosen)
+    strips = strip("timeline", coarse, range(count))
     if count > 2 * _CLOSE:
         first = min(max(frame - _CLOSE // 2, 0), count - _CLOSE)
         near = range(first, first + _CLOSE)
-        strips += _strip("close-up", names, flags[near], near, frame, chosen)
+        strips += strip("close-up", flags[near], near)
     return strips
-
-
-def _strip(
-    name: str,
-    rows: list[str],
-    flags: Flags,
-    frames: range,
-    frame: int,
-    chosen: tuple[int, int],
-) -> str:
-    height, scale = _ROW * len(rows), _WIDTH / len(frames)
-    step, bars = _WIDTH / len(flags), ""
-    for k, row in enumerate(rows):
-        y = _ROW * k + _ROW // 2
-        path = "".join(
-            f"M{run.start * step:.1f} {y}h{(run.stop - run.start) * step:.1f}"
-            for run in runs(flags[:, k])
-        )
-        bars += (
-            f'<path class="row" d="{path}" stroke="{_COLORS[row.split()[-1]]}" '
-            f'stroke-width="{_BAR}" fill="none"/>'
-        )
-    ends = np.array([chosen[0], chosen[1] + 1]) - frames.start
-    first, end = np.clip(ends, 0, len(frames)).tolist()
-    mark = (frame - frames.start + 0.5) * scale
-    return (
-        '<div style="display:flex;gap:6px;font-size:11px;margin:4px 8px">'
-        f'<div style="flex:none;line-height:{_ROW}px">{"<br>".join(rows)}</div>'
-        f'<svg id="{name}" viewBox="0 0 {_WIDTH} {height}" width="100%" '
-        f'height="{height}" preserveAspectRatio="none" '
-        'style="background:rgba(128,128,128,0.12)">'
-        f'<rect x="{first * scale:.1f}" width="{(end - first) * scale:.1f}" '
-        f'height="{height}" fill="rgba(128,128,128,0.25)"/>'
-        f'{bars}<path d="M{mark:.1f} 0V{height}" stroke="#d9342b" stroke-width="2" '
-        'vector-effect="non-scaling-stroke"/></svg></div>'
-    )

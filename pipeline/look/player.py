@@ -130,14 +130,13 @@ class Player(ServedPage):
         if recorded is not None:
             rows.append(("recorded", f"{recorded / RATE:.1f} s"))
         self._status.content = table_html(("opacity:0.6", *row) for row in rows)
-        labels = {
+        label = {
             "Let go": "Take hold" if playground.limp else "Let go",
             "Pause": "Pause" if self._playing else "Resume",
             "Record": "Record" if recorded is None else "Stop recording",
         }
-        for name, label in labels.items():
-            if self._buttons[name].label != label:
-                self._buttons[name].label = label
+        for name, button in self._buttons.items():
+            button.label = label.get(name, name)
 
     def _throw_at(self, event: viser.SceneClickEvent) -> None:
         self._throw_from(event.ray_origin, np.array(event.ray_direction))

@@ -47,6 +47,7 @@ class _Job:
     task: RenderTask
     frames: int
     rate: float
+    failure: str = ""
     futures: dict[Future[list[list[Coded]]], range] = field(default_factory=dict)
 
 
@@ -75,7 +76,7 @@ def render_clips(
     paths = output_paths(clips, out)
     with ThreadPoolExecutor(1) as thread:  # drivers are slow to start
         search = thread.submit(find_backend)
-        planned, failures, written = [], [], []
+        planned, failures = [], []
         for clip, path in zip(clips, paths, strict=True):
             try:
                 what = Composition(task := RenderTask(clip, path, look))
@@ -91,14 +92,12 @@ def render_clips(
     for job in planned:
         job.task = job.task.drawn_by(backend)
     steps = iter(progress("draw", sum(job.frames for job in planned)))
-    for job, failure in _drawn(planned, backend, jobs or cores(), steps):
-        if failure is None:
-            written.append(job.task.out)
-        else:
-            failures.append(failure)
+    _draw(planned, backend, jobs or cores(), steps)
+    failures += [job.failure for job in planned if job.failure]
     if failures and len(clips) == 1:
         raise InputError(failures[0])
-    return Rendering(backend, tuple(written), tuple(failures))
+    written = tuple(job.task.out for job in planned if not job.failure)
+    return Rendering(backend, written, tuple(failures))
 
 
 def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
@@ -148,10 +147,10 @@ def stretches(count: int, share: int) -> list[range]:
     return [range(k, min(k + size, count)) for k in range(0, count, size)]
 
 
-def _drawn(
+def _draw(
     planned: list[_Job], backend: Backend, count: int, steps: Iterator[int]
-) -> Iterator[tuple[_Job, str | None]]:
-    """Yield each finished job and its error message, if it failed."""
+) -> None:
+    """Draw jobs with ``count`` processes; note the failure of each that fails."""
     left = deque(planned)
     share = sum(job.frames for job in planned) // count
     groups = [stretches(job.frames, share) for job in planned]
@@ -161,25 +160,23 @@ def _drawn(
             for job, group in zip(planned, groups, strict=True):
                 job.futures = {pool.submit(draw_parts, job.task, k): k for k in group}
             while left:
-                yield left[0], _finished(left[0], steps)
+                _finish(left[0], steps)
                 left.popleft()
         except BrokenProcessPool:
             if len(planned) == 1:
                 job = left.pop()
-                clip = job.task.clip
-                yield (
-                    job,
-                    f"{clip}: a process drawing it died, perhaps for lack of memory",
+                job.failure = (
+                    f"{job.task.clip}: a process drawing it died, perhaps for lack of "
+                    "memory"
                 )
     # To find the clip that a process died of, draw each with processes of its own.
     for job in left:
-        yield from _drawn([job], backend, count, steps)
+        _draw([job], backend, count, steps)
 
 
-def _finished(job: _Job, steps: Iterator[int]) -> str | None:
-    """Write a job's file from its parts; return the error message if that failed."""
+def _finish(job: _Job, steps: Iterator[int]) -> None:
+    """Write a job's file from its parts, or note its failure."""
     out, size = job.task.out, job.task.look.pixels
-    write = {".mp4": write_mp4, ".gif": write_gif}.get(out.suffix.lower())
 
     def parts() -> Iterator[list[Coded]]:
         for future, frames in job.futures.items():
@@ -187,16 +184,17 @@ def _finished(job: _Job, steps: Iterator[int]) -> str | None:
             deque(islice(steps, len(frames)), maxlen=0)
 
     try:
-        if write is not None:
-            write(parts(), out, size, job.rate)
-        else:
+        if out.suffix.lower() == ".png":  # written already
             deque(parts(), maxlen=0)
+        else:
+            write = write_mp4 if out.suffix.lower() == ".mp4" else write_gif
+            write(parts(), out, size, job.rate)
     except BrokenProcessPool:
         raise
     except Exception as error:  # the other clips are drawn nevertheless
         for future in job.futures:
             future.cancel()
-        if isinstance(error, InputError):
-            return str(error)
-        return f"{job.task.clip}: cannot be drawn ({type(error).__name__}: {error})"
-    return None
+        job.failure = str(error)
+        if not isinstance(error, InputError):
+            kind = type(error).__name__
+            job.failure = f"{job.task.clip}: cannot be drawn ({kind}: {error})"

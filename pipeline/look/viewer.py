@@ -160,9 +160,8 @@ class Viewer(ServedPage):
             if self._pin is not None:
                 self._pin.visible = frame == self._pinned
             self._play.label = "Pause" if playing else "Play"
-            icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
-            if self._play.icon != icon:
-                self._play.icon = icon
+            icons = viser.Icon.PLAYER_PLAY, viser.Icon.PLAYER_PAUSE
+            self._play.icon = icons[playing]
 
     @property
     def _doubts(self) -> Flags:
