@@ -79,9 +79,7 @@ def read_comparison(
         known = read_calibration(calibration)
         takes = [read_recording(path) for path in take_paths]
         merged = merge(takes, body=body, calibration=known, progress=progress)
-        take = merged.take
-    else:
-        take = _read_take(take_paths[0], clip, body)
+    take = merged.take if merged else _read_take(take_paths[0], clip, body)
     try:
         return compare(clip, take, merged)
     except InputError as error:

@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats.files import check_folder, make_folder
@@ -18,9 +19,11 @@ from kinefilter.pipeline.workers import cores, workers
 
 from .cameras import CAMERAS, camera_of
 from .options import Look
-from .video_files import FASTEST_GIF, Coded, write_gif, write_mp4
 from .video_opengl import Backend, find_backend
 from .video_task import PART, Composition, RenderTask, draw_parts
+
+if TYPE_CHECKING:
+    from .video_files import Coded
 
 _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"
@@ -28,6 +31,7 @@ _NUMBERED = re.compile(r"[^%]*%0?\d*d[^%]*")  # such as %05d.png
 # Stretches per process, roughly. With fewer, the last one keeps the others waiting;
 # with more, every process has to read every clip.
 _STRETCHES = 4
+_FASTEST_GIF = 50.0  # frames per second that programs still play at the right speed
 _LONGEST = 600  # frames: a few seconds, after which a progress bar should move
 
 
@@ -80,9 +84,9 @@ def render_clips(
         for clip, path in zip(clips, paths, strict=True):
             try:
                 what = Composition(task := RenderTask(clip, path, look))
-                if path.suffix.lower() == ".gif" and what.rate > FASTEST_GIF:
+                if path.suffix.lower() == ".gif" and what.rate > _FASTEST_GIF:
                     raise InputError(
-                        f"{clip}: a GIF has at most {FASTEST_GIF:g} frames per second, "
+                        f"{clip}: GIF has at most {_FASTEST_GIF:g} frames per second, "
                         f"not {what.rate:g}; lower --fps or raise --every"
                     )
                 planned.append(_Job(task, len(what.drawing.clip), what.rate))
@@ -176,6 +180,8 @@ def _draw(
 
 def _finish(job: _Job, steps: Iterator[int]) -> None:
     """Write a job's file from its parts, or note its failure."""
+    from .video_files import write_gif, write_mp4  # loads av
+
     out, size = job.task.out, job.task.look.pixels
 
     def parts() -> Iterator[list[Coded]]:

@@ -15,7 +15,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
+from av.codec.context import Flags
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
@@ -27,9 +29,7 @@ Size = tuple[int, int]
 """Width and height in pixels."""
 Coded = tuple[bytes, bool]
 """An encoded picture, and whether it is a keyframe."""
-
-FASTEST_GIF = 50.0
-"""Frames per second that programs still play at the right speed."""
+Parts = Iterable[list[Coded]]
 
 # x264's quality 18 is said to look lossless; above 18, lines on the floor suffer.
 _X264 = {"preset": "veryfast", "crf": "18", "bf": "0", "threads": "1"}
@@ -42,8 +42,6 @@ _KEY = b"kinefilter\0"
 
 def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Coded]:
     """Encode the pictures of one part."""
-    import av
-
     codec = _x264(av.CodecContext.create("libx264", "w"), size, rate)
     packets = []
     for number, picture in enumerate(pictures):
@@ -52,12 +50,8 @@ def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Co
     return [(bytes(packet), packet.is_keyframe) for packet in packets]
 
 
-def write_mp4(
-    parts: Iterable[list[Coded]], path: Path, size: Size, rate: float
-) -> None:
+def write_mp4(parts: Parts, path: Path, size: Size, rate: float) -> None:
     """Write the parts of a video (``encode_video``), or raise an InputError."""
-    import av
-
     with _media_file(path, {"movflags": "+faststart"}) as file:
         stream = file.add_stream("libx264", rate=_fraction(rate))
         _x264(stream.codec_context, size, rate)
@@ -69,9 +63,7 @@ def write_mp4(
             file.mux(packet)
 
 
-def write_gif(
-    parts: Iterable[list[Coded]], path: Path, size: Size, rate: float
-) -> None:
+def write_gif(parts: Parts, path: Path, size: Size, rate: float) -> None:
     """Write an endless animation of PNG pictures, or raise an InputError."""
     pictures = [data for part in parts for data, _ in part]
     # One palette for all pictures keeps the floor from flickering, and so does ordered
@@ -93,8 +85,6 @@ def write_gif(
 
 def encode_png(picture: Pixels) -> bytes:
     """Encode a picture as PNG."""
-    import av
-
     codec: Any = av.CodecContext.create("png", "w")
     codec.height, codec.width = picture.shape[:2]
     codec.pix_fmt, codec.time_base = "rgb24", Fraction(1, 30)
@@ -132,8 +122,6 @@ def _fraction(rate: float) -> Fraction:
 
 
 def _x264(codec: Any, size: Size, rate: float) -> Any:
-    from av.codec.context import Flags
-
     codec.width, codec.height = size
     codec.pix_fmt = "yuv420p"
     codec.framerate, codec.time_base = _fraction(rate), 1 / _fraction(rate)
@@ -143,8 +131,6 @@ def _x264(codec: Any, size: Size, rate: float) -> Any:
 
 
 def _frame(picture: Pixels, number: int, step: Fraction) -> Any:
-    import av
-
     frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture))
     frame.pts, frame.time_base = number, step
     return frame
@@ -153,8 +139,6 @@ def _frame(picture: Pixels, number: int, step: Fraction) -> Any:
 @contextmanager
 def _media_file(path: Path, options: dict[str, str]) -> Iterator[Any]:
     """Yield a media file that replaces ``path`` once it is complete."""
-    import av
-
     try:
         # A full disk may go unnoticed until the file is closed.
         with (
@@ -172,8 +156,6 @@ def _filtered(
     pictures: Sequence[bytes], size: Size, name: str, options: str, palette: Any = None
 ) -> Iterator[Any]:
     """Yield the frames a filter makes from PNG pictures and, for some, a palette."""
-    import av
-
     graph: Any = av.filter.Graph()
     node, sink = graph.add(name, options), graph.add("buffersink")
     layout = av.VideoFormat("rgb24")

@@ -27,10 +27,10 @@ from .cameras import axes_toward, camera_path
 from .comparison import raw_positions
 from .drawing import CORNERS, Drawing, corners_of, offset_beside, read_finite_clip
 from .options import Look
-from .video_files import Coded, Pixels, encode_png, encode_video, is_drawn, write_frame
 from .video_opengl import Backend
 
 if TYPE_CHECKING:
+    from .video_files import Coded, Pixels
     from .video_model import OffscreenRenderer
 
 PART = 60
@@ -155,6 +155,8 @@ def draw_parts(task: RenderTask, frames: range) -> list[list[Coded]]:
     Returns the encoded parts of a video or a GIF; numbered pictures are written. Raises
     an InputError if something cannot be drawn or written.
     """
+    from .video_files import encode_png, encode_video, is_drawn, write_frame  # loads av
+
     out, suffix = task.out, task.out.suffix.lower()
     parts = [frames[k : k + PART] for k in range(0, len(frames), PART)]
     if suffix == ".gif":
