@@ -205,8 +205,8 @@ def _add_grips(
     ends = body.skeleton.segments
     radii = _TO_GRAB * body.radii[ends]
     rod = cylinder(1.0, 1.0, sections=10)
-    grips = add_batch(scene, "/grips", rod, len(ends), (0, 0, 0), shadow=False)
-    grips.opacity = 0.0
+    grips = add_batch(scene, "/grips", rod, len(ends), (0, 0, 0))
+    grips.opacity, grips.cast_shadow = 0.0, False
 
     def place(positions: Array) -> None:
         now = StickFigure(body.skeleton, positions[None]).at(0)

@@ -267,7 +267,7 @@ class Viewer(ServedPage):
     def _save(self, _: object = None) -> None:
         kept = self._file.write(self._edits.edits)
         self._edits.mark_saved()
-        also = f"; another program had changed it: see {kept.name}" if kept else ""
+        also = f"; the version edited elsewhere is now {kept.name}" if kept else ""
         self._report(f"saved {self._file.path}{also}")
 
     def _clean_again(self, _: object) -> None:

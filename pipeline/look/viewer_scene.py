@@ -93,7 +93,8 @@ def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: EditHistory) -> Laye
     parts = np.transpose(ankles_and_toes(clip.skeleton)).ravel()
     places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
     disk = cylinder(_DISK, _THICK, sections=32)
-    disks = add_batch(scene, "/contacts", disk, len(parts), _PLANTED, shadow=False)
+    disks = add_batch(scene, "/contacts", disk, len(parts), _PLANTED)
+    disks.cast_shadow = False
 
     def update(frame: int) -> None:
         disks.batched_positions = places[frame]
@@ -230,9 +231,7 @@ def set_stage(
     """Set up sky, floor, lights and a camera on a drawing; return the sun."""
     scene, clip = server.scene, drawing.clip
     scene.set_up_direction("+y")
-    top, bottom = (np.array(color) for color in _SKY)
-    share = np.linspace(0.0, 1.0, _SKY_ROWS)[:, None, None]
-    sky = _bytes(top + share * (bottom - top))
+    sky = _bytes(np.linspace(*_SKY, _SKY_ROWS))[:, None]
     # No environment map as a light: without a GPU, filtering it takes seconds.
     scene.configure_environment_map(None)
     scene.set_background_image(sky.repeat(2, axis=1), "png")
@@ -278,13 +277,7 @@ def set_stage(
 
 
 def add_batch(
-    scene: viser.SceneApi,
-    name: str,
-    mesh: trimesh.Trimesh,
-    count: int,
-    color: Color,
-    *,
-    shadow: bool = True,
+    scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, count: int, color: Color
 ) -> Any:
     """Add copies of a mesh, with scale 0 until they are placed; viser casts arrays."""
     return scene.add_batched_meshes_simple(
@@ -295,7 +288,6 @@ def add_batch(
         batched_positions=np.zeros((count, 3)),
         batched_scales=np.zeros((count, 3)),
         batched_colors=np.full((count, 3), color, dtype=np.uint8),
-        cast_shadow=shadow,
         lod="off",
     )
 
