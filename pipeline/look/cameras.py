@@ -120,21 +120,21 @@ def _still(points: Array, toward: Array, aspect: float) -> CameraPath:
     axes = axes_toward(toward)
     away = _distance(points - target, toward, aspect)
     for _ in range(4):  # each makes the difference of the margins a tenth
-        seen = points - target
-        depth = away - seen @ toward
+        offsets = points - target
+        depth = away - offsets @ toward
         for axis in axes:
-            edge = seen @ axis / depth
+            edge = offsets @ axis / depth
             target = target + 0.5 * away * (edge.max() + edge.min()) * axis
         away = _distance(points - target, toward, aspect)
     return CameraPath((target + away * toward)[None], target[None], _FOV)
 
 
-def _distance(seen: Array, toward: Array, aspect: float) -> float:
+def _distance(offsets: Array, toward: Array, aspect: float) -> float:
     """Return the distance [m] that shows all points (..., 3), relative to a target."""
     right, up = axes_toward(toward)
     half = np.tan(0.5 * np.radians(_FOV)) * (1.0 - 2.0 * _MARGIN)
-    across = np.maximum(np.abs(seen @ right) / aspect, np.abs(seen @ up)) / half
-    return float(np.max(seen @ toward + across))
+    across = np.maximum(np.abs(offsets @ right) / aspect, np.abs(offsets @ up)) / half
+    return float(np.max(offsets @ toward + across))
 
 
 def camera_of(camera: str) -> CameraPath:

@@ -264,10 +264,10 @@ def leveled_to_clip(take: Take, clip: Clip | Take) -> Array:
     turn = find_turn(take.positions, take.skeleton)
     positions = leveled(take.positions, turn.tilt, turn.roll)
     raw, clean = positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)
-    known = np.isfinite(raw).all(axis=1)
-    if not known.any():
+    valid = np.isfinite(raw).all(axis=1)
+    if not valid.any():
         raise InputError("the take has no joint at the times of the clip")
-    return to_world(positions, *_tilt_and_floor(raw[known], clean[known]))
+    return to_world(positions, *_tilt_and_floor(raw[valid], clean[valid]))
 
 
 def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:

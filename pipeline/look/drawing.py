@@ -197,5 +197,5 @@ def reliability_colors(reliability: Array) -> Array:
     hexes = [bytes.fromhex(color[1:]) for color in (*RELIABILITY, UNKNOWN)]
     *scale, unknown = np.array([list(color) for color in hexes]) / 255.0
     colors = [np.interp(reliability, (0.0, 0.5, 1.0), c) for c in np.transpose(scale)]
-    known = np.isfinite(reliability)[..., None]
-    return np.where(known, np.stack(colors, axis=-1), unknown)
+    valid = np.isfinite(reliability)[..., None]
+    return np.where(valid, np.stack(colors, axis=-1), unknown)

@@ -49,8 +49,8 @@ class Look:
         if self.every < 1:
             raise InputError(f"--every {self.every}: expected 1 or more")
         if self.samples is not None and self.samples not in _SAMPLES:
-            known = ", ".join(map(str, _SAMPLES))
-            raise InputError(f"--samples {self.samples}: expected one of {known}")
+            allowed = ", ".join(map(str, _SAMPLES))
+            raise InputError(f"--samples {self.samples}: expected one of {allowed}")
         if not self.start >= 0.0 or (self.to is not None and not self.to >= self.start):
             raise InputError(
                 f"--from {self.start:g} --to {self.to}: expected 0 <= from <= to"

@@ -218,8 +218,8 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
 
 def _of_joints(values: Array) -> dict[str, Any]:
     """Return mean and maximum over the frames, None for joints without a value."""
-    known = np.ma.masked_invalid(values)
-    return {"mean": known.mean(axis=0).tolist(), "most": known.max(axis=0).tolist()}
+    valid = np.ma.masked_invalid(values)
+    return {"mean": valid.mean(axis=0).tolist(), "most": valid.max(axis=0).tolist()}
 
 
 def packed(values: NDArray[Any], kind: str) -> dict[str, str]:
@@ -251,7 +251,7 @@ def _derivative(time: Array, positions: Array, order: int) -> Array:
     """
     values = np.full(len(time), np.nan)
     size, nominal = even_differences(time, positions, order)
-    known = ~np.isnan(size).all(axis=1)
-    middle = np.flatnonzero(known) + order // 2  # frame of each difference
-    values[middle] = np.nanmean(size[known], axis=1) / nominal**order
+    valid = ~np.isnan(size).all(axis=1)
+    middle = np.flatnonzero(valid) + order // 2  # frame of each difference
+    values[middle] = np.nanmean(size[valid], axis=1) / nominal**order
     return values

@@ -131,8 +131,8 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
     if twice:
         same = [str(c) for c, path in zip(clips, paths, strict=True) if path in twice]
         raise InputError(
-            f"{', '.join(same)}: would all be drawn to {twice[0]}; draw clips with the "
-            "same name one at a time"
+            f"{', '.join(same)}: would be drawn to one file, {twice[0]}; draw clips "
+            "with the same name one at a time"
         )
     for path in paths:
         if numbered:

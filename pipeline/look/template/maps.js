@@ -14,11 +14,11 @@ function framesOf(column, columns) {
 // The cell that a column shows in a row: that of its worst frame.
 function worst(map, row, [first, next]) {
   const rows = map.rows.length;
-  let found = first * rows + row;
+  let cell = first * rows + row;
   for (let f = first + 1; f < next; f++) {
-    if (map.badness(f * rows + row) > map.badness(found)) found = f * rows + row;
+    if (map.badness(f * rows + row) > map.badness(cell)) cell = f * rows + row;
   }
-  return found;
+  return cell;
 }
 
 // The map as a picture with one pixel per cell.
@@ -127,10 +127,10 @@ function addMap(parent, map, go) {
 }
 
 function addCurve(parent, curve, go) {
-  const known = curve.lines.flatMap(([, values]) => [...values]).filter(isFinite)
+  const finite = curve.lines.flatMap(([, values]) => [...values]).filter(isFinite)
     .sort((a, b) => a - b);
   // A few high peaks must not flatten everything else.
-  const most = known.length ? 1.1 * known[Math.floor(0.995 * (known.length - 1))] : 1;
+  const most = finite.length ? 1.1 * finite[Math.floor(0.995 * (finite.length - 1))] : 1;
   const top = most || 1, tall = 150;
   const draw = ({ context, width, height }) => {
     lettering(context, "right");

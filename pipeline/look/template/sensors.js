@@ -7,7 +7,7 @@ at("session").hidden = !report.sensors.length;
 // The middle and the size of a box around points, along each axis.
 function extent(points) {
   const [low, high] = [Math.min, Math.max].map((end) =>
-    points.reduce((found, point) => found.map((value, n) => end(value, point[n]))));
+    points.reduce((bound, point) => bound.map((value, n) => end(value, point[n]))));
   return { middle: low.map((value, n) => (value + high[n]) / 2),
            size: low.map((value, n) => high[n] - value) };
 }
