@@ -142,8 +142,7 @@ def camera_of(camera: str) -> CameraPath:
     path = Path(camera)
     if path.suffix != ".toml":
         raise InputError(
-            f"--camera {camera}: unknown; expected {', '.join(CAMERAS)}, or the path "
-            "of a .toml file"
+            f"--camera {camera}: expected {', '.join(CAMERAS)} or a .toml file"
         )
     table = read_toml(path, "write lines such as position = [0.0, 1.5, 4.0]")
     unknown = ", ".join(sorted(set(table) - {"position", "target", "fov"}))
@@ -154,10 +153,8 @@ def camera_of(camera: str) -> CameraPath:
         if not (isinstance(place, list) and len(place) == 3) or not all(
             isinstance(v, int | float) and abs(v) < _FARTHEST for v in place
         ):
-            raise InputError(
-                f"{path}: {name} is {place!r}; expected three numbers [x, y, z] in "
-                "meters, y up"
-            )
+            expected = "expected [x, y, z] in meters, y up"
+            raise InputError(f"{path}: {name} is {place!r}; {expected}")
     position, target = np.array([table["position"], table["target"]], dtype=np.float64)
     fov = table.get("fov", _FOV)
     if not isinstance(fov, int | float) or not 1.0 <= fov <= 170.0:

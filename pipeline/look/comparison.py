@@ -210,11 +210,9 @@ def _check(clip: Clip, take: Take) -> None:
     if len(clip) < 2 or clip.time[-1] <= clip.time[0]:
         raise InputError("a motion needs at least two frames at different times")
     if not same_stamps(clip, take):
-        raise InputError(
-            f"the time stamps of clip and take differ; {_TRY} (and without --fps)"
-        )
+        raise InputError(f"their time stamps differ; {_TRY} (and without --fps)")
     if _has_states(clip) and not np.array_equal(clip.state, take.state):
-        raise InputError(f"the tracking states of clip and take differ; {_TRY}")
+        raise InputError(f"their tracking states differ; {_TRY}")
     rates = clip.reliability
     if not np.isfinite(clip.positions).all() or (
         np.isnan(rates).any() and not np.isnan(rates).all()  # all NaN: unknown
@@ -245,8 +243,8 @@ def in_clip_frame(take: Take, clip: Clip) -> Array:
     """
     if not _has_leveling(clip):
         raise InputError(
-            "the clip does not store where its floor was (clips of older versions of "
-            "kinefilter); clean the take again"
+            "the clip does not store where its floor was, as older versions wrote it; "
+            "clean the take again"
         )
     positions = in_world(take, clip)
     if same_stamps(clip, take):

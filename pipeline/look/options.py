@@ -52,9 +52,8 @@ class Look:
             allowed = ", ".join(map(str, _SAMPLES))
             raise InputError(f"--samples {self.samples}: expected one of {allowed}")
         if not self.start >= 0.0 or (self.to is not None and not self.to >= self.start):
-            raise InputError(
-                f"--from {self.start:g} --to {self.to}: expected 0 <= from <= to"
-            )
+            span = f"--from {self.start:g} --to {self.to}"
+            raise InputError(f"{span}: expected 0 <= from <= to")
         _ = self.pixels  # raises an error if --size is wrong
 
     @property

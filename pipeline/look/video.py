@@ -37,13 +37,11 @@ _LONGEST = 600  # frames: a few seconds, after which a progress bar should move
 
 @dataclass(frozen=True)
 class Rendering:
-    """The result of drawing clips."""
+    """What drew clips, the files or patterns written, and a message per failed clip."""
 
     backend: Backend
     written: tuple[Path, ...]
-    """The files, or patterns of numbered pictures."""
     failures: tuple[str, ...]
-    """A message for each clip that could not be drawn."""
 
 
 @dataclass
@@ -117,10 +115,8 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
         )
     numbered = out.suffix.lower() == ".png"
     if numbered and not _NUMBERED.fullmatch(out.name):
-        raise InputError(
-            f"{out}: the name needs a place for the number of the picture, such as "
-            f"{out.with_name(out.stem + '-%05d.png')}"
-        )
+        example = out.with_name(f"{out.stem}-%05d.png")
+        raise InputError(f"{out}: pictures need a number, such as {example}")
     named = out
     if len(clips) > 1 and _CLIP not in str(out):
         added = f"{_CLIP}/{out.name}" if numbered else f"{out.stem}.{_CLIP}{out.suffix}"
@@ -169,10 +165,8 @@ def _draw(
         except BrokenProcessPool:
             if len(planned) == 1:
                 job = left.pop()
-                job.failure = (
-                    f"{job.task.clip}: a process drawing it died, perhaps for lack of "
-                    "memory"
-                )
+                reason = "a process drawing it died, perhaps for lack of memory"
+                job.failure = f"{job.task.clip}: {reason}"
     # To find the clip that a process died of, draw each with processes of its own.
     for job in left:
         _draw([job], backend, count, steps)

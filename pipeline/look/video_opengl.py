@@ -34,12 +34,10 @@ os._exit(0)  # some drivers crash on exit
 
 @dataclass(frozen=True)
 class Backend:
-    """An OpenGL that works on this machine."""
+    """An OpenGL that works here: the value for MUJOCO_GL, and the driver's name."""
 
     name: str
-    """Value for MUJOCO_GL."""
     renderer: str
-    """The driver's own name."""
 
     @property
     def software(self) -> bool:

@@ -120,11 +120,9 @@ def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
     end = np.inf if look.to is None else look.to
     chosen = np.flatnonzero((since >= look.start - _SKEW) & (since <= end + _SKEW))
     if not len(chosen):
-        to = "" if look.to is None else f" to {look.to:g} s"
-        raise InputError(
-            f"{clip.source}: no frames from {look.start:g} s{to}; it lasts "
-            f"{since[-1]:.2f} s"
-        )
+        to = "the end" if look.to is None else f"{look.to:g} s"
+        none = f"no frames from {look.start:g} s to {to}"
+        raise InputError(f"{clip.source}: {none}; it lasts {since[-1]:.2f} s")
     return even.at(chosen[:: look.every]), rate / look.every
 
 
