@@ -118,12 +118,9 @@ def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
 
 
 def _damage(clip: Clip, raw: Array, distinct: Flags, *, fused: bool) -> tuple[str, ...]:
-    """Return what was wrong with a take, given its joints [m] in the clip's frame.
-
-    Gross failures of the sensors of a merged take are left out: fusion corrects them.
-    """
     time, state, skeleton = clip.time[distinct], clip.state[distinct], clip.skeleton
     take = Take(time, raw[distinct], state, skeleton, clip.source)
+    # Fusion has corrected gross failures of single sensors.
     failures, positions = () if fused else find_failures(take), clip.positions[distinct]
     mended = unmirrored(take, failures).positions
     yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
@@ -269,10 +266,8 @@ def leveled_to_clip(take: Take, clip: Clip | Take) -> Array:
 
 
 def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
-    """Return the tilt [rad] and floor height [m] that map raw to clean points (N, 3).
-
-    Robust least squares of the heights, by Newton's method.
-    """
+    """Return tilt [rad] and floor height [m] that map raw to clean points (N, 3)."""
+    # Robust least squares of the heights, by Newton's method.
     tilt, used = 0.0, np.ones(len(raw), dtype=np.bool_)
     for _ in range(_STEPS):
         turned = leveled(raw, tilt)

@@ -185,7 +185,6 @@ class Player(ServedPage):
         self._draw_scene()
 
     def _record(self, _: object) -> None:
-        """Start recording, or stop and write the clip."""
         if self._playground.recording is None:
             self._playground.record()
             self._report("")

@@ -196,7 +196,6 @@ def figure_names(skeleton: Skeleton) -> list[str]:
 
 
 def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:
-    """Add the skin and a body for each segment, in the T-pose."""
     skeleton = body.skeleton
     starts = to_mujoco(body.rest_positions)[segment_starts(skeleton)]
     for joint, start in zip(skeleton.joints, starts, strict=True):

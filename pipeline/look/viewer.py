@@ -198,7 +198,6 @@ class Viewer(ServedPage):
         }[button]
 
     def _go_to_doubt(self, _: object = None) -> None:
-        """Show the next doubtful stretch and select its frames."""
         here, spans = self._playback.frame(perf_counter()), runs(self._doubts)
         if not spans:
             self._report("no doubtful frames are left")
@@ -283,7 +282,6 @@ class Viewer(ServedPage):
         self._report(f"cleaned with {self._file.path}")
 
     def _progress(self, stage: str, count: int) -> Iterable[int]:
-        """Show the progress of a stage on the page."""
         self._report(f"{stage} ...")
         shown = 0.0
         for step in range(count):

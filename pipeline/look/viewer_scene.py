@@ -89,7 +89,6 @@ class ViewerScene:
 
 
 def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: EditHistory) -> Layer:
-    """Add a disk on the floor under every planted heel and toe."""
     parts = np.transpose(ankles_and_toes(clip.skeleton)).ravel()
     places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
     disk = cylinder(_DISK, _THICK, sections=32)
@@ -104,7 +103,6 @@ def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: EditHistory) -> Laye
 
 
 def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
-    """Add spheres for the joints and cylinders for the bones, in one movable group."""
     group = scene.add_frame(f"/{name}", show_axes=False)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=_JOINT)
     stick = cylinder(_BONE, 1.0, sections=12)
