@@ -60,7 +60,7 @@ class ServedPage:
         register(enqueue)
 
     def _serve(self, wait: float | None) -> bool:
-        """Wait up to ``wait`` seconds, run queued requests; return False once stopped."""
+        """Wait up to ``wait`` seconds, run all requests; return False once stopped."""
         try:
             request = self._requests.get(timeout=wait)
             while request is not None:
