@@ -135,7 +135,7 @@ def test_another_take_with_the_same_time_stamps_is_refused() -> None:
     with pytest.raises(InputError, match=r"in \d+ of 120 frames.* cm or more from"):
         in_clip_frame(other, result.clip)
     nobody = replace(take, positions=np.full_like(take.positions, np.nan))
-    with pytest.raises(InputError, match="holds no joint that the clip was made of"):
+    with pytest.raises(InputError, match="has no joint that the clip was made from"):
         in_clip_frame(nobody, result.clip)
 
 

@@ -170,7 +170,7 @@ def test_a_clip_that_kills_its_process_is_told_from_the_others(
     files = [tmp_path / f"{name}.npz" for name in names]
     done = render_clips(files, tmp_path / "{clip}-%d.png", SMALL, jobs=2)
     assert len(done.failures) == 1
-    assert "deadly.npz: a process that drew it died" in done.failures[0]
+    assert "deadly.npz: a process drawing it died" in done.failures[0]
     assert [path.name for path in done.written] == ["first-%d.png", "second-%d.png"]
     assert (tmp_path / "second.drawn").exists()
 
@@ -284,7 +284,7 @@ def test_who_only_waits_for_pictures_loads_no_opengl() -> None:
         (["-o", "a.mp4", "--jobs", "0"], "--jobs 0"),
         (["-o", "a.mp4", "--compare", "absent.csv"], "absent.csv"),
         (["-o", "a.mp4", "--compare", "v2.csv"], "kinect_v2"),
-        (["-o", "a.mp4", "--compare", "late.csv"], "clip was made of"),
+        (["-o", "a.mp4", "--compare", "late.csv"], "clip was made from"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_in_one_line(

@@ -352,10 +352,10 @@ def test_what_does_not_belong_together_is_refused(
     away = replace(take, positions=take.positions * 1.5)
     for wrong, message in (
         (short, "40 frames, the take 39"),
-        (other, "kinect_v1, the take of kinect_v2"),
+        (other, "kinect_v1, the take kinect_v2"),
         (state, "tracking states"),
         (late, "time stamps"),
-        (away, "cm or more from there"),
+        (away, "cm or more from"),
     ):
         write_take_csv(wrong, take_path)
         assert message in _refused(files, capsys)

@@ -138,7 +138,7 @@ def test_sensors_are_layers_of_their_own(session: tuple[Drawing, Merged]) -> Non
     assert "2: &lt;b&gt;side" in status
     assert f"share {merged.shares[5, 1].mean():.0%}" in status
     unseen = replace(drawing.sensors[0], residuals=np.full((6, 25), np.nan))
-    assert "sees nobody" in status_html(drawing.clip, 5, [unseen])
+    assert "sees no one" in status_html(drawing.clip, 5, [unseen])
 
 
 def test_a_page_has_what_each_sensor_saw(
@@ -261,7 +261,7 @@ def test_the_page_draws_the_room_and_turns_it(
     assert browser.run(_ROOM) != turned
     tip = browser.run("return document.getElementById('tip').textContent")
     assert "2: <b>side: " in tip
-    assert "apart, share " in tip
+    assert "from merged, share " in tip
     rows = "return document.querySelectorAll('#sensors tr').length"
     assert browser.run(rows) == 3
     assert browser.console() == []

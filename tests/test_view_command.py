@@ -100,7 +100,7 @@ def test_a_taken_port_is_an_error_and_no_other_is_tried() -> None:
 @pytest.mark.parametrize(
     ("bind", "port", "words"),
     [
-        ("192.0.2.1", 0, "no address of this machine"),
+        ("192.0.2.1", 0, "not an address of this machine"),
         ("127.0.0.1", 65536, "--port 65536"),
         ("127.0.0.1", -1, "--port -1"),
     ],
@@ -144,7 +144,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([clip, "--edits", str(tmp_path / "none" / "e.toml")], "not exist"),
         ([take, "--contacts", str(contacts), "--edits", str(contacts)], "overwrite"),
         ([str(copied)], "malformed.edits.toml: unknown 'oddly'"),
-        ([clip, "--bind", "192.0.2.1"], "no address of this machine"),
+        ([clip, "--bind", "192.0.2.1"], "not an address of this machine"),
         ([clip, "--port", "70000"], "--port 70000"),
         ([], "nothing to view"),
         ([clip, clip], "only one clip can be shown"),

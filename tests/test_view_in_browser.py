@@ -153,13 +153,13 @@ def test_edits_are_made_undone_saved_and_the_take_is_cleaned_with_them(
         "return [...document.querySelectorAll('#timeline .row')]"
         ".map((row) => row.getAttribute('d'))"
     )
-    page.run(_PRESS, "Next doubtful second")
+    page.run(_PRESS, "Next doubtful stretch")
     _wait(lambda: "frame 1 of" not in page.run(_TEXT))
     page.run(_PRESS, "+10")
     whole = page.run(bars)
     assert whole[4] == ""
-    page.run(_PRESS, "to here")
-    page.run(_PRESS, "lifts")
+    page.run(_PRESS, "end here")
+    page.run(_PRESS, "lifted")
     _wait(lambda: page.run(bars)[4] != "")
     page.run(_PRESS, "distrust")
     _wait(lambda: "2. left-arm distrusted" in page.run(_LISTED))

@@ -1,7 +1,7 @@
-"""What is drawn of takes and clips: videos, the viewer in the browser, report pages.
+"""Drawing takes and clips: videos, pages to view and play in the browser, reports.
 
-``drawing`` describes what is drawn; ``video``, ``viewer`` and ``page`` each turn that
-description into their medium.
+``drawing`` describes what is drawn; ``video``, ``viewer`` and ``page`` each render that
+description in their medium.
 """
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""Where a motion is looked at from."""
+"""Cameras for a motion."""
 
 from __future__ import annotations
 
@@ -13,35 +13,34 @@ from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.formats.files import read_toml
 
 _FOV = 28.0  # degrees, vertical: a normal lens, 48 mm on 35 mm film
-# Degrees to the left of where the character faces, and up. Guesses by eye.
+# Degrees to the left of the character's heading, and up. Chosen by eye.
 _DIRECTIONS = {"front": (0.0, 6.0), "side": (90.0, 6.0)}
 _DIRECTIONS |= dict.fromkeys(("three-quarter", "orbit", "follow"), (35.0, 12.0))
-_OVER = 35.0  # degrees up, from where sensors do not hide the person. A guess by eye
+_OVER = 35.0  # degrees up, so that sensors do not hide the person. Chosen by eye
 CAMERAS = tuple(_DIRECTIONS)
-"""Cameras that place themselves."""
+"""Cameras that are placed automatically."""
 
-_TURN = 12.0  # s that an orbit takes, about
-_LAG = 0.5  # s over which a following camera averages the character's place
+_TURN = 12.0  # s, approximate duration of an orbit
+_LAG = 0.5  # s over which a following camera averages the character's position
 _AZIMUTHS = 24  # at which an orbit is checked to show everything
 _FARTHEST = 1e6  # m from the origin, where single precision is already coarse
-_MARGIN = 0.06  # of the picture, on every side
+_MARGIN = 0.06  # of the picture, on each side
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """A camera in every frame, or one that stays.
-
-    Where it is and what is in the middle of its picture [m], world frame, shape (T, 3),
-    or (1, 3) if it stays; and its vertical field of view [degrees].
-    """
+    """A camera in every frame, or one that stays where it is."""
 
     positions: Array
+    """Positions [m], world frame, shape (T, 3), or (1, 3) if the camera stays."""
     targets: Array
+    """Points in the middle of the picture [m], world frame, shaped likewise."""
     fov: float
+    """Vertical field of view [degrees]."""
 
     @property
     def stays(self) -> bool:
-        """Whether it never moves."""
+        """Whether the camera never moves."""
         return len(self.positions) == 1
 
     def at(self, frame: int) -> tuple[Array, Array]:
@@ -59,16 +58,16 @@ class CameraPath:
 def camera_path(
     camera: str, motion: Motion, points: Array, *, aspect: float, rate: float
 ) -> CameraPath:
-    """Return one of CAMERAS, or the camera in a TOML file, for a motion.
+    """Return one of CAMERAS, or the camera of a TOML file, for a motion.
 
-    It shows points [m] (T, N, 3) in each frame; ``aspect`` is width over height, and
-    ``rate`` frames a second. Raises an InputError if there is no such camera.
+    CAMERAS keep all points [m] (T, N, 3) in the picture; ``aspect`` is width over
+    height, ``rate`` the frame rate [1/s]. Raises an InputError for an unknown camera.
     """
     if camera not in CAMERAS:
         return camera_of(camera)
     around, up = np.radians(_DIRECTIONS[camera])
-    ahead = np.array([0.0, 0.0, 1.0])  # where a character with no heading faces
-    headings = rotate(motion.rotations[:, motion.skeleton.root], ahead)
+    # At heading zero the character faces +z.
+    headings = rotate(motion.rotations[:, motion.skeleton.root], [0.0, 0.0, 1.0])
     x, _, z = headings.mean(axis=0)
     azimuth = np.arctan2(x, z) + around
     toward = _direction(azimuth, up)
@@ -94,9 +93,9 @@ def camera_path(
 
 
 def camera_over(points: Array, sensors: Array, *, aspect: float) -> CameraPath:
-    """Return a camera that stays, and looks down from where most sensors look from.
+    """Return a still camera that looks down from the side of most sensors.
 
-    It shows points [m] (N, 3), sensors [m] (S, 3) among them.
+    It shows all points [m] (N, 3), which include the sensors [m] (S, 3).
     """
     x, _, z = (sensors - np.median(points, axis=0)).mean(axis=0)
     toward = _direction(np.arctan2(x, z), np.radians(_OVER))
@@ -104,7 +103,7 @@ def camera_over(points: Array, sensors: Array, *, aspect: float) -> CameraPath:
 
 
 def axes_toward(toward: Array) -> tuple[Array, Array]:
-    """Return a picture's right and up, given the unit vector to its camera."""
+    """Return right and up of a picture, given the unit vector toward its camera."""
     right = np.cross([0.0, 1.0, 0.0], toward)
     right /= np.linalg.norm(right)
     return right, np.cross(toward, right)
@@ -116,49 +115,46 @@ def _direction(azimuth: float, elevation: float) -> Array:
 
 
 def _still(points: Array, toward: Array, aspect: float) -> CameraPath:
-    """Return a camera that stays, with equal margins on opposite sides of points."""
+    """Return a still camera with equal margins on opposite sides of points."""
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     axes = axes_toward(toward)
     away = _distance(points - target, toward, aspect)
-    for _ in range(4):  # each time the margins differ by a tenth of before
-        seen = points - target
-        depth = away - seen @ toward
+    for _ in range(4):  # each makes the difference of the margins a tenth
+        offsets = points - target
+        depth = away - offsets @ toward
         for axis in axes:
-            edge = seen @ axis / depth
+            edge = offsets @ axis / depth
             target = target + 0.5 * away * (edge.max() + edge.min()) * axis
         away = _distance(points - target, toward, aspect)
     return CameraPath((target + away * toward)[None], target[None], _FOV)
 
 
-def _distance(seen: Array, toward: Array, aspect: float) -> float:
-    """Return from how far [m] all points (..., 3) about a target are in the picture."""
+def _distance(offsets: Array, toward: Array, aspect: float) -> float:
+    """Return the distance [m] that shows all points (..., 3), relative to a target."""
     right, up = axes_toward(toward)
     half = np.tan(0.5 * np.radians(_FOV)) * (1.0 - 2.0 * _MARGIN)
-    across = np.maximum(np.abs(seen @ right) / aspect, np.abs(seen @ up)) / half
-    return float(np.max(seen @ toward + across))
+    across = np.maximum(np.abs(offsets @ right) / aspect, np.abs(offsets @ up)) / half
+    return float(np.max(offsets @ toward + across))
 
 
 def camera_of(camera: str) -> CameraPath:
-    """Return the camera in a TOML file, or raise an InputError."""
+    """Return the camera of a TOML file, or raise an InputError."""
     path = Path(camera)
     if path.suffix != ".toml":
         raise InputError(
-            f"--camera {camera}: unknown; known: {', '.join(CAMERAS)}, or the path of "
-            "a file that ends in .toml"
+            f"--camera {camera}: expected {', '.join(CAMERAS)} or a .toml file"
         )
     table = read_toml(path, "write lines such as position = [0.0, 1.5, 4.0]")
     unknown = ", ".join(sorted(set(table) - {"position", "target", "fov"}))
     if unknown:
-        raise InputError(f"{path}: unknown {unknown}; known: position, target, fov")
+        raise InputError(f"{path}: unknown {unknown}; expected position, target, fov")
     for name in ("position", "target"):
         place = table.get(name)
         if not (isinstance(place, list) and len(place) == 3) or not all(
             isinstance(v, int | float) and abs(v) < _FARTHEST for v in place
         ):
-            raise InputError(
-                f"{path}: {name} is {place!r}; expected three numbers [x, y, z] in "
-                "meters, y up"
-            )
+            expected = "expected [x, y, z] in meters, y up"
+            raise InputError(f"{path}: {name} is {place!r}; {expected}")
     position, target = np.array([table["position"], table["target"]], dtype=np.float64)
     fov = table.get("fov", _FOV)
     if not isinstance(fov, int | float) or not 1.0 <= fov <= 170.0:

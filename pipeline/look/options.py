@@ -1,4 +1,4 @@
-"""The options of a rendering."""
+"""The options of ``render``."""
 
 from __future__ import annotations
 
@@ -15,35 +15,33 @@ _SAMPLES = (0, 1, 2, 4, 8, 16)
 
 @dataclass(frozen=True)
 class Look:
-    """Which frames are drawn, from where, and with what beside the character."""
+    """Which frames to draw, from where, and with what around the character."""
 
     size: str = "640x360"
-    """Width and height in pixels."""
+    """Width and height of the picture in pixels."""
     fps: float | None = None
-    """Frames a second; default: the clip's own."""
+    """Frames per second; default: the frame rate of the clip."""
     camera: str = "three-quarter"
-    """front, side, three-quarter, orbit, follow, or a TOML file with position, target
-    (meters, y up) and fov (vertical, degrees)."""
+    """Camera: front, side, three-quarter, orbit, follow, or a TOML file with position
+    and target (meters, y up) and fov (vertical field of view, degrees)."""
     start: Annotated[float, arg(name="from")] = 0.0
-    """Where to begin, in seconds of the clip."""
+    """Time in the clip to start at, in seconds."""
     to: float | None = None
-    """Where to end, in seconds of the clip; default: its end."""
+    """Time in the clip to end at, in seconds; default: the end of the clip."""
     every: int = 1
-    """Draw only every Nth frame; a video plays at the same speed."""
+    """Draw only every Nth frame; a video still plays at the same speed."""
     compare: Path | None = None
-    """The take that the clip was made from, drawn as a stick figure with joints from
-    blue (reliable) over pale yellow to red."""
+    """The take that the clip was made from, drawn as a stick figure with joints colored
+    by reliability: blue (reliable), pale yellow, red (unreliable)."""
     place: Literal["beside", "over"] = "beside"
-    """Where the take of --compare stands."""
+    """Place of the take of --compare: beside the character or over it."""
     scene: str | None = None
-    """Room to draw around the clip: a scene (an unknown name lists them), or an MJCF
-    file (.xml); default: the props that the clip itself holds."""
+    """Room to draw around the clip: a scene (an unknown name lists them) or an MJCF
+    file (.xml); default: the props stored in the clip."""
     shadows: bool = False
-    """Draw shadows even where no GPU draws, which takes at least five times as
-    long."""
+    """Draw shadows even without a GPU, which takes at least five times as long."""
     samples: int | None = None
-    """Samples per pixel, against jagged edges; default: 4 where a GPU draws, else
-    0."""
+    """Samples per pixel, to smooth jagged edges; default: 4 with a GPU, else 0."""
 
     def __post_init__(self) -> None:
         if self.fps is not None and not 0.1 <= self.fps <= 240.0:
@@ -51,21 +49,20 @@ class Look:
         if self.every < 1:
             raise InputError(f"--every {self.every}: expected 1 or more")
         if self.samples is not None and self.samples not in _SAMPLES:
-            known = ", ".join(map(str, _SAMPLES))
-            raise InputError(f"--samples {self.samples}: expected one of {known}")
+            allowed = ", ".join(map(str, _SAMPLES))
+            raise InputError(f"--samples {self.samples}: expected one of {allowed}")
         if not self.start >= 0.0 or (self.to is not None and not self.to >= self.start):
-            raise InputError(
-                f"--from {self.start:g} --to {self.to}: expected 0 <= from <= to"
-            )
-        _ = self.pixels  # raises if --size is wrong
+            span = f"--from {self.start:g} --to {self.to}"
+            raise InputError(f"{span}: expected 0 <= from <= to")
+        _ = self.pixels  # raises an error if --size is wrong
 
     @property
     def pixels(self) -> tuple[int, int]:
-        """Width and height."""
+        """Width and height in pixels."""
         width, _, height = self.size.lower().partition("x")
         if width.isdecimal() and height.isdecimal():
             pixels = int(width), int(height)
-            if min(pixels) >= 16 and max(pixels) <= 8192:  # as codecs and OpenGL take
+            if min(pixels) >= 16 and max(pixels) <= 8192:  # limits of codecs and OpenGL
                 return pixels
         raise InputError(
             f"--size {self.size}: expected a width and a height of 16 to 8192 pixels, "

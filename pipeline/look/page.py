@@ -1,6 +1,6 @@
-"""The page of a report, and the limits, such as ``skate>0.003``, that it is judged by.
+"""Report pages, and the limits for their metrics, such as ``skate>0.003``.
 
-One HTML file that needs no network. A clip whose metrics are beyond a limit fails.
+A report is one HTML file that needs no network.
 """
 
 from __future__ import annotations
@@ -33,17 +33,16 @@ _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _FORM = re.compile(rf"\s*(\w+)\s*([<>])\s*({_NUMBER})\s*")
 _EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
 _TEMPLATE = Path(__file__).parent / "template"
-_SHARED = (_TEMPLATE / "page.css", _TEMPLATE / "drawing.js")  # by all pages
+_SHARED = (_TEMPLATE / "page.css", _TEMPLATE / "drawing.js")  # of all pages
 _SCRIPTS = ("arrays", "figures", "sensors", "maps", "tables", "page")
-_FILES = ("page.html", *(f"{name}.js" for name in _SCRIPTS))
-_MISSING = -(2**15)  # of the int16 that a position is written as
+_MISSING = -(2**15)  # for a missing position, stored as int16
 _FARTHEST = 2**15 - 1  # mm from the origin
-_NO_RATE = 255  # of the uint8 that reliability is written as, where it is unknown
+_NO_RATE = 255  # for unknown reliability, stored as uint8
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A metric (``METRICS``) on this side of a number, in its own unit, fails."""
+    """A metric (``METRICS``) fails on this side of a number, in its own unit."""
 
     metric: str
     side: Literal["<", ">"]
@@ -53,18 +52,18 @@ class Limit:
         return f"{self.metric}{self.side}{self.number:g}"
 
     def fails(self, figures: Mapping[str, float]) -> bool:
-        """Return whether a metric is beyond the limit; NaN (not measured) is not."""
+        """Return True if the metric is beyond the limit; NaN (not measured) is not."""
         value = figures[self.metric]
         return value > self.number if self.side == ">" else value < self.number
 
 
 def parse_limit(text: str) -> Limit:
-    """Return the limit that a text such as ``skate>0.003`` describes, or InputError."""
+    """Parse a limit such as ``skate>0.003``, or raise an InputError."""
     form = _FORM.fullmatch(text)
     if form is None or form[1] not in METRICS or math.isinf(float(form[3])):
         raise InputError(
-            f"{shown(text)}: expected a metric, < or >, and a number, as skate>0.003; "
-            f"metrics: {', '.join(METRICS)}"
+            f"{shown(text)}: expected a metric, < or >, and a number, such as "
+            f"skate>0.003; metrics: {', '.join(METRICS)}"
         )
     return Limit(form[1], ">" if form[2] == ">" else "<", float(form[3]))
 
@@ -72,7 +71,7 @@ def parse_limit(text: str) -> Limit:
 def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]:
     """Read the limits of a TOML file, by default those that ship with kinefilter.
 
-    Raises an InputError unless it is a list ``fail_on`` of texts (``parse_limit``).
+    Raises an InputError unless it has a list ``fail_on`` of limits (``parse_limit``).
     """
     name = os.fspath(path or Path(__file__).with_name("thresholds.toml"))
     table = read_toml(name, _EXPECTED)
@@ -81,13 +80,13 @@ def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]
     if not listed or len(table) > 1:
         raise InputError(f"{name}: {_EXPECTED} and nothing else")
     try:
-        return tuple(parse_limit(limit) for limit in table["fail_on"])
+        return tuple(map(parse_limit, table["fail_on"]))
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
 
 
 def check_report(path: Path) -> None:
-    """Raise an InputError, before any work, unless a file is named as a web page."""
+    """Raise an InputError unless a file is named as a web page."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: a report is a web page; name it .html")
 
@@ -95,13 +94,14 @@ def check_report(path: Path) -> None:
 def write_report(
     comparison: Comparison, path: str | os.PathLike[str], limits: Sequence[Limit] = ()
 ) -> None:
-    """Write a page with everything in it, which appears whole or not at all.
+    """Write a self-contained report page, whole or not at all.
 
-    ``limits`` say what fails in the table of metrics. Raises an InputError if the file
+    The table of metrics shows which ``limits`` fail. Raises an InputError if the file
     cannot be written.
     """
     contents = contents_of(comparison, limits)
-    files = [_TEMPLATE / name for name in _FILES]
+    scripts = [_TEMPLATE / f"{name}.js" for name in _SCRIPTS]
+    files = [_TEMPLATE / "page.html", *scripts]
     write_page(path, f"kinefilter: {contents['source']}", contents, files)
 
 
@@ -113,14 +113,14 @@ def write_page(
 ) -> None:
     """Write contents and the files that show them as one page, whole or not at all.
 
-    ``files`` are the .html of its body, its .css and its .js, which follow ``page.css``
-    and ``drawing.js`` of all pages. Raises an InputError if the page cannot be written.
+    ``files`` are the .html of the body, .css and .js, appended to the ``page.css`` and
+    ``drawing.js`` of all pages. Raises an InputError if the page cannot be written.
     """
     texts: dict[str, list[str]] = {"css": [], "js": [], "html": []}
     for file in (*_SHARED, *files):
         texts[file.suffix[1:]].append(file.read_text(encoding="utf-8"))
     data = json.dumps(contents, allow_nan=False, separators=(",", ":"))
-    for mark in "<>&":  # none may end the script element
+    for mark in "<>&":  # or they could end the script element
         data = data.replace(mark, f"\\u{ord(mark):04x}")
     page = Template((_TEMPLATE / "frame.html").read_text(encoding="utf-8")).substitute(
         {kind: "\n".join(text) for kind, text in texts.items()},
@@ -132,10 +132,10 @@ def write_page(
 
 
 def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:
-    """Return everything that a page shows, ready for ``json.dumps``.
+    """Return everything that a report shows, ready for ``json.dumps``.
 
-    Arrays (``packed``) go frame by frame: positions and distances are int16 [mm],
-    -32768 where missing; reliability uint8 [%], 255 where unknown.
+    Arrays are ``packed`` frame by frame: positions and distances as int16 [mm], -32768
+    where missing; reliability as uint8 [%], 255 where unknown.
     """
     clip = comparison.clip
     corners = np.stack([f(clip.positions, axis=(0, 1)) for f in (np.min, np.max)])
@@ -217,13 +217,13 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
 
 
 def _of_joints(values: Array) -> dict[str, Any]:
-    """Return mean and greatest over the frames, None for joints that have none."""
-    known = np.ma.masked_invalid(values)
-    return {"mean": known.mean(axis=0).tolist(), "most": known.max(axis=0).tolist()}
+    """Return mean and maximum over the frames, None for joints without a value."""
+    valid = np.ma.masked_invalid(values)
+    return {"mean": valid.mean(axis=0).tolist(), "most": valid.max(axis=0).tolist()}
 
 
 def packed(values: NDArray[Any], kind: str) -> dict[str, str]:
-    """Return base64 of numbers under their little-endian type, integers rounded."""
+    """Return numbers as base64, by their little-endian type; round to integer types."""
     if np.issubdtype(np.dtype(kind), np.integer):
         values = np.rint(values)
     data = values.astype(f"<{kind}").tobytes()
@@ -231,7 +231,7 @@ def packed(values: NDArray[Any], kind: str) -> dict[str, str]:
 
 
 def facing(motion: Clip | Take) -> float:
-    """Return the yaw [rad] of a camera that looks into the face, over a motion."""
+    """Return the yaw [rad] of a camera that looks at the face, averaged over time."""
     left, right = motion.skeleton.sides("Shoulder")
     across = motion.positions[:, left] - motion.positions[:, right]
     x, _, z = np.nan_to_num(across).sum(axis=0)
@@ -239,19 +239,19 @@ def facing(motion: Clip | Take) -> float:
 
 
 def millimeters(meters: Array) -> Array:
-    """Return millimeters for int16, within its range, -32768 where not finite."""
+    """Return millimeters in the range of int16, -32768 where not finite."""
     near = np.clip(np.nan_to_num(meters) * 1e3, -_FARTHEST, _FARTHEST)
     return np.where(np.isfinite(meters), near, _MISSING)
 
 
 def _derivative(time: Array, positions: Array, order: int) -> Array:
-    """Return the mean magnitude of a difference over dt^order, shape (T,).
+    """Return the mean magnitude of the derivative of joint positions, shape (T,).
 
-    As in ``metrics.jitter``; NaN where frames are uneven or no joint is there.
+    As in ``metrics.jitter``; NaN where frames are uneven or all joints are missing.
     """
     values = np.full(len(time), np.nan)
     size, nominal = even_differences(time, positions, order)
-    known = ~np.isnan(size).all(axis=1)
-    middle = np.flatnonzero(known) + order // 2  # of the frames of each difference
-    values[middle] = np.nanmean(size[known], axis=1) / nominal**order
+    valid = ~np.isnan(size).all(axis=1)
+    middle = np.flatnonzero(valid) + order // 2  # frame of each difference
+    values[middle] = np.nanmean(size[valid], axis=1) / nominal**order
     return values

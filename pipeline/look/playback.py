@@ -1,4 +1,4 @@
-"""A place in a motion that plays."""
+"""The playback position in a motion."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ _SHORTEST = 1.0 / 60.0  # s between two pictures: screens show no more
 
 
 class Playback:
-    """A place in a motion, at rest or ``playing`` with a clock; the end leads back."""
+    """A position in a motion, paused or ``playing`` in a loop by a clock."""
 
     def __init__(self, time: Array) -> None:
         last = np.nan_to_num(nominal_step(time), nan=1.0)
         self._starts = time - time[0]
         self._ends = np.append(self._starts[1:], self._starts[-1] + last)
         self._frame, self._speed, self.playing = 0, 1.0, False
-        self._began = 0.0  # clock at which frame 0 was or would be, while it plays
+        self._began = 0.0  # clock time of frame 0 while playing
 
     def frame(self, clock: float) -> int:
-        """Return the frame that is shown at a time of the clock [s]."""
+        """Return the frame shown at a clock time [s]."""
         if not self.playing:
             return self._frame
         return int(np.searchsorted(self._ends[:-1], self._now(clock), side="right"))
 
     def play(self, clock: float) -> None:
-        """Go on from the present frame, or from the first if it is the last."""
+        """Play from the current frame, or from the first if it is the last."""
         if not self.playing:
             last = self._frame == len(self._starts) - 1
             self._start(0 if last else self._frame, clock)
 
     def pause(self, clock: float) -> None:
-        """Stay at the present frame."""
+        """Pause at the current frame."""
         self.seek(self.frame(clock))
 
     def seek(self, frame: int) -> None:
-        """Stay at a frame, or at the nearest there is."""
+        """Pause at a frame, clipped to the motion."""
         self._frame = min(max(frame, 0), len(self._starts) - 1)
         self.playing = False
 
     def change_speed(self, speed: float, clock: float) -> None:
-        """Play ``speed`` times as fast from now on."""
+        """Play ``speed`` times as fast as recorded from now on."""
         frame, self._speed = self.frame(clock), speed
         if self.playing:
             self._start(frame, clock)
 
     def until_next(self, clock: float) -> float | None:
-        """Return how long [s] the present picture stays; None at rest."""
+        """Return the time [s] until the picture changes; None when paused."""
         if not self.playing:
             return None
         left = self._ends[self.frame(clock)] - self._now(clock)

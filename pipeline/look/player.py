@@ -1,8 +1,7 @@
-"""A character in the browser: pushed, hit with balls, let go and taken hold of."""
+"""The page of ``play``: a character to shove, throw balls at, drag and let go."""
 
 from __future__ import annotations
 
-import queue
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
@@ -11,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 import viser
 
-from kinefilter.characters import InputError, TrackingName
+from kinefilter.characters import TrackingName
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.recording import numbered
@@ -23,210 +22,190 @@ from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import add_batch, add_props, add_skin, cylinder, set_stage
 
 _SPEEDS = ("1", "0.5", "0.25", "0.1")
-_BEHIND = 0.25  # s: what is later than that is not made up for
-_BETWEEN = 0.2  # s between two changes of the words in the panel
-_TO_GRAB = 1.3  # of a part's radius, within which a pointer grabs it
-_FROM_CAMERA = 0.4  # m before the camera, where balls come from
+_MAX_DELAY = 0.25  # s: a longer delay is skipped, not caught up
+_STATUS_EVERY = 0.2  # s between two updates of the panel's text
+_TO_GRAB = 1.3  # radius in which the pointer grabs a segment, relative to its own
+_FROM_CAMERA = 0.4  # m in front of the camera, where balls start
 _HELP = (
     ("drag the character", "pull and push it"),
-    ("click", "throw a ball there"),
-    ("Shift + click", "shove what is there"),
+    ("click", "throw a ball at this place"),
+    ("Shift + click", "shove this part of the body"),
 )
 
 
 class Player(ServedPage):
     """A playground on one page; every browser that opens it plays with the same.
 
-    Recordings are written to ``save``, or where that exists to ``NAME.2`` and so on;
-    nothing else is.
+    Only recordings are written: to ``save``, or if that exists to ``NAME.2`` and so on.
     """
 
     def __init__(
         self, server: viser.ViserServer, playground: Playground, save: Path
     ) -> None:
         super().__init__(server)
-        self._ground, self._save = playground, save
+        self._playground, self._save = playground, save
         self._playing, self._speed = True, 1.0
-        self._told = self._busy = 0.0
+        self._status_shown = self._busy = 0.0
         self._add_panel(server.gui)
         self._on(server.scene.on_click(), self._throw_at, whole=True)
         shove = server.scene.on_click(modifier="shift")
         self._on(shove, self._shove_at, whole=True)
-        self._draw_anew()
+        self._draw_scene()
 
     def run(self) -> None:
-        """Play until ``stop``, one step a frame of the motion."""
+        """Play until ``stop`` is called, one step per frame of the motion."""
         due = perf_counter()
-        while True:
-            try:
-                while True:
-                    asked = self._asked.get(timeout=max(due - perf_counter(), 0.0))
-                    if asked is None:
-                        return
-                    action, value = asked
-                    try:
-                        action(value)
-                    except InputError as error:
-                        self._say(str(error), wrong=True)
-            except queue.Empty:
-                pass
+        while self._serve(max(due - perf_counter(), 0.0)):
             began = perf_counter()
-            due = max(due + 1.0 / RATE, began - _BEHIND)
+            if began < due:  # a request arrived before the next step
+                continue
+            due = max(due + 1.0 / RATE, began - _MAX_DELAY)
             if self._playing:
-                self._ground.step(self._speed / RATE)
+                self._playground.step(self._speed / RATE)
             self._show()
             self._busy += 0.05 * (perf_counter() - began - self._busy)
 
     def _add_panel(self, gui: viser.GuiApi) -> None:
+        playground, path = self._playground, self._save
         self._status = gui.add_html("")
-        keys: dict[str, tuple[Any, str, Action]] = {
-            "Shove": ("P", "key P: shove the chest, away from you", self._shove),
-            "Throw a ball": (
-                "B",
-                "key B: at the chest, from where you are",
-                self._throw,
-            ),
-            "Let go": ("G", "key G: nothing pulls the character", self._let_go),
-            "Pause": ("K", "key K", self._pause),
-            "Begin again": ("R", "key R: everything where it was", self._restart),
-            "Record": ("C", f"key C: a clip, {self._save}", self._record),
-        }
+        buttons: tuple[tuple[Any, str, str, Action], ...] = (
+            ("P", "Shove", "shove the chest, away from you", self._shove),
+            ("B", "Throw a ball", "throw a ball at the chest", self._throw),
+            ("G", "Let go", "stop or resume pulling the character", self._let_go),
+            ("K", "Pause", "pause or resume", self._pause),
+            ("R", "Restart", "put everything back", lambda _: playground.restart()),
+            ("C", "Record", f"record a clip, {path}", self._record),
+        )
         self._buttons = {}
-        for label, (key, hint, action) in keys.items():
-            button = gui.add_button(label, hint=hint)
+        for key, label, hint, action in buttons:
+            button = gui.add_button(label, hint=f"key {key}: {hint}")
             self._buttons[label] = button
             self._on(button.on_click, action, whole=True)
             command = gui.add_command(label, hotkey=key)
             self._on(command.on_trigger, action, whole=True)
         speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
         self._on(speed.on_update, self._set_speed)
-        ground = self._ground
-        scenes = tuple(dict.fromkeys((str(ground.scene), *SCENES)))
-        scene = gui.add_dropdown("scene", scenes, initial_value=str(ground.scene))
+        scenes = tuple(dict.fromkeys((str(playground.scene), *SCENES)))
+        scene = gui.add_dropdown("scene", scenes, initial_value=scenes[0])
         self._on(scene.on_update, lambda name: self._change(scene=name))
-        names = get_args(TrackingName)
-        follows = gui.add_dropdown("tracking", names, initial_value=ground.tracking)
-        self._on(follows.on_update, lambda name: self._change(tracking=name))
-        self._said = gui.add_html("")
+        names, now = get_args(TrackingName), playground.tracking
+        tracking = gui.add_dropdown("tracking", names, initial_value=now)
+        self._on(tracking.on_update, lambda name: self._change(tracking=name))
+        self._message = gui.add_html("")
         gui.add_html(table_html(("opacity:0.6", *row) for row in _HELP))
 
-    def _draw_anew(self) -> None:
-        """Draw what is in the scene of the playground, each where it is."""
-        server, ground = self._server, self._ground
+    def _draw_scene(self) -> None:
+        server, playground = self._server, self._playground
         with server.atomic():
             server.scene.reset()
-            set_stage(server, Drawing(ground.motion))
-            _, self._pose = add_skin(server.scene, ground.motion.body)
-            self._grips, self._place = _add_grips(server.scene, ground)
+            set_stage(server, Drawing(playground.motion))
+            _, self._pose = add_skin(server.scene, playground.motion.body)
+            self._grips, self._place_grips = _add_grips(server.scene, playground)
             self._on(self._grips.on_drag("left"), self._drag, whole=True)
-            _, frames = add_props(server.scene, ground.props)
-            named = {p.name: f for p, f in zip(ground.props, frames, strict=True)}
-            self._moving = [named[name] for name in ground.things.moving]
+            _, frames = add_props(server.scene, playground.props)
+            names = [prop.name for prop in playground.props]
+            by_name = dict(zip(names, frames, strict=True))
+            self._moving = [by_name[name] for name in playground.things.moving]
 
     def _show(self) -> None:
-        ground = self._ground
-        character = ground.character
+        character, things = self._playground.character, self._playground.things
         with self._server.atomic():
-            positions, rotations = character.positions, character.rotations
-            self._pose(positions, rotations)
-            self._place(positions)
-            for frame, (place, turn) in zip(
-                self._moving, zip(*ground.things.now, strict=True), strict=True
-            ):
+            positions = character.positions
+            self._pose(positions, character.rotations)
+            self._place_grips(positions)
+            for frame, place, turn in zip(self._moving, *things.now, strict=True):
                 frame.position, frame.wxyz = place, turn
-            if perf_counter() - self._told > _BETWEEN:
-                self._told = perf_counter()
-                self._tell()
+            if perf_counter() - self._status_shown > _STATUS_EVERY:
+                self._status_shown = perf_counter()
+                self._show_status()
 
-    def _tell(self) -> None:
-        ground, quiet = self._ground, "opacity:0.6"
+    def _show_status(self) -> None:
+        playground = self._playground
+        recorded = playground.recording
         rows = [
-            (quiet, "time", f"{ground.time:.1f} s"),
-            (quiet, "it does", ground.doing),
-            (quiet, "a frame takes", f"{1e3 * self._busy:.0f} of {1e3 / RATE:.0f} ms"),
+            ("time", f"{playground.time:.1f} s"),
+            ("character", playground.doing),
+            ("time per frame", f"{1e3 * self._busy:.0f} of {1e3 / RATE:.0f} ms"),
         ]
-        if ground.recording is not None:
-            rows.append((quiet, "recorded", f"{ground.recording / RATE:.1f} s"))
-        self._status.content = table_html(rows)
-        labels = {
-            "Let go": "Take hold" if ground.limp else "Let go",
-            "Pause": "Pause" if self._playing else "Play",
-            "Record": "Record" if ground.recording is None else "End the recording",
+        if recorded is not None:
+            rows.append(("recorded", f"{recorded / RATE:.1f} s"))
+        self._status.content = table_html(("opacity:0.6", *row) for row in rows)
+        label = {
+            "Let go": "Take hold" if playground.limp else "Let go",
+            "Pause": "Pause" if self._playing else "Resume",
+            "Record": "Record" if recorded is None else "Stop recording",
         }
-        for name, label in labels.items():
-            if self._buttons[name].label != label:
-                self._buttons[name].label = label
+        for name, button in self._buttons.items():
+            button.label = label.get(name, name)
 
     def _throw_at(self, event: viser.SceneClickEvent) -> None:
-        way = np.array(event.ray_direction)
-        self._ground.throw(event.ray_origin + _FROM_CAMERA * way, way)
+        self._throw_from(event.ray_origin, np.array(event.ray_direction))
 
     def _throw(self, event: Any) -> None:
-        way = self._from(event)
-        way = way / np.linalg.norm(way)
-        self._ground.throw(event.client.camera.position + _FROM_CAMERA * way, way)
+        way = self._way_to_chest(event)
+        self._throw_from(event.client.camera.position, way / np.linalg.norm(way))
+
+    def _throw_from(self, eye: Any, way: Array) -> None:
+        self._playground.throw(eye + _FROM_CAMERA * way, way)
 
     def _shove_at(self, event: viser.SceneClickEvent) -> None:
-        joint = self._ground.hit_by(event.ray_origin, event.ray_direction)
+        joint = self._playground.hit_by(event.ray_origin, event.ray_direction)
         if joint is not None:
-            self._ground.shove(joint, event.ray_direction)
+            self._playground.shove(joint, event.ray_direction)
 
     def _shove(self, event: Any) -> None:
-        chest = self._ground.motion.skeleton.girdle
-        self._ground.shove(chest, self._from(event) * [1.0, 0.0, 1.0])
+        chest = self._playground.motion.skeleton.girdle
+        self._playground.shove(chest, self._way_to_chest(event) * [1.0, 0.0, 1.0])
 
-    def _from(self, event: Any) -> Any:
-        """Return the way from who asks to the chest [m], shape (3,)."""
-        chest = self._ground.motion.skeleton.girdle
-        away = self._ground.character.positions[chest] - event.client.camera.position
-        return away if np.linalg.norm(away[[0, 2]]) > 0.01 else np.array([0.0, 0, -1])
+    def _way_to_chest(self, event: Any) -> Any:
+        """Return the vector from the browser's camera to the chest [m], shape (3,)."""
+        chest = self._playground.motion.skeleton.girdle
+        camera = event.client.camera.position
+        way = self._playground.character.positions[chest] - camera
+        return way if np.linalg.norm(way[[0, 2]]) > 0.01 else np.array([0.0, 0, -1])
 
     def _drag(self, event: Any) -> None:
         if event.phase == "end" or event.instance_index is None:
-            self._ground.release()
+            self._playground.release()
             return
-        joint = self._ground.motion.skeleton.segments[event.instance_index]
-        self._ground.drag(joint, event.start_position, event.end_position)
+        joint = self._playground.motion.skeleton.segments[event.instance_index]
+        self._playground.drag(joint, event.start_position, event.end_position)
 
     def _let_go(self, _: object) -> None:
-        self._ground.limp = not self._ground.limp
+        self._playground.limp = not self._playground.limp
 
     def _pause(self, _: object) -> None:
         self._playing = not self._playing
-
-    def _restart(self, _: object) -> None:
-        self._ground.restart()
 
     def _set_speed(self, speed: str) -> None:
         self._speed = float(speed)
 
     def _change(self, **what: Any) -> None:
-        self._ground.change(**what)
-        self._draw_anew()
+        self._playground.change(**what)
+        self._draw_scene()
 
     def _record(self, _: object) -> None:
-        """Begin to record, or end and write."""
-        if self._ground.recording is None:
-            self._ground.record()
-            self._say("")
+        if self._playground.recording is None:
+            self._playground.record()
+            self._report("")
             return
-        clip, path, number = self._ground.recorded(), self._save, 1
+        clip, path, number = self._playground.recorded(), self._save, 1
         while path.exists():
             path, number = numbered(self._save, number + 1), number + 1
         write_clip(clip, path)
-        self._say(f"wrote {path}, {clip.time[-1]:.1f} s")
+        self._report(f"wrote {path}, {clip.time[-1]:.1f} s")
 
 
 def _add_grips(
-    scene: viser.SceneApi, ground: Playground
+    scene: viser.SceneApi, playground: Playground
 ) -> tuple[Any, Callable[[Array], None]]:
-    """Add what a pointer grabs: unseen cylinders around all segments."""
-    body = ground.motion.body
+    """Add invisible cylinders to grab segments by; also return what places them."""
+    body = playground.motion.body
     ends = body.skeleton.segments
     radii = _TO_GRAB * body.radii[ends]
     rod = cylinder(1.0, 1.0, sections=10)
-    grips = add_batch(scene, "/grips", rod, len(ends), (0, 0, 0), shadow=False)
-    grips.opacity = 0.0
+    grips = add_batch(scene, "/grips", rod, len(ends), (0, 0, 0))
+    grips.opacity, grips.cast_shadow = 0.0, False
 
     def place(positions: Array) -> None:
         now = StickFigure(body.skeleton, positions[None]).at(0)

@@ -1,4 +1,4 @@
-"""The sensors of a session in the room of a clip: where they stand, what each saw."""
+"""The sensors of a session in a clip's frame: where they are and what each saw."""
 
 from __future__ import annotations
 
@@ -15,41 +15,40 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.merge import Merged
 
 COLORS = ((0, 140, 140), (205, 40, 130), (135, 95, 15), (60, 130, 225))
-"""Of the first sensor, the second and so on, from the first again after the last."""
+"""Colors of the sensors, in order and repeating."""
 _FIELD_V1, _FIELD_V2 = (57.0, 43.0), (70.0, 60.0)
-"""Fields of view, across and upright [degrees], of the depth cameras: Microsoft's
-specifications of Kinect for Windows and of its second version."""
-_DEPTH = 0.6  # m that a frustum is deep
+"""Horizontal and vertical fields of view of the depth cameras [degrees], from
+Microsoft's specifications of Kinect for Windows v1 and v2."""
+_DEPTH = 0.6  # m, depth of a frustum
 _CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-_FRAMES = 1000  # are enough to tell where a clip lies
+_FRAMES = 1000  # are enough to find the transform from the take to the clip
 
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """A sensor of a session, and what it saw, in the world frame of a clip."""
+    """A sensor of a session and what it saw, in the world frame of a clip."""
 
     name: str
-    """Its number, from 1, and the name of its take."""
+    """Number of the sensor, from 1, and name of its take."""
     color: tuple[int, int, int]
     """Red, green and blue, 0 to 255."""
     skeleton: Skeleton
-    """Of the merged take."""
+    """Skeleton of the merged take."""
     joints: Array
-    """Where it saw the joints at the frames of the clip [m], NaN where it saw none,
-    shape (T, J, 3)."""
+    """Joint positions it saw at the clip's frames [m], NaN where none, (T, J, 3)."""
     residuals: Array
-    """How far those are from the joints of the merged take [m], shape (T, J)."""
+    """Distances of these from the joints of the merged take [m], shape (T, J)."""
     shares: Array
-    """How much of each merged joint is of this sensor, 0 to 1, shape (T, J)."""
+    """Share of this sensor in each merged joint, 0 to 1, shape (T, J)."""
     frustum: Array
-    """Where it is, and the corners of what it sees 0.6 m away: upper left, upper right,
-    lower right and lower left of its picture [m], shape (5, 3)."""
+    """Position [m], and corners of its view 0.6 m away: upper left, upper right, lower
+    right and lower left of its picture, shape (5, 3)."""
     figures: dict[str, Any]
-    """Its row of ``Merged.figures``."""
+    """Row of the sensor in ``Merged.figures``."""
 
     @property
     def edges(self) -> Array:
-        """Edges of the frustum, then from the sensor to the floor [m], (9, 2, 3)."""
+        """Edges of the frustum, then a line down to the floor [m], shape (9, 2, 3)."""
         eye, *corners = self.frustum
         sides = zip(corners, [*corners[1:], corners[0]], strict=True)
         below = eye * [1.0, 0.0, 1.0]
@@ -63,12 +62,16 @@ def sensors_of(merged: Merged, raw: Array) -> tuple[Sensor, ...]:
     """
     from kinefilter.pipeline.merge.rigid import placement
 
-    few = slice(None, None, max(1, len(raw) // _FRAMES))
-    placed = placement(merged.take.positions[few], raw[few])
+    some = slice(None, None, max(1, len(raw) // _FRAMES))
+    placed = placement(merged.take.positions[some], raw[some])
     sensors = []
     rows, residuals = merged.figures()["sensors"], merged.residuals
     for k, (take, row) in enumerate(zip(merged.takes, rows, strict=True)):
-        corners = _frustum(take.skeleton)
+        # In its own frame, a sensor is at the origin and looks along +z.
+        field = _FIELD_V1 if take.skeleton == KINECT_V1 else _FIELD_V2
+        corners = np.zeros((5, 3))
+        corners[1:, :2] = _DEPTH * (_CORNERS * np.tan(0.5 * np.radians(field)))
+        corners[1:, 2] = _DEPTH
         if k:
             corners = merged.alignments[k - 1].placed.apply(corners)
         sensors.append(
@@ -84,11 +87,3 @@ def sensors_of(merged: Merged, raw: Array) -> tuple[Sensor, ...]:
             )
         )
     return tuple(sensors)
-
-
-def _frustum(skeleton: Skeleton) -> Array:
-    """Return a frustum [m] in the frame of its sensor, which looks along z, (5, 3)."""
-    field = _FIELD_V1 if skeleton == KINECT_V1 else _FIELD_V2
-    half = np.tan(0.5 * np.radians(field))
-    corners = np.column_stack([_CORNERS * half, np.ones(4)])
-    return np.vstack([np.zeros(3), _DEPTH * corners])

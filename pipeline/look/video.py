@@ -1,4 +1,4 @@
-"""Clips into videos, animations and pictures, drawn by several processes."""
+"""Rendering clips as videos, animations and pictures, with several processes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats.files import check_folder, make_folder
@@ -18,22 +19,25 @@ from kinefilter.pipeline.workers import cores, workers
 
 from .cameras import CAMERAS, camera_of
 from .options import Look
-from .video_files import FASTEST_GIF, Coded, write_gif, write_mp4
 from .video_opengl import Backend, find_backend
 from .video_task import PART, Composition, RenderTask, draw_parts
+
+if TYPE_CHECKING:
+    from .video_files import Coded
 
 _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"
 _NUMBERED = re.compile(r"[^%]*%0?\d*d[^%]*")  # such as %05d.png
-# Stretches that each process draws, about. With fewer, one process is left with the
-# last; with more, each of them has to read every clip.
+# Stretches per process, roughly. With fewer, the last one keeps the others waiting;
+# with more, every process has to read every clip.
 _STRETCHES = 4
-_LONGEST = 600  # frames: some seconds, after which a progress bar should move
+_FASTEST_GIF = 50.0  # frames per second that programs still play at the right speed
+_LONGEST = 600  # frames: a few seconds, after which a progress bar should move
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """What drew clips, the files or patterns of files, and messages of failures."""
+    """What drew clips, the files or patterns written, and a message per failed clip."""
 
     backend: Backend
     written: tuple[Path, ...]
@@ -45,6 +49,7 @@ class _Job:
     task: RenderTask
     frames: int
     rate: float
+    failure: str = ""
     futures: dict[Future[list[list[Coded]]], range] = field(default_factory=dict)
 
 
@@ -56,66 +61,62 @@ def render_clips(
     jobs: int | None = None,
     progress: Progress = silent,
 ) -> Rendering:
-    """Draw clips, each into a file or into numbered pictures (``output_paths``).
+    """Draw clips, each to one file or to numbered pictures (``output_paths``).
 
-    The same clip and look give the same pixels, however many processes (``jobs``, by
-    default one per core) draw. Numbered pictures of an earlier run are kept if they are
-    of the same clip and look. Of several clips, those that are wrong are left out.
-    Raises an InputError if the look, the output, OpenGL or the only clip is wrong.
+    The same clip and look give the same pixels for any number of processes (``jobs``,
+    by default one per core). Numbered pictures of an earlier run are kept if they show
+    the same clip and look. If one of several clips cannot be drawn, it is left out.
+    Raises an InputError if the look, the output, OpenGL or the only clip is invalid.
     """
     look = look or Look()
     if look.compare is not None and len(clips) > 1:
-        raise InputError("--compare is the take of one clip; draw them one at a time")
+        raise InputError("--compare is the take of one clip; draw clips one at a time")
     if out.suffix.lower() == ".mp4" and any(side % 2 for side in look.pixels):
-        raise InputError(f"--size {look.size}: videos have even sides; add a pixel")
+        raise InputError(f"--size {look.size}: MP4 needs even numbers; add a pixel")
     if look.camera not in CAMERAS:
-        camera_of(look.camera)  # raises if it is wrong, before anything is read
+        camera_of(look.camera)  # raises an error before anything is read
     paths = output_paths(clips, out)
-    with ThreadPoolExecutor(1) as beside:  # drivers are slow to start
-        asked = beside.submit(find_backend)
-        planned, failures, written = [], [], []
+    with ThreadPoolExecutor(1) as thread:  # drivers are slow to start
+        search = thread.submit(find_backend)
+        planned, failures = [], []
         for clip, path in zip(clips, paths, strict=True):
             try:
-                made = Composition(task := RenderTask(clip, path, look))
-                if path.suffix.lower() == ".gif" and made.rate > FASTEST_GIF:
+                what = Composition(task := RenderTask(clip, path, look))
+                if path.suffix.lower() == ".gif" and what.rate > _FASTEST_GIF:
                     raise InputError(
-                        f"{clip}: a GIF has at most {FASTEST_GIF:g} frames a second, "
-                        f"not {made.rate:g}; lower --fps or raise --every"
+                        f"{clip}: GIF has at most {_FASTEST_GIF:g} frames per second, "
+                        f"not {what.rate:g}; lower --fps or raise --every"
                     )
-                planned.append(_Job(task, len(made.drawing.clip), made.rate))
+                planned.append(_Job(task, len(what.drawing.clip), what.rate))
             except InputError as error:
                 failures.append(str(error))
-        backend = asked.result()
+        backend = search.result()
     for job in planned:
         job.task = job.task.drawn_by(backend)
     steps = iter(progress("draw", sum(job.frames for job in planned)))
-    for job, failure in _drawn(planned, backend, jobs or cores(), steps):
-        if failure is None:
-            written.append(job.task.out)
-        else:
-            failures.append(failure)
+    _draw(planned, backend, jobs or cores(), steps)
+    failures += [job.failure for job in planned if job.failure]
     if failures and len(clips) == 1:
         raise InputError(failures[0])
-    return Rendering(backend, tuple(written), tuple(failures))
+    written = tuple(job.task.out for job in planned if not job.failure)
+    return Rendering(backend, written, tuple(failures))
 
 
 def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
-    """Return the file, or pattern of files, of each clip, or raise an InputError.
+    """Return the file, or pattern of numbered pictures, of each clip.
 
-    ``{clip}`` in a name stands for the clip's name. If there are several clips and it
-    is missing, the clip's name is added before the extension, or as a folder of
-    numbered pictures. Folders of numbered pictures are created.
+    ``{clip}`` stands for the clip's name. With several clips and no ``{clip}``, the
+    clip's name is added before the extension, or as a folder of numbered pictures.
+    Folders of numbered pictures are created. Raises an InputError for invalid names.
     """
     if out.suffix.lower() not in _EXTENSIONS:
         raise InputError(
-            f"{out}: unknown extension {out.suffix!r}; known: {', '.join(_EXTENSIONS)}"
+            f"{out}: unknown extension {out.suffix!r}; use {', '.join(_EXTENSIONS)}"
         )
     numbered = out.suffix.lower() == ".png"
     if numbered and not _NUMBERED.fullmatch(out.name):
-        raise InputError(
-            f"{out}: pictures need a place for their number in their name, such as "
-            f"{out.with_name(out.stem + '-%05d.png')}"
-        )
+        example = out.with_name(f"{out.stem}-%05d.png")
+        raise InputError(f"{out}: pictures need a number, such as {example}")
     named = out
     if len(clips) > 1 and _CLIP not in str(out):
         added = f"{_CLIP}/{out.name}" if numbered else f"{out.stem}.{_CLIP}{out.suffix}"
@@ -126,8 +127,8 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
     if twice:
         same = [str(c) for c, path in zip(clips, paths, strict=True) if path in twice]
         raise InputError(
-            f"{', '.join(same)}: would be drawn into one file, {twice[0]}; draw clips "
-            "of the same name one at a time"
+            f"{', '.join(same)}: would be drawn to one file, {twice[0]}; draw clips "
+            "with the same name one at a time"
         )
     for path in paths:
         if numbered:
@@ -137,19 +138,19 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
 
 
 def stretches(count: int, share: int) -> list[range]:
-    """Return the frames of a clip in stretches that one process draws in one go.
+    """Split the frames of a clip into stretches that one process draws in one go.
 
-    ``share`` is how many frames of all clips each process draws. Each is of whole
-    parts, which are the same whatever the stretches, and so are the videos.
+    ``share`` is the number of frames per process, over all clips. Stretches consist of
+    whole parts (PART), so that videos do not depend on the number of processes.
     """
     size = PART * max(1, min(share // _STRETCHES, _LONGEST) // PART)
     return [range(k, min(k + size, count)) for k in range(0, count, size)]
 
 
-def _drawn(
+def _draw(
     planned: list[_Job], backend: Backend, count: int, steps: Iterator[int]
-) -> Iterator[tuple[_Job, str | None]]:
-    """Yield each job when it is done, with what went wrong."""
+) -> None:
+    """Draw jobs with ``count`` processes; note the failure of each that fails."""
     left = deque(planned)
     share = sum(job.frames for job in planned) // count
     groups = [stretches(job.frames, share) for job in planned]
@@ -159,41 +160,41 @@ def _drawn(
             for job, group in zip(planned, groups, strict=True):
                 job.futures = {pool.submit(draw_parts, job.task, k): k for k in group}
             while left:
-                yield left[0], _finished(left[0], steps)
+                _finish(left[0], steps)
                 left.popleft()
         except BrokenProcessPool:
             if len(planned) == 1:
-                clip = left.pop().task.clip
-                yield (
-                    planned[0],
-                    f"{clip}: a process that drew it died; is memory short?",
-                )
-    # Which clip it was shows once each has processes of its own.
+                job = left.pop()
+                reason = "a process drawing it died, perhaps for lack of memory"
+                job.failure = f"{job.task.clip}: {reason}"
+    # To find the clip that a process died of, draw each with processes of its own.
     for job in left:
-        yield from _drawn([job], backend, count, steps)
+        _draw([job], backend, count, steps)
 
 
-def _finished(job: _Job, steps: Iterator[int]) -> str | None:
-    """Write a job's file from its parts; return what went wrong."""
+def _finish(job: _Job, steps: Iterator[int]) -> None:
+    """Write a job's file from its parts, or note its failure."""
+    from .video_files import write_gif, write_mp4  # loads av
+
     out, size = job.task.out, job.task.look.pixels
-    write = {".mp4": write_mp4, ".gif": write_gif}.get(out.suffix.lower())
 
-    def drawn() -> Iterator[list[Coded]]:
+    def parts() -> Iterator[list[Coded]]:
         for future, frames in job.futures.items():
             yield from future.result()
             deque(islice(steps, len(frames)), maxlen=0)
 
     try:
-        if write is not None:
-            write(drawn(), out, size, job.rate)
+        if out.suffix.lower() == ".png":  # written already
+            deque(parts(), maxlen=0)
         else:
-            deque(drawn(), maxlen=0)
+            write = write_mp4 if out.suffix.lower() == ".mp4" else write_gif
+            write(parts(), out, size, job.rate)
     except BrokenProcessPool:
         raise
-    except Exception as error:  # the other clips are drawn, whatever it is
+    except Exception as error:  # the other clips are drawn nevertheless
         for future in job.futures:
             future.cancel()
-        if isinstance(error, InputError):
-            return str(error)
-        return f"{job.task.clip}: cannot be drawn ({type(error).__name__}: {error})"
-    return None
+        job.failure = str(error)
+        if not isinstance(error, InputError):
+            kind = type(error).__name__
+            job.failure = f"{job.task.clip}: cannot be drawn ({kind}: {error})"

@@ -1,7 +1,7 @@
-"""Pictures into files: H.264 in MP4, animated GIF, numbered PNG.
+"""Writing pictures to files: H.264 in MP4, animated GIF, numbered PNG.
 
-Videos are drawn in parts, each encoded by itself and beginning with a keyframe, so that
-parts from several processes follow one another in one file.
+Videos are drawn in parts. Each is encoded separately and starts with a keyframe, so
+that parts from several processes can be joined in one file.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
+from av.codec.context import Flags
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
@@ -27,23 +29,19 @@ Size = tuple[int, int]
 """Width and height in pixels."""
 Coded = tuple[bytes, bool]
 """An encoded picture, and whether it is a keyframe."""
+Parts = Iterable[list[Coded]]
 
-FASTEST_GIF = 50.0
-"""Frames a second that programs still play at the right speed."""
-
-# x264's quality 18 is said to look lossless; below it, lines on the floor suffer.
+# x264's quality 18 is said to look lossless; above 18, lines on the floor suffer.
 _X264 = {"preset": "veryfast", "crf": "18", "bf": "0", "threads": "1"}
 _LARGEST_RATE = 100_000  # denominator of a frame rate
 _HUNDREDTH = Fraction(1, 100)  # s, the time unit of a GIF
-_STEP = Fraction(1, 1000)  # s; filters want a time base but only use the order
+_STEP = Fraction(1, 1000)  # s; filters need a time base but only use the order
 _HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
 _KEY = b"kinefilter\0"
 
 
 def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Coded]:
-    """Return the pictures of one part, encoded."""
-    import av
-
+    """Encode the pictures of one part."""
     codec = _x264(av.CodecContext.create("libx264", "w"), size, rate)
     packets = []
     for number, picture in enumerate(pictures):
@@ -52,12 +50,8 @@ def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Co
     return [(bytes(packet), packet.is_keyframe) for packet in packets]
 
 
-def write_mp4(
-    parts: Iterable[list[Coded]], path: Path, size: Size, rate: float
-) -> None:
-    """Write the parts of a video (``encode_video``), or raise InputError."""
-    import av
-
+def write_mp4(parts: Parts, path: Path, size: Size, rate: float) -> None:
+    """Write the parts of a video (``encode_video``), or raise an InputError."""
     with _media_file(path, {"movflags": "+faststart"}) as file:
         stream = file.add_stream("libx264", rate=_fraction(rate))
         _x264(stream.codec_context, size, rate)
@@ -69,22 +63,20 @@ def write_mp4(
             file.mux(packet)
 
 
-def write_gif(
-    parts: Iterable[list[Coded]], path: Path, size: Size, rate: float
-) -> None:
-    """Write an endless animation of PNG pictures, all with one palette."""
+def write_gif(parts: Parts, path: Path, size: Size, rate: float) -> None:
+    """Write an endless animation of PNG pictures, or raise an InputError."""
     pictures = [data for part in parts for data, _ in part]
-    # One palette for all keeps a floor that does not change from flickering, and so
-    # does ordered dither: diffusing errors would change the whole floor in every frame.
+    # One palette for all pictures keeps the floor from flickering, and so does ordered
+    # dither: error diffusion would change the whole floor in every frame.
     (palette,) = _filtered(pictures, size, "palettegen", "reserve_transparent=0")
     dither = "dither=bayer:bayer_scale=5"
-    shown = _filtered(pictures, size, "paletteuse", dither, palette)
+    frames = _filtered(pictures, size, "paletteuse", dither, palette)
     with _media_file(path, {"loop": "0"}) as file:
         stream = file.add_stream("gif", rate=_fraction(rate))
         stream.width, stream.height = size
         stream.pix_fmt = "pal8"
         stream.codec_context.time_base = _HUNDREDTH
-        for number, frame in enumerate(shown):
+        for number, frame in enumerate(frames):
             frame.pts = round(number / (_fraction(rate) * _HUNDREDTH))
             frame.time_base = _HUNDREDTH
             file.mux(stream.encode(frame))
@@ -92,9 +84,7 @@ def write_gif(
 
 
 def encode_png(picture: Pixels) -> bytes:
-    """Return a picture as PNG."""
-    import av
-
+    """Encode a picture as PNG."""
     codec: Any = av.CodecContext.create("png", "w")
     codec.height, codec.width = picture.shape[:2]
     codec.pix_fmt, codec.time_base = "rgb24", Fraction(1, 30)
@@ -104,14 +94,14 @@ def encode_png(picture: Pixels) -> bytes:
 
 
 def write_frame(picture: Pixels, path: Path, fingerprint: str) -> None:
-    """Write a picture, whole or not at all, with the fingerprint of what it shows."""
+    """Write a picture, whole or not at all, with a fingerprint of what it shows."""
     data = encode_png(picture)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data[:_HEADER] + _chunk(fingerprint) + data[_HEADER:])
 
 
 def is_drawn(path: Path, fingerprint: str) -> bool:
-    """Tell whether a file is there and has a fingerprint, or raise InputError."""
+    """Return True if a file exists and has this fingerprint, or raise an InputError."""
     chunk = _chunk(fingerprint)
     try:
         with path.open("rb") as file:
@@ -122,8 +112,7 @@ def is_drawn(path: Path, fingerprint: str) -> bool:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _chunk(text: str) -> bytes:
-    """Return a PNG chunk of text (PNG specification, 11.3.3.2)."""
+def _chunk(text: str) -> bytes:  # PNG specification, 11.3.3.2: tEXt
     body = b"tEXt" + _KEY + text.encode("latin-1")
     return struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
 
@@ -133,8 +122,6 @@ def _fraction(rate: float) -> Fraction:
 
 
 def _x264(codec: Any, size: Size, rate: float) -> Any:
-    from av.codec.context import Flags
-
     codec.width, codec.height = size
     codec.pix_fmt = "yuv420p"
     codec.framerate, codec.time_base = _fraction(rate), 1 / _fraction(rate)
@@ -144,8 +131,6 @@ def _x264(codec: Any, size: Size, rate: float) -> Any:
 
 
 def _frame(picture: Pixels, number: int, step: Fraction) -> Any:
-    import av
-
     frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture))
     frame.pts, frame.time_base = number, step
     return frame
@@ -153,11 +138,9 @@ def _frame(picture: Pixels, number: int, step: Fraction) -> Any:
 
 @contextmanager
 def _media_file(path: Path, options: dict[str, str]) -> Iterator[Any]:
-    """Yield a media file that replaces ``path`` once it is whole."""
-    import av
-
+    """Yield a media file that replaces ``path`` once it is complete."""
     try:
-        # A full disk may only show when the file is closed.
+        # A full disk may go unnoticed until the file is closed.
         with (
             atomic_path(path) as temporary,
             av.open(str(temporary), "w", options=options) as file,
@@ -165,16 +148,14 @@ def _media_file(path: Path, options: dict[str, str]) -> Iterator[Any]:
             yield file
     except av.FFmpegError as error:
         raise InputError(
-            f"{path}: cannot be written ({error}); write elsewhere or make room"
+            f"{path}: cannot be written ({error}); write elsewhere or free some space"
         ) from error
 
 
 def _filtered(
     pictures: Sequence[bytes], size: Size, name: str, options: str, palette: Any = None
 ) -> Iterator[Any]:
-    """Yield what a filter makes of PNG pictures and, if it takes one, of a palette."""
-    import av
-
+    """Yield the frames a filter makes from PNG pictures and, for some, a palette."""
     graph: Any = av.filter.Graph()
     node, sink = graph.add(name, options), graph.add("buffersink")
     layout = av.VideoFormat("rgb24")

@@ -1,6 +1,6 @@
-"""A drawing as a MuJoCo model (skin, raw figure, props, floor, light), drawn.
+"""Drawing with MuJoCo: a model of skin, raw figure, props, floor and light.
 
-Nothing is simulated: every segment and prop is a body that is put where the clip says.
+Nothing is simulated: segments and props are bodies placed where the clip has them.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from .cameras import CameraPath
 from .drawing import Drawing, segment_starts
 from .video_files import Pixels
 
-_FLOOR_GROUP = 1  # of the geoms (stage.xml) that stay the same while the camera does
-_SKIN = (0.80, 0.76, 0.70)  # nearly gray: a figure inside keeps its colors
-_TRANSLUCENT = 0.35  # opacity of the skin where a figure is drawn inside it
+_FLOOR_GROUP = 1  # of the geoms (stage.xml) that do not change while the camera stays
+_SKIN = (0.80, 0.76, 0.70)  # nearly gray, so that a figure inside keeps its colors
+_TRANSLUCENT = 0.35  # opacity of the skin with a figure inside
 _JOINT, _BONE = 0.032, 0.012  # m, radii of the raw figure
 _BONE_COLOR = (0.25, 0.25, 0.28)
 _LIGHT_AWAY = 4.0  # m, above everything
-_LEAST_REACH = 1.5  # m from the middle of the clip that is lit
-_MORE_GEOMS = 100  # room for those that MuJoCo itself adds to the model's
+_LEAST_REACH = 1.5  # m around the middle of the clip that are lit
+_MORE_GEOMS = 100  # that MuJoCo itself may add to those of the model
 
 
 class ClipModel:
     """The model of a drawing, posed frame by frame.
 
-    Most light comes from ``toward``, the direction to the camera; the skin is
-    translucent where the raw take is drawn inside the character.
+    Most light comes from ``toward``, the direction to the camera. ``translucent`` shows
+    the raw take inside the skin.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class ClipModel:
         away = -0.5 * front - 0.45 * left - [0.0, 0.0, 1.0]
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it points to
+            pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it aims
             dir=away,
             diffuse=[0.45] * 3,
             ambient=[0.0] * 3,
@@ -79,8 +79,8 @@ class ClipModel:
         count, positions = len(clip), clip.positions[:, segment_starts(clip.skeleton)]
         places = [np.broadcast_to(p.positions, (count, 3))[:, None] for p in clip.props]
         self._positions = to_mujoco(np.concatenate([positions, *places], axis=1))
-        others = [np.broadcast_to(p.rotations, (count, 4))[:, None] for p in clip.props]
-        self._rotations = to_mujoco(np.concatenate([clip.rotations, *others], axis=1))
+        turns = [np.broadcast_to(p.rotations, (count, 4))[:, None] for p in clip.props]
+        self._rotations = to_mujoco(np.concatenate([clip.rotations, *turns], axis=1))
         if self._raw is not None:
             ids = [model.geom(name).id for name in names]
             self._joints, self._bones = np.split(np.array(ids), [len(clip.skeleton)])
@@ -90,7 +90,7 @@ class ClipModel:
             model.geom_rgba[self._bones, :3] = _BONE_COLOR
 
     def pose(self, frame: int) -> None:
-        """Put everything where it is in a frame of the clip."""
+        """Move everything to where it is in a frame of the clip."""
         self.data.mocap_pos[:] = self._positions[frame]
         self.data.mocap_quat[:] = self._rotations[frame]
         mujoco.mj_kinematics(self.model, self.data)
@@ -99,8 +99,8 @@ class ClipModel:
             return
         sticks, model, data = self._raw.at(frame), self.model, self.data
         model.geom_rgba[self._joints, :3] = sticks.joint_colors
-        model.geom_rgba[self._joints, 3] = sticks.joint_there
-        model.geom_rgba[self._bones, 3] = sticks.bone_there
+        model.geom_rgba[self._joints, 3] = sticks.joint_present
+        model.geom_rgba[self._bones, 3] = sticks.bone_present
         model.geom_size[self._bones, 1] = 0.5 * np.maximum(sticks.lengths, 1e-6)
         data.geom_xpos[self._joints] = to_mujoco(sticks.joints)
         data.geom_xpos[self._bones] = to_mujoco(sticks.centers)
@@ -109,11 +109,11 @@ class ClipModel:
 
 
 class OffscreenRenderer:
-    """Draws one frame after another; floor and sky only once if the camera stays.
+    """Draws frames off screen; floor and sky only once if the camera stays.
 
-    Without a GPU, filling floor and sky is most of the work. A picture of the rest
-    alone, put before them where it is nearer, is the same to the pixel.
-    With shadows, everything is drawn in every frame.
+    Without a GPU, floor and sky are most of the work. Drawing the rest alone and
+    combining both by depth gives the same pixels. With shadows or samples, everything
+    is drawn in every frame.
     """
 
     def __init__(
@@ -155,56 +155,54 @@ class OffscreenRenderer:
         return picture[::-1]
 
     def close(self) -> None:
-        """Release what OpenGL holds."""
+        """Release OpenGL's resources."""
         self._buffer.free()
         self._context.free()
 
     def _pose(self, frame: int) -> None:
         self._clip_model.pose(frame)
         position, target = (to_mujoco(p) for p in self._path.at(frame))
-        toward = target - position
+        x, y, z = target - position
         self._camera.lookat[:] = target
-        self._camera.distance = float(np.linalg.norm(toward))
-        self._camera.azimuth = float(np.degrees(np.arctan2(toward[1], toward[0])))
-        level = float(np.hypot(toward[0], toward[1]))
-        self._camera.elevation = float(np.degrees(np.arctan2(toward[2], level)))
+        self._camera.distance = np.linalg.norm(target - position)
+        self._camera.azimuth = np.degrees(np.arctan2(y, x))
+        self._camera.elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
 
     def _draw(self, *, floor: bool, rest: bool) -> tuple[Pixels, Singles]:
-        """Return colors and, of floor or rest alone, depths, the lowest row first."""
+        """Return colors and, unless all is drawn, depths, from the lowest row up."""
         options: Any = mujoco.MjvOption()
         options.geomgroup[:] = rest
         options.geomgroup[_FLOOR_GROUP] = floor
         options.skingroup[:] = rest
         self._view.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = floor
         model, data, view = self._clip_model.model, self._clip_model.data, self._view
-        # Without this the scene's light and floor follow the camera of before.
+        # Otherwise the scene's light and floor follow the previous camera.
         mujoco.mjv_updateCamera(model, data, self._camera, view)
-        what = mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_updateScene(model, data, options, None, self._camera, what, view)
+        every = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(model, data, options, None, self._camera, every, view)
         mujoco.mjr_render(self._rect, view, self._buffer)
         shape = (self._rect.height, self._rect.width)
         pixels = np.empty((*shape, 3), dtype=np.uint8)
         depth = np.empty(shape, dtype=np.float32)
-        asked = None if floor and rest else depth
-        mujoco.mjr_readPixels(pixels, asked, self._rect, self._buffer)
+        wanted = None if floor and rest else depth
+        mujoco.mjr_readPixels(pixels, wanted, self._rect, self._buffer)
         return pixels, depth
 
 
 def figure_names(skeleton: Skeleton) -> list[str]:
-    """Return the names of the raw figure's geoms: the joints, then the bones."""
+    """Return the names of the raw figure's geoms: joints, then bones."""
     joints = [f"joint:{joint}" for joint in skeleton.joints]
     return joints + [f"bone:{skeleton.joints[j]}" for j in skeleton.segments]
 
 
 def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:
-    """Add the skin and a body for each segment, where the T-pose has them."""
     skeleton = body.skeleton
     starts = to_mujoco(body.rest_positions)[segment_starts(skeleton)]
     for joint, start in zip(skeleton.joints, starts, strict=True):
         spec.worldbody.add_body(name=f"segment:{joint}", mocap=True, pos=start)
     skin = skin_of(body)
-    with_weight = np.where(skin.weights > 0.0, skin.segments, -1)
-    moved = [np.nonzero(with_weight == j) for j in range(len(skeleton))]
+    movers = np.where(skin.weights > 0.0, skin.segments, -1)
+    moved = [np.nonzero(movers == j) for j in range(len(skeleton))]
     bones = [j for j, (points, _) in enumerate(moved) if len(points)]
     mesh = spec.add_skin(name="skin")
     mesh.vert = to_mujoco(skin.points).ravel()
@@ -231,7 +229,7 @@ def _add_prop(spec: mujoco.MjSpec, prop: Prop) -> None:
             mesh = spec.add_mesh(name=geom.meshname)
             mesh.uservert = to_mujoco(shape.points).ravel()
             mesh.userface = shape.triangles.ravel()
-            # It may be open.
+            # The mesh may be open.
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         else:
             depth, width, height = to_mujoco(shape.size)

@@ -1,6 +1,6 @@
-"""The OpenGL that draws without a screen, found by trying it in a process of its own.
+"""Finding an OpenGL that draws without a screen, by trying each in its own process.
 
-MuJoCo chooses its OpenGL when it is imported, and a process can hold only one kind.
+MuJoCo chooses its OpenGL on import, and a process can load only one kind.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from kinefilter.characters import InputError
 _NAMES = {"win32": {"wgl": "WGL"}, "darwin": {"cgl": "CGL"}}.get(
     sys.platform, {"egl": "EGL", "osmesa": "OSMesa"}
 )  # in the order in which they are tried
-_LONGEST = 60.0  # s that a driver may take to start, a guess
+_TIMEOUT = 60.0  # s that a driver may take to start, a guess
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software")
 _PROBE = """
 import mujoco
@@ -28,20 +28,20 @@ assert drawing.currentBuffer == mujoco.mjtFramebuffer.mjFB_OFFSCREEN
 from OpenGL import GL
 print("draws with", GL.glGetString(GL.GL_RENDERER).decode(), flush=True)
 import os
-os._exit(0)  # some drivers fail when they are closed
+os._exit(0)  # some drivers crash on exit
 """
 
 
 @dataclass(frozen=True)
 class Backend:
-    """An OpenGL that works here: MUJOCO_GL's value, and the driver's own words."""
+    """An OpenGL that works here: the value for MUJOCO_GL, and the driver's name."""
 
     name: str
     renderer: str
 
     @property
     def software(self) -> bool:
-        """Whether the processor draws, which makes shadows and samples slow."""
+        """Whether the CPU draws, which makes shadows and samples slow."""
         return any(word in self.renderer.lower() for word in _SOFTWARE)
 
     def __str__(self) -> str:
@@ -51,27 +51,27 @@ class Backend:
 
     @property
     def environment(self) -> dict[str, str]:
-        """Environment variables of the processes that draw."""
-        # One thread each: several processes draw, and would compete for the cores.
+        """Environment variables for the processes that draw."""
+        # One thread each: several processes draw and would compete for the cores.
         return {"MUJOCO_GL": self.name, "LP_NUM_THREADS": "0"}
 
 
 def find_backend() -> Backend:
-    """Return the first OpenGL that draws: MUJOCO_GL's if it is set, else the system's.
+    """Return the OpenGL that MUJOCO_GL names or, if unset, the first that works.
 
-    That is EGL or OSMesa, WGL on Windows, CGL on macOS. If none does, an InputError
-    names what to install.
+    EGL and OSMesa are tried; on Windows WGL, on macOS CGL. If none works, an InputError
+    says what to install.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     reasons = []
     for name in (wanted,) if wanted else _NAMES:
-        if isinstance(found := _try(name), Backend):
-            return found
-        reasons.append(f"{_NAMES.get(name, name)}: {found}")
+        if isinstance(result := _try(name), Backend):
+            return result
+        reasons.append(f"{_NAMES.get(name, name)}: {result}")
     raise InputError(
-        f"no OpenGL that draws without a screen ({'; '.join(reasons)}); install one: "
-        "the GPU's driver brings one; on Debian libosmesa6 draws on any machine, "
-        "libegl1 is faster" + (", or unset MUJOCO_GL" if wanted else "")
+        f"no OpenGL draws without a screen here ({'; '.join(reasons)}); install the "
+        "GPU's driver, or on Debian libosmesa6, which works on any machine, or the "
+        "faster libegl1" + (", or unset MUJOCO_GL" if wanted else "")
     )
 
 
@@ -83,12 +83,12 @@ def _try(name: str) -> Backend | str:
             capture_output=True,
             encoding="utf-8",
             errors="replace",
-            timeout=_LONGEST,
+            timeout=_TIMEOUT,
         )
     except subprocess.TimeoutExpired:
-        return "does not answer"
-    found = re.search("^draws with (.*)", done.stdout, re.MULTILINE)
-    if found is not None:
-        return Backend(name, found[1])
-    said = done.stderr.strip().splitlines()
-    return said[-1].strip()[:120] if said else f"ended with code {done.returncode}"
+        return f"no answer in {_TIMEOUT:g} s"
+    driver = re.search("^draws with (.*)", done.stdout, re.MULTILINE)
+    if driver is not None:
+        return Backend(name, driver[1])
+    errors = done.stderr.strip().splitlines()
+    return errors[-1].strip()[:120] if errors else f"exit code {done.returncode}"

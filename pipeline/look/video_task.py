@@ -1,7 +1,6 @@
-"""A clip to draw, what is in each of its pictures, and a process that draws them.
+"""The task of drawing a clip, what its pictures show, and drawing them in a process.
 
-MuJoCo is imported only where something is drawn: it then chooses its OpenGL, which only
-processes that draw may have.
+MuJoCo is imported only by processes that draw, as it then chooses its OpenGL.
 """
 
 from __future__ import annotations
@@ -28,38 +27,36 @@ from .cameras import axes_toward, camera_path
 from .comparison import raw_positions
 from .drawing import CORNERS, Drawing, corners_of, offset_beside, read_finite_clip
 from .options import Look
-from .video_files import Coded, Pixels, encode_png, encode_video, is_drawn, write_frame
 from .video_opengl import Backend
 
 if TYPE_CHECKING:
+    from .video_files import Coded, Pixels
     from .video_model import OffscreenRenderer
 
 PART = 60
-"""Frames: each part of a video begins with a keyframe, to which players jump."""
+"""Frames in a part of a video; each starts with a keyframe, where players can seek."""
 
-_SKIN = 0.13  # m from a joint to the skin, at most: the head's, about
-_GPU_SAMPLES = 4  # edges are smooth, and a GPU is hardly slower
-_ASTRAY = 1.0  # m from the character within which a raw joint counts for the camera
-_SKEW = 1e-6  # s by which a frame may lie outside of --from and --to
+_SKIN = 0.13  # m from a joint to the skin, at most: roughly the head's radius
+_GPU_SAMPLES = 4  # makes edges smooth, and a GPU is hardly slower
+_ASTRAY = 1.0  # m from the character, within which a raw joint counts for the camera
+_SKEW = 1e-6  # s by which a frame may lie outside --from and --to
 
 
 @dataclass(frozen=True)
 class RenderTask:
-    """A clip's file, how it is drawn, and into what: ``%05d.png`` for many pictures.
-
-    The fingerprint of all that decides the pictures is known once the backend is.
-    """
+    """A clip, how to draw it, and the file or pattern (``%05d.png``) to write."""
 
     clip: Path
     out: Path
     look: Look
     fingerprint: str = ""
+    """Hash of everything that decides the pictures, set by ``drawn_by``."""
 
     def drawn_by(self, backend: Backend) -> RenderTask:
-        """Return the task with its fingerprint and the options left to the backend.
+        """Return the task with its fingerprint and with defaults for the backend.
 
-        Without a GPU, shadows and samples multiply the time. In the fingerprint, files
-        count by their content; those that a scene includes do not count.
+        Without a GPU, shadows and samples multiply the drawing time. The fingerprint
+        covers the content of files, but not of files that a scene includes.
         """
         soft, look, samples = backend.software, self.look, self.look.samples
         if samples is None:
@@ -67,27 +64,27 @@ class RenderTask:
         look = replace(look, shadows=look.shadows or not soft, samples=samples)
         named = (look.compare or "", look.camera, look.scene or "")
         files = (self.clip, *map(Path, named))
-        known = {
+        contents = {
             **asdict(look),
             "renderer": str(backend),
             "kinefilter": version("kinefilter"),
             "files": [hash_of(file) for file in files if file.is_file()],
         }
-        text = json.dumps(known, sort_keys=True, default=str)
+        text = json.dumps(contents, sort_keys=True, default=str)
         fingerprint = hashlib.sha256(text.encode()).hexdigest()[:32]
         return replace(self, look=look, fingerprint=fingerprint)
 
 
 class Composition:
-    """What is in each picture of a task; read once, without OpenGL.
+    """What the pictures of a task show; needs no OpenGL.
 
-    An InputError if the clip, the take, the scene or the camera cannot be used.
+    Raises an InputError if the clip, the take, the scene or the camera is invalid.
     """
 
     def __init__(self, task: RenderTask) -> None:
         look, whole = task.look, read_finite_clip(task.clip)
         clip, self.rate = shown_frames(whole, look)
-        """Frames a second [1/s]."""
+        """Frame rate of the pictures [1/s]."""
         if look.scene is not None:
             clip = replace(clip, props=props_around(whole, clip.props, look.scene))
         width, height = look.pixels
@@ -102,20 +99,20 @@ class Composition:
             if look.place == "beside":
                 right, _ = axes_toward(seen_by(joints).toward)
                 raw = raw + offset_beside(joints, -right, 2.0 * _SKIN)
-            # Raw joints that leap away or are missing count where the character is.
+            # For raw joints that are missing or far off, use the character's joints.
             place = joints + np.nanmedian(raw - joints, axis=(0, 1))
             near = np.linalg.norm(raw - place, axis=-1) < _ASTRAY
             points.append(np.where(near[..., None], raw, place))
         self.drawing = Drawing(clip, raw)
         """The frames that are drawn."""
         self.camera = seen_by(np.concatenate(points, axis=1))
-        """Where everything is seen from."""
+        """The camera that shows everything."""
 
 
 def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
-    """Return the frames that are drawn, evenly spaced in time, and their rate [1/s].
+    """Return the frames to draw, evenly spaced in time, and their rate [1/s].
 
-    Raises an InputError if the clip has none between --from and --to.
+    Raises an InputError if the clip has no frame between --from and --to.
     """
     rate = look.fps or clip.fps
     even = resampled(clip, rate)
@@ -123,18 +120,17 @@ def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
     end = np.inf if look.to is None else look.to
     chosen = np.flatnonzero((since >= look.start - _SKEW) & (since <= end + _SKEW))
     if not len(chosen):
-        to = "" if look.to is None else f" to {look.to:g} s"
-        raise InputError(
-            f"{clip.source}: has no frame from {look.start:g} s{to}; it lasts "
-            f"{since[-1]:.2f} s"
-        )
+        to = "the end" if look.to is None else f"{look.to:g} s"
+        none = f"no frames from {look.start:g} s to {to}"
+        raise InputError(f"{clip.source}: {none}; it lasts {since[-1]:.2f} s")
     return even.at(chosen[:: look.every]), rate / look.every
 
 
 def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop, ...]:
-    """Return props and what else a scene has, at rest, as ``clean --scene`` places it.
+    """Return props and the rest of a scene, placed as ``clean --scene`` does, at rest.
 
-    The person, in the whole clip, begins at its origin. Raises as ``load_scene``.
+    The person starts at the scene's origin in ``clip``, which is the whole clip. Raises
+    an InputError as ``load_scene`` does.
     """
     import mujoco  # by now its OpenGL is chosen
 
@@ -146,17 +142,19 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     mujoco.mj_forward(model, data)
     things = Things(model, data, -1, 1)
     things.record(0)
-    known = {prop.name for prop in props}
+    names = {prop.name for prop in props}
     others = things.props(place_of(clip.positions, clip.skeleton))
-    return props + tuple(prop for prop in others if prop.name not in known)
+    return props + tuple(prop for prop in others if prop.name not in names)
 
 
 def draw_parts(task: RenderTask, frames: range) -> list[list[Coded]]:
-    """Draw frames of a task, counted from the first that is drawn.
+    """Draw frames of a task, counted from its first picture.
 
-    Those of a video or a GIF are returned in parts (PART), pictures are written. Raises
+    Returns the encoded parts of a video or a GIF; numbered pictures are written. Raises
     an InputError if something cannot be drawn or written.
     """
+    from .video_files import encode_png, encode_video, is_drawn, write_frame  # loads av
+
     out, suffix = task.out, task.out.suffix.lower()
     parts = [frames[k : k + PART] for k in range(0, len(frames), PART)]
     if suffix == ".gif":
@@ -165,10 +163,10 @@ def draw_parts(task: RenderTask, frames: range) -> list[list[Coded]]:
         rate = _opened(task)[0].rate
         return [encode_video(_pictures(task, k), task.look.pixels, rate) for k in parts]
     paths = {n: out.with_name(out.name % n) for n in frames}
-    made = task.fingerprint
-    missing = {n: path for n, path in paths.items() if not is_drawn(path, made)}
+    mark = task.fingerprint
+    missing = {n: path for n, path in paths.items() if not is_drawn(path, mark)}
     for picture, path in zip(_pictures(task, missing), missing.values(), strict=True):
-        write_frame(picture, path, made)
+        write_frame(picture, path, mark)
     return []
 
 
@@ -179,31 +177,31 @@ def _pictures(task: RenderTask, numbers: Iterable[int]) -> Iterator[Pixels]:
         yield _opened(task)[1].render(number)
 
 
-# The task at hand, kept ready: the next part is often of the same.
+# The latest task, kept open: the next part is often of the same task.
 _open: list[tuple[RenderTask, Composition, OffscreenRenderer]] = []
 
 
 def _opened(task: RenderTask) -> tuple[Composition, OffscreenRenderer]:
-    """Return the task ready to be drawn; the one before it is closed."""
+    """Return what draws a task, after closing that of the previous task."""
     if not _open or _open[0][0] != task:
         from .video_model import ClipModel, OffscreenRenderer
 
         _close()
-        made = Composition(task)
+        what, look = Composition(task), task.look
         model = ClipModel(
-            made.drawing,
-            size=task.look.pixels,
-            samples=task.look.samples or 0,
-            toward=made.camera.toward,
-            translucent=made.drawing.raw is not None and task.look.place == "over",
+            what.drawing,
+            size=look.pixels,
+            samples=look.samples or 0,
+            toward=what.camera.toward,
+            translucent=what.drawing.raw is not None and look.place == "over",
         )
-        renderer = OffscreenRenderer(model, made.camera, shadows=task.look.shadows)
-        _open.append((task, made, renderer))
+        renderer = OffscreenRenderer(model, what.camera, shadows=look.shadows)
+        _open.append((task, what, renderer))
     return _open[0][1:]
 
 
 @atexit.register
 def _close() -> None:
-    """Release what OpenGL holds: after Python's shutdown that is too late."""
+    """Release OpenGL's resources; after Python's shutdown it would be too late."""
     while _open:
         _open.pop()[2].close()

@@ -1,8 +1,7 @@
-"""A motion in the browser: played, turned and edited."""
+"""The page of ``view``: a motion to play, look at from all sides, and edit."""
 
 from __future__ import annotations
 
-import queue
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -27,29 +26,30 @@ from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import ViewerScene
 
 CleanAgain = Callable[[Sequence[Edit], Progress], Drawing]
-"""Cleans the take once more, with edits."""
+"""Cleans the take again with edits; returns the new drawing."""
 
 _STEPS = {"-10": -10, "-1": -1, "+1": 1, "+10": 10}  # frames, by button
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
-_BESIDE = "raw beside"  # checkbox: the raw take stands beside the character
-_SHADOWS = "shadows"  # checkbox: they are half of the work where no GPU draws
-_NONE = "none yet"
+_BESIDE = "raw alongside"  # checkbox: the raw take is beside the character
+_SHADOWS = "shadows"  # checkbox: without a GPU, shadows are half of the work
+_NO_EDITS = "none yet"
 _ROWS = [name.replace("Left", " L").replace("Right", " R") for name in CONTACTS]
-_EDIT = (
-    "What the sensor says of a limb or joint counts for nothing; left is right; or "
-    "drag a joint to where it is in this frame"
+_HINT = (
+    "distrust: ignore what the sensor reports for this limb or joint; swap sides: "
+    "left is right and right is left; pin: drag a joint to its true position in this "
+    "frame"
 )
-_PIN = 0.25  # m, size of what a joint is dragged by
-_PROGRESS_EVERY = 0.1  # s between two reports of progress
-_LOOK = 1.0  # s between looks for Ctrl-C, which on Windows wakes nobody who waits
+_PIN = 0.25  # m, size of the handle that a joint is dragged by
+_PROGRESS_EVERY = 0.1  # s between two updates of the progress bar
+_POLL = 1.0  # s between checks for Ctrl-C, which does not interrupt a wait on Windows
 
 
 class Viewer(ServedPage):
     """One motion on one page; every browser that opens it sees the same.
 
-    Edits are read from the file ``save`` and saved there, and nothing else is written
-    but what was there before, where somebody else wrote it; ``again`` cleans the take
-    once more, if it can be.
+    Edits are read from the file ``save`` and saved there; nothing else is written,
+    except a copy of that file if another program has changed it. ``again`` cleans the
+    take again; clips have none.
     """
 
     def __init__(
@@ -67,120 +67,105 @@ class Viewer(ServedPage):
         self._add_panel(server.gui, drawing)
         self._look_at(drawing)
         count = len(self._edits.edits)
-        self._say(f"{count} edits of {save.name}" if count else f"no {save.name} yet")
+        self._report(f"{count or 'no'} edits in {save.name}")
 
     def run(self) -> None:
-        """Do what the page asks for, until ``stop``."""
-        while True:
+        """Play and serve the requests of the page until ``stop`` is called."""
+        serving = True
+        while serving:
             self._show()
-            try:
-                wait = self._playback.until_next(perf_counter())
-                if sys.platform == "win32":
-                    wait = min(wait or _LOOK, _LOOK)
-                asked = self._asked.get(timeout=wait)
-                while asked is not None:
-                    action, value = asked
-                    action(value)
-                    # What came meanwhile first: of many scrubs only the last is drawn.
-                    asked = self._asked.get_nowait()
-                return
-            except queue.Empty:
-                pass
+            wait = self._playback.until_next(perf_counter())
+            if sys.platform == "win32":
+                wait = min(wait or _POLL, _POLL)
+            serving = self._serve(wait)
 
     def _add_panel(self, gui: viser.GuiApi, drawing: Drawing) -> None:
+        def add_buttons(
+            label: str, names: Iterable[str], action: Action, hint: str | None = None
+        ) -> None:
+            group = gui.add_button_group(label, tuple(names), hint=hint)
+            self._on(group.on_click, action)
+
         last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
         self._status = gui.add_html("")
         self._frame: Any = gui.add_slider("frame", 1, last, 1, 1)
         self._on(self._frame.on_update, lambda k: self._playback.seek(int(k) - 1))
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="key K")
         self._on(self._play.on_click, self._play_or_pause)
-        steps = gui.add_button_group("step", tuple(_STEPS), hint="keys J and L")
-        self._on(steps.on_click, self._step)
-        # As in video editors; the space bar would press the last button as well.
+        add_buttons("step", _STEPS, self._step, "keys J and L")
+        # As in video editors; the space bar would also press the last button used.
         keys: dict[Any, tuple[str, Action]] = {
             "K": ("Play or pause", self._play_or_pause),
-            "J": ("A frame back", lambda _: self._step("-1")),
-            "L": ("A frame on", lambda _: self._step("+1")),
-            "N": ("To the next doubtful second", self._go_to_doubt),
+            "J": ("One frame back", lambda _: self._step("-1")),
+            "L": ("One frame forward", lambda _: self._step("+1")),
+            "N": ("Go to the next doubtful stretch", self._go_to_doubt),
             "U": ("Undo an edit", lambda _: self._change("undo")),
             "R": ("Redo an edit", lambda _: self._change("redo")),
         }
         for key, (label, action) in keys.items():
             self._on(gui.add_command(label, hotkey=key).on_trigger, action)
         speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
-        self._on(
-            speed.on_update,
-            lambda s: self._playback.change_speed(float(s), perf_counter()),
-        )
-        doubt = gui.add_button("Next doubtful second", hint="key N")
+        self._on(speed.on_update, self._set_speed)
+        doubt = gui.add_button("Next doubtful stretch", hint="key N")
         self._on(doubt.on_click, self._go_to_doubt)
         with gui.add_folder("Edits"):
-            self._picture = gui.add_html("")
+            self._timeline = gui.add_html("")
             self._span: Any = gui.add_multi_slider("frames", 1, last, 1, (1, last))
-            self._on(self._span.on_update, lambda _: None)  # draws the timeline again
-            ends = gui.add_button_group("set", ("from here", "to here", "all"))
-            self._on(ends.on_click, self._set_end)
-            known = drawing.clip.skeleton.joints
-            self._joint = gui.add_dropdown("limb or joint", (*LIMBS, *known))
-            edit = gui.add_button_group(
-                "edit", ("distrust", "exchange", "pin"), hint=_EDIT
-            )
-            self._on(edit.on_click, self._edit)
+            self._on(self._span.on_update, lambda _: None)  # redraws the timeline
+            add_buttons("range", ("start here", "end here", "all"), self._set_span)
+            joints = drawing.clip.skeleton.joints
+            self._joint = gui.add_dropdown("limb or joint", (*LIMBS, *joints))
+            add_buttons("edit", ("distrust", "swap sides", "pin"), self._edit, _HINT)
             self._part = gui.add_dropdown("foot", tuple(FEET))
-            contact = gui.add_button_group("contact", ("stands", "lifts"))
-            self._on(contact.on_click, self._edit)
-            self._list: Any = gui.add_dropdown("edits", (_NONE,))
-            change = gui.add_button_group(
-                "change", ("remove", "undo", "redo"), hint="keys U and R"
-            )
-            self._on(change.on_click, self._change)
+            add_buttons("contact", ("planted", "lifted"), self._edit)
+            self._list: Any = gui.add_dropdown("edits", (_NO_EDITS,))
+            names = ("remove", "undo", "redo")
+            add_buttons("change", names, self._change, "keys U and R")
             self._on(gui.add_button("Save edits").on_click, self._save)
             possible = self._again is not None
             again = gui.add_button("Save and clean again", visible=possible)
             self._on(again.on_click, self._clean_again)
-            self._said = gui.add_html("")
+            self._message = gui.add_html("")
             self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
         shown = dict(drawing.layers)
-        if "raw" in shown:
-            shown[_BESIDE] = not drawing.sensors  # they are where the room has them
+        if "raw" in shown:  # several sensors stay where they are in the room
+            shown[_BESIDE] = not drawing.sensors
         shown[_SHADOWS] = True
         with gui.add_folder("Show"):
             self._boxes = {n: gui.add_checkbox(n, on) for n, on in shown.items()}
         for box in self._boxes.values():
-            self._on(box.on_update, self._choose)
+            self._on(box.on_update, self._choose_layers)
 
     def _look_at(self, drawing: Drawing) -> None:
         self._clip, self._sensors = drawing.clip, drawing.sensors
         with self._server.atomic():
             self._scene = ViewerScene(self._server, drawing, self._edits)
-        self._pin = None  # is gone with the scene
+        self._pin = None  # removed with the old scene
         self._edits.look_at(drawing.clip)
         self._doubtful = doubtful(drawing.clip, drawing.failures)
         self._show_edits()
-        self._choose()
+        self._choose_layers()
 
     def _show(self) -> None:
         frame = self._playback.frame(perf_counter())
         playing = self._playback.playing
         with self._server.atomic():
             self._scene.show(frame)
-            if self._asked.empty():  # or a slider that is being pulled would jump back
+            if self._requests.empty():  # a slider being dragged would jump back
                 self._frame.value = frame + 1
             self._status.content = status_html(self._clip, frame, self._sensors)
-            chosen = self._first_and_last
             rows = dict(zip(_ROWS, self._edits.contacts.T, strict=True))
             rows |= {"edited": self._edits.edited, "doubtful": self._doubts}
-            self._picture.content = timeline_html(rows, frame, chosen)
+            self._timeline.content = timeline_html(rows, frame, self._first_and_last)
             if self._pin is not None:
                 self._pin.visible = frame == self._pinned
             self._play.label = "Pause" if playing else "Play"
-            icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
-            if self._play.icon != icon:
-                self._play.icon = icon
+            icons = viser.Icon.PLAYER_PLAY, viser.Icon.PLAYER_PAUSE
+            self._play.icon = icons[playing]
 
     @property
     def _doubts(self) -> Flags:
-        """Frames that are doubtful, and of which nothing is said yet, shape (T,)."""
+        """Doubtful frames that no edit covers yet, shape (T,)."""
         return np.asarray(self._doubtful & ~self._edits.edited)
 
     @property
@@ -196,53 +181,55 @@ class Viewer(ServedPage):
     def _step(self, button: str) -> None:
         self._playback.seek(self._playback.frame(perf_counter()) + _STEPS[button])
 
-    def _choose(self, _: object = None) -> None:
+    def _set_speed(self, speed: str) -> None:
+        self._playback.change_speed(float(speed), perf_counter())
+
+    def _choose_layers(self, _: object = None) -> None:
         chosen = {name for name, box in self._boxes.items() if box.value}
         self._scene.choose(chosen, beside=_BESIDE in chosen, shadows=_SHADOWS in chosen)
 
-    def _set_end(self, which: str) -> None:
-        """Let the frames to edit begin or end at the present one."""
+    def _set_span(self, button: str) -> None:
         first, last = self._span.value
         here = self._playback.frame(perf_counter()) + 1
         self._span.value = {
-            "from here": (here, max(here, last)),
-            "to here": (min(first, here), here),
+            "start here": (here, max(here, last)),
+            "end here": (min(first, here), here),
             "all": (1, len(self._clip)),
-        }[which]
+        }[button]
 
     def _go_to_doubt(self, _: object = None) -> None:
-        """Show the next second that is to be doubted, and choose its frames."""
-        here, found = self._playback.frame(perf_counter()), runs(self._doubts)
-        if not found:
-            self._say("nothing here is doubtful")
+        here, spans = self._playback.frame(perf_counter()), runs(self._doubts)
+        if not spans:
+            self._report("no doubtful frames are left")
             return
-        span = next((span for span in found if span.start > here), found[0])
+        span = next((span for span in spans if span.start > here), spans[0])
         self._playback.seek(span.start)
         self._span.value = (span.start + 1, span.stop)
 
     def _edit(self, button: str) -> None:
-        """Say something of the chosen frames."""
-        first, last = self._first_and_last
-        begin, end = (round(float(self._edits.since[k]), 4) for k in (first, last))
+        """Add an edit of the selected frames, or offer to pin a joint."""
+        joint, part = self._joint.value, self._part.value
+        begin, end = (self._seconds(frame) for frame in self._first_and_last)
         if button == "pin":
-            self._offer_pin(self._joint.value)
-        elif button in ("stands", "lifts"):
-            stands = button == "stands"
-            self._add(Edit("contact", begin, end, part=self._part.value, stands=stands))
-        else:
-            joints = (self._joint.value,) if button == "distrust" else ()
-            self._add(Edit(button, begin, end, joints))
-
-    def _add(self, *edits: Edit) -> None:
-        self._edits.replace(dict.fromkeys((*self._edits.edits, *edits)))
+            self._offer_pin(joint)
+            return
+        edit = {
+            "distrust": Edit("distrust", begin, end, (joint,)),
+            "swap sides": Edit("exchange", begin, end),
+            "planted": Edit("contact", begin, end, part=part, stands=True),
+            "lifted": Edit("contact", begin, end, part=part, stands=False),
+        }[button]
+        self._edits.replace(dict.fromkeys((*self._edits.edits, edit)))
         self._show_edits()
 
+    def _seconds(self, frame: int) -> float:
+        return round(float(self._edits.since[frame]), 4)
+
     def _offer_pin(self, name: str) -> None:
-        """Let a joint be dragged to where it is in the present frame."""
+        """Add a handle to drag a joint to its true position in the current frame."""
         joints = self._clip.skeleton.joints
         if name not in joints:
-            self._say("choose a joint to pin, not a limb", wrong=True)
-            return
+            raise InputError("a limb cannot be pinned; choose a joint")
         self._playback.pause(perf_counter())
         self._pinned = frame = self._playback.frame(perf_counter())
         place = self._clip.positions[frame, joints.index(name)]
@@ -251,7 +238,7 @@ class Viewer(ServedPage):
         )
 
         def dropped(_: object) -> None:
-            time = round(float(self._edits.since[frame]), 4)
+            time = self._seconds(frame)
             there = tuple(round(float(x), 4) for x in self._pin.position)
             pin = Edit("pin", time, time, (name,), position=there)
             same = [e for e in self._edits.edits if replace(e, position=there) == pin]
@@ -259,53 +246,43 @@ class Viewer(ServedPage):
             self._show_edits()
 
         self._on(self._pin.on_update, dropped)
-        self._say(f"drag {name} to where it is")
+        self._report(f"drag {name} to its true position")
 
     def _change(self, button: str) -> None:
-        """Remove the edit that the list shows, or undo or redo a change."""
-        edits, shown = self._edits, self._list.options.index(self._list.value)
+        """Remove the edit selected in the list, or undo or redo a change."""
+        edits, selected = self._edits, self._list.options.index(self._list.value)
         if button == "remove":
-            edits.replace(edit for k, edit in enumerate(edits.edits) if k != shown)
+            edits.replace(edit for k, edit in enumerate(edits.edits) if k != selected)
         else:
             (edits.undo if button == "undo" else edits.redo)()
         self._show_edits()
 
     def _show_edits(self) -> None:
-        told = [f"{k}. {edit.told}" for k, edit in enumerate(self._edits.edits, 1)]
-        self._list.options = told or [_NONE]
-        self._list.value = self._list.options[-1]  # the last one made
-        self._say("not saved" if self._edits.unsaved else "")
+        lines = [f"{k}. {edit.told}" for k, edit in enumerate(self._edits.edits, 1)]
+        self._list.options = lines or [_NO_EDITS]
+        self._list.value = self._list.options[-1]  # the latest
+        self._report("unsaved changes" if self._edits.unsaved else "")
 
-    def _save(self, _: object = None) -> bool:
-        """Write the edits; return whether that worked."""
-        try:
-            kept = self._file.write(self._edits.edits)
-        except InputError as error:
-            self._say(str(error), wrong=True)
-            return False
+    def _save(self, _: object = None) -> None:
+        kept = self._file.write(self._edits.edits)
         self._edits.mark_saved()
-        also = f"; what was there is now {kept.name}" if kept else ""
-        self._say(f"saved {self._file.path}{also}")
-        return True
+        also = f"; the version edited elsewhere is now {kept.name}" if kept else ""
+        self._report(f"saved {self._file.path}{also}")
 
     def _clean_again(self, _: object) -> None:
-        """Save, and clean as ``clean --edits`` would with that file."""
+        """Save, and clean as ``clean --edits`` would with the saved file."""
         self._playback.pause(perf_counter())
-        if self._again is None or not self._save():
-            return
+        self._save()
+        assert self._again is not None  # or the button is hidden
         try:
             drawing = self._again(self._edits.edits, self._progress)
-        except InputError as error:
-            self._say(str(error), wrong=True)
-            return
         finally:
             self._busy.visible = False
         self._look_at(drawing)
-        self._say(f"cleaned with {self._file.path}")
+        self._report(f"cleaned with {self._file.path}")
 
     def _progress(self, stage: str, count: int) -> Iterable[int]:
-        """Show on the page how far a stage is."""
-        self._say(f"{stage} ...")
+        self._report(f"{stage} ...")
         shown = 0.0
         for step in range(count):
             if perf_counter() - shown > _PROGRESS_EVERY:
@@ -318,24 +295,24 @@ class Viewer(ServedPage):
 def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
     """Return time, least reliable joint, force and sensors of a frame as HTML."""
     seconds = clip.time[frame] - clip.time[0]
-    quiet, rows = "opacity:0.6", list[tuple[str, str, str]]()
-    rows.append((quiet, "time", f"{seconds:.2f} s, frame {frame + 1} of {len(clip)}"))
+    rows = [("time", f"{seconds:.2f} s, frame {frame + 1} of {len(clip)}")]
     rates = clip.reliability[frame]
     if np.isfinite(rates).any():
         worst = int(np.nanargmin(rates))
         term = Term(int(clip.deciding_term[frame, worst])).words
         joint = clip.skeleton.joints[worst]
-        rows.append((quiet, "least reliable", f"{joint}, {rates[worst]:.2f} ({term})"))
+        rows.append(("least reliable", f"{joint}, {rates[worst]:.2f} ({term})"))
     force = float(clip.external_force[frame])
     if np.isfinite(force):
-        rows.append((quiet, "external force", f"{force:.2f} body weights"))
+        rows.append(("external force", f"{force:.2f} body weights"))
+    styled = [("opacity:0.6", *row) for row in rows]
     for sensor in sensors:
-        apart = sensor.residuals[frame]
-        seen = np.isfinite(apart)
-        text = "sees nobody"
+        distances = sensor.residuals[frame]
+        seen = np.isfinite(distances)
+        text = "sees no one"
         if seen.any():
             text = f"share {sensor.shares[frame].mean():.0%}, "
-            text += f"{np.median(apart[seen]) * 100.0:.1f} cm apart"
+            text += f"{np.median(distances[seen]) * 100.0:.1f} cm from merged"
         style = f"font-weight:600;color:rgb{sensor.color};overflow-wrap:anywhere"
-        rows.append((style, sensor.name, text))
-    return table_html(rows)
+        styled.append((style, sensor.name, text))
+    return table_html(styled)

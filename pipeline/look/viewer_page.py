@@ -1,4 +1,4 @@
-"""A page of viser's: what its panel and all browsers that open it have in common."""
+"""What the pages of ``view`` and ``play`` share: their panel and a queue of actions."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ from typing import Any
 
 import viser
 
+from kinefilter.characters import InputError
+
 Action = Callable[[Any], object]
-"""What is to be done, given the value of the widget that asked for it."""
+"""What to do, given the value of the widget that was used."""
 
 
 class ServedPage:
     """A page on a server; every browser that opens it sees the same.
 
-    What browsers ask for comes from threads of the server. It waits in a queue for
-    ``run``, which alone changes anything, so that no locks are needed.
+    Requests from browsers arrive on the server's threads and wait in a queue for
+    ``run``. Only ``run`` changes anything, so no locks are needed. What raises an
+    InputError is reported on the page.
     """
 
-    _said: viser.GuiHtmlHandle
+    _message: viser.GuiHtmlHandle
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
-        self._asked: queue.Queue[tuple[Action, Any] | None] = queue.Queue()
+        self._requests: queue.Queue[tuple[Action, Any] | None] = queue.Queue()
         plain: Any = {"show_logo": False, "show_share_button": False}
         server.gui.configure_theme(control_width="large", **plain)
         server.gui.set_panel_label("kinefilter")
@@ -32,43 +35,58 @@ class ServedPage:
 
     @property
     def address(self) -> str:
-        """What a browser opens."""
+        """Address to open in a browser."""
         host = self._server.get_host()
         host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
         name = f"[{host}]" if ":" in host else host
         return f"http://{name}:{self._server.get_port()}"
 
     def stop(self) -> None:
-        """Let ``run`` return; from any thread."""
-        self._asked.put(None)
+        """Make ``run`` return; may be called from any thread."""
+        self._requests.put(None)
 
     def _on(
         self, register: Callable[[Any], Any], action: Action, *, whole: bool = False
     ) -> None:
-        """Let an action wait for its turn, with a widget's value or the whole event."""
+        """Queue an action on an event, with the widget's value or the whole event."""
 
-        async def ask(event: Any) -> None:
-            # Not where this program changed a widget, or while something is dragged.
+        async def enqueue(event: Any) -> None:
+            # Ignore changes made by this program, and drags that have not ended.
             ended = whole or getattr(event, "phase", "end") == "end"
             if event.client is not None and ended:
                 value = event if whole else getattr(event.target, "value", None)
-                self._asked.put((action, value))
+                self._requests.put((action, value))
 
-        register(ask)
+        register(enqueue)
 
-    def _say(self, words: str, *, wrong: bool = False) -> None:
-        color = "#c92a2a" if wrong else "inherit"
-        self._said.content = (
-            f'<div id="said" style="font-size:12px;margin:0 8px;color:{color};'
-            f'overflow-wrap:anywhere">{html.escape(words)}</div>'
+    def _serve(self, wait: float | None) -> bool:
+        """Wait up to ``wait`` seconds, run all requests; return False once stopped."""
+        try:
+            request = self._requests.get(timeout=wait)
+            while request is not None:
+                action, value = request
+                try:
+                    action(value)
+                except InputError as error:
+                    self._report(str(error), error=True)
+                request = self._requests.get_nowait()
+            return False
+        except queue.Empty:
+            return True
+
+    def _report(self, text: str, *, error: bool = False) -> None:
+        color = "#c92a2a" if error else "inherit"
+        self._message.content = (
+            f'<div id="message" style="font-size:12px;margin:0 8px;color:{color};'
+            f'overflow-wrap:anywhere">{html.escape(text)}</div>'
         )
 
 
 def table_html(rows: Iterable[tuple[str, str, str]]) -> str:
-    """Return rows of a style, a name and a text as HTML."""
+    """Return an HTML table of rows (CSS style of the label, label, text)."""
     cells = "".join(
-        f'<div style="{style}">{html.escape(name)}</div><div>{html.escape(text)}</div>'
-        for style, name, text in rows
+        f'<div style="{style}">{html.escape(label)}</div><div>{html.escape(text)}</div>'
+        for style, label, text in rows
     )
     return (
         '<div id="status" style="display:grid;grid-template-columns:auto 1fr;'

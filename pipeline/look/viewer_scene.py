@@ -1,4 +1,4 @@
-"""A drawing in the scene of a browser: figures, skin, props, contacts and force."""
+"""Drawings in the browser's scene: skin, figures, props, contacts and force."""
 
 from __future__ import annotations
 
@@ -22,54 +22,56 @@ from .drawing import Color, Drawing, StickFigure, left_of, segment_starts
 from .edit_history import EditHistory
 from .sensors import Sensor
 
-Update = Callable[[int], None]
-"""Puts something where it is in a frame."""
-Layer = tuple[Any, Update]
+Layer = tuple[Any, Callable[[int], None]]
+"""What is shown or hidden together, and a function that moves it to a frame."""
 
 _JOINT, _BONE = 0.026, 0.011  # m, radii of stick figures
 _BONE_COLOR = (82, 84, 94)
-_SKIN = (214, 204, 191)  # nearly gray: a figure inside keeps its colors
-_TRANSLUCENT = 0.4  # opacity of the skin where a figure is inside it
-_DISK, _THICK = 0.055, 0.006  # m, radius and height of what marks a standing foot
-_STANDS = (0, 100, 36)
-_BAR = 0.025  # m, radius of the bar, which is as high as a force of 1 body weight per m
+_SKIN = (214, 204, 191)  # nearly gray, so that figures inside keep their colors
+_TRANSLUCENT = 0.4  # opacity of the skin with a figure inside
+_DISK, _THICK = 0.055, 0.006  # m, radius and height of the disk under a planted foot
+_PLANTED = (0, 100, 36)
+_BAR = 0.025  # m, radius of the force bar; its height is 1 m per body weight
 _ASIDE = 0.55  # m from the pelvis to the bar
 _FORCE = (214, 92, 60)
-_LEAST_FORCE = 0.01  # body weights: a shorter bar could not be seen
-_ASPECT = 1.0  # of the scene beside the panel, or more: there is room for a label
-_FRAMES = 1000  # at least, of a long motion, that the first view is to hold
+_LEAST_FORCE = 0.01  # body weights: a shorter bar would be invisible
+_ASPECT = 1.0  # of the scene beside the panel, at least
+_FRAMES = 1000  # frames of a long motion, at least, that the first view must hold
 _ROOM = 0.15  # m between a joint and the skin's farthest point
-_EDGE = 0.012  # m, thickness of the edges of sensors' frusta
-_NAME, _TOGETHER = 0.2, 1.0  # m that names are lower, of sensors nearer than this
+_EDGE = 0.012  # m, thickness of the edges of the sensors' frusta
+_NAME, _TOGETHER = 0.2, 1.0  # m between the names of sensors closer than the second
 _SKY = ((0.80, 0.86, 0.92), (0.97, 0.98, 0.99))  # overhead, at the horizon
 _SKY_ROWS = 64
-_FLOOR = 12.0  # m, the side of what catches shadows
+_FLOOR = 12.0  # m, side of the square that shows shadows
 
 
 class ViewerScene:
-    """Everything that is drawn, in layers (Drawing.layers) that are shown or hidden."""
+    """A drawing in a browser, in layers (Drawing.layers) that are shown or hidden."""
 
     def __init__(
         self, server: viser.ViserServer, drawing: Drawing, edits: EditHistory
     ) -> None:
-        scene = server.scene
+        scene, clip = server.scene, drawing.clip
         scene.reset()
         self._offset = drawing.raw_offset
         self._sun = set_stage(server, drawing)
-        self._skin, update = _add_skin(scene, drawing.clip)
-        self._layers: dict[str, Layer] = {"skin": (self._skin, update)}
+        self._skin, pose = add_skin(scene, clip.body)
+        turns, places = clip.rotations, clip.positions
+        self._layers: dict[str, Layer] = {
+            "skin": (self._skin, lambda frame: pose(places[frame], turns[frame])),
+            "contacts": _add_contacts(scene, clip, edits),
+        }
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
         _add_frusta(scene, drawing.sensors)
         self._figures = {"cleaned", "physics", *(s.name for s in drawing.sensors)}
-        self._layers["contacts"] = _add_contacts(scene, drawing.clip, edits)
-        for name, add in (("forces", _add_force), ("things", _add_props)):
+        for name, add in (("forces", _add_force), ("props", _add_moving_props)):
             if name in drawing.layers:
-                self._layers[name] = add(scene, drawing.clip)
+                self._layers[name] = add(scene, clip)
         self._shown = set(self._layers)
 
     def choose(self, names: set[str], *, beside: bool, shadows: bool) -> None:
-        """Show some layers, hide the others, and put the raw take beside or over."""
+        """Show these layers only, with the raw take beside or over the character."""
         self._sun.cast_shadow = shadows
         self._shown = names & set(self._layers)
         for name, (handle, _) in self._layers.items():
@@ -81,17 +83,17 @@ class ViewerScene:
         self._skin.opacity = _TRANSLUCENT if self._shown & inside else None
 
     def show(self, frame: int) -> None:
-        """Put all that is shown where it is in a frame."""
+        """Move everything that is shown to where it is in a frame."""
         for name in self._shown:
             self._layers[name][1](frame)
 
 
 def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: EditHistory) -> Layer:
-    """Add a disk on the floor under every heel and toe that stands."""
     parts = np.transpose(ankles_and_toes(clip.skeleton)).ravel()
     places = clip.positions[:, parts] * [1.0, 0.0, 1.0] + [0.0, 0.5 * _THICK, 0.0]
     disk = cylinder(_DISK, _THICK, sections=32)
-    disks = add_batch(scene, "/contacts", disk, len(parts), _STANDS, shadow=False)
+    disks = add_batch(scene, "/contacts", disk, len(parts), _PLANTED)
+    disks.cast_shadow = False
 
     def update(frame: int) -> None:
         disks.batched_positions = places[frame]
@@ -101,7 +103,6 @@ def _add_contacts(scene: viser.SceneApi, clip: Clip, edits: EditHistory) -> Laye
 
 
 def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
-    """Add spheres and cylinders for joints and bones, which can be moved together."""
     group = scene.add_frame(f"/{name}", show_axes=False)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=_JOINT)
     stick = cylinder(_BONE, 1.0, sections=12)
@@ -111,9 +112,9 @@ def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
 
     def update(frame: int) -> None:
         now = figure.at(frame)
-        there = now.bone_there
+        there = now.bone_present
         joints.batched_positions = now.joints
-        joints.batched_scales = now.joint_there[:, None].repeat(3, axis=1)
+        joints.batched_scales = now.joint_present[:, None].repeat(3, axis=1)
         bones.batched_positions, bones.batched_wxyzs = now.centers, now.rotations
         bones.batched_scales = np.stack([there, there * now.lengths, there], axis=1)
         if now.joint_colors is not None:
@@ -123,7 +124,7 @@ def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
 
 
 def _add_frusta(scene: viser.SceneApi, sensors: Sequence[Sensor]) -> None:
-    """Add sensors to their figures, and names where they stand, under each other."""
+    """Add frusta to the sensors' figures, and their names below, one under another."""
     for k, sensor in enumerate(sensors):
         foot = sensor.edges[-1, 1]
         away = [np.linalg.norm(foot - other.edges[-1, 1]) for other in sensors[:k]]
@@ -138,18 +139,12 @@ def _add_frusta(scene: viser.SceneApi, sensors: Sequence[Sensor]) -> None:
         )
 
 
-def _add_skin(scene: viser.SceneApi, clip: Clip) -> Layer:
-    mesh, pose = add_skin(scene, clip.body)
-    positions, rotations = clip.positions, clip.rotations
-    return mesh, lambda frame: pose(positions[frame], rotations[frame])
-
-
 def add_skin(
     scene: viser.SceneApi, body: Body
 ) -> tuple[viser.MeshSkinnedHandle, Callable[[Array, Array], None]]:
-    """Add a body's skin; also return what poses it.
+    """Add a body's skin; also return the function that poses it.
 
-    Takes joint positions [m], (J, 3), and rotations, wxyz, (J, 4).
+    It takes joint positions [m] (J, 3) and rotations, quaternions wxyz (J, 4).
     """
     starts, joints = segment_starts(body.skeleton), len(body.skeleton)
     skin = skin_of(body)
@@ -173,7 +168,7 @@ def add_skin(
     return mesh, pose
 
 
-def _add_props(scene: viser.SceneApi, clip: Clip) -> Layer:
+def _add_moving_props(scene: viser.SceneApi, clip: Clip) -> Layer:
     group, frames = add_props(scene, clip.props)
 
     def update(frame: int) -> None:
@@ -187,18 +182,17 @@ def _add_props(scene: viser.SceneApi, clip: Clip) -> Layer:
 def add_props(
     scene: viser.SceneApi, props: Sequence[Prop]
 ) -> tuple[viser.FrameHandle, list[viser.FrameHandle]]:
-    """Add props, each where it begins; return a handle of all, and of each."""
-    group = scene.add_frame("/things", show_axes=False)
+    """Add props at their first poses; return the handle of all, and of each."""
+    group = scene.add_frame("/props", show_axes=False)
     frames = []
     for n, prop in enumerate(props):
-        place, turn = prop.positions[0], prop.rotations[0]
-        frames.append(
-            scene.add_frame(f"/things/{n}", show_axes=False, position=place, wxyz=turn)
-        )
+        frame = scene.add_frame(f"/props/{n}", show_axes=False)
+        frame.position, frame.wxyz = prop.positions[0], prop.rotations[0]
+        frames.append(frame)
         for k, shape in enumerate(prop.shapes):
             mesh = shape.surface()
             scene.add_mesh_simple(
-                f"/things/{n}/{k}",
+                f"/props/{n}/{k}",
                 mesh.vertices,
                 mesh.faces,
                 color=tuple(_bytes(shape.color).tolist()),
@@ -210,7 +204,7 @@ def add_props(
 
 
 def _add_force(scene: viser.SceneApi, clip: Clip) -> Layer:
-    """Add a bar beside the character, as high as the external force is large."""
+    """Add a bar beside the character, 1 m high per body weight of external force."""
     mesh = cylinder(_BAR, 1.0, sections=24)
     mesh.apply_translation([0.0, 0.5, 0.0])
     group = scene.add_frame("/force", show_axes=False)
@@ -232,13 +226,11 @@ def _add_force(scene: viser.SceneApi, clip: Clip) -> Layer:
 def set_stage(
     server: viser.ViserServer, drawing: Drawing
 ) -> viser.DirectionalLightHandle:
-    """Set sky, floor and lights, and a camera that sees a drawing; return the sun."""
+    """Set up sky, floor, lights and a camera on a drawing; return the sun."""
     scene, clip = server.scene, drawing.clip
     scene.set_up_direction("+y")
-    top, bottom = (np.array(color) for color in _SKY)
-    share = np.linspace(0.0, 1.0, _SKY_ROWS)[:, None, None]
-    sky = _bytes(top + share * (bottom - top))
-    # No environment map for light: without a GPU, filtering it takes seconds.
+    sky = _bytes(np.linspace(*_SKY, _SKY_ROWS))[:, None]
+    # No environment map as a light: without a GPU, filtering it takes seconds.
     scene.configure_environment_map(None)
     scene.set_background_image(sky.repeat(2, axis=1), "png")
     scene.add_grid(
@@ -263,17 +255,17 @@ def set_stage(
     points = np.concatenate([joints + _ROOM, joints - _ROOM], axis=1)
     if drawing.sensors:
         edges = np.array([sensor.edges for sensor in drawing.sensors])
-        under = edges[:, -1, 1] - [0.0, _NAME * len(edges), 0.0]  # their names
-        points = np.vstack([some.reshape(-1, 3), edges.reshape(-1, 3), under])
+        names = edges[:, -1, 1] - [0.0, _NAME * len(edges), 0.0]
+        points = np.vstack([some.reshape(-1, 3), edges.reshape(-1, 3), names])
         camera = camera_over(points, edges[:, 0, 0], aspect=_ASPECT)
     else:
         camera = camera_path("front", clip, points, aspect=_ASPECT, rate=clip.fps)
-    if not server.get_clients():  # who looks on already stays where they are
+    if not server.get_clients():  # a camera that is already in use stays
         server.initial_camera.position, server.initial_camera.look_at = camera.at(0)
         server.initial_camera.fov = np.radians(camera.fov)
     front = camera.toward * [1.0, 0.0, 1.0]
     front /= np.linalg.norm(front)
-    left = np.array([-front[2], 0.0, front[0]])  # in the picture
+    left = np.array([-front[2], 0.0, front[0]])  # of the picture
     return scene.add_light_directional(
         "/sun",
         intensity=2.0,
@@ -283,15 +275,9 @@ def set_stage(
 
 
 def add_batch(
-    scene: viser.SceneApi,
-    name: str,
-    mesh: trimesh.Trimesh,
-    count: int,
-    color: Color,
-    *,
-    shadow: bool = True,
+    scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, count: int, color: Color
 ) -> Any:
-    """Add copies of a mesh, hidden until they have a place; viser casts arrays."""
+    """Add copies of a mesh, with scale 0 until they are placed; viser casts arrays."""
     return scene.add_batched_meshes_simple(
         name,
         mesh.vertices,
@@ -300,13 +286,12 @@ def add_batch(
         batched_positions=np.zeros((count, 3)),
         batched_scales=np.zeros((count, 3)),
         batched_colors=np.full((count, 3), color, dtype=np.uint8),
-        cast_shadow=shadow,
         lod="off",
     )
 
 
 def cylinder(radius: float, height: float, *, sections: int) -> trimesh.Trimesh:
-    """Return a cylinder along y about the origin."""
+    """Return a cylinder along y, centered on the origin [m]."""
     make: Callable[..., trimesh.Trimesh] = trimesh.creation.cylinder
     return make(radius, height, sections, transform=UPRIGHT)
 

@@ -1,4 +1,4 @@
-"""The server of the viewer's page: where it listens, and who may talk to it."""
+"""The server of browser pages: where it listens and who may connect."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def check_address(bind: str, port: int) -> None:
-    """Raise an InputError if nothing can listen at an address.
+    """Raise an InputError if a server cannot listen at an address.
 
     viser would try the next ports, or wait forever for another machine's address.
     """
     if not 0 <= port < 2**16:
-        raise InputError(f"--port {port}: expected 0 (any free one) to {2**16 - 1}")
+        raise InputError(f"--port {port}: expected 0 (any free port) to {2**16 - 1}")
     try:
         family, kind, protocol, _, where = socket.getaddrinfo(
             bind, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -33,12 +33,12 @@ def check_address(bind: str, port: int) -> None:
     except OSError as error:
         if isinstance(error, socket.gaierror) or not port:
             raise InputError(
-                f"--bind {bind}: no address of this machine ({error.strerror}); "
-                "127.0.0.1 is for this machine alone, 0.0.0.0 for the whole network"
+                f"--bind {bind}: not an address of this machine ({error.strerror}); "
+                "use 127.0.0.1 for this machine only, 0.0.0.0 for the whole network"
             ) from None
         raise InputError(
             f"cannot listen at {bind}, port {port} ({error.strerror}); give another "
-            "--port, 0 for any that is free"
+            "--port, or 0 for any free port"
         ) from None
 
 
@@ -46,23 +46,21 @@ def check_address(bind: str, port: int) -> None:
 def opened_server(
     bind: str = "127.0.0.1", port: int = 0
 ) -> Iterator[viser.ViserServer]:
-    """Yield a server of viser's page that listens at one address, and end it.
+    """Yield a viser server that listens at one address, and stop it afterwards.
 
-    Port 0 is any that is free. Raises as ``check_address``.
+    Port 0 is any free port. Raises an InputError as ``check_address`` does.
 
-    Only pages that it served itself may connect to it: with every WebSocket a browser
-    says which page opened it (Origin, RFC 6455, section 10.2), which viser does not
-    check. On loopback the page's own address must be on loopback too, so that no
-    foreign name that points there passes for it.
+    Only pages from this server may connect. With every WebSocket, a browser names the
+    page that opened it (Origin, RFC 6455, section 10.2), which viser does not check. On
+    loopback the page's own address must be on loopback too, or a foreign host name that
+    resolves to it would be accepted.
     """
     import rich
     import viser
 
     class Server(viser.ViserServer):
-        def request_share_url(self, verbose: bool = True) -> str | None:
-            """Refuse to get a public address: what is shown stays on this machine."""
-            del verbose
-            return None
+        def request_share_url(self, verbose: bool = True) -> None:
+            """Refuse a public address: what is shown stays on this machine."""
 
     check_address(bind, port)
     console = rich.get_console()
@@ -72,7 +70,7 @@ def opened_server(
             server = Server(host=bind, port=port, verbose=False)
         try:
             if port not in (0, server.get_port()):
-                check_address(bind, port)  # somebody was faster
+                check_address(bind, port)  # it was taken meanwhile
             yield server
         finally:
             server.stop()
@@ -81,21 +79,19 @@ def opened_server(
 
 
 def may_connect(origin: str | None, host: str | None, *, loopback: bool) -> bool:
-    """Tell whether a page from an origin may talk to the host that it names."""
-    if origin is None or host is None:
+    """Return True if a page from an origin may connect to the host it names."""
+    if host is None or origin != f"http://{host}":
         return False
-    if loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):
-        return False
-    return origin == f"http://{host}"
+    return not loopback or is_loopback(urlsplit(f"//{host}").hostname or "")
 
 
 @contextmanager
 def _own_pages_only(*, loopback: bool) -> Iterator[None]:
-    """Let servers that start inside refuse WebSockets of foreign pages.
+    """Make servers that start in this context refuse WebSockets of foreign pages.
 
-    viser starts its websockets server itself and sets no origins, so the function that
-    it calls is replaced meanwhile. If viser did not call it, nobody would check who
-    connects: an InputError.
+    viser starts its WebSocket server itself and sets no origins, so the function it
+    calls is replaced meanwhile. Raises an InputError if viser did not call it, as then
+    anyone could connect.
     """
     import viser
     import websockets.asyncio.server as library
@@ -121,6 +117,6 @@ def _own_pages_only(*, loopback: bool) -> Iterator[None]:
         library.serve = serve  # type: ignore[misc]
     if not called:
         raise InputError(
-            f"viser {viser.__version__} cannot be kept from talking to foreign pages; "
-            "install the version that kinefilter names"
+            f"viser {viser.__version__} cannot be kept from serving foreign pages; "
+            'pip install "kinefilter[view]" installs a version that can'
         )

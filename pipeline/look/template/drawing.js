@@ -1,10 +1,10 @@
-// What pages draw: figures of joints and bones on a floor, seen by one camera.
+// What all pages share: figures of joints and bones on a floor, seen by one camera.
 
 const MISSING = -32768;
 const NUMBERS = { u1: Uint8Array, i2: Int16Array, f4: Float32Array, f8: Float64Array };
 const at = (id) => document.getElementById(id);
 
-// For JSON.parse: arrays of numbers are base64 under the name of their type.
+// Reviver for JSON.parse: arrays of numbers are base64, by the name of their type.
 function unpacked(_, value) {
   const kind = Object.keys(NUMBERS).find((name) => value?.[name] !== undefined);
   if (!kind) return value;
@@ -12,34 +12,24 @@ function unpacked(_, value) {
   return new NUMBERS[kind](bytes.buffer);
 }
 
-// A canvas's context in CSS pixels, sharp on any screen, and its size.
-function sharp(canvas) {
+// Clears a canvas; returns its context in CSS pixels, sharp on any screen, and its size.
+function stage(canvas) {
   const scale = window.devicePixelRatio || 1;
   const width = canvas.clientWidth, height = canvas.clientHeight;
-  canvas.width = Math.round(width * scale);
-  canvas.height = Math.round(height * scale);
+  [canvas.width, canvas.height] = [Math.round(width * scale), Math.round(height * scale)];
   const context = canvas.getContext("2d");
-  context.setTransform(scale, 0, 0, scale, 0, 0);
+  context.scale(scale, scale);
   return { context, width, height };
 }
 
-// The same, for figures.
-function stage(canvas) {
-  const sized = sharp(canvas);
-  sized.context.fillStyle = "#eef1f5";
-  sized.context.fillRect(0, 0, sized.width, sized.height);
-  return sized;
-}
-
-// An element with text, which is never markup.
+// Creates an element with text, which is never parsed as markup.
 function element(kind, text = "", classes = "") {
-  const made = document.createElement(kind);
-  made.textContent = text;
-  made.className = classes;
-  return made;
+  const node = document.createElement(kind);
+  [node.textContent, node.className] = [text, classes];
+  return node;
 }
 
-// The last frame at or before some seconds.
+// The last frame at or before a time [s].
 function frameAt(time, seconds) {
   let low = 0, high = time.length - 1;
   while (low < high) {
@@ -50,8 +40,8 @@ function frameAt(time, seconds) {
   return low;
 }
 
-// A function from a point [mm] to the canvas [px]: the camera sees it from the sensor's
-// side (from -z), turned by yaw and pitch, so that as much as is shown [mm] fits.
+// Returns a function from a point [mm] to the canvas [px]. The camera looks from the
+// sensor's side (from -z), turned by yaw and pitch, and fits a length `shown` [mm].
 function projection({ yaw, pitch, zoom }, tall, shown, center, left, width, height) {
   const [cy, sy] = [Math.cos(yaw), Math.sin(yaw)];
   const [cp, sp] = [Math.cos(pitch), Math.sin(pitch)];
@@ -67,43 +57,41 @@ function projection({ yaw, pitch, zoom }, tall, shown, center, left, width, heig
   };
 }
 
-function drawFloor(context, project, center, count = 4) {
-  const step = 500;
-  const [x, z] = [center[0], center[2]].map((v) => Math.round(v / step) * step);
-  const far = step * count;
-  context.strokeStyle = "#ccd2dc";
-  context.lineWidth = 1;
+// Strokes lines between pairs of points on the canvas [px].
+function drawLines(context, pairs, color, width) {
+  [context.strokeStyle, context.lineWidth] = [color, width];
   context.beginPath();
-  for (let k = -far; k <= far; k += step) {
-    for (const [a, b] of [[[x + k, z - far], [x + k, z + far]],
-                          [[x - far, z + k], [x + far, z + k]]]) {
-      context.moveTo(...project(a[0], 0, a[1]));
-      context.lineTo(...project(b[0], 0, b[1]));
-    }
+  for (const [start, end] of pairs) {
+    context.moveTo(...start);
+    context.lineTo(...end);
   }
   context.stroke();
 }
 
-function drawFigure(context, project, positions, parents, frame, look) {
-  const points = [], joints = parents.length;
-  for (let j = 0; j < joints; j++) {
-    const k = 3 * (frame * joints + j);
-    points.push(positions[k] === MISSING
-      ? null : project(positions[k], positions[k + 1], positions[k + 2]));
+function drawFloor(context, project, center, count = 4) {
+  const step = 500, far = step * count, pairs = [];
+  const [x, z] = [center[0], center[2]].map((v) => Math.round(v / step) * step);
+  for (let k = -far; k <= far; k += step) {
+    pairs.push([project(x + k, 0, z - far), project(x + k, 0, z + far)]);
+    pairs.push([project(x - far, 0, z + k), project(x + far, 0, z + k)]);
   }
+  drawLines(context, pairs, "#ccd2dc", 1);
+}
+
+function drawFigure(context, project, positions, parents, frame, look) {
+  const first = frame * parents.length;
+  const points = parents.map((_, j) => {
+    const [x, y, z] = positions.subarray(3 * (first + j));
+    return x === MISSING ? null : project(x, y, z);
+  });
   context.lineCap = "round";
   parents.forEach((parent, j) => {
     if (parent < 0 || !points[j] || !points[parent]) return;
-    context.strokeStyle = look.bone(frame * joints + j);
-    context.lineWidth = look.width;
-    context.beginPath();
-    context.moveTo(...points[parent]);
-    context.lineTo(...points[j]);
-    context.stroke();
+    drawLines(context, [[points[parent], points[j]]], look.bone(first + j), look.width);
   });
   points.forEach((point, j) => {
     if (!point) return;
-    context.fillStyle = look.joint(frame * joints + j);
+    context.fillStyle = look.joint(first + j);
     context.beginPath();
     context.arc(...point, look.radius, 0, 7);
     context.fill();
@@ -111,7 +99,7 @@ function drawFigure(context, project, positions, parents, frame, look) {
   return points;
 }
 
-// Lets the mouse turn a camera by dragging a canvas, and zoom by its wheel.
+// Turns a camera when the mouse drags on a canvas, and zooms with its wheel.
 function turnByMouse(canvas, view, redraw) {
   canvas.addEventListener("pointerdown", (e) => canvas.setPointerCapture(e.pointerId));
   canvas.addEventListener("pointermove", (e) => {

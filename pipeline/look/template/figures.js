@@ -1,4 +1,4 @@
-// The raw and the clean figure, seen from a camera that the mouse turns.
+// The raw and the clean figure, seen by a camera that the mouse turns.
 
 const canvas = at("figures");
 const TALL = report.height * 1000; // mm
@@ -7,7 +7,7 @@ const spread = Math.max(highest[0] - lowest[0], highest[2] - lowest[2]);
 const view = { yaw: report.facing + 0.35, pitch: 0.16, zoom: 1, over: false,
   follow: spread > 1.6 * TALL };
 
-// What is in the middle of the picture [mm].
+// The point in the middle of the picture [mm].
 function middle(frame) {
   const root = 3 * (frame * joints + report.parents.indexOf(-1));
   const [x, z] = [0, 2].map((n) =>
@@ -21,8 +21,7 @@ const CLEAN = { width: 6, radius: 3, joint: () => "#1d2330",
   bone: (k) => ORIGIN_COLORS[report.origin[k]] || UNKNOWN };
 
 function drawContacts(context, points, frame) {
-  context.strokeStyle = "#17803a";
-  context.lineWidth = 2.5;
+  [context.strokeStyle, context.lineWidth] = ["#17803a", 2.5];
   report.parts.forEach((part, n) => {
     const name = part.replace("Heel", "Ankle").replace("Toe", "Foot");
     const point = points[report.joints.indexOf(name)];

@@ -1,9 +1,9 @@
-// Heat maps, joint by time, and curves; all share a cursor and a click goes there.
+// Heat maps of joints over time, and curves. They share a cursor; a click moves it.
 
 const LABELS = 104, AXIS = 18, ROW = 13; // px
 
-// The frames of a column, from the first to before the next: columns are even in time,
-// whatever the sensor dropped, and frames never quite are.
+// The frames in a column, [first, end). Columns are even in time, whatever the sensor
+// dropped; a tolerance allows for frames that are not quite even.
 function framesOf(column, columns) {
   const wide = span / columns, skew = 0.25 / report.fps;
   const first = frameAt(report.time, column * wide + skew);
@@ -14,28 +14,28 @@ function framesOf(column, columns) {
 // The cell that a column shows in a row: that of its worst frame.
 function worst(map, row, [first, next]) {
   const rows = map.rows.length;
-  let found = first * rows + row;
+  let cell = first * rows + row;
   for (let f = first + 1; f < next; f++) {
-    if (map.badness(f * rows + row) > map.badness(found)) found = f * rows + row;
+    if (map.badness(f * rows + row) > map.badness(cell)) cell = f * rows + row;
   }
-  return found;
+  return cell;
 }
 
-// The map's picture, a pixel a cell.
+// The map as a picture with one pixel per cell.
 function picture(map, columns) {
-  const made = document.createElement("canvas");
-  [made.width, made.height] = [columns, map.rows.length];
-  const context = made.getContext("2d");
-  const image = context.createImageData(made.width, made.height);
-  for (let c = 0; c < columns; c++) {
-    const under = framesOf(c, columns);
-    for (let row = 0; row < map.rows.length; row++) {
+  const bitmap = element("canvas");
+  [bitmap.width, bitmap.height] = [columns, map.rows.length];
+  const context = bitmap.getContext("2d");
+  const image = context.createImageData(columns, map.rows.length);
+  for (let column = 0; column < columns; column++) {
+    const under = framesOf(column, columns);
+    map.rows.forEach((_, row) => {
       const color = map.color(worst(map, row, under));
-      image.data.set([...color, 255], 4 * (row * columns + c));
-    }
+      image.data.set([...color, 255], 4 * (row * columns + column));
+    });
   }
   context.putImageData(image, 0, 0);
-  return made;
+  return bitmap;
 }
 
 function legend(entries) {
@@ -64,15 +64,16 @@ function timeAxis(context, width, height) {
   }
 }
 
-// A plot in a frame of its own, with cursor, tip and click; draw paints it.
+// Adds a plot with cursor, tooltip and clicks. `draw` paints it on its canvas, `tip`
+// returns the tooltip's text, `go` moves the page to a frame.
 function addPlot(parent, title, entries, height, draw, tip, go) {
   const box = element("div"), plot = element("div", "", "plot");
-  const surface = document.createElement("canvas"), cursor = element("div", "", "cursor");
+  const surface = element("canvas"), cursor = element("div", "", "cursor");
   surface.style.height = `${height}px`;
   plot.append(surface, cursor);
   box.append(element("h3", title), legend(entries), plot);
   parent.append(box);
-  // The share of the time that is left of the pointer; negative over the labels.
+  // The share of the time left of the pointer; negative over the labels.
   const shareUnder = (e) => {
     const area = surface.getBoundingClientRect();
     return Math.min((e.clientX - area.left - LABELS) / (area.width - LABELS), 1);
@@ -87,7 +88,7 @@ function addPlot(parent, title, entries, height, draw, tip, go) {
   });
   plot.addEventListener("pointerleave", (e) => showTip(e, null));
   return {
-    redraw: () => draw(sharp(surface)),
+    redraw: () => draw(stage(surface)),
     show: (frame) => {
       const wide = surface.clientWidth - LABELS;
       cursor.style.left = `${LABELS + (wide * report.time[frame]) / span}px`;
@@ -98,11 +99,10 @@ function addPlot(parent, title, entries, height, draw, tip, go) {
 function showTip(e, text) {
   const tip = at("tip");
   tip.hidden = text === null;
-  if (text === null) return;
+  if (tip.hidden) return;
   tip.textContent = text;
-  const left = Math.min(e.clientX + 14, window.innerWidth - tip.offsetWidth - 8);
-  const top = Math.min(e.clientY + 14, window.innerHeight - tip.offsetHeight - 8);
-  [tip.style.left, tip.style.top] = [`${left}px`, `${top}px`];
+  tip.style.left = `${Math.min(e.clientX + 14, window.innerWidth - tip.offsetWidth - 8)}px`;
+  tip.style.top = `${Math.min(e.clientY + 14, window.innerHeight - tip.offsetHeight - 8)}px`;
 }
 
 function addMap(parent, map, go) {
@@ -118,20 +118,19 @@ function addMap(parent, map, go) {
   };
   const tip = (share, y) => {
     const row = Math.floor(y / ROW);
-    if (row < 0 || row >= map.rows.length) return null;
+    if (!(row in map.rows)) return null;
     const column = Math.min(Math.floor(share * columns), columns - 1);
     const cell = worst(map, row, framesOf(column, columns));
-    const frame = Math.floor(cell / map.rows.length);
-    return `${map.rows[row]}, ${clock(frame)}\n${map.tip(cell)}`;
+    return `${map.rows[row]}, ${clock(Math.floor(cell / map.rows.length))}\n${map.tip(cell)}`;
   };
   return addPlot(parent, map.title, map.legend, high + AXIS, draw, tip, go);
 }
 
 function addCurve(parent, curve, go) {
-  const known = curve.lines.flatMap(([, values]) => [...values]).filter(isFinite)
+  const finite = curve.lines.flatMap(([, values]) => [...values]).filter(isFinite)
     .sort((a, b) => a - b);
-  // Single leaps would press all else to the floor.
-  const most = known.length ? 1.1 * known[Math.floor(0.995 * (known.length - 1))] : 1;
+  // A few high peaks must not flatten everything else.
+  const most = finite.length ? 1.1 * finite[Math.floor(0.995 * (finite.length - 1))] : 1;
   const top = most || 1, tall = 150;
   const draw = ({ context, width, height }) => {
     lettering(context, "right");
@@ -139,30 +138,25 @@ function addCurve(parent, curve, go) {
     context.fillText("0", LABELS - 6, tall);
     context.strokeStyle = "#d9dde5";
     context.strokeRect(LABELS + 0.5, 0.5, width - LABELS - 1, tall);
+    const place = (value, f) => [LABELS + ((width - LABELS) * report.time[f]) / span,
+      tall * (1 - Math.min(value / top, 1))];
     for (const [, values, color] of curve.lines) {
-      context.strokeStyle = color;
-      context.lineWidth = 1.3;
+      [context.strokeStyle, context.lineWidth] = [color, 1.3];
       context.beginPath();
-      let pen = false;
-      values.forEach((value, f) => {
-        const x = LABELS + ((width - LABELS) * report.time[f]) / span;
-        const y = tall * (1 - Math.min(value / top, 1));
-        if (!isFinite(value)) pen = false;
-        else if (pen) context.lineTo(x, y);
-        else [pen] = [true, context.moveTo(x, y)];
+      values.forEach((value, f) => { // moving to or drawing to NaN does nothing
+        if (isFinite(values[f - 1])) context.lineTo(...place(value, f));
+        else context.moveTo(...place(value, f));
       });
       context.stroke();
     }
     timeAxis(context, width, height);
   };
-  const said = (value) => (isFinite(value) ? value.toPrecision(3) : "unknown");
+  const words = (value) => (isFinite(value) ? value.toPrecision(3) : "unknown");
   const tip = (share) => {
     const f = frameAt(report.time, share * span);
-    return [clock(f), ...curve.lines.map(([name, v]) => `${name} ${said(v[f])}`)].join("\n");
+    return [clock(f), ...curve.lines.map(([name, v]) => `${name} ${words(v[f])}`)].join("\n");
   };
   return addPlot(parent, curve.name, curve.legend || [], tall + AXIS, draw, tip, go);
 }
 
-function clock(frame) {
-  return `${report.time[frame].toFixed(2)} s, frame ${frame + 1}`;
-}
+const clock = (frame) => `${report.time[frame].toFixed(2)} s, frame ${frame + 1}`;

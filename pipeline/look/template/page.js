@@ -1,10 +1,9 @@
-// Puts the page together and plays it.
+// Puts the report together and plays it.
 
 const scrubber = at("scrubber");
-const playButton = at("play");
 let frame = 0, playing = false, seconds = 0, stamp = null;
 
-const WHITE = [246, 247, 249], FAR = 200; // mm that are shown in full color
+const WHITE = [246, 247, 249], FAR = 200; // mm: the distance shown in full color
 const cm = (value) => (value === MISSING ? "unknown" : `${(value / 10).toFixed(1)} cm`);
 const word = (names, k) => names[k] || "unknown";
 const rate = (k) => (report.reliability[k] === NO_RATE ? "reliability unknown"
@@ -13,29 +12,27 @@ const tip = (k) =>
   `${rate(k)}\n` +
   `origin: ${word(report.origins, report.origin[k])}\n` +
   `moved by correction ${cm(report.correction[k])}, by physics ${cm(report.physics[k])}\n` +
-  `may be off by ${cm(report.uncertainty[k])}`;
-const distanceMap = (title, values, hex, far = FAR, said = tip) => ({
-  title, rows: report.joints, tip: said,
+  `uncertainty ${cm(report.uncertainty[k])}`;
+const jointMap = (title, badness, color, legend) =>
+  ({ title, rows: report.joints, tip, badness, color, legend });
+const distanceMap = (title, values, hex, far = FAR, tipOf = tip) => ({
+  title, rows: report.joints, tip: tipOf,
   badness: (k) => values[k],
   color: (k) => values[k] === MISSING ? [120, 120, 128]
     : mixed(WHITE, rgb(hex), Math.min(values[k] / far, 1)),
   legend: [[WHITE, "0"], [hex, `${far / 10} cm or more`], ["#787880", "unknown"]],
 });
+const unreliability = (k) => -report.reliability[k];
 const MAPS = [
-  { title: "Reliability", rows: report.joints, tip,
-    badness: (k) => -report.reliability[k],
-    color: (k) => reliabilityColor(report.reliability[k]),
-    legend: [[LOW, "0%"], [MIDDLE, "50%"], [HIGH, "100%"]] },
-  { title: "Origin", rows: report.joints, tip,
-    badness: (k) => report.origin[k],
-    color: (k) => rgb(ORIGIN_COLORS[report.origin[k]] || UNKNOWN),
-    legend: report.origins.map((name, k) => [ORIGIN_COLORS[k], name]) },
-  { title: "Deciding term, the paler the more reliable", rows: report.joints, tip,
-    badness: (k) => -report.reliability[k],
-    color: (k) => report.reliability[k] === NO_RATE ? rgb(UNKNOWN)
-      : mixed(rgb(TERM_COLORS[report.term[k]] || UNKNOWN), WHITE,
-        report.reliability[k] / 100),
-    legend: report.terms.map((name, k) => [TERM_COLORS[k] || UNKNOWN, name]) },
+  jointMap("Reliability", unreliability, (k) => reliabilityColor(report.reliability[k]),
+    [[LOW, "0%"], [MIDDLE, "50%"], [HIGH, "100%"]]),
+  jointMap("Origin", (k) => report.origin[k],
+    (k) => rgb(ORIGIN_COLORS[report.origin[k]] || UNKNOWN),
+    report.origins.map((name, k) => [ORIGIN_COLORS[k], name])),
+  jointMap("Deciding term (paler: more reliable)", unreliability,
+    (k) => report.reliability[k] === NO_RATE ? rgb(UNKNOWN)
+      : mixed(rgb(TERM_COLORS[report.term[k]] || UNKNOWN), WHITE, report.reliability[k] / 100),
+    report.terms.map((name, k) => [TERM_COLORS[k] || UNKNOWN, name])),
   distanceMap("Uncertainty", report.uncertainty, "#7b3fa0", 100),
   distanceMap("Moved by correction", report.correction, "#b45309"),
   distanceMap("Moved by physics", report.physics, "#0f6e6c"),
@@ -46,17 +43,15 @@ const MAPS = [
     legend: [["#2f9e57", "on the floor"], [WHITE, "in the air"]] },
 ];
 
-const plots = [];
 const go = (to) => {
   frame = Math.min(Math.max(to, 0), frames - 1);
   seconds = report.time[frame];
   show();
 };
-for (const map of MAPS) plots.push(addMap(at("maps"), map, go));
-for (const curve of report.curves) {
-  const lines = [["raw", curve.raw, "#d9731a"], ["clean", curve.clean, "#2a63b0"]];
-  const plot = { name: curve.name, lines };
-  plots.push(addCurve(at("curves"), plot, go));
+const plots = MAPS.map((map) => addMap(at("maps"), map, go));
+for (const { name, raw, clean } of report.curves) {
+  const lines = [["raw", raw, "#d9731a"], ["clean", clean, "#2a63b0"]];
+  plots.push(addCurve(at("curves"), { name, lines }, go));
 }
 if (report.sensors.length) plots.push(...addSession(go));
 
@@ -75,8 +70,7 @@ function redraw() {
 
 function tick(now) {
   if (!playing) return;
-  const pace = Number(at("pace").value);
-  seconds += stamp === null ? 0 : ((now - stamp) / 1000) * pace;
+  seconds += stamp === null ? 0 : ((now - stamp) / 1000) * Number(at("pace").value);
   stamp = now;
   if (seconds > duration) seconds = 0;
   const next = frameAt(report.time, seconds);
@@ -89,18 +83,17 @@ function tick(now) {
 
 function play() {
   [playing, stamp] = [!playing, null];
-  playButton.textContent = playing ? "Pause" : "Play";
+  at("play").textContent = playing ? "Pause" : "Play";
   if (playing) requestAnimationFrame(tick);
 }
 
 scrubber.max = frames - 1;
 scrubber.addEventListener("input", () => go(Number(scrubber.value)));
-playButton.addEventListener("click", play);
+at("play").addEventListener("click", play);
 for (const name of ["over", "follow"]) {
-  const box = at(name);
-  box.checked = view[name];
-  box.addEventListener("change", () => {
-    view[name] = box.checked;
+  at(name).checked = view[name];
+  at(name).addEventListener("change", () => {
+    view[name] = at(name).checked;
     show();
   });
 }
@@ -116,12 +109,9 @@ turnByMouse(canvas, view, show);
 turnByMouse(room, roomView, show);
 window.addEventListener("resize", redraw);
 at("source").textContent = report.source;
-at("facts").textContent =
-  `${report.skeleton}, ${frames} frames, ${duration.toFixed(1)} s, ` +
-  `${report.fps.toFixed(1)} frames a second`;
-for (const sentence of report.damage) {
-  at("damage").append(element("li", sentence));
-}
+at("facts").textContent = `${report.skeleton}, ${frames} frames, ` +
+  `${duration.toFixed(1)} s, ${report.fps.toFixed(1)} frames per second`;
+at("damage").append(...report.damage.map((sentence) => element("li", sentence)));
 fillMetrics(at("metrics"));
 fillMoved(at("moved"));
 redraw();

@@ -1,8 +1,9 @@
-// The table of metrics and that of distances moved.
+// The tables of metrics and of distances moved.
 
+// Adds a row of cells [text, CSS classes].
 function addRow(table, kind, cells) {
   const row = element("tr");
-  for (const [text, classes = ""] of cells) row.append(element(kind, text, classes));
+  row.append(...cells.map(([text, classes]) => element(kind, text, classes)));
   table.append(row);
   return row;
 }
@@ -14,34 +15,31 @@ function figure(value) {
 
 function fillMetrics(table) {
   addRow(table, "th", [["metric", "text"], ["", "text"], ["raw"], ["clean"],
-                       ["fails if", "text"], ["", "text"]]);
-  for (const metric of report.metrics) {
-    const failed = metric.limits.some((limit) => limit.fails);
-    const limits = metric.limits.map((limit) => limit.text).join(", ");
-    const word = !metric.limits.length ? ""
-      : metric.clean === null ? "not measured" : failed ? "fail" : "pass";
-    addRow(table, "td", [[metric.name, "text"], [metric.meaning, "text"],
-      [figure(metric.raw)], [figure(metric.clean)], [limits, "text"],
-      [word, `text ${word === "fail" || word === "pass" ? word : ""}`]]);
+    ["fails if", "text"], ["", "text"]]);
+  for (const { name, meaning, raw, clean, limits } of report.metrics) {
+    const verdict = limits.some((limit) => limit.fails) ? "fail" : "pass";
+    const word = !limits.length ? "" : clean === null ? "not measured" : verdict;
+    addRow(table, "td", [[name, "text"], [meaning, "text"], [figure(raw)], [figure(clean)],
+      [limits.map((limit) => limit.text).join(", "), "text"], [word, `text ${word}`]]);
   }
 }
 
 function fillMoved(table) {
   addRow(table, "th", [["joint", "text"], ["reliability"], ["filled"],
-    ["by correction, mean, cm", "text"], ["most, cm"],
-    ["by physics, mean, cm", "text"], ["most, cm"]]);
+    ["by correction: mean, cm", "text"], ["max, cm"],
+    ["by physics: mean, cm", "text"], ["max, cm"]]);
   const { reliability, filled, by } = report.moved;
   const widest = Math.max(...by.flatMap(({ mean }) => mean), 0.1);
-  const told = (value, digits) => (value === null ? "–" : value.toFixed(digits));
+  const fixed = (value, digits) => (value === null ? "–" : value.toFixed(digits));
   report.joints.forEach((joint, j) => {
-    const row = addRow(table, "td", [[joint, "text"], [told(reliability[j], 2)],
+    const row = addRow(table, "td", [[joint, "text"], [fixed(reliability[j], 2)],
       [`${Math.round(100 * filled[j])}%`]]);
     by.forEach(({ mean, most }, n) => {
-      const cell = element("td", told(mean[j], 1), "bars"), bar = element("span", "", "strip");
+      const cell = element("td", fixed(mean[j], 1), "bars"), bar = element("span", "", "strip");
       bar.style.width = `${(65 * mean[j]) / widest}%`;
       bar.style.background = n ? "#20908d" : "#f0a028";
       cell.append(bar);
-      row.append(cell, element("td", told(most[j], 1)));
+      row.append(cell, element("td", fixed(most[j], 1)));
     });
   });
 }
