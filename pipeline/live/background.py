@@ -11,8 +11,7 @@ from contextlib import asynccontextmanager
 from typing import Any, TypeVar
 
 _T = TypeVar("_T")
-
-_STDIN, _STDOUT = 0, 1  # descriptors: the lock of a stream could block the exit
+_STDIN, _STDOUT = 0, 1  # descriptors, as streams lock and could block exiting
 _CHUNK = 2**16  # bytes
 
 

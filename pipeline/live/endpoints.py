@@ -15,10 +15,9 @@ import socket
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
-from dataclasses import dataclass, replace
 from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from kinefilter.characters import InputError
@@ -50,8 +49,7 @@ _SILENT = logging.Logger("kinefilter.live")  # or strangers could flood the term
 _SILENT.disabled = True
 
 
-@dataclass(frozen=True)
-class Address:
+class Address(NamedTuple):
     """One end of a connection."""
 
     scheme: str  # udp, ws, wss, vmc, or - for standard input or output
@@ -86,8 +84,7 @@ def listening_host(address: Address, bind: str | None) -> str:
     return address.host if bind is None else bind
 
 
-@dataclass(frozen=True)
-class Access:
+class Access(NamedTuple):
     """What a client must present to connect."""
 
     token: str | None = None  # the secret; None: no token is needed
@@ -105,8 +102,7 @@ class Access:
         return hmac.compare_digest(shown.strip().encode(), self.token.encode())
 
 
-@dataclass(frozen=True)
-class Endpoints:
+class Endpoints(NamedTuple):
     """Both ends of a session."""
 
     sources: tuple[Address, ...]  # of frames
@@ -134,7 +130,7 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
         raise InputError("--out is missing; give one, such as --out -")
     for k, end in enumerate(ends):
         if end.scheme in ("udp", "ws", "wss"):
-            ends[k] = replace(end, host=listening_host(end, access.bind))
+            ends[k] = end._replace(host=listening_host(end, access.bind))
     schemes = {end.scheme for end in ends}
     if schemes & {"ws", "wss"}:
         require("websockets", "a WebSocket", "live")
@@ -250,9 +246,9 @@ def open_datagrams(address: Address) -> Iterator[Datagrams]:
     try:
         found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
     except OSError as error:
-        reason = error.strerror or error
-        message = f"{address}: no such host ({reason}); check the name"
-        raise InputError(message) from None
+        raise InputError(
+            f"{address}: no such host ({error.strerror or error}); check the name"
+        ) from None
     family, _, _, _, place = found[0]
 
     def send(datagram: bytes, offset: int) -> bool:

@@ -28,7 +28,6 @@ from .tally import Event
 _LONGEST_STEP = 0.5  # s: during a pause in the stream, weights do not follow
 _ORIGIN = HERE.placed.shift  # where a sensor is in its own frame
 _BY_JOINT = ("measured", "state", "reliability", "geometry", "deciding_term")
-
 _Moment = tuple[float, Placement]  # time by a sensor's clock [s], and its placement
 
 
@@ -146,12 +145,11 @@ class _View:
         self._corrected = Sight(positions, draft.reliability, draft.state, _ORIGIN)
 
     def sight(self, moment: _Moment | None, *, corrected: bool) -> Sight | None:
-        """Return what the last frame shows, placed as given; None if it is too old."""
+        """Return the last frame, placed for a moment; None if it is too old by then."""
         # Extrapolated to the moment, joints would be no nearer to the truth.
         last = self._corrected if corrected else self._raw
         if moment is None or last is None or abs(moment[0] - self.time) > MAX_AGE:
             return None
         placed = moment[1]
-        return last._replace(
-            positions=placed.apply(last.positions), sensor=placed.shift
-        )
+        positions = placed.apply(last.positions)
+        return last._replace(positions=positions, sensor=placed.shift)

@@ -34,7 +34,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -101,8 +101,7 @@ class Frame:
     bodies: tuple[SeenBody, ...]  # each id once
 
 
-@dataclass(frozen=True, eq=False)
-class LivePose:
+class LivePose(NamedTuple):
     """The character of one person after a frame."""
 
     id: str  # the sender's name for the person

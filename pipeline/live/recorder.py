@@ -23,8 +23,9 @@ _MAX_WAITING = 10_000  # frames by which the disk may fall behind
 _MIN_FRAMES = 2  # of a take
 
 
-@dataclass
+@dataclass(eq=False)
 class _Part:
+    body: str  # the sender's name for the person
     path: Path
     file: BinaryIO
     last: float  # time stamp of the last frame [s]
@@ -54,7 +55,6 @@ class Recorder:
             )
         self._path, self._skeleton, self._tally = path, skeleton, tally
         self._parts: list[_Part] = []
-        self._current: dict[str, _Part] = {}  # by body
         self._waiting: deque[tuple[_Part, float, SeenBody]] = deque()
         self._writing = threading.Lock()
         self.failure: str | None = None  # why recording had to stop, if it had to
@@ -84,47 +84,46 @@ class Recorder:
     def finish(self) -> list[Path]:
         """Write the rest after any flush in progress, rename the files, return them."""
         self.flush()
-        kept = [part.path for part in self._parts if part.frames >= _MIN_FRAMES]
-        places = {
-            path: numbered(self._path, n if len(kept) > 1 else None)
-            for n, path in enumerate(kept, 1)
-        }
+        kept = [part for part in self._parts if part.frames >= _MIN_FRAMES]
+        written = []
         for part in self._parts:
             try:
                 with part.file as file:
                     os.fsync(file.fileno())
-                if part.path in places:
-                    part.path.replace(places[part.path])
+                if part in kept:
+                    number = kept.index(part) + 1 if len(kept) > 1 else None
+                    written.append(part.path.replace(numbered(self._path, number)))
                 else:
                     part.path.unlink()
             except OSError as error:
                 self._fail(part.path, error)
-                places.pop(part.path, None)
         self._parts.clear()
-        self._current.clear()
-        return list(places.values())
+        return written
 
     def _part(self, time: float, seen: SeenBody) -> _Part | None:
         """Return a body's file, a new one if there is none or time goes backwards."""
-        part, number = self._current.get(seen.id), len(self._parts) + 1
-        if part is not None and time >= part.last and self.failure is None:
+        if self.failure is not None:
+            return None
+        own = (part for part in reversed(self._parts) if part.body == seen.id)
+        if (part := next(own, None)) is not None and time >= part.last:
             return part
-        if number > _MAX_FILES or self.failure is not None:
+        if (number := len(self._parts) + 1) > _MAX_FILES:
             return None
         path = self._path.with_name(f"{self._path.stem}.{number}{PART}")
         try:
-            part = _Part(path, path.open("xb", buffering=0), time)
+            part = _Part(seen.id, path, path.open("xb", buffering=0), time)
             self._parts.append(part)
             _write_whole(part.file, take_header(self._skeleton).encode())
         except OSError as error:
             self._fail(path, error)
             return None
-        self._current[seen.id] = part
         return part
 
     def _fail(self, path: Path, error: OSError) -> None:
         reason = error.strerror or error
-        self.failure = f"{path}: recording stopped ({reason}); make room, record again"
+        self.failure = (
+            f"{path}: recording stopped ({reason}); free some space and restart"
+        )
 
 
 def _write_whole(file: BinaryIO, data: bytes) -> None:

@@ -117,6 +117,7 @@ class Sensors:
         for stream, found in zip(self.streams[1:], known, strict=False):
             stream.placed, stream.path = found.placed, found.path
         self.lead: Stream | None = None
+        self.others: list[Stream] = []  # all but the lead, once there is one
         self.people: WeakSet[Person] = WeakSet()
         self._began = np.inf
 
@@ -128,6 +129,7 @@ class Sensors:
             self._began = min(self._began, now)
             if number == 0 or now - self._began > _DARK:
                 self.lead = stream
+                self.others = [other for other in self.streams if other is not stream]
                 if number:  # a calibration is relative to the first sensor
                     for other in self.streams:
                         other.placed = None
@@ -137,11 +139,6 @@ class Sensors:
             if other.clock is None and other.late is not None:
                 self._reset_clock(other, other.late)
         return stream is self.lead
-
-    @property
-    def others(self) -> list[Stream]:
-        """All streams but the leading one; none before there is one."""
-        return [s for s in self.streams if self.lead not in (None, s)]
 
     @property
     def joined(self) -> list[Stream]:
@@ -267,12 +264,11 @@ def find_alignment(recordings: Sequence[Recording]) -> Alignment | str:
 
 async def _answer_of(worker: Worker) -> Alignment | str:
     """Wait for the result; raise EOFError or OSError if the process was killed."""
-    while True:
+    for _ in range(2):  # True when it has begun, then the result
         while not worker.calls.poll():
             await asyncio.sleep(_POLL)
-        found: Alignment | str | bool = worker.calls.recv()
-        if not isinstance(found, bool):  # True says that it has begun
-            return found
+        found: Alignment | str = worker.calls.recv()
+    return found
 
 
 def _joined_note(stream: Stream, lead: Stream) -> str:

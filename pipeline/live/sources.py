@@ -6,9 +6,8 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Hashable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from . import endpoints
 from .background import meanwhile, read_stdin
@@ -24,8 +23,7 @@ _BURST = 60.0  # messages that may arrive at once after a pause
 _FORGOTTEN = 10.0  # s of silence after which a sender of datagrams makes room
 
 
-@dataclass(frozen=True)
-class Intake:
+class Intake(NamedTuple):
     """What is done with messages."""
 
     receive: Callable[[bytes | str], None]  # takes a message

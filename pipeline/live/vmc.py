@@ -99,7 +99,7 @@ class VmcFigure:
         return dict(zip(self._names, bones, strict=True))
 
     def bundles(self, pose: Pose, seconds: float) -> list[bytes]:
-        """Pack a pose into bundles that fit into packets, ``seconds`` since the first."""
+        """Return bundles for a pose at a time since the first one [s], one per packet."""
         bones = self.bones(pose).values()
         places = [[*position, *turn[1:], turn[0]] for position, turn in bones]
         values = np.array([seconds, *_AT_ORIGIN, *np.ravel(places)], dtype=">f4")

@@ -43,19 +43,10 @@ def clean_session(
     Each sensor's take is corrected separately, with left and right as agreed among the
     sensors, since methods know a sensor's errors and depend on where it stands. The
     corrected takes are fused, weighted also by their uncertainty, and pass through the
-    remaining stages.
+    remaining stages. The first take's clock is the clip's.
 
-    Args:
-        takes: What each sensor recorded; the first one's clock is the clip's.
-        config: Settings; by default those of ``clean``.
-        body: Which person of the first recording; see ``merge``.
-        calibration: Clock and place of the other sensors; see ``merge``.
-        tracking: How hard the simulated character is pulled.
-        edits: Manual corrections to the merged take; by default those of the config.
-        progress: Wraps the frame loops, for a progress bar.
-
-    Raises:
-        InputError: As ``merge`` and ``clean``.
+    Arguments and errors are those of ``merge`` and ``Cleaner``. ``edits`` are manual
+    corrections to the merged take, by default those that the config names.
     """
     config = CleanConfig() if config is None else config
     if edits is None:
