@@ -48,8 +48,7 @@ from .config import MAX_BODIES
 if TYPE_CHECKING:
     from kinefilter.pipeline.avatar import Pose
 
-MAX_MESSAGE = 2**15
-"""Bytes: twice six bodies of 25 joints with all digits, and less than a datagram."""
+MAX_MESSAGE = 2**15  # bytes: fits a datagram, and twice six bodies with all digits
 _MAX_DISTANCE = 100.0  # m: no sensor that tracks people sees that far
 _MAX_ID_LENGTH = 32
 _MAX_ID = 2.0**53  # a float holds whole numbers exactly up to here

@@ -195,8 +195,7 @@ class Session:
         try:
             pose = person.step(frame.seen, frame.time)
         except (InputError, ArithmeticError, ValueError):
-            # Lengths that are not human, or an overflow: one person's frames must not
-            # end the session of the others.
+            # Inhuman lengths or an overflow: others must be able to carry on.
             presence.person = None
             self.tally.count(Event.FAILED)
             return

@@ -104,15 +104,14 @@ class Receiver(asyncio.DatagramProtocol):
 
     def rate(self, peer: Hashable, now: float) -> Rate | None:
         """Return a sender's rate, or None if there are too many senders."""
-        rates = self._rates
-        if peer not in rates and len(rates) >= MAX_CONNECTIONS:
-            # There is no connection that a sender could close.
-            silent = [p for p, rate in rates.items() if now - rate.heard >= _FORGOTTEN]
-            for one in silent:
-                del rates[one]
-            if not silent:
+        if peer not in self._rates and len(self._rates) >= MAX_CONNECTIONS:
+            # Senders have no connection to close, so silent ones are forgotten.
+            for other, rate in list(self._rates.items()):
+                if now - rate.heard >= _FORGOTTEN:
+                    del self._rates[other]
+            if len(self._rates) >= MAX_CONNECTIONS:
                 return None
-        return rates.setdefault(peer, Rate(now))
+        return self._rates.setdefault(peer, Rate(now))
 
 
 async def _take_all(intake: Intake, connection: ServerConnection) -> None:

@@ -13,19 +13,16 @@ their floats for each pose takes a tenth of that.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinefilter.characters import Body, Motion
 from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate, slerp
+from kinefilter.pipeline.avatar import Pose
 from kinefilter.retarget.retargeting import segment_of, turned
 from kinefilter.retarget.rig_map import SIDES, load_rig_map
 from kinefilter.retarget.target_rig import built_rig
-
-if TYPE_CHECKING:
-    from kinefilter.pipeline.avatar import Pose
 
 LARGEST_BUNDLE = 1400  # bytes that fit into an Ethernet packet, so that none is split
 _HEAD, _PREFIX = 16, 4  # bytes at the start of a bundle, and before each message in it
@@ -99,7 +96,10 @@ class VmcFigure:
         return dict(zip(self._names, bones, strict=True))
 
     def bundles(self, pose: Pose, seconds: float) -> list[bytes]:
-        """Return bundles for a pose at a time since the first one [s], one per packet."""
+        """Return a pose as bundles of messages, each of which fits into a packet.
+
+        ``seconds`` is the time since the first pose [s].
+        """
         bones = self.bones(pose).values()
         places = [[*position, *turn[1:], turn[0]] for position, turn in bones]
         values = np.array([seconds, *_AT_ORIGIN, *np.ravel(places)], dtype=">f4")

@@ -102,8 +102,8 @@ def align(first: Take, second: Take) -> Alignment:
     peaks = peaks[np.isfinite(likeness[peaks - 1])] - 1
     if not len(peaks):
         raise InputError(
-            f"{both}: there is no lag at which both see a person for "
-            f"{_MIN_COMMON:g} s; give takes of the same time"
+            f"{both}: the takes never show a person at the same time for "
+            f"{_MIN_COMMON:g} s, at any lag; give takes of the same time"
         )
     # A sensor behind the person has left and right swapped.
     pairs = [_Pair(first, take) for take in (second, second.exchanged())]
@@ -244,9 +244,8 @@ class _Pair:
     def find_drift(self, clock: Clock, placed: Placement) -> Clock:
         """Return the clock with its drift, if the lags of short windows show one.
 
-        Windows are first taken from the middle of the time in common, then, with the
-        drift found there, from longer spans: over an hour, a clock that drifts is far
-        off at both ends.
+        Windows come from ever longer spans around the middle, each searched with the
+        drift found before: over an hour, a drifting clock is far off at both ends.
         """
         there = self._trunks[1].at(clock.at(self._times))
         times = self._times[~np.isnan(there).all(axis=(1, 2))]

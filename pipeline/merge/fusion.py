@@ -116,14 +116,11 @@ class Fusion:
         exchanged: Flags | None = None,
         heading: float | None = None,
     ) -> Fused:
-        """Fuse the next frame.
+        """Fuse the next frame, ``elapsed`` [s] after the last.
 
-        Args:
-            sights: What each sensor sees, None where it sees no one.
-            elapsed: Time since the last frame [s].
-            exchanged: Which sensors have left and right swapped, (S,).
-            heading: Which way the person faces [rad]; both are by default found from
-                the frames so far.
+        ``sights`` has None for sensors that see no one. Which sensors have left and
+        right swapped, (S,), and the person's heading [rad] are by default found from
+        the frames so far.
         """
         stacked = self._stack(sights)
         if exchanged is None:

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from kinefilter.characters.arrays import Array
 
-SIGMA = 0.05
-"""Scale of the residuals [m]; those several times as large count little. A guess."""
+SIGMA = 0.05  # m: residuals several times as large count little. A guess
 _ROUNDS = 20
 
 
