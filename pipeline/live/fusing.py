@@ -16,7 +16,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.merge import Corrected, Fusion, Sight
-from kinefilter.pipeline.merge.alignment import HERE
+from kinefilter.pipeline.merge.alignment import IDENTITY
 from kinefilter.pipeline.merge.rigid import Placement
 
 from .config import LiveConfig
@@ -26,7 +26,7 @@ from .sensors import MAX_AGE, Sensors
 from .tally import Event
 
 _LONGEST_STEP = 0.5  # s: during a pause in the stream, weights do not follow
-_ORIGIN = HERE.placed.shift  # where a sensor is in its own frame
+_ORIGIN = IDENTITY.placed.shift  # where a sensor is in its own frame
 _BY_JOINT = ("measured", "state", "reliability", "geometry", "deciding_term")
 _Moment = tuple[float, Placement]  # time by a sensor's clock [s], and its placement
 
@@ -88,7 +88,7 @@ class FusedPerson(Person):
             if stream is self._sensors.lead:
                 if not seen.from_other_sensor:
                     view.take(seen, time)
-                moments.append((time, HERE.placed))
+                moments.append((time, IDENTITY.placed))
             elif stream in joined and stream.clock and stream.placed:
                 now = stream.clock.at(time)
                 for frame in stream.recent(now, view.time):

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
 
 _MIN_SPEED = 0.001  # of the recorded speed; slower, nothing seems to happen
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.2, 5.0  # s between attempts to connect, each doubled
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.2, 5.0  # s between attempts, doubling every time
 _PATIENCE = 5.0  # s for a connection
+
 Send = Callable[[str], Awaitable[bool]]
 """Sends a frame; returns whether it may have arrived."""
 

@@ -258,7 +258,8 @@ def find_alignment(recordings: Sequence[Recording]) -> Alignment | str:
         except InputError as refused:
             reason, _, _ = str(refused).rpartition(": ")[2].partition(";")
             return f"{reason} (compared with {first})"
-        return f"it repeats the stream of {first}" if found.apart < _COPIED else found
+        copied = found.trunk_distance < _COPIED
+        return f"it repeats the stream of {first}" if copied else found
     return "its frames cannot be aligned"
 
 

@@ -35,8 +35,8 @@ _WORST = 1.5
 """Cost of a fit above which two takes do not show the same movement. Chosen on p00 to
 p08 of two-kinects: true pairs in which people move cost 1.4 or less there, takes of
 different sessions 1.7 or more. A guess where less than half a take is in common."""
-_LIKELY = 0.5  # likeness below which the lag may be chance. Chosen there, too
-_MIN_PATH = 0.5  # m to walk until a placement does not depend on the body alone
+_LIKELY = 0.5  # certainty below which the lag may be chance. Chosen there, too
+_MIN_PATH = 0.5  # m that people must walk, or the placement rests on their body alone
 _SMOOTH, _EVEN = 3.0, 60.0
 """Cutoff [Hz] and sampling rate [1/s] for refining lags. Interpolation between frames
 removes noise, which would draw the lag to where it does."""
@@ -58,15 +58,15 @@ class Alignment(NamedTuple):
 
     clock: Clock  # the second clock's time at times of the first
     placed: Placement  # from the second sensor's frame to the first's
-    apart: float  # median distance between the joints of the two trunks [m]
-    likeness: float  # Fisher's z of the correlation times sqrt(seconds in common)
+    trunk_distance: float  # median distance between the joints of the two trunks [m]
+    certainty: float  # of the lag: Fisher's z (correlation) * sqrt(common seconds)
     path: float  # how far people walked over the floor [m]
-    common: float = 0.0  # share of the first take that the second explains, in [0, 1]
+    explained: float = 0.0  # share of the first take explained by the second, in [0, 1]
 
     @property
     def clock_is_sure(self) -> bool:
         """True if there is enough movement to determine the lag."""
-        return self.likeness >= _LIKELY or self.place_is_sure
+        return self.certainty >= _LIKELY or self.place_is_sure
 
     @property
     def place_is_sure(self) -> bool:
@@ -78,7 +78,7 @@ class Alignment(NamedTuple):
         return self.path >= _MIN_PATH
 
 
-HERE = Alignment(
+IDENTITY = Alignment(
     Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3)), 0.0, np.inf, np.inf
 )
 """The alignment of the first sensor to itself."""
@@ -96,10 +96,10 @@ def align(first: Take, second: Take) -> Alignment:
         raise InputError(f"{both}: the takes are identical; give one take per sensor")
     lags, correlation, samples = correlations(_movement(first), _movement(second))
     seconds = samples / _RATE
-    likeness = np.arctanh(np.clip(correlation, -0.999, 0.999)) * np.sqrt(seconds)
-    likeness[(seconds < _MIN_COMMON) | np.isnan(likeness)] = -np.inf
-    peaks, _ = find_peaks(np.pad(likeness, 1, constant_values=-np.inf))
-    peaks = peaks[np.isfinite(likeness[peaks - 1])] - 1
+    certainties = np.arctanh(np.clip(correlation, -0.999, 0.999)) * np.sqrt(seconds)
+    certainties[(seconds < _MIN_COMMON) | np.isnan(certainties)] = -np.inf
+    peaks, _ = find_peaks(np.pad(certainties, 1, constant_values=-np.inf))
+    peaks = peaks[np.isfinite(certainties[peaks - 1])] - 1
     if not len(peaks):
         raise InputError(
             f"{both}: the takes never show a person at the same time for "
@@ -108,11 +108,11 @@ def align(first: Take, second: Take) -> Alignment:
     # A sensor behind the person has left and right swapped.
     pairs = [_Pair(first, take) for take in (second, second.exchanged())]
     fits = []
-    for k in peaks[np.argsort(-likeness[peaks])][:_CANDIDATES]:
+    for k in peaks[np.argsort(-certainties[peaks])][:_CANDIDATES]:
         clock = Clock(float(first.time[0]), float(second.time[0] + lags[k] / _RATE))
         for pair in pairs:
             placed, cost, _ = pair.place(clock)
-            fits.append((cost, clock, placed, pair, float(likeness[k])))
+            fits.append((cost, clock, placed, pair, float(certainties[k])))
     cost, clock, placed, pair, certainty = min(fits, key=lambda fit: fit[0])
     if cost > _WORST:
         raise InputError(
@@ -122,9 +122,9 @@ def align(first: Take, second: Take) -> Alignment:
     clock = pair.refine(clock, placed)
     placed, _, _ = pair.place(clock)
     clock = pair.find_drift(clock, placed)
-    placed, _, apart = pair.place(clock)
-    common = 1.0 - cost / _MAX_COST
-    return Alignment(clock, placed, apart, certainty, _path(first), common)
+    placed, _, distance = pair.place(clock)
+    explained = 1.0 - cost / _MAX_COST
+    return Alignment(clock, placed, distance, certainty, _path(first), explained)
 
 
 def _path(take: Take) -> float:

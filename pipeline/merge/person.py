@@ -22,7 +22,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.people import Part, Track, people_of
 
-from .alignment import HERE, Alignment, align
+from .alignment import IDENTITY, Alignment, align
 from .rigid import Placement
 
 _TURNED, _SHIFTED = np.radians(8.0), 0.25
@@ -103,7 +103,7 @@ def _align_people(
         except InputError as error:
             refused.append(error)
             continue
-        explained = alike.common * len(one)
+        explained = alike.explained * len(one)
         explained *= _CHOSEN if one.source == chosen.source else 1.0
         found.append((alike.place_is_sure, explained, alike, other.source))
     if found:
@@ -132,7 +132,7 @@ def _calibrated(found: Alignment, known: Alignment, source: str) -> Alignment:
         )
     clock = found.clock if found.clock_is_sure else known.clock
     return found._replace(
-        clock=clock, placed=known.placed, likeness=np.inf, path=np.inf
+        clock=clock, placed=known.placed, certainty=np.inf, path=np.inf
     )
 
 
@@ -141,7 +141,7 @@ def _identify(
 ) -> Person:
     """Return one of several people, whom the trackers may have confused."""
     takes, tracks = [], []
-    pairs = zip(recordings, (HERE, *alignments), strict=True)
+    pairs = zip(recordings, (IDENTITY, *alignments), strict=True)
     for s, (recording, found) in enumerate(pairs):
         for take in recording.takes:
             takes.append(take)

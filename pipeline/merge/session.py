@@ -14,7 +14,7 @@ from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
 
-from .alignment import HERE, Alignment
+from .alignment import IDENTITY, Alignment
 from .calibration import check_sensors
 from .fusion import Fused, Fusion, Sight
 from .lag import Track
@@ -43,7 +43,7 @@ class Merged:
         With times [s] (T,) of its frames, counted from the merged take's first.
         """
         takes = []
-        pairs = zip(self.takes, (HERE, *self.alignments), strict=True)
+        pairs = zip(self.takes, (IDENTITY, *self.alignments), strict=True)
         for k, (take, found) in enumerate(pairs):
             time, last = found.clock.undone(take.time), len(self.take) - 1
             frames = np.searchsorted(self.take.time, time).clip(max=last)
@@ -66,7 +66,7 @@ class Merged:
         """Return clock, place and share of each sensor, and what is uncertain."""
         apart = column_medians(self.residuals.reshape(len(self.takes), -1).T)
         rows = []
-        pairs = zip(self.sources, (HERE, *self.alignments), strict=True)
+        pairs = zip(self.sources, (IDENTITY, *self.alignments), strict=True)
         for k, (source, (clock, placed, *_)) in enumerate(pairs):
             x, _, z = placed.turn.apply([0.0, 0.0, 1.0])
             rows.append(
@@ -138,7 +138,7 @@ def fuse(
 ) -> Merged:
     """Fuse takes with reliability (T, J) each, and alignments of all but the first."""
     skeleton = max((take.skeleton for take in takes), key=len)
-    each = list(zip(takes, scores, (HERE, *alignments), strict=True))
+    each = list(zip(takes, scores, (IDENTITY, *alignments), strict=True))
     time = _frame_times([found.clock.undone(take.time) for take, _, found in each])
     columns = [_sights(time, *one, skeleton) for one in each]
     fusion = Fusion(skeleton, len(takes))
