@@ -169,17 +169,17 @@ class Crowd:
         gone = [p for p in self._here.values() if now - p.last_seen > _GONE]
         for presence in gone:
             del self._here[presence.id]
-            self._tally.count(Event.RESTED)
+            self._tally.events[Event.RESTED] += 1
         return gone
 
     def add(self, seen: SeenBody, time: float, now: float) -> bool:
         """Keep a person's frame; return True if there is room and it is in order."""
         if not seen.is_seen:
-            self._tally.count(Event.UNSEEN)
+            self._tally.events[Event.UNSEEN] += 1
             return False
         if seen.id not in self._here:
             if len(self._here) >= self._most:
-                self._tally.count(Event.CROWDED)
+                self._tally.events[Event.CROWDED] += 1
                 return False
             taken = {presence.slot for presence in self._here.values()}
             slot = min(set(range(self._most)) - taken)
@@ -189,14 +189,14 @@ class Crowd:
         if not seen.from_other_sensor:
             presence.seen_by_lead = now
         event, missing = presence.stamps.arrive(time)
-        self._tally.count(Event.MISSING, missing)
+        self._tally.events[Event.MISSING] += missing
         if event is not None:
-            self._tally.count(event)
+            self._tally.events[event] += 1
         if event in (Event.REPEATED, Event.LATE):
             return False
         restarted, since = event is Event.RESTARTED, now
         if (older := presence.pending) is not None:
-            self._tally.count(Event.DROPPED)
+            self._tally.events[Event.DROPPED] += 1
             restarted |= older.restarted
             since = older.since
         presence.pending = PendingFrame(seen, time, now, since, restarted)

@@ -191,7 +191,7 @@ async def open_server(
             status, reason = HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n"
         else:
             return None
-        tally.count(Event.REFUSED)
+        tally.events[Event.REFUSED] += 1
         return connection.respond(status, reason)
 
     # None stands for programs, which have no origin.

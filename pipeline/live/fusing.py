@@ -71,7 +71,7 @@ class FusedPerson(Person):
         fused = self._fusions[1].step(sights, elapsed, settled)
         self._corrected.places = fused.positions
         if sum(sight is not None for sight in sights) > 1:
-            self._sensors.tally.count(Event.FUSED)
+            self._sensors.tally.events[Event.FUSED] += 1
         return self.avatar.step(raw.positions, time, raw.state)
 
     def _make_avatar(self, body: Body) -> Avatar:
@@ -94,7 +94,7 @@ class FusedPerson(Person):
                 for frame in stream.recent(now, view.time):
                     found = self._sensors.match(stream, frame, self)
                     if found is not None:
-                        view.take(found[0], frame.time)
+                        view.take(found, frame.time)
                 moments.append((now, stream.placed))
             else:
                 view.start()

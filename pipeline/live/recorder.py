@@ -63,7 +63,7 @@ class Recorder:
         """Keep a person's frame with the stamp ``time`` [s] for the next ``flush``."""
         part = self._part(time, seen)
         if part is None or len(self._waiting) >= _MAX_WAITING:
-            self._tally.count(Event.UNRECORDED)
+            self._tally.events[Event.UNRECORDED] += 1
             return
         part.last = time
         self._waiting.append((part, time, seen))

@@ -18,7 +18,6 @@ from weakref import WeakSet
 import numpy as np
 
 from kinefilter.characters import InputError, Skeleton, Take
-from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.merge import Alignment, merge
 from kinefilter.pipeline.merge.lag import Clock
@@ -145,25 +144,19 @@ class Sensors:
         """The other streams whose place and clock are known."""
         return [s for s in self.others if s.placed is not None and s.clock is not None]
 
-    def match(
-        self, stream: Stream, frame: Frame, person: Person
-    ) -> tuple[SeenBody, Array] | None:
-        """Return the body nearest to a person, and its joints in the lead's frame [m].
-
-        None if it is too far away, or nearer to another person.
-        """
+    def match(self, stream: Stream, frame: Frame, person: Person) -> SeenBody | None:
+        """Return the body nearest to a person, if near enough and no other's."""
         assert stream.placed is not None
         if person.place is None:
             return None
         others = [p.place for p in self.people if p is not person]
         best, least = None, _SAME
         for seen in frame.bodies:
-            positions = stream.placed.apply(seen.positions)
-            place = np.nanmean(positions, axis=0)
+            place = np.nanmean(stream.placed.apply(seen.positions), axis=0)
             away = float(np.linalg.norm(place - person.place))
             rivals = [np.linalg.norm(place - p) for p in others if p is not None]
             if away < least and all(away <= rival for rival in rivals):
-                best, least = (seen, positions), away
+                best, least = seen, away
         return best
 
     async def follow(self) -> None:

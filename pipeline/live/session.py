@@ -7,7 +7,6 @@ import gc
 import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +18,7 @@ from .background import meanwhile
 from .config import AccessConfig, LiveConfig
 from .crowd import Crowd, PendingFrame, Person, Presence
 from .endpoints import Address, find_endpoints
-from .messages import LivePose, MalformedError, parse_frame
+from .messages import LivePose, MalformedError, SeenBody, parse_frame
 from .recorder import Recorder
 from .sinks import Broadcast, Engine, open_sink
 from .sources import Intake, open_source
@@ -131,7 +130,7 @@ class Session:
             self.tally.malformed[error.reason] += 1
             return
         now = time.perf_counter()
-        self.tally.count(Event.FRAMES)
+        self.tally.events[Event.FRAMES] += 1
         if self.sensors is None or self.sensors.arrive(number, frame, now):
             new = self.crowd.arrive(frame, now)
             pending = bool(new)
@@ -153,11 +152,9 @@ class Session:
         for presence in lost:
             frame, person = stream.frames[-1], presence.person
             found = person and sensors.match(stream, frame, person)
-            if found and stream.clock is not None:
-                seen, positions = found
-                seen = replace(
-                    seen, id=presence.id, positions=positions, from_other_sensor=True
-                )
+            if found and stream.clock and stream.placed:
+                positions = stream.placed.apply(found.positions)
+                seen = SeenBody(presence.id, positions, found.state, True)
                 self.crowd.add(seen, stream.clock.undone(frame.time), now)
                 pending = True
         return pending
@@ -197,7 +194,7 @@ class Session:
         except (InputError, ArithmeticError, ValueError):
             # Inhuman lengths or an overflow: others must be able to carry on.
             presence.person = None
-            self.tally.count(Event.FAILED)
+            self.tally.events[Event.FAILED] += 1
             return
         if pose is None or person.avatar is None:
             return
@@ -208,9 +205,9 @@ class Session:
         live = LivePose(presence.id, presence.slot, frame.time, body, pose, latency)
         for sink in self._sinks:
             sink.send(live)
-        self.tally.count(Event.POSES)
-        self.tally.count(Event.DIVERGED, int(pose.reset))
-        self.tally.count(Event.IMPOSSIBLE, int(pose.impossible))
+        self.tally.events[Event.POSES] += 1
+        self.tally.events[Event.DIVERGED] += int(pose.reset)
+        self.tally.events[Event.IMPOSSIBLE] += int(pose.impossible)
         self.tally.latency.add(time.perf_counter() - frame.arrived)
 
     async def _tick(self) -> None:

@@ -90,7 +90,7 @@ class Engine:
 
     def _send(self, slot: int, datagram: bytes) -> None:
         if not self._out(datagram, slot):
-            self._tally.count(Event.UNSENT)
+            self._tally.events[Event.UNSENT] += 1
 
 
 class Broadcast:
@@ -115,7 +115,7 @@ class Broadcast:
         """Queue a line for all readers."""
         for reader in self.readers:
             if len(reader.lines) == _MAX_WAITING:
-                self._tally.count(Event.SLOW)
+                self._tally.events[Event.SLOW] += 1
             reader.lines.append(line)
             reader.idle.clear()
             reader.came.set()

@@ -36,7 +36,7 @@ class Intake(NamedTuple):
         if rate.allows(now):
             self.receive(message)
         else:
-            self.tally.count(Event.TOO_FAST)
+            self.tally.events[Event.TOO_FAST] += 1
 
 
 class Rate:
@@ -98,7 +98,7 @@ class Receiver(asyncio.DatagramProtocol):
         now = time.perf_counter()
         rate = self.rate(addr, now)
         if rate is None:
-            self._intake.tally.count(Event.REFUSED)
+            self._intake.tally.events[Event.REFUSED] += 1
         else:
             self._intake.take(data, rate, now)
 

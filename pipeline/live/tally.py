@@ -75,10 +75,6 @@ class Tally:
         # What the user should know: by person's slot, or -1, -2, ... for the sensors.
         self.notes: dict[int, tuple[str, ...]] = {}
 
-    def count(self, event: Event, times: int = 1) -> None:
-        """Count an event."""
-        self.events[event] += times
-
     def told(self) -> list[str]:
         """Return all notes, without repeats."""
         return list(dict.fromkeys(n for notes in self.notes.values() for n in notes))

@@ -21,7 +21,7 @@ from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.uncertainty import uncertainty
 
-from .alignment import Alignment
+from .alignment import IDENTITY, Alignment
 from .session import Merged, fuse, merge
 
 _SURE = 0.01  # m of uncertainty at which a joint's weight is its reliability
@@ -74,8 +74,13 @@ def _cleaner(
     # were repaired before sides were settled.
     corrector = _without_failures(Cleaner(replace(config, tilt=0.0)).until("correct"))
     corrected, scores = [], []
-    for take, since in merged.consistent_takes():
-        take = edited(take, edits, since)
+    pairs = zip(merged.takes, (IDENTITY, *merged.alignments), strict=True)
+    stamps = merged.take.time
+    for k, (take, found) in enumerate(pairs):
+        time = found.clock.undone(take.time)
+        frames = np.searchsorted(stamps, time).clip(max=len(stamps) - 1)
+        take = take.exchanged(merged.exchanged[frames, k])
+        take = edited(take, edits, time - stamps[0])
         draft = corrector.whole(take, progress)
         positions = np.where(draft.missing[..., None], np.nan, draft.positions)
         corrected.append(replace(take, positions=positions))

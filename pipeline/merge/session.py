@@ -37,20 +37,6 @@ class Merged:
     takes: tuple[Take, ...]  # one per sensor, with gross failures repaired
     notes: tuple[str, ...] = ()  # what users should know about who is who
 
-    def consistent_takes(self) -> list[tuple[Take, Array]]:
-        """Return each sensor's take with the sides that the sensors agree on.
-
-        With times [s] (T,) of its frames, counted from the merged take's first.
-        """
-        takes = []
-        pairs = zip(self.takes, (IDENTITY, *self.alignments), strict=True)
-        for k, (take, found) in enumerate(pairs):
-            time, last = found.clock.undone(take.time), len(self.take) - 1
-            frames = np.searchsorted(self.take.time, time).clip(max=last)
-            since = time - self.take.time[0]
-            takes.append((take.exchanged(self.exchanged[frames, k]), since))
-        return takes
-
     @property
     def sources(self) -> tuple[str, ...]:
         """Where the takes came from."""
