@@ -1,4 +1,4 @@
-"""Follows one person by the frames of all sensors that see them.
+"""Follows one person with all sensors that see them.
 
 It does frame by frame what ``merge.clean_session`` does with takes: scores the joints
 of each sensor, settles left and right among the sensors, corrects the joints of each
@@ -32,7 +32,7 @@ _Moment = tuple[float, Placement]  # time by a sensor's clock [s], and its place
 
 
 class FusedPerson(Person):
-    """Follows one person by all sensors that see them; until one joins, by the lead."""
+    """Follows one person with all sensors that see them, first with the lead alone."""
 
     def __init__(self, config: LiveConfig, sensors: Sensors) -> None:
         self._sensors = sensors

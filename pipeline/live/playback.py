@@ -62,7 +62,7 @@ async def open_sender(
             except OSError as error:
                 reason = f"not a certificate ({error.strerror}); expected a PEM file"
                 raise InputError(f"{certificate}: {reason}") from None
-        connection = _Connection()
+        connection = _ReconnectingClient()
         async with meanwhile(connection.keep_open(address, token, tls)):
             await connection.tried.wait()
             if connection.refused:
@@ -71,9 +71,7 @@ async def open_sender(
             yield connection.send
 
 
-class _Connection:
-    """A connection that is made again whenever it is lost."""
-
+class _ReconnectingClient:
     def __init__(self) -> None:
         self._open: ClientConnection | None = None
         self.tried = asyncio.Event()  # the first attempt to connect is over

@@ -146,7 +146,7 @@ class Session:
             self._came.set()
 
     def _hand_over(self, sensors: Sensors, stream: Stream, now: float) -> bool:
-        """Follow people whom the leading sensor has lost by another that sees them."""
+        """Follow people whom the leading sensor lost with another that sees them."""
         pending = False
         lost = self.crowd.lost_by_lead(now) if stream in sensors.joined else []
         for presence in lost:

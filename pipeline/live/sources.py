@@ -128,7 +128,7 @@ async def _take_all(intake: Intake, connection: ServerConnection) -> None:
 
 
 async def _read_stdin(intake: Intake) -> None:
-    """Take each line after the poses of the last: who writes into a pipe can wait."""
+    """Take each line once the last one has its poses; the writer of a pipe can wait."""
     rest, too_long = b"", False
 
     async def take(line: bytes) -> None:

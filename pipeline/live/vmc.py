@@ -127,7 +127,7 @@ def _message(address: str, *values: str | int | float) -> bytes:
 
 
 def _bundles(messages: Sequence[bytes]) -> list[Singles]:
-    """Return bundles that fit into packets, as the words of four bytes OSC has."""
+    """Return bundles that fit into packets, as OSC's words of four bytes."""
     from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
     from pythonosc.osc_message import OscMessage
 

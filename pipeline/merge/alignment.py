@@ -153,11 +153,11 @@ def _movement(take: Take) -> Array:
         left, right = height[:, skeleton.sides(limb)].T
         columns += [0.5 * (left + right), np.abs(left - right)]
     values = np.stack(columns, axis=1)
-    steps = np.gradient(_filled(root[:, ::2]), 1.0 / _RATE, axis=0)
+    steps = np.gradient(_median_filled(root[:, ::2]), 1.0 / _RATE, axis=0)
     speed = np.linalg.norm(_filtered(steps, 2.0), axis=1)
     speed[np.isnan(root[:, 0])] = np.nan
-    slow = _filtered(_filled(values), _BAND) / _LARGE
-    fast = _filtered(_filled(speed[:, None]), 3.0) * 0.1 / _LARGE
+    slow = _filtered(_median_filled(values), _BAND) / _LARGE
+    fast = _filtered(_median_filled(speed[:, None]), 3.0) * 0.1 / _LARGE
     found = np.tanh(np.hstack([slow, fast]))
     return np.where(np.isnan(np.column_stack([values, speed])), np.nan, found)
 
@@ -175,8 +175,7 @@ def _smoothed(take: Take) -> Track:
     return Track(times, even.reshape(len(times), len(joints), 3))
 
 
-def _filled(values: Array) -> Array:
-    """Return columns with their medians in place of missing values."""
+def _median_filled(values: Array) -> Array:
     return np.where(np.isnan(values), np.nan_to_num(column_medians(values)), values)
 
 

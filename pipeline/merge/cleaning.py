@@ -79,7 +79,7 @@ def _cleaner(
     for k, (take, found) in enumerate(pairs):
         time = found.clock.undone(take.time)
         frames = np.searchsorted(stamps, time).clip(max=len(stamps) - 1)
-        take = take.exchanged(merged.exchanged[frames, k])
+        take = take.exchanged(merged.exchanged[frames, k])  # as the sensors agree
         take = edited(take, edits, time - stamps[0])
         draft = corrector.whole(take, progress)
         positions = np.where(draft.missing[..., None], np.nan, draft.positions)

@@ -161,7 +161,7 @@ def _identify(
             source = recording.takes[0].source.partition(", body ")[0]
             notes.append(f"{source}: does not show this person, and is left out")
             continue
-        take, score = _score(_joined([takes[p.track].at(p.rows) for p in own]))
+        take, score = _score(_joined_by_time([takes[p.track].at(p.rows) for p in own]))
         own_takes.append(take)
         scores.append(score)
         own_alignments += alignments[s - 1 : s]  # none for the first sensor
@@ -174,8 +174,7 @@ def _identify(
     return Person(own_takes, scores, own_alignments, tuple(notes))
 
 
-def _joined(parts: Sequence[Take]) -> Take:
-    """Return parts of one person's takes as a single take, in the order of time."""
+def _joined_by_time(parts: Sequence[Take]) -> Take:
     names = ("time", "positions", "state")
     whole: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in names
