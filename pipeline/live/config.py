@@ -41,8 +41,8 @@ class LiveConfig:
     sources: UseAppendAction[
         Annotated[tuple[str, ...], arg(name="in", metavar="ADDRESS")]
     ]
-    """Where to listen for frames: udp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT, or
-    - for standard input. If several sensors see the same people, give it once per
+    """Where to listen for frames: udp://HOST:PORT, ws://HOST:PORT or wss://HOST:PORT;
+    or standard input with -. If several sensors see the same people, give it once per
     sensor, starting with the sensor whose frames arrive last."""
     out: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="ADDRESS")]]
     """Where to send poses: vmc://HOST:PORT for an engine, ws://HOST:PORT or
