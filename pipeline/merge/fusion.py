@@ -104,7 +104,7 @@ class Fusion:
             part[exchanged] = part[exchanged][:, self._skeleton.mirror]
 
     def _directions(self, seen: Sight) -> tuple[Array, Array]:
-        """Return the headings that sensors see and the directions to them [rad], (S,)."""
+        """Return headings that sensors see, and directions to them [rad], (S,)."""
         x, _, z = (seen.sensor - seen.positions[:, self._skeleton.root]).T
         yaws = find_yaw(seen.positions, seen.reliability, self._skeleton)
         return yaws, np.arctan2(x, z)
