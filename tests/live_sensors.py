@@ -76,7 +76,7 @@ def follow(
     stream = sensors.streams[1]
     config = LiveConfig(("-", "-"), ("-",), skeleton=take.skeleton.name)
     person, poses = FusedPerson(config, sensors), []
-    person._avatar = person._follow(measure_body(take))
+    person.avatar = person._make_avatar(measure_body(take))
     for number, now, frame in frames(*seen):
         leads = sensors.arrive(number, frame, now)
         stream.clock, stream.placed = found.clock, found.placed

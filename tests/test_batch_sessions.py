@@ -56,7 +56,7 @@ def test_a_session_is_one_clip_and_one_row(both: Path, tmp_path: Path) -> None:
     assert (second["sensor"], second["source"]) == ("B", "nod_B.csv")
     assert second["lag_seconds"] == pytest.approx(33657.5, abs=0.01)
     assert second["turned_degrees"] == pytest.approx(-60.0, abs=1.0)
-    assert any("stay where they are" in note for note in made["nod"].clips[0].notes)
+    assert any("people hardly walk" in note for note in made["nod"].clips[0].notes)
     (cell,) = (row["sensors"] for row in table_of(out) if row["take"] == "nod")
     assert cell.startswith("sensor A, source nod_A.csv, lag_seconds 0, ")
     assert "; sensor B, source nod_B.csv, lag_seconds 33657.50" in cell
@@ -132,7 +132,7 @@ def test_a_session_that_is_refused_fails_with_the_reason(
     made = _made(clean_folder(both, tmp_path / "clips", TOGETHER))
     errors = {take: row.error for take, row in made.items() if row.status == "failed"}
     for take, words in (
-        ("same", "same_A.csv and same_B.csv: are the same take"),
+        ("same", "same_A.csv and same_B.csv: the takes are identical"),
         ("short", "short_B.csv"),
         ("empty", "empty_B.csv"),
         ("twice", "twice_A.csv, twice_A.csv.txt: are not each of another sensor"),

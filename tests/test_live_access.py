@@ -15,7 +15,7 @@ from websockets.exceptions import InvalidStatus
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
-from kinefilter.pipeline.live.endpoints import MOST_CONNECTIONS, Access
+from kinefilter.pipeline.live.endpoints import MAX_CONNECTIONS, Access
 from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import open_sender
 from kinefilter.pipeline.live.session import Session
@@ -25,7 +25,7 @@ from kinefilter.pipeline.live.tally import Event
 def test_connections_are_as_many_as_allowed() -> None:
     async def session() -> None:
         async with running(config()) as (run, (_, out)):
-            streams = [await connect(str(out)) for _ in range(MOST_CONNECTIONS)]
+            streams = [await connect(str(out)) for _ in range(MAX_CONNECTIONS)]
             with pytest.raises(InvalidStatus, match="503"):
                 await connect(str(out))
             assert run.tally.events[Event.REFUSED] == 1

@@ -194,7 +194,7 @@ def test_status_and_summary_tell_what_happened() -> None:
     session = Session(LiveConfig(("-",), ("-",), skeleton="kinect_v1"))
     session.receive(format_frame(sample_frame(0)))
     session.receive("nonsense")
-    session.tally.count(Event.POSES)
+    session.tally.events[Event.POSES] += 1
     session.tally.latency.add(0.0042)
     line = status(session)
     for words in (

@@ -127,10 +127,10 @@ def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> N
     assert all(pose is not None for pose in poses[began:])
     reference = measure_reference(SAMPLE)
     whole = measured_body(KINECT_V1, reference.lengths, reference.directions)
-    assert person.body is not None
-    away = np.abs(person.body.lengths - whole.lengths)
+    assert person.avatar is not None
+    away = np.abs(person.avatar.body.lengths - whole.lengths)
     assert away.mean() < 0.01
-    assert abs(person.body.height - whole.height) < 0.03
+    assert abs(person.avatar.body.height - whole.height) < 0.03
 
 
 def test_who_is_half_hidden_is_measured_after_three_seconds_all_the_same() -> None:
@@ -219,7 +219,7 @@ def test_a_full_disk_ends_the_recording_and_leaves_whole_rows(
         file.write(data[: len(data) // 2])  # type: ignore[attr-defined]
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(recording, "_written", full)
+    monkeypatch.setattr(recording, "_write", full)
     record(recorder, range(20, 40), "1")
     recorder.flush()
     assert recorder.failure is not None
@@ -230,12 +230,12 @@ def test_a_full_disk_ends_the_recording_and_leaves_whole_rows(
     assert len(read_take(tmp_path / "take.csv")) == 20
 
 
-def test_the_end_waits_for_what_is_being_written(
+def test_the_end_waits_for_what_is_being_write(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recorder = Recorder(tmp_path / "take.csv", KINECT_V1, Tally())
     record(recorder, range(10), "1")
-    write, overtaken, ends = recording._written, threading.Event(), []
+    write, overtaken, ends = recording._write, threading.Event(), []
 
     def slow(file: BinaryIO, data: bytes) -> None:
         if ends:
@@ -247,7 +247,7 @@ def test_the_end_waits_for_what_is_being_written(
             assert not overtaken.wait(0.1)
         write(file, data)
 
-    monkeypatch.setattr(recording, "_written", slow)
+    monkeypatch.setattr(recording, "_write", slow)
     recorder.flush()
     ends[0].join()
     take = read_take(tmp_path / "take.csv")

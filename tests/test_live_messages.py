@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
 from kinefilter.pipeline.live.crowd import Stamps
 from kinefilter.pipeline.live.endpoints import (
-    MOST_CONNECTIONS,
+    MAX_CONNECTIONS,
     Address,
     listening_host,
     read_address,
@@ -146,7 +146,7 @@ def test_a_rate_lets_a_kinect_and_a_burst_pass_and_no_flood() -> None:
 
 def test_silent_senders_make_room_for_others() -> None:
     peers = Receiver(Intake(print, asyncio.Event().wait, print, Tally()))
-    assert all(peers.rate(n, 0.0) for n in range(MOST_CONNECTIONS))
+    assert all(peers.rate(n, 0.0) for n in range(MAX_CONNECTIONS))
     assert peers.rate("late", 5.0) is None
     assert peers.rate(0, 5.0) is not None
     assert peers.rate("late", 11.0) is not None

@@ -24,7 +24,7 @@ from kinefilter import Avatar, read_take
 from kinefilter.characters import KINECT_V1, InputError, standard_body
 from kinefilter.pipeline.lab.simulate import SimulatedView
 from kinefilter.pipeline.live.messages import Frame, format_frame
-from kinefilter.pipeline.live.sensors import Sensors, find
+from kinefilter.pipeline.live.sensors import Sensors, find_alignment
 from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 from kinefilter.pipeline.merge import align, merge, write_calibration
@@ -44,20 +44,20 @@ def _arrived(*seen: SimulatedView, late: float = 0.0) -> tuple[Sensors, float]:
 def _answer(sensors: Sensors, times: int = 2) -> None:
     """Let sensors find where the second one is, so many times."""
     given = [stream.recording(sensors._skeleton) for stream in sensors.streams]
-    found = find([recording for recording in given if recording is not None])
+    found = find_alignment([recording for recording in given if recording is not None])
     for _ in range(times):
-        sensors._judge(sensors.streams[1], found)
+        sensors._consider(sensors.streams[1], found)
 
 
 def _told(sensors: Sensors, now: float) -> list[str]:
-    sensors.tell(now)
+    sensors.update_notes(now)
     return sensors.tally.told()
 
 
 def test_a_sensor_joins_where_two_answers_agree() -> None:
     both = views(3)
     sensors, now = _arrived(*both, late=0.04)
-    assert "walks to and fro" in _told(sensors, now)[0]
+    assert "walk back and forth" in _told(sensors, now)[0]
     _answer(sensors, 1)
     assert not sensors.joined
     _answer(sensors, 1)
@@ -89,7 +89,7 @@ def test_followed_by_both_is_truer_than_by_either() -> None:
 
 @pytest.mark.parametrize(
     ("one", "other", "words"),
-    [(3, 3, "the same take as sensor 1"), (3, 6, "same movement at any lag as")],
+    [(3, 3, "are identical (compared"), (3, 6, "at any lag (compared")],
 )
 def test_what_does_not_fit_is_told(one: int, other: int, words: str) -> None:
     seen = [views(one)[0], views(other)[int(one != other)]]
@@ -97,9 +97,9 @@ def test_what_does_not_fit_is_told(one: int, other: int, words: str) -> None:
     stream = sensors.streams[1]
     stream.frames.appendleft(replace(stream.frames[0], time=stream.frames[0].time - 20))
     given = [s.recording(sensors._skeleton) for s in _arrived(*seen)[0].streams]
-    found = find([recording for recording in given if recording is not None])
+    found = find_alignment([recording for recording in given if recording is not None])
     assert isinstance(found, str)
-    sensors._judge(stream, found)
+    sensors._consider(stream, found)
     assert words in _told(sensors, now)[0]
     assert not sensors.joined
 
@@ -111,8 +111,8 @@ def test_a_copy_of_the_stream_that_is_not_to_the_frame_is_told() -> None:
     sensors, _ = _arrived(view, view)
     sensors.streams[1].frames.popleft()
     given = [stream.recording(take.skeleton) for stream in sensors.streams]
-    found = find([recording for recording in given if recording is not None])
-    assert found == "it is the stream of sensor 1 once more"
+    found = find_alignment([recording for recording in given if recording is not None])
+    assert found == "it repeats the stream of sensor 1"
 
 
 @pytest.mark.parametrize("number", [0, 1])
@@ -144,7 +144,7 @@ def test_sensors_that_see_nobody_or_send_nothing_are_told() -> None:
     assert _told(sensors, now) == ["sensor 2 sends nothing"]
     nobody = Frame(0.0, ())
     sensors.arrive(1, nobody, now)
-    assert _told(sensors, now) == ["sensor 2 sees nobody"]
+    assert _told(sensors, now) == ["sensor 2 sees no one"]
     sensors, now = _arrived(second)  # the other way round
     assert _told(sensors, now + 60.0) == []
 
@@ -191,7 +191,7 @@ def test_who_leaves_the_first_sensor_goes_on_by_the_second() -> None:
         if number == 0 and k > len(rows) // 2:
             continue
         for presence in session.crowd._here.values():
-            presence.led = np.inf if k <= len(rows) // 2 else -np.inf
+            presence.seen_by_lead = np.inf if k <= len(rows) // 2 else -np.inf
         session.receive(format_frame(frame), number)
         stream.clock, stream.placed = found.clock, found.placed
         while (turn := session.crowd.next()) is not None:
@@ -231,7 +231,7 @@ def test_each_sensor_is_recorded(tmp_path: Path) -> None:
     ("sources", "said"),
     [
         (("udp://127.0.0.1:9", "udp://127.0.0.1:9"), "twice"),
-        (("-", "-"), "--in - twice"),
+        (("-", "-"), "--in - is given twice"),
         ((), "--in is missing"),
     ],
 )
@@ -245,7 +245,7 @@ def test_a_calibration_is_of_as_many_sensors(tmp_path: Path) -> None:
     write_calibration(merge([view.pair.take for view in views(3)]), path)
     with pytest.raises(InputError, match="several --in"):
         Session(config(calibration=path))
-    with pytest.raises(InputError, match="is of 2 sensors"):
+    with pytest.raises(InputError, match="covers 2 sensors"):
         Session(config(source=(UDP, UDP, UDP), calibration=path))
     sensors = Session(config(source=(UDP, UDP), calibration=path)).sensors
     assert sensors is not None

@@ -31,7 +31,7 @@ from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.pipeline.commands.live import summary
 from kinefilter.pipeline.live import sinks
 from kinefilter.pipeline.live.endpoints import (
-    MOST_CONNECTIONS,
+    MAX_CONNECTIONS,
     Access,
     Address,
     open_server,
@@ -200,7 +200,7 @@ def test_a_flood_of_datagrams_is_cut_for_each_sender() -> None:
         port.datagram_received(b"{}", ("127.0.0.1", 1))
     assert 60 <= len(taken) < 500
     assert len(taken) + tally.events[Event.TOO_FAST] == 1000
-    for n in range(2, 2 + MOST_CONNECTIONS):
+    for n in range(2, 2 + MAX_CONNECTIONS):
         port.datagram_received(b"{}", ("127.0.0.1", n))
     assert tally.events[Event.REFUSED] == 1
 

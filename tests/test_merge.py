@@ -165,7 +165,7 @@ def test_who_looks_ahead_knows_the_sides_from_the_first_frame() -> None:
     there = walk[:, KINECT_V2.mirror].copy()
     there[:20, elbows] = walk[:20, elbows] = np.nan
     frames = [[_sight(p), _sight(q)] for p, q in zip(walk, there, strict=True)]
-    sides, _ = Fusion(KINECT_V2, 2).ahead(frames, np.full(60, 1.0 / 30.0))
+    sides, _ = Fusion(KINECT_V2, 2).precompute(frames, np.full(60, 1.0 / 30.0))
     np.testing.assert_array_equal(sides, [[False, True]] * 60)
 
 
@@ -320,8 +320,8 @@ def test_takes_that_do_not_belong_together_are_refused(
     out = tmp_path / "merged.csv"
     for takes, words in (
         ([one[0], other[1]], "do not show the same movement"),
-        ([one[0], one[0]], "are the same take"),
-        ([one[0]], "one take given"),
+        ([one[0], one[0]], "takes are identical"),
+        ([one[0]], "only one take is given"),
     ):
         paths = _written(tmp_path, *takes)
         assert main(["merge", *paths, "-o", str(out)]) == 2

@@ -186,9 +186,9 @@ def test_takes_that_do_not_fit_the_clip_are_refused(
     for arguments, words in (
         (["--take", front], f"{clip} with --take {front}: "),
         (["--take", side, "--take", front], f"--take {side} --take {front}: "),
-        (["--take", front, "--take", front], "are the same take"),
+        (["--take", front, "--take", front], "takes are identical"),
         (["--take", front, "--calibration", clip], "takes of several sensors"),
-        (["--take", front, "--take", side, "--calibration", clip], "calibration of"),
+        (["--take", front, "--take", side, "--calibration", clip], "not a calibration"),
         ([], "--take"),
     ):
         assert main(["report", clip, *arguments, "-o", str(page)]) == 2, arguments

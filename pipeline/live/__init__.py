@@ -1,7 +1,5 @@
-"""Streams of frames in, poses out: to engines by VMC, to browsers by WebSocket.
+"""Live streams: frames in, poses out to engines (VMC) and browsers (WebSocket).
 
-``tests/live_figures.py`` measures latency and memory, with one or many people, slow
-readers and senders of nonsense.
+``tests/live_figures.py`` measures latency and memory with one or more people, slow
+readers, and senders of malformed messages.
 """
-
-__all__: list[str] = []

@@ -1,4 +1,4 @@
-"""What goes on beside a block, and the standard input and output, which may block."""
+"""Tasks beside a block of code, and standard input and output without blocking."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from contextlib import asynccontextmanager
 from typing import Any, TypeVar
 
 _T = TypeVar("_T")
-
-# Descriptors: the lock of a buffer would outlive the interpreter.
-_STDIN, _STDOUT = 0, 1
+_STDIN, _STDOUT = 0, 1  # descriptors, as streams lock and could block exiting
 _CHUNK = 2**16  # bytes
 
 
@@ -21,7 +19,7 @@ _CHUNK = 2**16  # bytes
 async def meanwhile(
     *work: Coroutine[Any, Any, object],
 ) -> AsyncIterator[list[asyncio.Task[object]]]:
-    """Let some work go on until the block ends; yields its tasks."""
+    """Run coroutines until the block ends, then cancel them; yield their tasks."""
     tasks = [asyncio.ensure_future(each) for each in work]
     try:
         yield tasks
@@ -31,27 +29,24 @@ async def meanwhile(
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def read_in() -> bytes:
-    """Return what comes next from the standard input; nothing at its end."""
-    return await _waited(lambda: os.read(_STDIN, _CHUNK))
+async def read_stdin() -> bytes:
+    """Return the next bytes from standard input, or none at its end."""
+    return await _in_daemon_thread(lambda: os.read(_STDIN, _CHUNK))
 
 
-async def write_out(text: str) -> None:
-    """Write a text to the standard output; raises OSError if nobody reads it."""
+async def write_stdout(text: str) -> None:
+    """Write text to standard output; raise OSError if its reader has ended."""
 
     def write() -> None:
         data = text.encode()
         while data:
             data = data[os.write(_STDOUT, data) :]
 
-    await _waited(write)
+    await _in_daemon_thread(write)
 
 
-async def _waited(work: Callable[[], _T]) -> _T:
-    """Do something that may never end, in a thread that the program does not wait for.
-
-    Threads of executors would be waited for when the interpreter ends.
-    """
+async def _in_daemon_thread(work: Callable[[], _T]) -> _T:
+    """Run work in a thread that, unlike an executor's, is not joined at exit."""
     done: Future[_T] = Future()
 
     def run() -> None:

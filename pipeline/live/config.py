@@ -1,4 +1,4 @@
-"""What a live session is to do."""
+"""Settings of a live session."""
 
 from __future__ import annotations
 
@@ -11,66 +11,65 @@ from tyro.conf import UseAppendAction, arg
 
 from kinefilter.characters import InputError, TrackingName
 
-MOST_BODIES = 6
-"""People at once: as many as a Kinect v2 sees."""
+MAX_BODIES = 6  # as many people as a Kinect v2 tracks
 
 
 @dataclass(frozen=True)
 class AccessConfig:
-    """Who may connect."""
+    """Who may connect to a live session."""
 
     bind: str | None = None
-    """Listen on this address of the machine instead of on loopback, so that others can
-    connect. WebSockets then ask for a token."""
+    """Listen on this address of the machine instead of on loopback, so that other
+    machines can connect. WebSocket clients then need a token."""
     token_file: Path | None = None
-    """File with the token that clients of WebSockets have to send, as Authorization:
-    Bearer or as ?token= of the address; default: with --bind a new one, which is
-    printed."""
+    """File with the token that WebSocket clients must send, as 'Authorization: Bearer
+    TOKEN' or as ?token=TOKEN in the address; default: with --bind, a new token is made
+    and printed."""
     certificate: Path | None = None
-    """Certificate chain (PEM) of encrypted WebSockets (wss)."""
+    """Certificate chain (PEM) for encrypted WebSockets (wss)."""
     key: Path | None = None
-    """The certificate's private key (PEM); default: in the same file."""
+    """Private key of the certificate (PEM); default: read from the certificate file."""
     origin: UseAppendAction[tuple[str, ...]] = ()
-    """Also let web pages of this origin connect, such as https://studio.example,
-    besides those of this machine; may be given several times."""
+    """Also allow web pages from this origin, such as https://studio.example, besides
+    pages of this machine; may be given several times."""
 
 
 @dataclass(frozen=True)
 class LiveConfig:
-    """Where frames come from, who is in them, and where poses go."""
+    """Where frames come from, how people are followed, and where poses go."""
 
     sources: UseAppendAction[
         Annotated[tuple[str, ...], arg(name="in", metavar="ADDRESS")]
     ]
-    """Where to listen for frames: udp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT, or
-    - for the standard input; may be given once for each of several sensors before the
-    same people, the one whose frames come last first."""
+    """Where to listen for frames: udp://HOST:PORT, ws://HOST:PORT or wss://HOST:PORT;
+    or standard input with -. If several sensors see the same people, give it once per
+    sensor, starting with the sensor whose frames arrive last."""
     out: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="ADDRESS")]]
     """Where to send poses: vmc://HOST:PORT for an engine, ws://HOST:PORT or
-    wss://HOST:PORT to listen for browsers, or - for the standard output; may be given
-    several times."""
+    wss://HOST:PORT to accept connections from browsers, or - for standard output; may
+    be given several times."""
     record: Path | None = None
-    """Also write the raw frames to this take (.csv); for several bodies to take.1.csv,
-    take.2.csv and so on, of several sensors to take.sensor1.csv and so on."""
+    """Also record the raw frames to this take (.csv). Several bodies are written to
+    take.1.csv, take.2.csv and so on; several sensors to take.sensor1.csv and so on."""
     calibration: Path | None = None
     """Where the sensors are, from 'merge --save-calibration'; default: found while
-    somebody walks to and fro."""
+    someone walks back and forth in view of all sensors."""
     skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
-    """The joints of the frames."""
+    """Skeleton whose joints the frames contain."""
     scene: str | None = None
-    """Surroundings of each person, who is alone in them: a scene (an unknown name lists
-    the scenes), or an MJCF file (.xml); default: only the floor."""
+    """Surroundings of each person, who is alone in them: the name of a scene (an
+    unknown name lists the scenes) or an MJCF file (.xml); default: only a floor."""
     tracking: TrackingName = "faithful"
-    """How each person's character follows: faithful; game, which gives way to what it
-    meets, falls and gets up again; or ragdoll, which nothing pulls."""
+    """How each person's character follows the motion: faithful; game, which gives way
+    to obstacles, falls, and gets up again; or ragdoll, which nothing pulls."""
     height: float | None = None
     """Height of every person [m]; default: each is measured in the first second."""
     mass: float | None = None
     """Mass of every person [kg]; default: estimated from the height."""
     floor: float | None = None
-    """Height of the floor in the sensor's frame [m]; default: under the feet."""
-    bodies: int = MOST_BODIES
-    """How many people are followed at once."""
+    """Height of the floor in the sensor frame [m]; default: under the feet."""
+    bodies: int = MAX_BODIES
+    """How many people are followed at once, from 1 to 32."""
 
     def __post_init__(self) -> None:
         if self.floor is not None and not isfinite(self.floor):

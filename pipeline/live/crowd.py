@@ -1,12 +1,10 @@
-"""The people who are there, how each is followed, and whose frame waits for its pose.
-
-A person is measured first, then followed by a character.
-"""
+"""The people in view, how each is followed, and whose frame gets the next pose."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,71 +12,52 @@ from kinefilter.characters import Body, State, Take, skeleton_named, standard_bo
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.reliability import measure_body
-from kinefilter.pipeline.target.upright import Turn
 
 from .config import LiveConfig
-from .messages import Frame, SeenBody, stacked
+from .messages import Frame, SeenBody, as_arrays
 from .tally import Event, Tally
 
-_UNSEEN = 0.12  # s after which another sensor's frames count for those that lead
+_LOST_BY_LEAD = 0.12  # s without the leading sensor until other sensors' frames count
 _GONE = 2.0  # s unseen after which a person is dropped
-_RESTARTED = 2.0  # s before the last stamp: the sender's clock restarted
-_STEPS = 15  # steps of which the median is the sender's: half a second
-_LONGEST_GAP = 2.0  # s: after that the person was gone, and no frame is missing
+_RESTARTED = 2.0  # s: a stamp earlier by more than this means the clock restarted
+_STEPS = 15  # steps whose median is the sender's usual one: half a second
+_LONGEST_GAP = 2.0  # s: the person was away for longer ones, and no frame is missing
+# Measured for so long [s], segment lengths of recorded takes differ by 7 mm on average
+# from those of the whole take; after 3 s, by 5 mm.
 _MEASURED_FOR = 1.0
-"""Time [s] that a person is measured for. In recorded takes segment lengths are then on
-average 7 mm from those of the whole take, after 3 s 5 mm."""
-_ENOUGH = 15  # good frames in it
-_LONGEST = 3.0  # s; a person half hidden for that long is measured all the same
-_MOST_FRAMES = 120  # kept meanwhile, whatever the rate
+_ENOUGH = 15  # good frames within that time
+_LONGEST = 3.0  # s after which a person is measured even if half hidden
+_MAX_FRAMES = 120  # kept while measuring, whatever the frame rate
 _WELL_SEEN = 0.8  # share of joints tracked in a good frame. A guess.
 
 
 class Person:
-    """Follows one person.
+    """Follows one person, with a standard body if the configuration has a height.
 
-    With a height the standard body of that height is followed from the first frame.
-    Without, the person's segments are measured in the first second or so, and poses
-    begin after it.
+    Otherwise the person is measured first, and poses begin after about a second.
     """
 
-    place: Array | None = None
-    """The mean of the joints that were seen last [m], where several sensors may see the
-    person, shape (3,)."""
+    place: Array | None = None  # mean joint [m], shape (3,); only with several sensors
 
     def __init__(self, config: LiveConfig) -> None:
         self._config, self._skeleton = config, skeleton_named(config.skeleton)
-        self._avatar: Avatar | None = None
+        self.avatar: Avatar | None = None  # None before the person is measured
         self._frames: list[tuple[float, SeenBody]] = []
-        if config.height is not None:
-            height, mass = config.height, config.mass
-            body = standard_body(self._skeleton, height=height, mass=mass)
-            self._avatar = self._follow(body)
-
-    @property
-    def body(self) -> Body | None:
-        """The person's body, None before it is measured."""
-        return None if self._avatar is None else self._avatar.body
-
-    @property
-    def turn(self) -> Turn | None:
-        """How the sensor's frame is turned for this person; None: nobody knows yet."""
-        return None if self._avatar is None else self._avatar.turn
+        if (height := config.height) is not None:
+            body = standard_body(self._skeleton, height=height, mass=config.mass)
+            self.avatar = self._make_avatar(body)
 
     def start(self) -> None:
-        """Start over, as the sender's clock does."""
+        """Start over, because the sender's clock restarted."""
         self._frames.clear()
-        if self._avatar is not None:
-            self._avatar.start()
+        if self.avatar is not None:
+            self.avatar.start()
 
     def step(self, seen: SeenBody, time: float) -> Pose | None:
-        """Return the pose after a frame, None while the person is measured.
-
-        ``time`` is the frame's stamp [s], later than the last.
-        """
-        if self._avatar is not None:
-            return self._avatar.step(seen.positions, time, seen.state)
-        if len(self._frames) < _MOST_FRAMES:
+        """Return the pose after a frame at ``time`` [s], None while still measuring."""
+        if self.avatar is not None:
+            return self.avatar.step(seen.positions, time, seen.state)
+        if len(self._frames) < _MAX_FRAMES:
             self._frames.append((time, seen))
         good = [
             (stamp, body)
@@ -87,31 +66,30 @@ class Person:
         ]
         enough = len(good) >= _ENOUGH and good[-1][0] - good[0][0] >= _MEASURED_FOR
         if enough or time - self._frames[0][0] >= _LONGEST:
-            frames = stacked(good if enough else self._frames)
+            frames = as_arrays(good if enough else self._frames)
             take = Take(*frames, self._skeleton, "live")
             body = measure_body(take, mass=self._config.mass)
-            self._avatar = self._follow(body)
+            self.avatar = self._make_avatar(body)
             self._frames.clear()
         return None
 
-    def _follow(self, body: Body) -> Avatar:
+    def _make_avatar(self, body: Body) -> Avatar:
         config = self._config
         return Avatar(body, config.scene, floor=config.floor, tracking=config.tracking)
 
 
 class Stamps:
-    """The time stamps of one person's frames, in whatever order they come."""
+    """Checks the time stamps of one person's frames, in the order of arrival."""
 
     def __init__(self) -> None:
         self._last: float | None = None
         self._steps: deque[float] = deque(maxlen=_STEPS)
 
     def arrive(self, time: float) -> tuple[Event | None, int]:
-        """Take the sensor's stamp [s] of a frame.
+        """Return whether a stamp [s] is out of order, and how many frames are missing.
 
-        Returns whether it is REPEATED, LATE or the first of a clock that RESTARTED, or
-        None if it is in order; and how many frames seem to be missing before it: by how
-        many times the usual step the stamps are apart.
+        The event is REPEATED, LATE, RESTARTED if the clock has restarted, or None.
+        Missing frames are counted as usual steps since the last stamp.
         """
         last, self._last = self._last, time
         if last is None:
@@ -130,36 +108,31 @@ class Stamps:
         return None, missing
 
 
-@dataclass(frozen=True, eq=False)
-class Waiting:
-    """A person's frame that waits for its pose."""
+class PendingFrame(NamedTuple):
+    """A person's frame that waits for its pose; times are of our own clock."""
 
     seen: SeenBody
-    time: float  # the frame's stamp [s]
-    arrived: float  # when it came [s], of our own clock
-    since: float  # since when the person waits for a pose [s], of our own clock
-    restarted: bool  # whether the sender's clock restarted since the last pose
+    time: float  # the frame's time stamp [s], of the sensor's clock
+    arrived: float  # when it arrived [s]
+    since: float  # since when the person has been waiting for a pose [s]
+    restarted: bool  # the sender's clock restarted since the last pose
 
 
 @dataclass(eq=False)
 class Presence:
-    """A person in front of the sensor."""
+    """A person in front of the sensor; times are of our own clock."""
 
     id: str  # the sender's name for the person
-    slot: int  # the lowest number, from 0, that was free when the person came
-    last_seen: float  # when a frame with the person came [s], of our own clock
+    slot: int  # the lowest number, from 0, that was free when the person appeared
+    last_seen: float  # when a frame with the person arrived [s]
     person: Person | None = None  # from the first pose on
-    led: float = 0.0  # when the leading sensor last saw the person [s], of our clock
+    seen_by_lead: float = 0.0  # when the leading sensor last saw the person [s]
     stamps: Stamps = field(default_factory=Stamps)
-    waiting: Waiting | None = None  # the newest frame without a pose
+    pending: PendingFrame | None = None  # the newest frame without a pose
 
 
 class Crowd:
-    """All people who are there.
-
-    The newest frame wins: where poses take longer than frames come, older frames are
-    dropped and counted.
-    """
+    """All people in view; a newer frame of a person replaces one without a pose."""
 
     def __init__(self, most: int, tally: Tally) -> None:
         self._most, self._tally = most, tally
@@ -170,28 +143,25 @@ class Crowd:
 
     @property
     def measuring(self) -> int:
-        """How many people are there and not measured yet."""
+        """Number of people who are not measured yet."""
         people = (presence.person for presence in self._here.values())
-        return sum(person is None or person.body is None for person in people)
+        return sum(person is None or person.avatar is None for person in people)
 
     def arrive(self, frame: Frame, now: float) -> list[SeenBody]:
-        """Take in a frame that came now [s], of our own clock, which only goes on.
+        """Add a frame that arrived now [s]; return the bodies that ``add`` accepts."""
+        return [seen for seen in frame.bodies if self.add(seen, frame.time, now)]
 
-        Returns the bodies whose frame is new and in order, for a recording.
-        """
-        return [seen for seen in frame.bodies if self.take_in(seen, frame.time, now)]
+    def lost_by_lead(self, now: float) -> list[Presence]:
+        """Return the people whom the leading sensor has not seen for some frames."""
+        return [p for p in self._here.values() if now - p.seen_by_lead > _LOST_BY_LEAD]
 
-    def unseen(self, now: float) -> list[Presence]:
-        """Return those whom the leading sensor has not seen for some frames."""
-        return [p for p in self._here.values() if now - p.led > _UNSEEN]
-
-    def next(self) -> tuple[Presence, Waiting] | None:
-        """Take the frame of the person who has waited longest; None: none waits."""
-        waiting = [(p, p.waiting) for p in self._here.values() if p.waiting is not None]
-        if not waiting:
+    def next(self) -> tuple[Presence, PendingFrame] | None:
+        """Remove and return the frame of whoever has waited longest, if any."""
+        pending = [(p, p.pending) for p in self._here.values() if p.pending is not None]
+        if not pending:
             return None
-        presence, frame = min(waiting, key=lambda pair: pair[1].since)
-        presence.waiting = None
+        presence, frame = min(pending, key=lambda pair: pair[1].since)
+        presence.pending = None
         return presence, frame
 
     def drop_gone(self, now: float) -> list[Presence]:
@@ -199,34 +169,35 @@ class Crowd:
         gone = [p for p in self._here.values() if now - p.last_seen > _GONE]
         for presence in gone:
             del self._here[presence.id]
-            self._tally.count(Event.RESTED)
+            self._tally.events[Event.RESTED] += 1
         return gone
 
-    def take_in(self, seen: SeenBody, time: float, now: float) -> bool:
-        """Keep a person's frame; tell whether there is room, and it is in order."""
+    def add(self, seen: SeenBody, time: float, now: float) -> bool:
+        """Keep a person's frame; return True if there is room and it is in order."""
         if not seen.is_seen:
-            self._tally.count(Event.UNSEEN)
+            self._tally.events[Event.UNSEEN] += 1
             return False
         if seen.id not in self._here:
             if len(self._here) >= self._most:
-                self._tally.count(Event.CROWDED)
+                self._tally.events[Event.CROWDED] += 1
                 return False
             taken = {presence.slot for presence in self._here.values()}
             slot = min(set(range(self._most)) - taken)
             self._here[seen.id] = Presence(seen.id, slot, now)
         presence = self._here[seen.id]
         presence.last_seen = now
-        presence.led = presence.led if seen.carried else now
+        if not seen.from_other_sensor:
+            presence.seen_by_lead = now
         event, missing = presence.stamps.arrive(time)
-        self._tally.count(Event.MISSING, missing)
+        self._tally.events[Event.MISSING] += missing
         if event is not None:
-            self._tally.count(event)
+            self._tally.events[event] += 1
         if event in (Event.REPEATED, Event.LATE):
             return False
         restarted, since = event is Event.RESTARTED, now
-        if presence.waiting is not None:
-            self._tally.count(Event.DROPPED)
-            restarted |= presence.waiting.restarted
-            since = presence.waiting.since
-        presence.waiting = Waiting(seen, time, now, since, restarted)
+        if (older := presence.pending) is not None:
+            self._tally.events[Event.DROPPED] += 1
+            restarted |= older.restarted
+            since = older.since
+        presence.pending = PendingFrame(seen, time, now, since, restarted)
         return True

@@ -1,7 +1,7 @@
-"""Where frames come from and poses go, who may connect there, and servers for them.
+"""Addresses of frames and poses, who may connect to them, and the servers there.
 
 A program sends the token as ``Authorization: Bearer TOKEN``. A page in a browser cannot
-set that header and appends ``?token=TOKEN`` to the address.
+set that header, and appends ``?token=TOKEN`` to the address instead.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ import secrets
 import socket
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
-from contextlib import asynccontextmanager, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import asynccontextmanager, contextmanager, suppress
 from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from kinefilter.characters import InputError
@@ -34,29 +33,28 @@ if TYPE_CHECKING:
     from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
 
-STANDARD = "-"  # the scheme of the standard input and output
-MOST_PORT = 2**16 - 1
+STANDARD = "-"  # the scheme of standard input and output
+_MAX_PORT = 2**16 - 1
 _ADDRESS = re.compile(
     r"([a-z]+)://(?:\[([0-9a-f:.%]+)\]|([^]/:@?#\s[]+)):([0-9]{1,5})/?"
 )
 _SOURCES = ("udp", "ws", "wss", STANDARD)
 _TARGETS = ("vmc", "ws", "wss", STANDARD)
-_SHORTEST_TOKEN = 16  # characters; shorter ones can be guessed
-_LARGEST_TOKEN_FILE = 2**12  # bytes
-MOST_CONNECTIONS = 8  # senders, or readers, on a port. A guess: a room of sensors
+_MIN_TOKEN = 16  # characters; shorter tokens can be guessed
+_MAX_TOKEN_FILE = 2**12  # bytes
+MAX_CONNECTIONS = 8  # senders or readers per port: a room of sensors. A guess
 _PATIENCE = 5.0  # s for a handshake, and for the answer to a ping
-_GOODBYE = 1.0  # s for the end of a connection
-_SILENT = logging.Logger("kinefilter.live")  # or any stranger could fill the terminal
+_GOODBYE = 1.0  # s for closing a connection
+_SILENT = logging.Logger("kinefilter.live")  # or strangers could flood the terminal
 _SILENT.disabled = True
 
 
-@dataclass(frozen=True)
-class Address:
+class Address(NamedTuple):
     """One end of a connection."""
 
-    scheme: str  # udp, ws, wss, vmc, or - for the standard input or output
-    host: str = ""  # name or number of the machine
-    port: int = 0  # 0 lets the system choose where something listens
+    scheme: str  # udp, ws, wss, vmc, or - for standard input or output
+    host: str = ""  # name or IP address of the machine
+    port: int = 0  # 0 lets the system choose a port to listen on
 
     def __str__(self) -> str:
         if self.scheme == STANDARD:
@@ -66,58 +64,45 @@ class Address:
 
 
 def read_address(text: str, schemes: Sequence[str]) -> Address:
-    """Return the address that a text names: ``scheme://host:port`` or ``-``.
-
-    Raises InputError if it is not such an address.
-    """
+    """Parse ``scheme://host:port`` or ``-``; raise InputError if it is invalid."""
     if text == STANDARD and STANDARD in schemes:
         return Address(STANDARD)
     expected = ", ".join(s if s == STANDARD else f"{s}://HOST:PORT" for s in schemes)
     found = _ADDRESS.fullmatch(text.lower())
-    if found is None or found[1] not in schemes or int(found[4]) > MOST_PORT:
+    if found is None or found[1] not in schemes or int(found[4]) > _MAX_PORT:
         raise InputError(f"{text!r} is not an address; expected one of: {expected}")
     return Address(found[1], found[2] or found[3], int(found[4]))
 
 
 def listening_host(address: Address, bind: str | None) -> str:
-    """Return the host that a server listens on.
-
-    Raises InputError if others could reach it and the user did not say that they may.
-    """
+    """Return the host to listen on; raise InputError if others need ``--bind``."""
     if bind is None and not is_loopback(address.host):
         raise InputError(
-            f"{address} would listen to other machines; write 127.0.0.1, or add "
-            f"--bind {address.host} if they are meant to connect"
+            f"{address} would accept connections from other machines; write 127.0.0.1, "
+            f"or add --bind {address.host} if they are meant to connect"
         )
     return address.host if bind is None else bind
 
 
-@dataclass(frozen=True)
-class Access:
-    """What a client has to show to connect."""
+class Access(NamedTuple):
+    """What a client must present to connect."""
 
-    token: str | None = None  # the secret; None: not needed
-    origins: tuple[str, ...] = ()  # of pages of other machines that may connect
-    tls: ssl.SSLContext | None = None  # None: the connection is not encrypted
+    token: str | None = None  # the secret; None: no token is needed
+    origins: tuple[str, ...] = ()  # of other machines' web pages that may connect
+    tls: ssl.SSLContext | None = None  # None: connections are not encrypted
 
     def grants(self, path: str, headers: Headers) -> bool:
-        """Tell whether a request shows the token."""
+        """Return True if a request presents the token, or none is needed."""
         if self.token is None:
             return True
         scheme, _, shown = headers.get("Authorization", "").partition(" ")
         if scheme.lower() != "bearer":
             shown = parse_qs(urlsplit(path).query).get("token", [""])[0]
-        # Takes as long for every wrong token as for the right one.
+        # In constant time, so that it does not reveal how much of a token is right.
         return hmac.compare_digest(shown.strip().encode(), self.token.encode())
 
-    @property
-    def allowed_origins(self) -> Sequence[str | re.Pattern[str] | None]:
-        """Origins as ``websockets`` takes them; None: not a page, but a program."""
-        return [None, OWN_PAGES, *self.origins]
 
-
-@dataclass(frozen=True)
-class Endpoints:
+class Endpoints(NamedTuple):
     """Both ends of a session."""
 
     sources: tuple[Address, ...]  # of frames
@@ -128,23 +113,24 @@ class Endpoints:
 def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     """Return where frames come from and poses go.
 
-    Where other machines can connect there is a token: that of the file, or a new one.
-    Raises InputError if an address or a file is wrong, others could reach it though the
-    user did not allow it, or a package is not installed.
+    If other machines can connect there is a token, from the file or a new one. Raises
+    InputError if an address or a file is wrong, other machines could connect without
+    ``--bind``, or a package is not installed.
     """
-    ends = [read_address(source, _SOURCES) for source in config.sources]
-    count = len(ends)
-    if not count:
+    sources = [read_address(source, _SOURCES) for source in config.sources]
+    if not sources:
         raise InputError("--in is missing; give one, such as --in -")
-    fixed = [end for end in ends if end.port or end.scheme == STANDARD]
+    fixed = [end for end in sources if end.port or end.scheme == STANDARD]
     if again := [end for end in fixed if fixed.count(end) > 1]:
-        raise InputError(f"--in {again[0]} twice; each sensor needs a port of its own")
-    ends += [read_address(out, _TARGETS) for out in config.out]
-    if len(ends) == count:
+        raise InputError(
+            f"--in {again[0]} is given twice; each sensor needs a port of its own"
+        )
+    ends = sources + [read_address(out, _TARGETS) for out in config.out]
+    if len(ends) == len(sources):
         raise InputError("--out is missing; give one, such as --out -")
     for k, end in enumerate(ends):
         if end.scheme in ("udp", "ws", "wss"):
-            ends[k] = replace(end, host=listening_host(end, access.bind))
+            ends[k] = end._replace(host=listening_host(end, access.bind))
     schemes = {end.scheme for end in ends}
     if schemes & {"ws", "wss"}:
         require("websockets", "a WebSocket", "live")
@@ -157,27 +143,28 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     if access.certificate is not None:
         tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         try:
-            # A key that needs a password would ask for it on the terminal.
+            # Without a password, an encrypted key would prompt for it on the terminal.
             tls.load_cert_chain(access.certificate, access.key, password="")
         except OSError as error:
             reason = error.strerror or getattr(error, "reason", None) or error
             raise InputError(
                 f"{access.certificate}: not a certificate with its key ({reason}); "
-                "expected PEM files, the key without a password"
+                "expected PEM files, and a key without a password"
             ) from None
     elif "wss" in schemes:
         raise InputError("wss:// needs --certificate; give one, or write ws://")
-    access_granted = Access(token, access.origin, tls)
-    return Endpoints(tuple(ends[:count]), tuple(ends[count:]), access_granted)
+    count = len(sources)
+    granted = Access(token, access.origin, tls)
+    return Endpoints(tuple(ends[:count]), tuple(ends[count:]), granted)
 
 
 def read_token(path: Path) -> str:
-    """Return the token in a file; raises InputError if it is too short or missing."""
-    token = read_limited(path, _LARGEST_TOKEN_FILE).strip()
-    if len(token) < _SHORTEST_TOKEN or not token.isascii() or len(token.split()) > 1:
+    """Return the token in a file; raise InputError if it is missing or too short."""
+    token = read_limited(path, _MAX_TOKEN_FILE).strip()
+    if len(token) < _MIN_TOKEN or not token.isascii() or len(token.split()) > 1:
         raise InputError(
-            f"{path}: expected a token of {_SHORTEST_TOKEN} letters and digits or "
-            "more; 'openssl rand -hex 16' makes one"
+            f"{path}: expected a token of at least {_MIN_TOKEN} letters and digits; "
+            "'openssl rand -hex 16' makes one"
         )
     return token
 
@@ -191,33 +178,33 @@ async def open_server(
     *,
     largest: int,
 ) -> AsyncIterator[Address]:
-    """Serve WebSockets; yields the address in use.
+    """Serve WebSockets, with messages of ``largest`` bytes; yield the address in use.
 
-    Raises InputError if the port is taken or the host is not of this machine.
+    Raises InputError if the port is taken or the host is not this machine.
     """
     from websockets.asyncio.server import serve
 
     def guard(connection: ServerConnection, request: Request) -> Response | None:
-        """Refuse clients that may not connect."""
         if not access.grants(request.path, request.headers):
             status, reason = HTTPStatus.UNAUTHORIZED, "a token is needed\n"
-        elif len(connection.server.connections) >= MOST_CONNECTIONS:
+        elif len(connection.server.connections) >= MAX_CONNECTIONS:
             status, reason = HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n"
         else:
             return None
-        tally.count(Event.REFUSED)
+        tally.events[Event.REFUSED] += 1
         return connection.respond(status, reason)
 
+    # None stands for programs, which have no origin.
+    origins: Sequence[str | re.Pattern[str] | None] = [None, OWN_PAGES, *access.origins]
     try:
         server = await serve(
             handler,
             address.host,
             address.port,
-            # websockets declares origins more narrowly than it takes them.
-            origins=access.allowed_origins,  # type: ignore[arg-type]
+            origins=origins,  # type: ignore[arg-type] # declared too narrowly
             process_request=guard,
             ssl=access.tls,
-            compression=None,  # poses are small, and time counts
+            compression=None,  # poses are small, and latency matters
             max_size=largest,
             open_timeout=_PATIENCE,
             ping_timeout=_PATIENCE,
@@ -236,28 +223,26 @@ async def open_server(
         try:
             async with asyncio.timeout(_GOODBYE):
                 await server.wait_closed()
-        except TimeoutError:  # without a goodbye to clients that do not read
+        except TimeoutError:  # some client does not read
             for connection in connections:
                 connection.transport.abort()
             await server.wait_closed()
 
 
 def cannot_listen(address: Address, error: OSError) -> InputError:
-    """Return the error of a port that is taken, or a host not of this machine."""
-    return InputError(
-        f"{address}: cannot listen there ({error.strerror or error}); choose another "
-        "port or address"
-    )
+    """Return the error for a port that is taken, or a host that is not this machine."""
+    reason = error.strerror or error
+    return InputError(f"{address}: cannot listen there ({reason}); use another address")
 
 
 Datagrams = Callable[[bytes, int], bool]
-"""Sends a datagram to a port so many further than the first, whether a program listens
-there or not; tells whether the system took it."""
+"""Sends a datagram to the address's port plus an offset; returns whether the system
+accepted it, which does not mean that a program received it."""
 
 
 @contextmanager
 def open_datagrams(address: Address) -> Iterator[Datagrams]:
-    """Yield what sends to an address; raises InputError if there is no such host."""
+    """Yield a sender of datagrams; raise InputError if there is no such host."""
     try:
         found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
     except OSError as error:
@@ -267,13 +252,11 @@ def open_datagrams(address: Address) -> Iterator[Datagrams]:
     family, _, _, _, place = found[0]
 
     def send(datagram: bytes, offset: int) -> bool:
-        if address.port + offset > MOST_PORT:
-            return False
-        try:
-            out.sendto(datagram, (str(place[0]), address.port + offset))
-        except OSError:  # too long, or the system's buffer is full
-            return False
-        return True
+        with suppress(OSError):  # too long, or the system's buffer is full
+            if address.port + offset <= _MAX_PORT:
+                out.sendto(datagram, (str(place[0]), address.port + offset))
+                return True
+        return False
 
     with socket.socket(family, socket.SOCK_DGRAM) as out:
         out.setblocking(False)

@@ -1,30 +1,30 @@
-"""Frames that come in and poses that go out, as messages: a line of JSON each.
+"""Messages of a live session: incoming frames and outgoing poses, one JSON line each.
 
 A frame, for example::
 
     {"time": 12.034, "bodies": [{"id": "1", "joints": {
         "SpineBase": [0.11, -0.24, 2.31, 2], "SpineMid": [0.12, 0.05, 2.3], ...}}]}
 
-``time`` is the sensor's own [s]. A joint is x, y, z [m] in the sensor's frame, y up,
-and its state (0 not tracked, 1 inferred, 2 tracked), which may be left out. Joints that
-are not seen are left out, null, or at the origin. Instead of by name, ``joints`` may
-list all of the skeleton in the SDK's order: ``[[x, y, z, state], null, ...]``. An
-``id`` is a text of up to 32 characters or a whole number, and means the same person
-from every sender. A single person may be written short: ``{"time": 12.034, "joints":
-...}``, and is body 1.
+``time`` is the sensor's own time stamp [s]. A joint is x, y, z [m] in the sensor frame
+with y up, optionally followed by its state (0 not tracked, 1 inferred, 2 tracked, the
+default). A joint that is not visible is omitted, null, or at the origin. Instead of
+naming joints, ``joints`` may list all of them in the SDK's order:
+``[[x, y, z, state], null, ...]``. An ``id`` is a string of up to 32 characters or a
+whole number, and refers to the same person whichever sender uses it. For a single
+person, ``{"time": 12.034, "joints": ...}`` is short for body 1.
 
-Poses begin with a line that says what the others mean::
+The first line of output describes the arrays in those that follow::
 
     {"skeleton": "kinect_v2", "joints": ["SpineBase", ...], "parents": [-1, ...]}
 
-Then comes a line a pose: ``time`` is the stamp of its frame [s] and ``body`` the
-sender's id; ``root`` is the position of the root joint and ``positions`` those of all
-joints, in that order [m], world frame: right-handed, y up, floor at y = 0.
-``rotations`` are world rotations wxyz of the segment that ends at each joint, identity
-in T-pose facing +z. ``stands`` says whether the left and the right foot stand,
-``external_force`` the force that neither muscles nor floor give [body weights],
-``latency`` how long the frame has been here [ms]. When a person is gone, one line says
-so: ``{"body": "1", "gone": true}``.
+Then comes one line per pose. ``time`` is the stamp of its frame [s] and ``body`` the
+sender's id; ``root`` is the position of the root joint and ``positions`` holds those of
+all joints, in the order above [m], in the world frame: right-handed, y up, floor at
+y = 0. ``rotations`` are world rotations (wxyz) of the segment that ends at each joint,
+identity in the T-pose facing +z. ``stands`` is true for each foot (left, right) that is
+planted, ``external_force`` is the force that neither muscles nor floor explain [body
+weights], and ``latency`` is the time since the frame arrived [ms]. When a person
+leaves, one line reports it: ``{"body": "1", "gone": true}``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -43,36 +43,34 @@ from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.motion import LATEST
 from kinefilter.pipeline.formats.recording import missing_marked
 
-from .config import MOST_BODIES
+from .config import MAX_BODIES
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.avatar import Pose
 
-LARGEST_MESSAGE = 2**15
-"""Bytes: twice six bodies of 25 joints with all digits; less than a datagram holds."""
-
-_FARTHEST = 100.0  # m: no sensor of people sees that far
-_LONGEST_ID = 32
-_LARGEST_ID = 2.0**53  # whole numbers are exact up to it
+MAX_MESSAGE = 2**15  # bytes: fits a datagram, and twice six bodies with all digits
+_MAX_DISTANCE = 100.0  # m: no sensor that tracks people sees that far
+_MAX_ID_LENGTH = 32
+_MAX_ID = 2.0**53  # a float holds whole numbers exactly up to here
 _STATES = {float(state) for state in State}
 _DECIMALS = 5  # 0.01 mm
 
 
 class Reason(StrEnum):
-    """What is wrong with a message."""
+    """What is wrong with a malformed message."""
 
     TOO_LONG = "too long"
     NOT_JSON = "not JSON"
-    TOO_DEEP = "nested too deep"
+    TOO_DEEP = "nested too deeply"
     NOT_A_FRAME = "not a frame"
-    TIME = "no time"
-    NUMBER = "a number out of range"
-    JOINT = "an unknown joint"
-    BODIES = "bodies or their ids"
+    TIME = "invalid time stamp"
+    NUMBER = "number out of range"
+    JOINT = "unknown joint"
+    BODIES = "invalid bodies or ids"
 
 
 class MalformedError(KinefilterError):
-    """A message is not a frame; it is counted and left out."""
+    """A message is not a frame; it is counted and ignored."""
 
     def __init__(self, reason: Reason) -> None:
         super().__init__(reason.value)
@@ -84,13 +82,13 @@ class SeenBody:
     """A person in a frame."""
 
     id: str  # the sender's name for the person
-    positions: Array  # of joints [m], sensor frame, y up, NaN where missing, (J, 3)
+    positions: Array  # joints [m], sensor frame, y up, NaN where missing, shape (J, 3)
     state: Codes  # tracking states (State), shape (J,)
-    carried: bool = False  # another sensor saw it than the one that leads
+    from_other_sensor: bool = False  # seen by a sensor that is not the leading one
 
     @property
     def is_seen(self) -> bool:
-        """Whether any joint of the person is seen."""
+        """True if any joint of the person is visible."""
         return bool((self.state > State.NOT_TRACKED).any())
 
 
@@ -98,39 +96,38 @@ class SeenBody:
 class Frame:
     """What a sensor saw at one time."""
 
-    time: float  # the sensor's stamp [s]
+    time: float  # the sensor's time stamp [s]
     bodies: tuple[SeenBody, ...]  # each id once
 
 
-@dataclass(frozen=True, eq=False)
-class LivePose:
+class LivePose(NamedTuple):
     """The character of one person after a frame."""
 
     id: str  # the sender's name for the person
-    slot: int  # the lowest number, from 0, that was free when the person came
-    time: float  # the frame's stamp [s]
+    slot: int  # the lowest number, from 0, that was free when the person appeared
+    time: float  # the frame's time stamp [s]
     body: Body
     pose: Pose
-    latency: float  # time since the frame came in [s]
+    latency: float  # time since the frame arrived [s]
 
 
-def stacked(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, Codes]:
+def as_arrays(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, Codes]:
     """Return stamps [s], positions [m] and states of one person's frames."""
     rows = [(time, seen.positions, seen.state) for time, seen in frames]
-    time, positions, state = zip(*rows, strict=True)
-    return np.array(time), np.array(positions), np.array(state)
+    time, positions, state = map(np.array, zip(*rows, strict=True))
+    return time, positions, state
 
 
 def parse_frame(
-    message: str | bytes, skeleton: Skeleton, most_bodies: int = MOST_BODIES
+    message: str | bytes, skeleton: Skeleton, max_bodies: int = MAX_BODIES
 ) -> Frame:
-    """Return the frame in a message; raises MalformedError of anything else."""
-    if len(message) > LARGEST_MESSAGE:
+    """Return the frame in a message; raise MalformedError if it is not a frame."""
+    if len(message) > MAX_MESSAGE:
         raise MalformedError(Reason.TOO_LONG)
     try:
         text = message.decode("utf-8") if isinstance(message, bytes) else message
-        # Singles alone: a whole number of thousands of digits takes long to read.
-        data = json.loads(text, parse_int=float, parse_constant=_no_number)
+        # Floats only: parsing an integer of thousands of digits takes long.
+        data = json.loads(text, parse_int=float, parse_constant=_reject_constant)
     except RecursionError:
         raise MalformedError(Reason.TOO_DEEP) from None
     except ValueError:
@@ -144,19 +141,19 @@ def parse_frame(
     time = data["time"]
     if type(time) is not float or not abs(time) < LATEST:
         raise MalformedError(Reason.TIME)
-    if len(data["bodies"]) > most_bodies:
+    if len(data["bodies"]) > max_bodies:
         raise MalformedError(Reason.BODIES)
-    bodies = tuple(_body(body, skeleton) for body in data["bodies"])
+    bodies = tuple(_parse_body(body, skeleton) for body in data["bodies"])
     if len({body.id for body in bodies}) < len(bodies):
         raise MalformedError(Reason.BODIES)
     return Frame(time, bodies)
 
 
-def _no_number(_: str) -> NoReturn:
+def _reject_constant(_: str) -> NoReturn:
     raise MalformedError(Reason.NUMBER)
 
 
-def _body(data: Any, skeleton: Skeleton) -> SeenBody:
+def _parse_body(data: Any, skeleton: Skeleton) -> SeenBody:
     if not isinstance(data, dict) or set(data) != {"id", "joints"}:
         raise MalformedError(Reason.NOT_A_FRAME)
     joints = data["joints"]
@@ -166,12 +163,12 @@ def _body(data: Any, skeleton: Skeleton) -> SeenBody:
         joints = [joints.get(name) for name in skeleton.joints]
     if not isinstance(joints, list) or len(joints) != len(skeleton):
         raise MalformedError(Reason.NOT_A_FRAME)
-    numbers = np.array([_row(joint) for joint in joints])
-    positions, state = missing_marked(numbers[:, :3], numbers[:, 3].astype(np.uint8))
-    return SeenBody(_id(data["id"]), positions, state)
+    rows = np.array([_parse_joint(joint) for joint in joints])
+    positions, state = missing_marked(rows[:, :3], rows[:, 3].astype(np.uint8))
+    return SeenBody(_parse_id(data["id"]), positions, state)
 
 
-def _row(joint: Any) -> tuple[float, float, float, float]:
+def _parse_joint(joint: Any) -> tuple[float, float, float, float]:
     """Return x, y, z [m] and state of a joint."""
     if joint is None:
         return math.nan, math.nan, math.nan, 0.0
@@ -179,16 +176,16 @@ def _row(joint: Any) -> tuple[float, float, float, float]:
     if not numbers or len(joint) not in (3, 4):
         raise MalformedError(Reason.NOT_A_FRAME)
     x, y, z, state = (*joint, float(State.TRACKED))[:4]
-    # Infinite numbers, such as 1e999, are beyond it too.
-    if not max(abs(x), abs(y), abs(z)) < _FARTHEST or state not in _STATES:
+    # This also rejects infinite numbers, such as 1e999.
+    if not max(abs(x), abs(y), abs(z)) < _MAX_DISTANCE or state not in _STATES:
         raise MalformedError(Reason.NUMBER)
     return x, y, z, state
 
 
-def _id(data: Any) -> str:
-    if type(data) is float and data.is_integer() and 0.0 <= data < _LARGEST_ID:
+def _parse_id(data: Any) -> str:
+    if type(data) is float and data.is_integer() and 0.0 <= data < _MAX_ID:
         return str(int(data))
-    if isinstance(data, str) and 0 < len(data) <= _LONGEST_ID and data.isprintable():
+    if isinstance(data, str) and 0 < len(data) <= _MAX_ID_LENGTH and data.isprintable():
         return data
     raise MalformedError(Reason.BODIES)
 
@@ -197,43 +194,42 @@ def format_frame(frame: Frame) -> str:
     """Return a frame as a message without a line end, to 0.01 mm, joints in order."""
     bodies = []
     for body in frame.bodies:
-        places = np.round(body.positions, _DECIMALS).tolist()
+        positions = np.round(body.positions, _DECIMALS).tolist()
         joints = [
-            None if math.isnan(place[0]) else [*place, state]
-            for place, state in zip(places, body.state.tolist(), strict=True)
+            None if math.isnan(position[0]) else [*position, state]
+            for position, state in zip(positions, body.state.tolist(), strict=True)
         ]
         bodies.append({"id": body.id, "joints": joints})
-    return _line({"time": frame.time, "bodies": bodies})
+    return _to_json({"time": frame.time, "bodies": bodies})
 
 
 def skeleton_line(skeleton: Skeleton) -> str:
     """Return the line that names the joints."""
-    names = {"skeleton": skeleton.name, "joints": skeleton.joints}
-    return _line({**names, "parents": skeleton.parents})
+    joints, parents = skeleton.joints, skeleton.parents
+    return _to_json({"skeleton": skeleton.name, "joints": joints, "parents": parents})
 
 
 def pose_line(live: LivePose) -> str:
     """Return the line of a pose."""
     pose = live.pose
     positions = pose.positions.round(_DECIMALS).tolist()
-    return _line(
-        {
-            "time": live.time,
-            "body": live.id,
-            "root": positions[live.body.skeleton.root],
-            "positions": positions,
-            "rotations": pose.rotations.round(_DECIMALS).tolist(),
-            "stands": pose.stands.tolist(),
-            "external_force": round(pose.external_force, 3),
-            "latency": round(live.latency * 1e3, 2),
-        }
-    )
+    data = {
+        "time": live.time,
+        "body": live.id,
+        "root": positions[live.body.skeleton.root],
+        "positions": positions,
+        "rotations": pose.rotations.round(_DECIMALS).tolist(),
+        "stands": pose.stands.tolist(),
+        "external_force": round(pose.external_force, 3),
+        "latency": round(live.latency * 1e3, 2),
+    }
+    return _to_json(data)
 
 
 def gone_line(body: str) -> str:
-    """Return the line that says that a person is gone."""
-    return _line({"body": body, "gone": True})
+    """Return the line that reports that a person has left."""
+    return _to_json({"body": body, "gone": True})
 
 
-def _line(data: dict[str, Any]) -> str:
+def _to_json(data: dict[str, Any]) -> str:
     return json.dumps(data, separators=(",", ":"), allow_nan=False)

@@ -1,7 +1,4 @@
-"""A recorded take sent as a sensor would send it, at its own time stamps.
-
-It goes out as datagrams, through a WebSocket, or to the standard output.
-"""
+"""Sends a recorded take as a sensor would, at its own time stamps."""
 
 from __future__ import annotations
 
@@ -18,38 +15,33 @@ import numpy as np
 from kinefilter.characters import InputError, Take
 from kinefilter.pipeline.extras import require
 
-from .background import meanwhile, write_out
+from .background import meanwhile, write_stdout
 from .endpoints import STANDARD, Address, open_datagrams, read_token
 from .messages import Frame, SeenBody, format_frame
 
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
 
-_SLOWEST = 0.001  # times as fast as recorded: slower, nothing seems to happen
-_SOONEST, _LATEST = 0.2, 5.0  # s between attempts to connect, doubled every time
+_MIN_SPEED = 0.001  # of the recorded speed; slower, nothing seems to happen
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.2, 5.0  # s between attempts, doubling every time
 _PATIENCE = 5.0  # s for a connection
 
-
 Send = Callable[[str], Awaitable[bool]]
-"""Sends a frame; tells whether it may have arrived."""
+"""Sends a frame; returns whether it may have arrived."""
 
 
 @asynccontextmanager
 async def open_sender(
     address: Address, *, token_file: Path | None = None, certificate: Path | None = None
 ) -> AsyncIterator[Send]:
-    """Yield what sends frames to an address.
-
-    Raises InputError if the host is not known, or a file is wrong.
-    """
+    """Yield a function that sends frames; raise InputError for a wrong host or file."""
     if address.scheme == STANDARD:
 
         async def send(line: str) -> bool:
             try:
-                await write_out(f"{line}\n")
-            except OSError:  # Windows has another one than EPIPE
-                ended = "-: the program that read the output has ended"
-                raise InputError(ended) from None
+                await write_stdout(f"{line}\n")
+            except OSError:  # not EPIPE on Windows
+                raise InputError("-: the reader of the output has ended") from None
             return True
 
         yield send
@@ -63,82 +55,73 @@ async def open_sender(
     else:
         require("websockets", "a WebSocket", "live")
         token = None if token_file is None else read_token(token_file)
-        tls = None
-        if address.scheme == "wss":
-            tls = ssl.create_default_context()
+        tls = ssl.create_default_context() if address.scheme == "wss" else None
+        if tls is not None and certificate is not None:
             try:
-                if certificate is not None:
-                    tls.load_verify_locations(certificate)
+                tls.load_verify_locations(certificate)
             except OSError as error:
                 reason = f"not a certificate ({error.strerror}); expected a PEM file"
                 raise InputError(f"{certificate}: {reason}") from None
-        connection = _Connection(address, token, tls)
-        async with meanwhile(connection.keep()):
+        connection = _ReconnectingClient()
+        async with meanwhile(connection.keep_open(address, token, tls)):
             await connection.tried.wait()
             if connection.refused:
                 hint = "give --token-file with the receiver's token"
-                raise InputError(f"{address}: refused; {hint}")
+                raise InputError(f"{address}: the connection was refused; {hint}")
             yield connection.send
 
 
-class _Connection:
-    """A connection that is made again whenever it is lost."""
-
-    def __init__(
-        self, address: Address, token: str | None, tls: ssl.SSLContext | None
-    ) -> None:
-        self._address, self._token, self._tls = address, token, tls
+class _ReconnectingClient:
+    def __init__(self) -> None:
         self._open: ClientConnection | None = None
         self.tried = asyncio.Event()  # the first attempt to connect is over
-        self.refused = False  # the other side asks for another token
+        self.refused = False  # the receiver asks for another token
 
-    async def keep(self) -> None:
+    async def keep_open(
+        self, address: Address, token: str | None, tls: ssl.SSLContext | None
+    ) -> None:
         from websockets.asyncio.client import connect
         from websockets.exceptions import InvalidStatus, WebSocketException
 
-        headers = {}
-        if self._token is not None:
-            headers["Authorization"] = f"Bearer {self._token}"
-        pause = _SOONEST
+        headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+        pause = _FIRST_PAUSE
         while True:
             try:
                 async with connect(
-                    str(self._address),
+                    str(address),
                     additional_headers=headers,
-                    ssl=self._tls,
+                    ssl=tls,
                     open_timeout=_PATIENCE,
                     compression=None,
                     proxy=None,
                 ) as connection:
-                    self._open, pause = connection, _SOONEST
+                    self._open, pause = connection, _FIRST_PAUSE
                     self.tried.set()
                     await connection.wait_closed()
             except InvalidStatus as error:
                 self.refused = error.response.status_code == HTTPStatus.UNAUTHORIZED
             except (OSError, WebSocketException):
-                pass  # no server is there, or not yet
+                pass  # there is no server, or not yet
             self._open = None
             self.tried.set()
             await asyncio.sleep(pause)
-            pause = min(2.0 * pause, _LATEST)
+            pause = min(2.0 * pause, _LONGEST_PAUSE)
 
     async def send(self, line: str) -> bool:
         from websockets.exceptions import ConnectionClosed
 
-        if self._open is None:
-            return False
-        try:
-            await self._open.send(line)
-        except ConnectionClosed:
-            return False
-        return True
+        with suppress(ConnectionClosed):
+            if self._open is not None:
+                await self._open.send(line)
+                return True
+        return False
 
 
 def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
-    """Yield the frames of a recording, those of one stamp together.
+    """Yield the frames of a recording, one per distinct time stamp.
 
-    Its people become bodies 1, 2 and so on; those of whom no joint is seen are left
-    out. With ``loop`` it begins again at the end, and time goes on.
+    Its people become bodies 1, 2 and so on; those without a visible joint are left out.
+    With ``loop``, it repeats forever while time continues.
     """
     time = np.unique(np.concatenate([take.time for take in takes]))
     rows = [np.searchsorted(take.time, time) for take in takes]
@@ -151,8 +134,7 @@ def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
                 for number, (take, row) in enumerate(zip(takes, rows, strict=True), 1)
                 if row[k] < len(take) and take.time[row[k]] == stamp
             ]
-            seen = tuple(body for body in bodies if body.is_seen)
-            yield Frame(stamp + passed, seen)
+            yield Frame(stamp + passed, tuple(body for body in bodies if body.is_seen))
         if not loop:
             return
         passed += length
@@ -166,12 +148,14 @@ async def replay(
     speed: float = 1.0,
     loop: bool = False,
 ) -> int:
-    """Send a recording's frames when they are due, until it ends or is stopped.
+    """Send a recording's frames when they are due, until it ends or ``stop`` is set.
 
-    Returns how many were sent. Raises InputError if the speed is not over 0.
+    Returns the number of frames sent. Raises InputError if the speed is below 0.001.
     """
-    if not _SLOWEST <= speed < np.inf:
-        raise InputError(f"--speed {speed:g}: expected {_SLOWEST:g} or more, such as 2")
+    if not _MIN_SPEED <= speed < np.inf:
+        raise InputError(
+            f"--speed {speed:g}: expected {_MIN_SPEED:g} or more, such as 2"
+        )
     clock = asyncio.get_running_loop()
     began, first, sent = clock.time(), None, 0
     for frame in frames_of(takes, loop=loop):
@@ -182,7 +166,7 @@ async def replay(
                 async with asyncio.timeout_at(due):
                     await stop.wait()
         else:
-            await asyncio.sleep(0.0)  # or nobody who is late could be stopped
+            await asyncio.sleep(0.0)  # so that a replay that is late can be stopped
         if stop.is_set():
             break
         sent += await send(format_frame(frame))

@@ -1,4 +1,4 @@
-"""The raw frames as takes that ``clean`` reads, one file per body."""
+"""Records the raw frames as takes that ``clean`` reads, one file per body."""
 
 from __future__ import annotations
 
@@ -15,29 +15,30 @@ from kinefilter.pipeline.formats.files import check_folder
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.sheets import PART, take_header, take_rows
 
-from .messages import SeenBody, stacked
+from .messages import SeenBody, as_arrays
 from .tally import Event, Tally
 
-_MOST_FILES = 64  # bodies in one recording
-_MOST_WAITING = 10_000  # frames: what a disk may be behind
-_LEAST = 2  # frames of a take
+_MAX_FILES = 64  # bodies in one recording
+_MAX_WAITING = 10_000  # frames by which the disk may fall behind
+_MIN_FRAMES = 2  # of a take
 
 
-@dataclass
+@dataclass(eq=False)
 class _Part:
+    body: str  # the sender's name for the person
     path: Path
     file: BinaryIO
-    last: float  # the last frame's stamp [s]
-    frames: int = 0  # that are written
+    last: float  # time stamp of the last frame [s]
+    frames: int = 0  # written so far
 
 
 class Recorder:
-    """Writes frames into parts beside the file, which get their final names at the end.
+    """Writes frames to part files, which get their final names at the end.
 
-    Parts are called ``take.1.part.csv``. That of a session that was killed is a take
-    that lacks its last second; a last row that is torn is not read. At the end they
-    become ``take.csv``, or for several bodies ``take.1.csv``, ``take.2.csv`` and so on
-    in order of appearance. Raises InputError if it cannot be written there, or a
+    Parts are called ``take.1.part.csv``. If the session is killed, a part is a take
+    without its last second; its torn last row is not read. At the end, parts become
+    ``take.csv`` or, for several bodies, ``take.1.csv``, ``take.2.csv`` and so on, in
+    order of appearance. Raises InputError if files cannot be written there, or if a
     recording of that name exists.
     """
 
@@ -49,96 +50,92 @@ class Recorder:
         there += sorted(path.parent.glob(f"{glob.escape(path.stem)}.*.csv"))
         if there:
             raise InputError(
-                f"{there[0]}: exists already, and a recording is never overwritten; "
-                "give another name, or move it away"
+                f"{there[0]}: exists already, and recordings are never overwritten; "
+                "give another name, or move the file away"
             )
         self._path, self._skeleton, self._tally = path, skeleton, tally
         self._parts: list[_Part] = []
-        self._current: dict[str, _Part] = {}
         self._waiting: deque[tuple[_Part, float, SeenBody]] = deque()
         self._writing = threading.Lock()
-        self.failure: str | None = None  # why nothing more can be written, if it cannot
+        self.failure: str | None = None  # why recording had to stop, if it had to
 
     def add(self, time: float, seen: SeenBody) -> None:
         """Keep a person's frame with the stamp ``time`` [s] for the next ``flush``."""
         part = self._part(time, seen)
-        if part is None or len(self._waiting) >= _MOST_WAITING:
-            self._tally.count(Event.UNRECORDED)
+        if part is None or len(self._waiting) >= _MAX_WAITING:
+            self._tally.events[Event.UNRECORDED] += 1
             return
         part.last = time
         self._waiting.append((part, time, seen))
 
     def flush(self) -> None:
-        """Write what came since the last time; threads that call it take turns."""
+        """Write the frames since the last flush; threads that call it take turns."""
         with self._writing:
-            came = [self._waiting.popleft() for _ in range(len(self._waiting))]
+            new = [self._waiting.popleft() for _ in range(len(self._waiting))]
             for part in list(self._parts):
-                rows = [(time, seen) for of, time, seen in came if of is part]
+                rows = [(time, seen) for of, time, seen in new if of is part]
                 if rows and self.failure is None:
                     try:
-                        _write_whole(part.file, take_rows(*stacked(rows)).encode())
+                        _write_whole(part.file, take_rows(*as_arrays(rows)).encode())
                         part.frames += len(rows)
                     except OSError as error:
                         self._fail(part.path, error)
 
     def finish(self) -> list[Path]:
-        """Write the rest after any flush under way, name the files, return them."""
+        """Write the rest after any flush in progress, rename the files, return them."""
         self.flush()
-        kept = [part.path for part in self._parts if part.frames >= _LEAST]
-        places = {
-            path: numbered(self._path, n if len(kept) > 1 else None)
-            for n, path in enumerate(kept, 1)
-        }
+        kept = [part for part in self._parts if part.frames >= _MIN_FRAMES]
+        written = []
         for part in self._parts:
             try:
                 with part.file as file:
                     os.fsync(file.fileno())
-                if part.path in places:
-                    part.path.replace(places[part.path])
+                if part in kept:
+                    number = kept.index(part) + 1 if len(kept) > 1 else None
+                    written.append(part.path.replace(numbered(self._path, number)))
                 else:
                     part.path.unlink()
             except OSError as error:
                 self._fail(part.path, error)
-                places.pop(part.path, None)
         self._parts.clear()
-        self._current.clear()
-        return list(places.values())
+        return written
 
     def _part(self, time: float, seen: SeenBody) -> _Part | None:
-        """Return a body's file, a new one where there is none or time goes back."""
-        part, number = self._current.get(seen.id), len(self._parts) + 1
-        if part is not None and time >= part.last and self.failure is None:
+        """Return a body's file, a new one if there is none or time goes backwards."""
+        if self.failure is not None:
+            return None
+        own = (part for part in reversed(self._parts) if part.body == seen.id)
+        if (part := next(own, None)) is not None and time >= part.last:
             return part
-        if number > _MOST_FILES or self.failure is not None:
+        if (number := len(self._parts) + 1) > _MAX_FILES:
             return None
         path = self._path.with_name(f"{self._path.stem}.{number}{PART}")
         try:
-            part = _Part(path, path.open("xb", buffering=0), time)
+            part = _Part(seen.id, path, path.open("xb", buffering=0), time)
             self._parts.append(part)
             _write_whole(part.file, take_header(self._skeleton).encode())
         except OSError as error:
             self._fail(path, error)
             return None
-        self._current[seen.id] = part
         return part
 
     def _fail(self, path: Path, error: OSError) -> None:
+        reason = error.strerror or error
         self.failure = (
-            f"{path}: the recording ends here ({error.strerror or error}); make room "
-            "and record again"
+            f"{path}: recording stopped ({reason}); free some space and restart"
         )
 
 
 def _write_whole(file: BinaryIO, data: bytes) -> None:
-    """Write all of it, or, where that fails, leave the file as it was."""
+    """Write all data or, if that fails, leave the file as it was."""
     before = file.seek(0, os.SEEK_END)
     try:
-        _written(file, data)
+        _write(file, data)
     except OSError:
         file.truncate(before)
         raise
 
 
-def _written(file: BinaryIO, data: bytes) -> None:
+def _write(file: BinaryIO, data: bytes) -> None:
     while data:
         data = data[file.write(data) :]

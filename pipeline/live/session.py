@@ -7,25 +7,18 @@ import gc
 import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinefilter.characters import (
-    STANDARD_HEIGHT,
-    InputError,
-    Skeleton,
-    skeleton_named,
-    standard_body,
-)
+from kinefilter.characters import InputError, skeleton_named, standard_body
 from kinefilter.pipeline.avatar import Avatar
 
 from .background import meanwhile
 from .config import AccessConfig, LiveConfig
-from .crowd import Crowd, Person, Presence, Waiting
+from .crowd import Crowd, PendingFrame, Person, Presence
 from .endpoints import Address, find_endpoints
-from .messages import LivePose, MalformedError, parse_frame
+from .messages import LivePose, MalformedError, SeenBody, parse_frame
 from .recorder import Recorder
 from .sinks import Broadcast, Engine, open_sink
 from .sources import Intake, open_source
@@ -34,58 +27,68 @@ from .tally import Event, Tally
 if TYPE_CHECKING:
     from .sensors import Sensors, Stream
 
-_TICK = 0.25  # s between checks of who is gone
-_FLUSH = 1.0  # s between writes of the recording: what a kill may cost
-_WARM_UP = 10  # frames; the first of a process take a hundred times as long
+_TICK = 0.25  # s between checks for people who have left
+_FLUSH = 1.0  # s between writes of the recording: as much is lost if it is killed
+_WARM_UP = 10  # frames; the first of a process takes a hundred times as long
 _MOST_BODIES = 32
-_QUIET = 3  # turns of the loop: a WebSocket's message takes as many to get here
-_Started = Callable[[list[Address]], None]
+_QUIET = 3  # iterations of the event loop that a WebSocket message takes to arrive
 
 
 class Session:
-    """Follows the people of a stream.
+    """Follows the people in one or more streams of frames.
 
-    Poses are made in the loop itself: to wake a thread for each takes a busy machine
-    some milliseconds. Between two poses all frames that came are taken in; while poses
-    are late, the newest frame of each person waits and older ones are dropped. Raises
-    InputError if the configuration is wrong, or a package is not installed.
+    Poses are computed in the event loop itself, because waking a thread for each takes
+    milliseconds on a busy machine. Between two poses, all frames that have arrived are
+    taken in; if poses fall behind, each person's newest frame waits and older ones are
+    dropped. Raises InputError if the configuration is wrong or a package is missing.
     """
 
     def __init__(self, config: LiveConfig, access: AccessConfig | None = None) -> None:
         self.tally = Tally()
-        self.recorded: list[Path] = []  # once the recording is finished
+        self.recorded: list[Path] = []  # files, once the recording is finished
         self.endpoints = find_endpoints(config, access or AccessConfig())
         if not 1 <= config.bodies <= _MOST_BODIES:
             raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
         self._config, self._skeleton = config, skeleton_named(config.skeleton)
         self.crowd = Crowd(config.bodies, self.tally)
         count = len(self.endpoints.sources)
-        self.sensors = _sensors(config, self._skeleton, self.tally)
+        self.sensors: Sensors | None = None
+        self._new_person: Callable[[], Person] = partial(Person, config)
+        if count > 1:
+            from kinefilter.pipeline.merge import calibration
+
+            from .fusing import FusedPerson
+            from .sensors import Sensors
+
+            known = calibration.read_calibration(config.calibration)
+            calibration.check_sensors(known, count)
+            self.sensors = Sensors(self._skeleton, count, known, self.tally)
+            self._new_person = partial(FusedPerson, config, self.sensors)
+        elif config.calibration is not None:
+            raise InputError("--calibration is for several --in; leave it out")
         self.recorders: list[Recorder] = []
         if (path := config.record) is not None:
-            paths = [path]
-            if count > 1:
-                stems = (f"{path.stem}.sensor{k}" for k in range(1, count + 1))
-                paths = [path.with_stem(stem) for stem in stems]
-            self.recorders = [
-                Recorder(path, self._skeleton, self.tally) for path in paths
-            ]
+            for k in range(1, count + 1):
+                own = path.with_stem(f"{path.stem}.sensor{k}") if count > 1 else path
+                self.recorders.append(Recorder(own, self._skeleton, self.tally))
         self._sinks: list[Broadcast | Engine] = []
         self._came, self._idle = asyncio.Event(), asyncio.Event()
         self._idle.set()
 
     @property
     def failure(self) -> str | None:
-        """Why a recording ended, if it did."""
+        """Why a recording ended early, None if none did."""
         return next((r.failure for r in self.recorders if r.failure), None)
 
     async def run(
-        self, stop: asyncio.Event, started: _Started = lambda _: None
+        self,
+        stop: asyncio.Event,
+        started: Callable[[list[Address]], None] = lambda _: None,
     ) -> None:
-        """Follow people until ``stop`` is set or the input ends; end the recording.
+        """Follow people until ``stop`` is set or the input ends; finish the recording.
 
-        ``started`` is called with the addresses in use, of inputs, then of outputs.
-        Raises InputError if a port is taken, or a host not known.
+        ``started`` is called with the addresses in use, inputs before outputs. Raises
+        InputError if a port is taken or a host is unknown.
         """
         access, used = self.endpoints.access, []
         try:
@@ -120,41 +123,41 @@ class Session:
                 self.recorded += recorder.finish()
 
     def receive(self, message: bytes | str, number: int = 0) -> None:
-        """Take in a message of a sensor; one that is not a frame is counted."""
+        """Take in a message from a sensor; count it if it is not a frame."""
         try:
             frame = parse_frame(message, self._skeleton, self._config.bodies)
         except MalformedError as error:
             self.tally.malformed[error.reason] += 1
             return
         now = time.perf_counter()
-        self.tally.count(Event.FRAMES)
+        self.tally.events[Event.FRAMES] += 1
         if self.sensors is None or self.sensors.arrive(number, frame, now):
             new = self.crowd.arrive(frame, now)
-            waits = bool(new)
+            pending = bool(new)
         else:
             stream = self.sensors.streams[number]
             kept = stream.heard == now  # neither late nor repeated
             new = list(stream.frames[-1].bodies) if kept else []
-            waits = self._carry(self.sensors, stream, now)
-        for seen in new:
-            if self.recorders:
-                self.recorders[number].add(frame.time, seen)
-        if waits:
+            pending = self._hand_over(self.sensors, stream, now)
+        for seen in new if self.recorders else ():
+            self.recorders[number].add(frame.time, seen)
+        if pending:
             self._idle.clear()
             self._came.set()
 
-    def _carry(self, sensors: Sensors, stream: Stream, now: float) -> bool:
-        """Follow people whom the leading sensor does not see by one that does."""
-        waits = False
-        for presence in self.crowd.unseen(now) if stream in sensors.joined else []:
+    def _hand_over(self, sensors: Sensors, stream: Stream, now: float) -> bool:
+        """Follow people whom the leading sensor lost with another that sees them."""
+        pending = False
+        lost = self.crowd.lost_by_lead(now) if stream in sensors.joined else []
+        for presence in lost:
             frame, person = stream.frames[-1], presence.person
             found = person and sensors.match(stream, frame, person)
-            if found and stream.clock is not None:
-                seen, places = found
-                seen = replace(seen, id=presence.id, positions=places, carried=True)
-                self.crowd.take_in(seen, stream.clock.undone(frame.time), now)
-                waits = True
-        return waits
+            if found and stream.clock and stream.placed:
+                positions = stream.placed.apply(found.positions)
+                seen = SeenBody(presence.id, positions, found.state, True)
+                self.crowd.add(seen, stream.clock.undone(frame.time), now)
+                pending = True
+        return pending
 
     async def _done(self) -> None:
         await self._idle.wait()
@@ -162,64 +165,56 @@ class Session:
             await sink.flushed()
 
     async def _pump(self) -> None:
-        """Make poses, always of the person who has waited longest."""
+        """Make poses, each of the person who has waited longest."""
         while True:
             await self._came.wait()
             self._came.clear()
             while (turn := self.crowd.next()) is not None:
                 self._pose(*turn)
-                await self._take_in()
+                await self._let_others_run()
             self._idle.set()
 
-    async def _take_in(self) -> None:
-        """Send poses, and take in frames that arrived during the last pose."""
+    async def _let_others_run(self) -> None:
+        """Send poses, and take in the frames that arrived during the last one."""
         quiet = 0
         while quiet < _QUIET:
             self._came.clear()
             await asyncio.sleep(0)
             quiet = 0 if self._came.is_set() else quiet + 1
 
-    def _pose(self, presence: Presence, waiting: Waiting) -> None:
-        """Make a person's pose and send it."""
+    def _pose(self, presence: Presence, frame: PendingFrame) -> None:
         if presence.person is None:
-            presence.person = self._person()
-        person, turn = presence.person, presence.person.turn
-        if waiting.restarted:
+            presence.person = self._new_person()
+        person, avatar = presence.person, presence.person.avatar
+        turn = avatar and avatar.turn
+        if frame.restarted:
             person.start()
         try:
-            pose = person.step(waiting.seen, waiting.time)
+            pose = person.step(frame.seen, frame.time)
         except (InputError, ArithmeticError, ValueError):
-            # Measures of no human, or an overflow: one person's frames must not end
-            # the session of the others.
+            # Inhuman lengths or an overflow: others must be able to carry on.
             presence.person = None
-            self.tally.count(Event.FAILED)
+            self.tally.events[Event.FAILED] += 1
             return
-        if pose is None or person.body is None:
+        if pose is None or person.avatar is None:
             return
-        if person.turn is not None and person.turn is not turn:
-            self.tally.notes[presence.slot] = person.turn.told()
-        latency = time.perf_counter() - waiting.arrived
-        named = presence.id, presence.slot, waiting.time
-        live = LivePose(*named, person.body, pose, latency)
+        if person.avatar.turn is not turn:
+            self.tally.notes[presence.slot] = person.avatar.turn.told()
+        latency = time.perf_counter() - frame.arrived
+        body = person.avatar.body
+        live = LivePose(presence.id, presence.slot, frame.time, body, pose, latency)
         for sink in self._sinks:
             sink.send(live)
-        self.tally.count(Event.POSES)
-        self.tally.count(Event.DIVERGED, int(pose.reset))
-        self.tally.count(Event.IMPOSSIBLE, int(pose.impossible))
-        self.tally.latency.add(time.perf_counter() - waiting.arrived)
-
-    def _person(self) -> Person:
-        if self.sensors is None:
-            return Person(self._config)
-        from .fusing import FusedPerson
-
-        return FusedPerson(self._config, self.sensors)
+        self.tally.events[Event.POSES] += 1
+        self.tally.events[Event.DIVERGED] += int(pose.reset)
+        self.tally.events[Event.IMPOSSIBLE] += int(pose.impossible)
+        self.tally.latency.add(time.perf_counter() - frame.arrived)
 
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(_TICK)
             if self.sensors is not None:
-                self.sensors.tell(time.perf_counter())
+                self.sensors.update_notes(time.perf_counter())
             for gone in self.crowd.drop_gone(time.perf_counter()):
                 for sink in self._sinks:
                     sink.gone(gone)
@@ -233,30 +228,10 @@ class Session:
     def _warm_up(self) -> None:
         """Load what the first pose needs, and exempt it from garbage collection."""
         config = self._config
-        height = STANDARD_HEIGHT if config.height is None else config.height
-        body = standard_body(self._skeleton, height=height, mass=config.mass)
+        size = {} if config.height is None else {"height": config.height}
+        body = standard_body(self._skeleton, mass=config.mass, **size)
         avatar = Avatar(body, config.scene, floor=config.floor)
         for k in range(_WARM_UP):
             avatar.step(body.rest_positions, k / 30.0)
         gc.collect()
         gc.freeze()
-
-
-def _sensors(config: LiveConfig, skeleton: Skeleton, tally: Tally) -> Sensors | None:
-    """Return the sensors, None for one; raises InputError for a wrong calibration."""
-    count = len(config.sources)
-    if count == 1:
-        if config.calibration is not None:
-            raise InputError("--calibration is for several --in; leave it out")
-        return None
-    from kinefilter.pipeline.merge import read_calibration
-
-    from .sensors import Sensors
-
-    known = read_calibration(config.calibration)
-    if known and len(known) != count - 1:
-        raise InputError(
-            f"the calibration is of {len(known) + 1} sensors, and {count} --in are "
-            "given; give them in its order"
-        )
-    return Sensors(skeleton, count, known, tally)

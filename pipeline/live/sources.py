@@ -1,4 +1,4 @@
-"""Where messages come from: datagrams, WebSockets, the standard input."""
+"""Sources of messages: datagrams, WebSockets, and standard input."""
 
 from __future__ import annotations
 
@@ -6,73 +6,63 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Hashable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .background import meanwhile, read_in
-from .endpoints import (
-    MOST_CONNECTIONS,
-    STANDARD,
-    Access,
-    Address,
-    cannot_listen,
-    open_server,
-)
-from .messages import LARGEST_MESSAGE, Reason
+from . import endpoints
+from .background import meanwhile, read_stdin
+from .endpoints import MAX_CONNECTIONS, Access, Address
+from .messages import MAX_MESSAGE, Reason
 from .tally import Event, Tally
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
 _RATE = 240.0  # messages a second from one sender: eight times a Kinect's
-_BURST = 60.0  # messages that may come at once after a pause
-_FORGOTTEN = 10.0  # s after which a silent sender of datagrams makes room
+_BURST = 60.0  # messages that may arrive at once after a pause
+_FORGOTTEN = 10.0  # s of silence after which a sender of datagrams makes room
 
 
-@dataclass(frozen=True)
-class Intake:
+class Intake(NamedTuple):
     """What is done with messages."""
 
     receive: Callable[[bytes | str], None]  # takes a message
-    done: Callable[[], Awaitable[None]]  # waits until all that was taken has its pose
-    ended: Callable[[], None]  # called when nothing more can come
-    tally: Tally  # counts messages that are not taken
+    done: Callable[[], Awaitable[None]]  # waits until every frame taken has its pose
+    ended: Callable[[], None]  # called when no more messages can arrive
+    tally: Tally  # counts rejected messages
 
     def take(self, message: bytes | str, rate: Rate, now: float) -> None:
-        """Take a message that comes now [s] from a sender, unless it sends too many."""
+        """Take a message that arrives now [s], unless its sender is too fast."""
         if rate.allows(now):
             self.receive(message)
         else:
-            self.tally.count(Event.TOO_FAST)
+            self.tally.events[Event.TOO_FAST] += 1
 
 
 class Rate:
-    """Lets one sender's messages pass, up to a number a second."""
+    """Limits the messages per second of one sender; times are of a monotonic clock."""
 
     def __init__(self, now: float) -> None:
-        # The time [s] is that of any clock that does not go back.
         self._left, self.heard = _BURST, now
 
     def allows(self, now: float) -> bool:
-        """Tell whether a message that comes now [s] may pass."""
+        """Return True if a message that arrives now [s] may pass."""
         self._left = min(_BURST, self._left + (now - self.heard) * _RATE)
         self.heard = now
-        if self._left < 1.0:
-            return False
-        self._left -= 1.0
-        return True
+        allowed = self._left >= 1.0
+        self._left -= float(allowed)
+        return allowed
 
 
 @asynccontextmanager
 async def open_source(
     address: Address, access: Access, intake: Intake
 ) -> AsyncIterator[Address]:
-    """Hand over the messages that come to an address; yields the address in use.
+    """Hand the messages that arrive at an address to the intake; yield the address.
 
-    Raises InputError if the port is taken or the host is not of this machine.
+    Raises InputError if the port is taken or the host is not this machine.
     """
-    if address.scheme == STANDARD:
+    if address.scheme == endpoints.STANDARD:
         async with meanwhile(_read_stdin(intake)):
             yield address
     elif address.scheme == "udp":
@@ -82,22 +72,22 @@ async def open_source(
                 lambda: Receiver(intake), local_addr=(address.host, address.port)
             )
         except OSError as error:
-            raise cannot_listen(address, error) from None
+            raise endpoints.cannot_listen(address, error) from None
         try:
             port = int(transport.get_extra_info("sockname")[1])
             yield Address("udp", address.host, port)
         finally:
             transport.close()
     else:
-        handler = partial(_take_all, intake)
-        async with open_server(
-            handler, address, access, intake.tally, largest=LARGEST_MESSAGE
+        handle = partial(_take_all, intake)
+        async with endpoints.open_server(
+            handle, address, access, intake.tally, largest=MAX_MESSAGE
         ) as actual:
             yield actual
 
 
 class Receiver(asyncio.DatagramProtocol):
-    """Hands over the datagrams of a few senders, each up to a rate."""
+    """Takes the datagrams of a few senders, each up to a rate."""
 
     def __init__(self, intake: Intake) -> None:
         self._intake = intake
@@ -108,25 +98,23 @@ class Receiver(asyncio.DatagramProtocol):
         now = time.perf_counter()
         rate = self.rate(addr, now)
         if rate is None:
-            self._intake.tally.count(Event.REFUSED)
+            self._intake.tally.events[Event.REFUSED] += 1
         else:
             self._intake.take(data, rate, now)
 
     def rate(self, peer: Hashable, now: float) -> Rate | None:
-        """Return a sender's rate, or None where there are too many senders."""
-        rates = self._rates
-        if peer not in rates and len(rates) >= MOST_CONNECTIONS:
-            # They never close a connection.
-            silent = [p for p, rate in rates.items() if now - rate.heard >= _FORGOTTEN]
-            for one in silent:
-                del rates[one]
-            if not silent:
+        """Return a sender's rate, or None if there are too many senders."""
+        if peer not in self._rates and len(self._rates) >= MAX_CONNECTIONS:
+            # Senders have no connection to close, so silent ones are forgotten.
+            for other, rate in list(self._rates.items()):
+                if now - rate.heard >= _FORGOTTEN:
+                    del self._rates[other]
+            if len(self._rates) >= MAX_CONNECTIONS:
                 return None
-        return rates.setdefault(peer, Rate(now))
+        return self._rates.setdefault(peer, Rate(now))
 
 
 async def _take_all(intake: Intake, connection: ServerConnection) -> None:
-    """Take the messages of one connection."""
     from websockets.exceptions import ConnectionClosedError
     from websockets.frames import CloseCode
 
@@ -140,10 +128,7 @@ async def _take_all(intake: Intake, connection: ServerConnection) -> None:
 
 
 async def _read_stdin(intake: Intake) -> None:
-    """Take lines of the standard input, each after the poses of the last.
-
-    A program that writes into a pipe can wait, so no frame is dropped.
-    """
+    """Take each line once the last one has its poses; the writer of a pipe can wait."""
     rest, too_long = b"", False
 
     async def take(line: bytes) -> None:
@@ -156,11 +141,11 @@ async def _read_stdin(intake: Intake) -> None:
         too_long = False
 
     try:
-        while chunk := await read_in():
+        while chunk := await read_stdin():
             *lines, rest = (rest + chunk).split(b"\n")
             for line in lines:
                 await take(line)
-            if len(rest) > LARGEST_MESSAGE:
+            if len(rest) > MAX_MESSAGE:
                 rest, too_long = b"", True
         await take(rest)
     finally:

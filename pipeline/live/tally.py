@@ -1,4 +1,4 @@
-"""What happened to frames and poses, counted; never more than a few kilobytes."""
+"""Counts and latencies of a live session, in a few kilobytes however long it runs."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ import numpy as np
 from .messages import Reason
 
 _BIN = 1e-4  # s
-_BINS = 10_000  # a second; what took longer counts as that
-_RECENT = 300  # poses of the status line: ten seconds of one person
+_BINS = 10_000  # one second; longer latencies are counted in the last bin
+_RECENT = 300  # poses in the status line: ten seconds of one person
 
 
 class Event(StrEnum):
-    """What is counted."""
+    """What is counted; in JSON by name, on the terminal by value."""
 
     FRAMES = "frames in"
     POSES = "poses out"
-    FUSED = "of several sensors"
-    DROPPED = "dropped, newer came"
+    FUSED = "fused from several sensors"
+    DROPPED = "dropped for a newer frame"
     LATE = "late"
     REPEATED = "repeated"
     MISSING = "missing"
-    RESTARTED = "clocks restarted"
-    UNSEEN = "without a joint"
-    RESTED = "bodies gone"
-    CROWDED = "too many bodies"
-    TOO_FAST = "faster than allowed"
+    RESTARTED = "clock restarts"
+    UNSEEN = "without a visible joint"
+    RESTED = "people left"
+    CROWDED = "over the limit of bodies"
+    TOO_FAST = "over the rate limit"
     REFUSED = "connections refused"
     SLOW = "lost by slow readers"
     UNSENT = "not sent"
@@ -40,7 +40,7 @@ class Event(StrEnum):
 
 
 class Latency:
-    """A histogram of how long poses took, however many there are."""
+    """Histogram of pose latencies, of constant size."""
 
     def __init__(self) -> None:
         self._bins = np.zeros(_BINS + 1, dtype=np.int64)
@@ -48,42 +48,35 @@ class Latency:
         self.most = 0.0
 
     def add(self, seconds: float) -> None:
-        """Count one [s]."""
+        """Count one latency [s]."""
         self._bins[min(int(max(seconds, 0.0) / _BIN), _BINS)] += 1
         self._recent.append(seconds)
         self.most = max(self.most, seconds)
 
     def quantile(self, share: float) -> float:
-        """Return the time [s], to 0.1 ms, that a share of all took at most, or NaN."""
+        """Return a quantile of all latencies [s], to 0.1 ms; NaN without any."""
         total = np.cumsum(self._bins)
         if not total[-1]:
             return float("nan")
         return float((np.searchsorted(total, share * total[-1]) + 1) * _BIN)
 
     def recent(self, share: float) -> float:
-        """Return the same [s] of the last 300 poses."""
-        recent = np.array(self._recent)
-        return float(np.quantile(recent, share)) if len(recent) else float("nan")
+        """Return a quantile of the last 300 latencies [s]; NaN without any."""
+        return float(np.quantile(self._recent, share)) if self._recent else float("nan")
 
 
 class Tally:
-    """Counts of everything."""
+    """Event counts, latencies and notes of a session."""
 
     def __init__(self) -> None:
         self.events: Counter[Event] = Counter()
         self.malformed: Counter[Reason] = Counter()
-        self.latency = Latency()
-        """From a frame's coming in to its pose's going out."""
+        self.latency = Latency()  # from the arrival of a frame to sending its pose
+        # What the user should know: by person's slot, or -1, -2, ... for the sensors.
         self.notes: dict[int, tuple[str, ...]] = {}
-        """What the user should know of the frames of the person in each slot; below 0,
-        of each sensor."""
-
-    def count(self, event: Event, times: int = 1) -> None:
-        """Count that something happened."""
-        self.events[event] += times
 
     def told(self) -> list[str]:
-        """Return all notes, each once."""
+        """Return all notes, without repeats."""
         return list(dict.fromkeys(n for notes in self.notes.values() for n in notes))
 
     def as_json(self) -> dict[str, Any]:

@@ -1,46 +1,42 @@
 """Poses for engines: the VMC protocol, OSC messages in datagrams (protocol.vmc.info).
 
-A pose is the person on VRM's skeleton (``retarget/rigs/vrm.toml``), in the person's own
-size: of each bone the name that Unity has for it, and position [m] and rotation (xyzw)
-relative to its parent, of the hips relative to the root, which stays at the world's
-origin. Unity's axes are left-handed: x is mirrored, so (x, y, z) becomes (-x, y, z) and
-the quaternion (w, x, y, z) becomes (w, x, -y, -z).
+A pose is the person on VRM's skeleton (``retarget/rigs/vrm.toml``) in the person's own
+size. Each bone has Unity's name, and position [m] and rotation (xyzw) relative to its
+parent; the hips are relative to the root, which stays at the world origin. Unity's axes
+are left-handed: x is mirrored, so (x, y, z) becomes (-x, y, z) and the quaternion
+(w, x, y, z) becomes (w, x, -y, -z).
 
-Packing OSC messages takes half a millisecond. So they are packed once, and the floats
-in them are overwritten for each pose, in a tenth of that.
+Packing OSC messages takes half a millisecond, so they are packed once; overwriting
+their floats for each pose takes a tenth of that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinefilter.characters import Body, Motion
 from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate, slerp
+from kinefilter.pipeline.avatar import Pose
 from kinefilter.retarget.retargeting import segment_of, turned
 from kinefilter.retarget.rig_map import SIDES, load_rig_map
 from kinefilter.retarget.target_rig import built_rig
 
-if TYPE_CHECKING:
-    from kinefilter.pipeline.avatar import Pose
-
-LARGEST_BUNDLE = 1400  # bytes of an Ethernet packet, so that no network splits it
-_HEAD, _PREFIX = 16, 4  # bytes of a bundle's head, and before each message in it
+LARGEST_BUNDLE = 1400  # bytes that fit into an Ethernet packet, so that none is split
+_HEAD, _PREFIX = 16, 4  # bytes at the start of a bundle, and before each message in it
 _AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # x, y, z [m], then xyzw
 _MIRRORED = np.array([-1.0, 1.0, 1.0])
 _TURNED = np.array([1.0, 1.0, -1.0, -1.0])  # wxyz
 
 
 class VmcFigure:
-    """One person as VMC sends them.
+    """One person as VMC bones.
 
-    Each bone turns as the segment of ours that turns it in ``retarget``. As arms and
-    legs are as long as the person's and point where the person's do, hands and feet are
-    where they are relative to shoulders and hips.
+    Each bone turns with the segment that turns it in ``retarget``. Since arms and legs
+    have the person's lengths and directions, hands and feet have the right positions
+    relative to shoulders and hips.
     """
 
     def __init__(self, body: Body) -> None:
@@ -55,25 +51,22 @@ class VmcFigure:
         root = body.rest_positions[None, skeleton.root]
         still = Motion(time=np.zeros(1), body=body, root=root, rotations=turns)
         at_rest = turned(still, self.rig)
-        # Every bone of VRM is turned by a part.
         self._rest_turns = np.array([at_rest[n][0] for n in range(len(rest))])
-        segments = np.zeros(len(rest), dtype=np.intp)
+        self._segments = np.zeros(len(rest), dtype=np.intp)
         for part, joints in self.rig.parts.items():
             if part != "spine":
-                segments[list(joints)] = segment_of(skeleton, part)
-        self._segments = segments
+                self._segments[list(joints)] = segment_of(skeleton, part)
         self._spine = list(self.rig.parts["spine"])
         self._shares = np.linspace(0.0, 1.0, len(self._spine))
-        chest = skeleton.girdle
-        self._trunk = (skeleton.parents[chest], chest)
-        # The hips bone over the middle of the thighs [m], which turns with it, and by
-        # how much VRM's ankles are higher over flat soles than ours [m].
-        places, joint = rest.positions, self.rig.joint
+        self._trunk = [skeleton.parents[skeleton.girdle], skeleton.girdle]
+        # The hips bone relative to the middle of the thighs [m], which turns with it,
+        # and how much higher VRM's ankles are above flat soles than ours [m].
+        positions, joint = rest.positions, self.rig.joint
         thighs = [joint(f"{side} thigh") for side in SIDES]
         feet = [joint(f"{side} foot") for side in SIDES]
-        self._over = places[joint("pelvis")] - places[thighs].mean(axis=0)
+        self._over = positions[joint("pelvis")] - positions[thighs].mean(axis=0)
         ours = body.rest_positions[skeleton.sides("Ankle"), 1].mean()
-        self._higher = [0.0, places[feet, 1].mean() - self.rig.floor - ours, 0.0]
+        self._higher = [0.0, positions[feet, 1].mean() - self.rig.floor - ours, 0.0]
         changes = (np.nan,) * len(_AT_ORIGIN)
         self._bundles = _bundles(
             [
@@ -85,33 +78,34 @@ class VmcFigure:
         )
 
     def bones(self, pose: Pose) -> dict[str, tuple[Array, Array]]:
-        """Return where each bone is relative to its parent, in Unity's axes.
+        """Return each bone's position [m] (3,) and rotation, wxyz (4,), by its name.
 
-        By bone: position [m], shape (3,), and rotation wxyz, shape (4,).
+        They are relative to its parent, in Unity's axes.
         """
         segments = pose.rotations[self._segments]
-        lower, upper = pose.rotations[list(self._trunk)]
+        lower, upper = pose.rotations[self._trunk]
         segments[self._spine] = slerp(lower, upper, self._shares)
         turns = multiply(segments, self._rest_turns)
         above = np.where(self._root[:, None], IDENTITY, turns[self._parents])
         local = self._local.copy()
         hips = pose.positions[self.body.skeleton.hips].mean(axis=0) + self._higher
         local[self._root] = hips + rotate(turns[self._root], self._over)
-        places = local * _MIRRORED
+        positions = local * _MIRRORED
         rotations = multiply(inverse(above), turns) * _TURNED
-        return dict(zip(self._names, zip(places, rotations, strict=True), strict=True))
+        bones = zip(positions, rotations, strict=True)
+        return dict(zip(self._names, bones, strict=True))
 
     def bundles(self, pose: Pose, seconds: float) -> list[bytes]:
-        """Return a pose as bundles of messages, each of which fits into a datagram.
+        """Return a pose as bundles of messages, each of which fits into a packet.
 
         ``seconds`` is the time since the first pose [s].
         """
         bones = self.bones(pose).values()
-        places = [[*place, *turn[1:], turn[0]] for place, turn in bones]
-        values = np.array([seconds, *_AT_ORIGIN, *chain(*places)], dtype=">f4")
+        places = [[*position, *turn[1:], turn[0]] for position, turn in bones]
+        values = np.array([seconds, *_AT_ORIGIN, *np.ravel(places)], dtype=">f4")
         packets = []
         for words in self._bundles:
-            changed = np.flatnonzero(np.isnan(words))
+            changed = np.flatnonzero(np.isnan(words))  # true of no other words
             packet = words.copy()
             packet[changed], values = values[: len(changed)], values[len(changed) :]
             packets.append(packet.tobytes())
@@ -133,11 +127,7 @@ def _message(address: str, *values: str | int | float) -> bytes:
 
 
 def _bundles(messages: Sequence[bytes]) -> list[Singles]:
-    """Return messages in bundles that fit into packets, as words of four bytes.
-
-    Everything in OSC is a multiple of four bytes long. No word is NaN but the floats
-    that are.
-    """
+    """Return bundles that fit into packets, as OSC's words of four bytes."""
     from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
     from pythonosc.osc_message import OscMessage
 

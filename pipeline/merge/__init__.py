@@ -1,7 +1,7 @@
-"""Makes one take of what several sensors recorded of a person at the same time.
+"""Merges the takes of one person by several sensors into a single take.
 
-Their clocks and frames are found from the motion itself (``alignment``); then every
-joint is fused of what each sensor saw of it (``fusion``).
+Clocks and frames are found from the motion itself (``alignment``); then each joint is
+fused from what every sensor saw of it (``fusion``).
 """
 
 from .alignment import Alignment, align

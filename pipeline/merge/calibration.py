@@ -1,8 +1,9 @@
-"""Where and when the sensors of a session are, in a file for its other takes."""
+"""Calibration files: the sensors of a session, for other takes of it."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +22,13 @@ if TYPE_CHECKING:
     from .session import Merged
 
 _KIND = "kinefilter calibration"
-_UNREADABLE = (InputError, LookupError, TypeError, ValueError, RecursionError)
+_UNREADABLE = (OSError, InputError, LookupError, TypeError, ValueError, RecursionError)
 _SHAPES = {"turn_xyzw": (4,), "shift_meters": (3,), "lag_seconds": ()}
-_FARTHEST = 100.0  # m from one sensor to another
+_MAX_DISTANCE = 100.0  # m from one sensor to another
 
 
 def write_calibration(merged: Merged, path: Path) -> None:
-    """Write where and when the sensors are, for other takes of the session (JSON)."""
+    """Write place and clock of the sensors, for other takes of the session (JSON)."""
     sensors: list[dict[str, Any]] = [{"source": Path(merged.sources[0]).name}]
     for source, found in zip(merged.sources[1:], merged.alignments, strict=True):
         sensors.append(
@@ -43,7 +44,7 @@ def write_calibration(merged: Merged, path: Path) -> None:
 
 
 def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
-    """Read a calibration, if there is a path; raises InputError for what is none."""
+    """Read a calibration, none without a path; raise InputError if it is invalid."""
     if path is None:
         return ()
     try:
@@ -56,15 +57,23 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
                 as_numbers(sensor[key], key, shape, finite=True).astype(float)
                 for key, shape in _SHAPES.items()
             )
-            if np.abs(shift).max() > _FARTHEST:
-                raise ValueError(f"a sensor more than {_FARTHEST:g} m away")
+            if np.abs(shift).max() > _MAX_DISTANCE:
+                raise ValueError(f"a sensor is over {_MAX_DISTANCE:g} m away")
+            clock = Clock(0.0, float(lag))
             placed = Placement(Rotation.from_quat(turn), shift)
-            alignments.append(
-                Alignment(Clock(0.0, float(lag)), placed, np.nan, np.inf, np.inf)
-            )
-    except (OSError, *_UNREADABLE) as error:
+            alignments.append(Alignment(clock, placed, np.nan, np.inf, np.inf))
+    except _UNREADABLE as error:
         raise InputError(
-            f"{path}: not a calibration of 'kinefilter merge --save-calibration' "
+            f"{path}: not a calibration from 'kinefilter merge --save-calibration' "
             f"({str(error)[:80]})"
         ) from None
     return tuple(alignments)
+
+
+def check_sensors(calibration: Sequence[Alignment], sensors: int) -> None:
+    """Raise InputError if a calibration is for another number of sensors."""
+    if calibration and len(calibration) != sensors - 1:
+        raise InputError(
+            f"the calibration covers {len(calibration) + 1} sensors, but {sensors} are "
+            "given; give the same sensors, in its order"
+        )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -22,11 +21,11 @@ from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.uncertainty import uncertainty
 
-from .alignment import Alignment
+from .alignment import IDENTITY, Alignment
 from .session import Merged, fuse, merge
 
-_SURE = 0.01  # m of uncertainty at which reliability alone decides
-_MOVED = 0.1  # m by which correction moved a joint that counts a third
+_SURE = 0.01  # m of uncertainty at which a joint's weight is its reliability
+_MOVED = 0.1  # m by which correction moves a joint whose weight then drops to 1/e
 
 
 def clean_session(
@@ -39,37 +38,28 @@ def clean_session(
     edits: Sequence[Edit] | None = None,
     progress: Progress = silent,
 ) -> tuple[CleanResult, Merged]:
-    """Return the clip of a person whom several sensors recorded, and what was merged.
+    """Return the clip of a person whom several sensors recorded, and the merged take.
 
-    Each sensor's take is corrected by itself, with its sides as all sensors have them,
-    as methods know what a sensor errs by and from where it looks. What they make of it
-    is fused, by their uncertainty, too, and goes through the stages that follow.
+    Each sensor's take is corrected separately, with left and right as agreed among the
+    sensors, since methods know a sensor's errors and depend on where it stands. The
+    corrected takes are fused, weighted also by their uncertainty, and pass through the
+    remaining stages. The first take's clock is the clip's.
 
-    Args:
-        takes: What each sensor recorded; the first one's clock is the clip's.
-        config: What to do; by default as ``clean`` does.
-        body: Which person of the first recording; see ``merge``.
-        calibration: Where and when the other sensors are; see ``merge``.
-        tracking: How hard the simulated character is pulled.
-        edits: What somebody says of the merged take; by default what the config's file
-            says.
-        progress: Wraps the frame loops, for a progress bar.
-
-    Raises:
-        InputError: As ``merge`` and ``clean``.
+    Arguments and errors are those of ``merge`` and ``Cleaner``. ``edits`` are manual
+    corrections to the merged take, by default those that the config names.
     """
     config = CleanConfig() if config is None else config
     if edits is None:
         edits = read_edits(config.edits) if config.edits else ()
     config = replace(config, edits=None)
     merged = merge(takes, body=body, calibration=calibration, progress=progress)
-    edited(merged.take, edits)  # refused before any work is done
+    edited(merged.take, edits)  # refuses them before any work is done
     cleaner, before = _cleaner(merged, config, (), tracking, progress), None
     if edits:
         before = cleaner.unedited(merged.take, progress)
         cleaner = _cleaner(merged, config, edits, tracking, progress)
-    clean = partial(cleaner.clean, edits=edits, before=before)
-    return clean(merged.take, progress=progress), merged
+    result = cleaner.clean(merged.take, edits=edits, before=before, progress=progress)
+    return result, merged
 
 
 def _cleaner(
@@ -79,21 +69,26 @@ def _cleaner(
     tracking: Tracking | None,
     progress: Progress,
 ) -> Cleaner:
-    """Return what cleans a merged take, with joints where each sensor's are right."""
-    # The frames stay those of the sensors, in which their alignments hold; failures
-    # were mended before sides were settled.
+    """Return a cleaner for a merged take that uses each sensor's corrected joints."""
+    # Alignments hold in the sensors' own frames, so these are not leveled; failures
+    # were repaired before sides were settled.
     corrector = _without_failures(Cleaner(replace(config, tilt=0.0)).until("correct"))
     corrected, scores = [], []
-    for take, since in merged.untangled():
-        take = edited(take, edits, since)
+    pairs = zip(merged.takes, (IDENTITY, *merged.alignments), strict=True)
+    stamps = merged.take.time
+    for k, (take, found) in enumerate(pairs):
+        time = found.clock.undone(take.time)
+        frames = np.searchsorted(stamps, time).clip(max=len(stamps) - 1)
+        take = take.exchanged(merged.exchanged[frames, k])  # as the sensors agree
+        take = edited(take, edits, time - stamps[0])
         draft = corrector.whole(take, progress)
-        places = np.where(draft.missing[..., None], np.nan, draft.positions)
-        corrected.append(replace(take, positions=places))
+        positions = np.where(draft.missing[..., None], np.nan, draft.positions)
+        corrected.append(replace(take, positions=positions))
         moved = np.linalg.norm(draft.positions - take.positions, axis=2)
         sure = (_SURE / uncertainty(draft)) ** 2
         scores.append(draft.reliability * sure * np.exp(-np.nan_to_num(moved) / _MOVED))
     fused = fuse(corrected, scores, merged.alignments, progress)
-    # A person who turns away from one sensor is no failure of all.
+    # A person who turns away from one sensor is not a failure of all sensors.
     cleaner = _without_failures(Cleaner(config, tracking=tracking))
     return cleaner.replaced(Corrected(config, fused.take.positions))
 
@@ -104,16 +99,14 @@ def _without_failures(cleaner: Cleaner) -> Cleaner:
 
 
 class Corrected(Correct):
-    """Puts joints where they were corrected already; without any, corrects them.
+    """Uses joints that were corrected already; without any, corrects them itself.
 
-    Args:
-        config: The settings.
-        places: Corrected joints of the take, (T, J, 3), or of the next frame, (J, 3)
-            [m], the sensor's frame, NaN where none is.
+    ``places`` are the joints [m] of a take (T, J, 3) or of the next frame (J, 3), in
+    the sensor frame, NaN where there are none.
     """
 
     in_parts = False
-    local = False  # the places are those of the whole take
+    local = False  # the joints are those of the whole take
 
     def __init__(self, config: CleanConfig, places: Array | None = None) -> None:
         super().__init__(config)
@@ -121,12 +114,12 @@ class Corrected(Correct):
         self.places = places
 
     def start(self, body: Body) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         super().start(body)
         self._plain.start(body)
 
     def copied(self) -> Corrector:
-        """Return the method with a state of its own; to read one takes long."""
+        """Return the method with a state of its own; reading it again takes long."""
         return deepcopy(self._corrector)
 
     def step(self, draft: Draft) -> None:
@@ -135,7 +128,7 @@ class Corrected(Correct):
             super().step(draft)
         else:
             self._plain.step(draft)
-            self._put(draft, self.places)
+            self._apply(draft, self.places)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Correct a take."""
@@ -143,12 +136,12 @@ class Corrected(Correct):
             super().whole(draft, progress)
         else:
             self._plain.whole(draft, progress)
-            known = self._put(draft, self.places)
+            known = self._apply(draft, self.places)
             draft.origin[known & ~draft.missing] = Origin.CORRECTED
 
     @staticmethod
-    def _put(draft: Draft, places: Array) -> Flags:
-        """Put joints there, and return which."""
+    def _apply(draft: Draft, places: Array) -> Flags:
+        """Move joints to where they were corrected, and return which (..., J)."""
         places = leveled(places, draft.turn.tilt, draft.turn.roll)
         known = ~np.isnan(places[..., 0])
         draft.positions = np.where(known[..., None], places, draft.positions)

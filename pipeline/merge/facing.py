@@ -1,9 +1,9 @@
-"""Which way a person faces, from what several sensors see.
+"""Finds which way a person faces, from what several sensors see.
 
-A sensor sees people facing it, or away from it, as they are, but has people beside it
-turned toward itself. So it counts by the square of the cosine of the angle from which
-it would look at them; where sensors contradict each other, people turn no faster than
-they have to.
+A sensor sees people who face it, or face away, as they are, but shows people at its
+side turned toward itself. So each is weighted by the squared cosine of the angle from
+which it would look at them; where sensors contradict each other, people turn no faster
+than they have to.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from kinefilter.characters.arrays import Array
 from .sides import CheapestPath
 
 # Chosen on simulated people (seeds 140 to 145) and on p00 to p08 of two-kinects.
-_TOLERANCE = np.radians(45.0)  # by which a heading may be off
-_MOST = 4.0  # tolerances squared that a sensor may be off by
+_TOLERANCE = np.radians(45.0)  # rad by which a heading may be off
+_MAX_COST = 4.0  # in squared tolerances, of one sensor
 _TURNING = np.radians(100.0)  # rad/s at which turning costs as much as the tolerance
-_GRID = 2.0 * np.pi * np.arange(72) / 72  # headings that are told apart
+_GRID = 2.0 * np.pi * np.arange(72) / 72  # headings to choose from [rad]
 
 
 class Facing(CheapestPath):
-    """Follows which way a person faces, a heading [rad], 0 along +z."""
+    """Follows a person's heading [rad], 0 along +z."""
 
     def __init__(self) -> None:
         super().__init__(_GRID)
@@ -33,18 +33,16 @@ class Facing(CheapestPath):
     def step(
         self, yaws: Array, angles: Array, elapsed: float
     ) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the heading as far as frames tell so far.
+        """Return the heading, given the frames so far; see ``CheapestPath.step``.
 
-        Args:
-            yaws: Heading of what each sensor sees, with its sides put right, NaN where
-                it sees nobody [rad], (S,).
-            angles: Where each sensor is from the person [rad], (S,).
-            elapsed: Time since the last frame [s].
+        ``yaws`` are the headings in each sensor [rad], without swapped sides, NaN where
+        it sees no one, and ``angles`` the directions to each sensor [rad], both (S,).
         """
         turning = _wrapped(_GRID[:, None] - _GRID) / (_TURNING * max(elapsed, 1e-3))
-        away = np.minimum((_wrapped(yaws[:, None] - _GRID) / _TOLERANCE) ** 2, _MOST)
+        errors = _wrapped(yaws[:, None] - _GRID) / _TOLERANCE
         views = np.cos(angles[:, None] - _GRID) ** 2
-        return self._next(turning**2, np.nansum(views * away, axis=0))
+        costs = np.nansum(views * np.minimum(errors**2, _MAX_COST), axis=0)
+        return self._next(turning**2, costs)
 
 
 def _wrapped(angles: Array) -> Array:

@@ -1,4 +1,4 @@
-"""When two recordings of one movement show the same moment: lag, and clock drift."""
+"""Lag and clock drift between two recordings of the same movement."""
 
 from __future__ import annotations
 
@@ -11,52 +11,45 @@ from scipy.stats import theilslopes
 
 from kinefilter.characters.arrays import Array, Indices, chunks
 
-_Time = TypeVar("_Time", float, Array)
-FEWEST_WINDOWS = 5
-"""Windows of some seconds that it takes to tell a drift."""
-
-_LONGEST_GAP = 0.15  # s that are bridged between samples
+FEWEST_WINDOWS = 5  # that it takes to determine a drift
+_LONGEST_GAP = 0.15  # s between samples to interpolate over
 _CONFIDENCE = 0.99  # that there is a drift at all
-_CELLS = 2_000_000  # of distances at all lags, at once
+_CELLS = 2_000_000  # products at all lags in memory at a time
+_Time = TypeVar("_Time", float, Array)
 
 
 class Track:
-    """Positions at any time, NaN where there are none."""
+    """Positions [m] (T, J, 3) at nondecreasing stamps [s] (T,), interpolated."""
 
     def __init__(self, time: Array, positions: Array) -> None:
-        """Take stamps [s] (T,), which never decrease, and positions [m] (T, J, 3)."""
         self.time, first = np.unique(time, return_index=True)
         flat = positions[first].reshape(len(first), -1)
         self._known = ~np.isnan(flat)
         self._steady = np.diff(self.time) < _LONGEST_GAP
-        self._spline = make_interp_spline(
-            self.time, bridged(self.time, flat), k=min(3, len(self.time) - 1)
-        )
+        filled, degree = interpolate_gaps(self.time, flat), min(3, len(self.time) - 1)
+        self._spline = make_interp_spline(self.time, filled, k=degree)
         self._shape = positions.shape[1:]
 
     def at(self, times: Array) -> Array:
         """Return positions at some times [s], shape (N, J, 3).
 
-        NaN outside of the recording, and between samples of which one is missing.
+        NaN outside of the recording, and between samples if one of them is missing.
         """
         last = len(self.time) - 1
         left = (np.searchsorted(self.time, times, "right") - 1).clip(0, last - 1)
         inside = (times >= self.time[0]) & (times <= self.time[-1])
-        whole = self._known[left] & self._known[left + 1]
-        whole &= (inside & self._steady[left])[:, None]
-        found = np.where(whole, self._spline(times), np.nan)
+        known = self._known[left] & self._known[left + 1]
+        known &= (inside & self._steady[left])[:, None]
+        found = np.where(known, self._spline(times), np.nan)
         return np.asarray(found.reshape(len(times), *self._shape))
 
 
 class Clock(NamedTuple):
-    """What the second recording's clock shows at a time of the first."""
+    """The second recording's clock as a function of the first's."""
 
-    start: float
-    """Time at which the first recording begins [s]."""
-    lag: float
-    """What the second clock shows then [s]."""
-    drift: float = 0.0
-    """Seconds that the second clock gains in one of the first."""
+    start: float  # time at which the first recording begins [s]
+    lag: float  # what the second clock shows then [s]
+    drift: float = 0.0  # seconds that the second clock gains in one of the first
 
     def at(self, time: _Time) -> _Time:
         """Return the second recording's times for those of the first [s]."""
@@ -67,8 +60,8 @@ class Clock(NamedTuple):
         return self.start + (time - self.lag) / (1.0 + self.drift)
 
 
-def bridged(time: Array, values: Array) -> Array:
-    """Return columns (T, C) with straight lines over NaN, 0 where nothing is known."""
+def interpolate_gaps(time: Array, values: Array) -> Array:
+    """Return columns (T, C) with NaN interpolated linearly; 0 if all are NaN."""
     found = np.zeros_like(values)
     for k, column in enumerate(values.T):
         known = ~np.isnan(column)
@@ -78,11 +71,11 @@ def bridged(time: Array, values: Array) -> Array:
 
 
 def correlations(first: Array, second: Array) -> tuple[Indices, Array, Array]:
-    """Return lags in samples, the correlation there and the samples in common.
+    """Return lags in samples, the correlation at each and the samples in common.
 
-    Series (N, F) and (M, F) are correlated column by column, each about its mean over
-    what is in common, and pooled; NaN are unknown. A lag is how far into the second the
-    first begins. The correlation is NaN where nothing varies.
+    Series (N, F) and (M, F), with NaN where unknown, are correlated column by column,
+    each about its mean over the samples in common, and pooled. A lag is how far into
+    the second series the first begins. The correlation is NaN if nothing varies.
     """
     lags = np.arange(1 - len(first), len(second))
     sums, common = np.zeros((3, len(lags))), np.zeros(len(lags))
@@ -99,26 +92,22 @@ def correlations(first: Array, second: Array) -> tuple[Indices, Array, Array]:
         sums += np.sum(products, axis=2)
         common = np.maximum(common, count.max(axis=1))
     scale = np.sqrt(np.maximum(sums[1], 0.0) * np.maximum(sums[2], 0.0))
-    varies = scale > 1e-9
-    return (
-        lags,
-        np.where(varies, sums[0] / np.where(varies, scale, 1.0), np.nan),
-        common,
-    )
+    scale[scale <= 1e-9] = np.nan
+    return lags, sums[0] / scale, common
 
 
 def _centered(values: Array) -> tuple[Array, Array]:
-    """Return columns without their means, 0 where unknown, and 1 where known."""
+    """Return columns minus their means, 0 where unknown, and 1.0 where known."""
     known = ~np.isnan(values)
     centered = values - np.nansum(values, axis=0) / np.maximum(known.sum(axis=0), 1)
     return np.where(known, centered, 0.0), known.astype(float)
 
 
 def drifting(clock: Clock, rows: Array) -> Clock | None:
-    """Return a clock with the drift that lags tell, None where they surely tell none.
+    """Return a clock with the drift that lags show, None if it is not significant.
 
-    Theil and Sen's line through rows (N, 2) of seconds from the clock's start and the
-    lag [s] of the clock that would be right then.
+    Fits Theil and Sen's line to rows (N, 2): seconds since the clock's start, and the
+    lag [s] that would be right then.
     """
     if len(rows) < FEWEST_WINDOWS:
         return None

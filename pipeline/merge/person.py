@@ -1,15 +1,16 @@
-"""Whom several sensors recorded: one person's take of each, and where the sensors are.
+"""Finds one person in the recordings of all sensors, and where the sensors are.
 
-Of several people, those who move most alike tell where the sensors are. In the room of
-the first sensor it is then found who is who, everybody's tracks at once (``people``):
-what one sensor's tracker exchanged, another one settles.
+Of several people, those whose movements are most alike tell where the sensors are. In
+the frame of the first sensor, everyone's tracks are then assigned to people at once
+(``people``): what one sensor's tracker confused, another sensor settles.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,63 +22,52 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.people import Part, Track, people_of
 
-from .alignment import HERE, Alignment, align
+from .alignment import IDENTITY, Alignment, align
 from .rigid import Placement
 
 _TURNED, _SHIFTED = np.radians(8.0), 0.25
-"""Angle, and distance [m], by which a sensor may seem to have moved between two takes
-in which people went to and fro. Placements of the same sensor differ by up to 3 degrees
-and 0.1 m in two-kinects (p00 to p08)."""
-_CHOSEN = 1.4  # by which the person asked for tells more than others. A guess
+"""Angle, and distance [m], by which a sensor may appear to have moved between two takes
+in which people walked. Placements of the same sensor differ by up to 3 degrees and
+0.1 m in two-kinects (p00 to p08)."""
+_CHOSEN = 1.4  # weight of the person asked for against that of others. A guess
 _TRIED = 4  # people of a recording who may tell where the sensors are
 
 
 class Person(NamedTuple):
     """What each sensor that sees a person recorded, beginning with the first."""
 
-    takes: list[Take]
-    """With gross failures mended."""
-    scores: list[Array]
-    """Their reliability, (T, J) each."""
-    alignments: list[Alignment]
-    """Of the second take, the third and so on."""
-    notes: tuple[str, ...]
-    """What users should know about who is who."""
+    takes: list[Take]  # with gross failures repaired
+    scores: list[Array]  # reliability of each take, (T, J)
+    alignments: list[Alignment]  # of the second take, the third and so on
+    notes: tuple[str, ...]  # what users should know about who is who
 
 
 def find_person(
-    recordings: Sequence[Recording],
-    body: int | None,
-    calibration: Sequence[Alignment],
+    recordings: Sequence[Recording], body: int | None, calibration: Sequence[Alignment]
 ) -> Person:
-    """Return a person of the first recording as all sensors saw them; see ``merge``.
-
-    Raises InputError if there is no such person, or they do not belong together.
-    """
+    """Return a person of the first recording as all sensors saw them; see ``merge``."""
     chosen = recordings[0].take(body)
-    several = any(len(recording.takes) > 1 for recording in recordings)
-    mended = [_mended(recording) for recording in recordings]
-    alignments = []
-    for k, others in enumerate(mended[1:]):
+    people = [_score_people(recording) for recording in recordings]
+    first, alignments = people[0][0][0], []
+    for k, others in enumerate(people[1:]):
         known = calibration[k] if calibration else None
-        firsts, seconds = ([take for take, _ in some] for some in (mended[0], others))
-        found = _aligned(firsts, seconds, known, chosen)
-        begin, end = found.clock.undone(others[0][0].time[[0, -1]])
-        first = mended[0][0][0]
+        firsts, seconds = ([take for take, _ in some] for some in (people[0], others))
+        found = _align_people(firsts, seconds, known, chosen)
+        begin, end = found.clock.undone(seconds[0].time[[0, -1]])
         if not (begin < first.time[-1] and end > first.time[0]):
             raise InputError(
-                f"{others[0][0].source}: is of another time than {first.source} by the "
-                "clocks of the calibration; leave --calibration out"
+                f"{seconds[0].source}: was recorded at another time than "
+                f"{first.source} by the calibration's clocks; leave --calibration out"
             )
         alignments.append(found)
-    if not several:
-        takes, scores = zip(*(one for (one,) in mended), strict=True)
-        return Person(list(takes), list(scores), alignments, ())
-    return _told_apart(recordings, chosen, alignments)
+    if any(len(recording.takes) > 1 for recording in recordings):
+        return _identify(recordings, chosen, alignments)
+    takes, scores = zip(*(one for (one,) in people), strict=True)
+    return Person(list(takes), list(scores), alignments, ())
 
 
-def _mended(recording: Recording) -> list[tuple[Take, Array]]:
-    """Return the people seen most, who tell where a sensor is, and reliability."""
+def _score_people(recording: Recording) -> list[tuple[Take, Array]]:
+    """Return the people seen most, who tell where a sensor is, with reliability."""
 
     def seen(take: Take) -> int:
         return int((take.state > State.NOT_TRACKED).any(axis=1).sum())
@@ -86,7 +76,7 @@ def _mended(recording: Recording) -> list[tuple[Take, Array]]:
     found, refused = [], []
     for take in takes[:_TRIED]:
         try:
-            found.append(_scored(take))
+            found.append(_score(take))
         except InputError as error:
             refused.append(error)
     if not found:
@@ -94,72 +84,65 @@ def _mended(recording: Recording) -> list[tuple[Take, Array]]:
     return found
 
 
-def _scored(take: Take) -> tuple[Take, Array]:
-    """Return a take with gross failures mended, and its reliability (T, J)."""
+def _score(take: Take) -> tuple[Take, Array]:
+    """Return a take with gross failures repaired, and its reliability (T, J)."""
     check_take(take)
     distinct = np.concatenate([[True], np.diff(take.time) > 0])
     found = Cleaner(CleanConfig(tilt=0.0)).until("reliability").whole(take.at(distinct))
     return found.take(), found.reliability
 
 
-def _aligned(
-    firsts: Sequence[Take],
-    others: Sequence[Take],
-    known: Alignment | None,
-    chosen: Take,
+def _align_people(
+    first: Sequence[Take], second: Sequence[Take], known: Alignment | None, chosen: Take
 ) -> Alignment:
-    """Return when and where a sensor is, by those who move most alike."""
+    """Return a sensor's alignment by the two people whose movements are most alike."""
     found, refused = [], []
-    for first in firsts:
-        for other in others:
-            try:
-                alike = align(first, other)
-            except InputError as error:
-                refused.append(error)
-            else:
-                explained = alike.common * len(first)
-                explained *= _CHOSEN if first.source == chosen.source else 1.0
-                found.append((alike.place_is_sure, explained, alike, other.source))
+    for one, other in product(first, second):
+        try:
+            alike = align(one, other)
+        except InputError as error:
+            refused.append(error)
+            continue
+        explained = alike.explained * len(one)
+        explained *= _CHOSEN if one.source == chosen.source else 1.0
+        found.append((alike.place_is_sure, explained, alike, other.source))
     if found:
-        *_, alike, source = max(found, key=lambda one: one[:2])
-        return _checked(alike, known, source)
-    if known is None or len(firsts) * len(others) > 1:
+        *_, alike, source = max(found, key=lambda fit: fit[:2])
+        return alike if known is None else _calibrated(alike, known, source)
+    if known is None or len(refused) > 1:
         raise refused[0]
     return known
 
 
-def moved(before: Placement, after: Placement) -> tuple[float, float] | None:
-    """Return by how much a sensor was moved [rad, m], None where it seems to stand."""
+def displacement(before: Placement, after: Placement) -> tuple[float, float] | None:
+    """Return how far a sensor was moved [rad, m], None if it seems to stand still."""
     angle = float((after.turn * before.turn.inv()).magnitude())
     shift = float(np.linalg.norm(after.shift - before.shift))
     return (angle, shift) if angle > _TURNED or shift > _SHIFTED else None
 
 
-def _checked(found: Alignment, known: Alignment | None, source: str) -> Alignment:
-    """Return an alignment, with what a calibration knows better."""
-    if known is None:
-        return found
-    away = moved(known.placed, found.placed)
+def _calibrated(found: Alignment, known: Alignment, source: str) -> Alignment:
+    """Return an alignment with what the calibration knows better."""
+    away = displacement(known.placed, found.placed)
     if away and found.place_is_sure and found.clock_is_sure:
         raise InputError(
             f"{source}: its sensor stands {np.degrees(away[0]):.0f} degrees and "
-            f"{away[1]:.2f} m away from where the calibration has it; it was moved, "
-            "so leave --calibration out"
+            f"{away[1]:.2f} m away from its place in the calibration, so it was moved; "
+            "leave --calibration out"
         )
     clock = found.clock if found.clock_is_sure else known.clock
     return found._replace(
-        clock=clock, placed=known.placed, likeness=np.inf, path=np.inf
+        clock=clock, placed=known.placed, certainty=np.inf, path=np.inf
     )
 
 
-def _told_apart(
+def _identify(
     recordings: Sequence[Recording], chosen: Take, alignments: Sequence[Alignment]
 ) -> Person:
-    """Return one of several people, whom sensors may have taken for each other."""
+    """Return one of several people, whom the trackers may have confused."""
     takes, tracks = [], []
-    for s, (recording, found) in enumerate(
-        zip(recordings, (HERE, *alignments), strict=True)
-    ):
+    pairs = zip(recordings, (IDENTITY, *alignments), strict=True)
+    for s, (recording, found) in enumerate(pairs):
         for take in recording.takes:
             takes.append(take)
             joints = found.placed.apply(take.positions)
@@ -170,34 +153,31 @@ def _told_apart(
         return sum(len(p.rows) for p in person if takes[p.track] is chosen)
 
     person = max(people_of(tracks), key=rows_of_chosen)
-    kept, notes = [], []
+    own_takes, scores, notes = [], [], []
+    own_alignments: list[Alignment] = []
     for s, recording in enumerate(recordings):
         own = [part for part in person if tracks[part.track].sensor == s]
         if sum(len(part.rows) for part in own) < 2:
             source = recording.takes[0].source.partition(", body ")[0]
             notes.append(f"{source}: does not show this person, and is left out")
             continue
-        kept.append((s, _scored(_joined([takes[p.track].at(p.rows) for p in own]))))
+        take, score = _score(_joined_by_time([takes[p.track].at(p.rows) for p in own]))
+        own_takes.append(take)
+        scores.append(score)
+        own_alignments += alignments[s - 1 : s]  # none for the first sensor
         sources = dict.fromkeys(takes[part.track].source for part in own)
         if len(sources) > 1:
             notes.append(
-                f"{' and '.join(sources)} are one person in part, by place, time and "
-                "body lengths"
+                f"parts of {' and '.join(sources)} are the same person, by place, time "
+                "and body lengths"
             )
-    return Person(
-        [take for _, (take, _) in kept],
-        [score for _, (_, score) in kept],
-        [alignments[s - 1] for s, _ in kept if s],
-        tuple(notes),
-    )
+    return Person(own_takes, scores, own_alignments, tuple(notes))
 
 
-def _joined(parts: Sequence[Take]) -> Take:
-    """Return parts of one person's takes as one, in the order of time."""
-    whole = [
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("time", "positions", "state")
-    ]
-    order = np.argsort(whole[0], kind="stable")
-    time, positions, state = (values[order] for values in whole)
-    return replace(parts[0], time=time, positions=positions, state=state)
+def _joined_by_time(parts: Sequence[Take]) -> Take:
+    names = ("time", "positions", "state")
+    whole: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+    }
+    order = np.argsort(whole["time"], kind="stable")
+    return replace(parts[0], **{name: values[order] for name, values in whole.items()})

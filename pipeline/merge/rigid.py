@@ -1,4 +1,4 @@
-"""Where one recording's points lie in the frame of another: a turn and a shift."""
+"""Rigid transforms between the frames of two recordings."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from kinefilter.characters.arrays import Array
 
-SIGMA = 0.05
-"""Scale of the residuals [m]: those of several times as much count little. A guess."""
+SIGMA = 0.05  # m: residuals several times as large count little. A guess
 _ROUNDS = 20
 
 
@@ -18,25 +17,24 @@ class Placement(NamedTuple):
     """A rigid transform from one frame to another."""
 
     turn: Rotation
-    shift: Array
-    """Of the origin [m], shape (3,)."""
+    shift: Array  # of the origin [m], shape (3,)
 
-    def turn_only(self, vectors: Array) -> Array:
-        """Return vectors in the other frame, shape (..., 3)."""
+    def rotate(self, vectors: Array) -> Array:
+        """Return vectors rotated to the other frame, without the shift, (..., 3)."""
         flat = vectors.reshape(-1, 3).copy()  # scipy takes no read-only arrays
         return np.asarray(self.turn.apply(flat).reshape(vectors.shape))
 
     def apply(self, points: Array) -> Array:
         """Return points [m] in the other frame, shape (..., 3)."""
-        return self.turn_only(points) + self.shift
+        return self.rotate(points) + self.shift
 
 
 def placement(points: Array, onto: Array) -> Placement:
-    """Return the transform that lays points [m] onto others, both (..., 3).
+    """Return the transform that best lays points [m] onto others, both (..., 3).
 
-    Least squares, reweighted as Cauchy's distribution has it, so that outliers count
-    little; points that are NaN on either side count nothing. It takes three that are
-    not on one line.
+    Least squares, reweighted for Cauchy-distributed residuals, so that outliers count
+    little. Points that are NaN on either side are ignored; at least three have to be
+    left that are not on one line.
     """
     seen, there = points.reshape(-1, 3), onto.reshape(-1, 3)
     known = ~np.isnan(seen + there).any(axis=1)

@@ -1,4 +1,4 @@
-"""Takes that several sensors recorded of the same person at the same time, made one."""
+"""Merges takes that several sensors recorded of one person at the same time."""
 
 from __future__ import annotations
 
@@ -14,48 +14,28 @@ from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
 
-from .alignment import HERE, Alignment
+from .alignment import IDENTITY, Alignment
+from .calibration import check_sensors
 from .fusion import Fused, Fusion, Sight
 from .lag import Track
 from .person import find_person
 
-_NEAREST = 0.6  # of a frame: others of the same moment are no frames of their own
+_NEAREST = 0.6  # of a step: a frame of another sensor this near is not one of its own
 
 
 @dataclass(frozen=True, eq=False)
 class Merged:
     """What several sensors recorded of a person, as one take."""
 
-    take: Take
-    """At the first sensor's clock and in its frame."""
-    reliability: Array
-    """Mean reliability of the sensors that count, shape (T, J)."""
-    shares: Array
-    """How much of each joint is of which sensor, adding up to 1 or 0, (T, S, J)."""
-    exchanged: Flags
-    """Which sensors had left and right exchanged, shape (T, S)."""
+    take: Take  # with the first sensor's clock and frame
+    reliability: Array  # mean over the sensors that count, shape (T, J)
+    shares: Array  # of each sensor in each joint, adding up to 1 or 0, (T, S, J)
+    exchanged: Flags  # which sensors had left and right swapped, shape (T, S)
     seen: tuple[Array, ...]
     """Each sensor's joints at the frames of the take, in its frame [m], (T, J, 3)."""
-    alignments: tuple[Alignment, ...]
-    """Of the second sensor, the third and so on."""
-    takes: tuple[Take, ...]
-    """Each sensor's take of the person, with gross failures mended."""
-    notes: tuple[str, ...] = ()
-    """What users should know about who is who."""
-
-    def untangled(self) -> list[tuple[Take, Array]]:
-        """Return each sensor's take with its sides as all sensors have them.
-
-        With times [s] (T,) of its frames, counted from the merged take's first.
-        """
-        takes = []
-        for k, take in enumerate(self.takes):
-            time = (HERE, *self.alignments)[k].clock.undone(take.time)
-            frames = np.searchsorted(self.take.time, time)
-            frames = frames.clip(max=len(self.take) - 1)
-            since = time - self.take.time[0]
-            takes.append((take.exchanged(self.exchanged[frames, k]), since))
-        return takes
+    alignments: tuple[Alignment, ...]  # of the second sensor, the third and so on
+    takes: tuple[Take, ...]  # one per sensor, with gross failures repaired
+    notes: tuple[str, ...] = ()  # what users should know about who is who
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -69,12 +49,11 @@ class Merged:
         return np.asarray(np.linalg.norm(apart, axis=3))
 
     def figures(self) -> dict[str, Any]:
-        """Return where, when and how much each sensor is, and what is unsure."""
+        """Return clock, place and share of each sensor, and what is uncertain."""
         apart = column_medians(self.residuals.reshape(len(self.takes), -1).T)
         rows = []
-        for k, (source, (clock, placed, *_)) in enumerate(
-            zip(self.sources, (HERE, *self.alignments), strict=True)
-        ):
+        pairs = zip(self.sources, (IDENTITY, *self.alignments), strict=True)
+        for k, (source, (clock, placed, *_)) in enumerate(pairs):
             x, _, z = placed.turn.apply([0.0, 0.0, 1.0])
             rows.append(
                 {
@@ -90,19 +69,16 @@ class Merged:
         return {"frames": len(self.take), "sensors": rows, "notes": list(self.told())}
 
     def told(self) -> Iterator[str]:
-        """Yield what is unsure, and what to do about it."""
+        """Yield what is uncertain, and what to do about it."""
         yield from self.notes
+        hint = "give a --calibration from another take of the session"
         for source, found in zip(self.sources[1:], self.alignments, strict=True):
             if not found.clock_is_sure:
-                yield (
-                    f"{source}: people hardly move, so that its lag is unsure; give a "
-                    "--calibration from another take of the session"
-                )
+                yield f"{source}: people hardly move, so its lag is unsure; {hint}"
             elif not found.place_is_sure:
                 yield (
-                    f"{source}: people stay where they are, so that where the sensor "
-                    "is may be off by 30 degrees; give a --calibration from another "
-                    "take of the session"
+                    f"{source}: people hardly walk, so the sensor's direction may be "
+                    f"off by 30 degrees; {hint}"
                 )
 
 
@@ -116,13 +92,13 @@ def merge(
     """Return one take of a person whom several sensors recorded.
 
     Args:
-        takes: What each sensor recorded, of a person or of everybody; the first one's
-            clock and frame are those of the merged take.
-        body: Which person of the first recording, from 1; by default the main one. In
-            the others it is whoever is there at the same time; sensors that do not see
-            the person are left out.
-        calibration: Where and when the other sensors are, as far as these takes do not
-            tell it.
+        takes: What each sensor recorded, of one person or of several; the merged take
+            has the first one's clock and frame.
+        body: Which person of the first recording, from 1; by default the one seen in
+            most frames. In the others it is the person at the same place and time;
+            sensors that do not see the person are left out.
+        calibration: Clock and place of the other sensors, used as far as these takes do
+            not determine them.
         progress: Wraps the loop over frames, for a progress bar.
 
     Raises:
@@ -133,12 +109,8 @@ def merge(
         for take in takes
     ]
     if len(recordings) < 2:
-        raise InputError("one take given; merge needs one of each sensor")
-    if calibration and len(calibration) != len(recordings) - 1:
-        raise InputError(
-            f"the calibration is of {len(calibration) + 1} sensors, and "
-            f"{len(recordings)} takes are given; give them in its order"
-        )
+        raise InputError("only one take is given; merge needs one per sensor")
+    check_sensors(calibration, len(recordings))
     person = find_person(recordings, body, calibration)
     merged = fuse(person.takes, person.scores, person.alignments, progress)
     return replace(merged, notes=person.notes)
@@ -150,28 +122,24 @@ def fuse(
     alignments: Sequence[Alignment],
     progress: Progress = silent,
 ) -> Merged:
-    """Return the take that several make, whose reliability is (T, J) each.
-
-    The alignments are of the second take, the third and so on.
-    """
+    """Fuse takes with reliability (T, J) each, and alignments of all but the first."""
     skeleton = max((take.skeleton for take in takes), key=len)
-    each = list(zip(takes, scores, (HERE, *alignments), strict=True))
-    time = _frames([found.clock.undone(take.time) for take, _, found in each])
-    columns = [_at(time, *one, skeleton) for one in each]
+    each = list(zip(takes, scores, (IDENTITY, *alignments), strict=True))
+    time = _frame_times([found.clock.undone(take.time) for take, _, found in each])
+    columns = [_sights(time, *one, skeleton) for one in each]
     fusion = Fusion(skeleton, len(takes))
     frames = list(zip(*columns, strict=True))
     elapsed = np.diff(time, prepend=2.0 * time[0] - time[1])
-    sides, headings = fusion.ahead(frames, elapsed)
-    found: list[Fused] = []
-    for sweep in ("learn", "merge"):  # where sensors misplace joints is learned first
+    sides, headings = fusion.precompute(frames, elapsed)
+    fused: list[Fused] = []
+    for sweep in ("learn", "merge"):  # the first learns where sensors misplace joints
         fusion.start()
-        found = [
+        fused = [
             fusion.step(frames[k], float(elapsed[k]), sides[k], headings[k])
             for k in over(range(len(time)), sweep, progress)
         ]
-    positions, state, reliability, shares, exchanged = (
-        np.array(x) for x in zip(*found, strict=True)
-    )
+    arrays = map(np.array, zip(*fused, strict=True))
+    positions, state, reliability, shares, exchanged = arrays
     source = " + ".join(take.source for take in takes)
     by_kinect = any(take.by_kinect for take in takes)
     return Merged(
@@ -185,11 +153,8 @@ def fuse(
     )
 
 
-def _frames(stamps: Sequence[Array]) -> Array:
-    """Return the moments of the merged take [s], of the stamps of each sensor's frames.
-
-    Those of the sensor with the most frames, and of the others where it has none.
-    """
+def _frame_times(stamps: Sequence[Array]) -> Array:
+    """Return times [s] of the sensor with most frames, and of others in its gaps."""
     time, *rest = sorted(stamps, key=len, reverse=True)
     least = _NEAREST * float(np.median(np.diff(time)))
     for others in rest:
@@ -203,26 +168,25 @@ def _nearest(stamps: Array, times: Array) -> Indices:
     return np.searchsorted(0.5 * (stamps[1:] + stamps[:-1]), times, "right")
 
 
-def _at(
+def _sights(
     time: Array, take: Take, score: Array, found: Alignment, skeleton: Skeleton
 ) -> list[Sight]:
-    """Return what a sensor sees at some moments of the first one's clock."""
+    """Return what a sensor sees at some times of the first one's clock."""
     stamps = found.clock.at(time)
     positions = found.placed.apply(Track(take.time, take.positions).at(stamps))
-    row = _nearest(take.time, stamps)
-    joints = _mapped(take.skeleton, skeleton)
-    places = np.where(joints[:, None] < 0, np.nan, positions[:, joints])
-    missing = np.isnan(places[..., 0])
-    trust, state = (
-        np.where(missing, 0, values[row][:, joints]) for values in (score, take.state)
+    rows, joints = _nearest(take.time, stamps), _joint_map(take.skeleton, skeleton)
+    positions = np.where(joints[:, None] < 0, np.nan, positions[:, joints])
+    missing = np.isnan(positions[..., 0])
+    reliability, state = (
+        np.where(missing, 0, values[rows][:, joints]) for values in (score, take.state)
     )
-    rows = zip(places, trust, state, strict=True)
-    return [Sight(*row, found.placed.shift) for row in rows]
+    frames = zip(positions, reliability, state, strict=True)
+    return [Sight(*frame, found.placed.shift) for frame in frames]
 
 
-def _mapped(given: Skeleton, wanted: Skeleton) -> Indices:
-    """Return which joint of a skeleton is each of another's, -1 where it has none."""
-    roles = {wanted.joints[wanted.root]: given.root}
-    roles[wanted.joints[wanted.girdle]] = given.girdle
-    roles |= {joint: k for k, joint in enumerate(given.joints)}
-    return np.array([roles.get(joint, -1) for joint in wanted.joints])
+def _joint_map(given: Skeleton, wanted: Skeleton) -> Indices:
+    """Return the index in a skeleton of each joint of another, -1 where it has none."""
+    indices = {wanted.joints[wanted.root]: given.root}
+    indices[wanted.joints[wanted.girdle]] = given.girdle
+    indices |= {joint: k for k, joint in enumerate(given.joints)}
+    return np.array([indices.get(joint, -1) for joint in wanted.joints])

@@ -1,11 +1,11 @@
-"""Which sensors have a person's left and right exchanged.
+"""Finds which sensors have a person's left and right swapped.
 
-A sensor takes people whom it sees from behind for people who face it. Where the limbs
-are it still sees, and limbs tell which way a body faces: knees bend forward, elbows
-backward, hands and head are in front. So the sides are those on which the sensors agree
-with each other and with the way the body bends, without joints that leap from one side
-to the other: the cheapest path over all frames (Viterbi 1967). Live, it is the cheapest
-path so far.
+A sensor takes people whom it sees from behind for people who face it. It still sees
+where the limbs are, and they show which way a body faces: knees bend forward, elbows
+backward, hands and head are in front. So the sides are chosen on which the sensors
+agree with each other and with how the body bends, without joints that leap from one
+side to the other: the cheapest path over all frames (Viterbi 1967), or, live, the
+cheapest path so far.
 """
 
 from __future__ import annotations
@@ -22,33 +22,34 @@ from kinefilter.characters.arrays import Array
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
 # two-kinects.
-_LOST = 0.5  # m: joints farther apart tell nothing more
-_BEND = 0.15  # m by which limbs are in front of the body where it surely faces there
-_FACING = 0.1  # m of mean distance that such a body weighs
-_EXCHANGED = 0.02  # m that sides have to agree better by for as long as exchanged
-_CHANGE = 0.02  # m more that a change costs than the way the joints take
-_GOES_ON = 5.0  # weight of the way that joints take from frame to frame
+_FAR = 0.5  # m; joints farther apart cost no more
+_BEND = 0.15  # m by which limbs are in front of a body that certainly faces that way
+_FACING = 0.1  # m of mean distance that such a body costs
+_SWAPPED = 0.02  # m of mean distance that each frame with swapped sides costs
+_CHANGE = 0.02  # m that a change costs besides the distance that joints leap
+_CONTINUITY = 5.0  # weight of the distance that joints move from frame to frame
 
 
 class CheapestPath:
-    """Follows which of some choices (N, ...) hold, frame by frame (Viterbi 1967)."""
+    """Follows which of some choices (N, ...) holds, frame by frame (Viterbi 1967)."""
 
     def __init__(self, choices: NDArray[Any]) -> None:
         self._choices = choices
         self.start()
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         self._costs = np.zeros(len(self._choices))
 
     def step(self, *seen: Any) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the best choice so far, and what ``whole`` needs to look back."""
+        """Return the best choice so far, and what ``whole`` needs to trace back."""
         raise NotImplementedError
 
     def _next(self, ways: Array, costs: Array) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the best choice, and the one before on the cheapest way to each.
+        """Return the best choice, and each choice's predecessor on its cheapest path.
 
-        Choices of this frame cost (N,), and ways to them from those before (N, N).
+        ``costs`` are those of this frame's choices (N,), ``ways`` those of getting to
+        them from the last frame's (N, N).
         """
         ways = self._costs[:, None] + ways
         costs = costs + ways.min(axis=0)
@@ -56,67 +57,61 @@ class CheapestPath:
         return self._choices[costs.argmin()], ways.argmin(axis=0).astype(np.uint16)
 
     def whole(self, frames: Iterable[tuple[Any, ...]]) -> NDArray[Any]:
-        """Return the choice in each frame, (T, ...), of what ``step`` takes of it."""
+        """Return the choice in each frame (T, ...), given the arguments of ``step``."""
         self.start()
-        came = [self.step(*frame)[1] for frame in frames]
+        predecessors = [self.step(*frame)[1] for frame in frames]
         path = [int(self._costs.argmin())]
-        for before in came[:0:-1]:
+        for before in predecessors[:0:-1]:
             path.append(int(before[path[-1]]))
         return self._choices[path[::-1]]
 
 
 class Sides(CheapestPath):
-    """Follows which of so many sensors have left and right exchanged, flags (S,)."""
+    """Follows which of some sensors have left and right swapped, flags (S,)."""
 
     def __init__(self, skeleton: Skeleton, sensors: int) -> None:
         self._skeleton, self._mirror = skeleton, skeleton.mirror
-        self._pairs = np.flatnonzero(self._mirror != np.arange(len(skeleton)))
+        self._paired = np.flatnonzero(self._mirror != np.arange(len(skeleton)))
         choices = np.array(list(product((False, True), repeat=sensors)))
         self._changes = choices[:, None] != choices
         super().__init__(choices)
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         super().start()
         self._last: list[tuple[Array, Array] | None] = [None] * self._choices.shape[1]
 
-    def step(self, seen: Array, sure: Array) -> tuple[Any, NDArray[np.uint16]]:
-        """Return which sensors have sides exchanged, by the frames so far.
+    def step(self, seen: Array, weights: Array) -> tuple[Any, NDArray[np.uint16]]:
+        """Return which sensors have sides swapped; see ``CheapestPath.step``.
 
-        Args:
-            seen: Where each sensor has the joints [m], NaN where nowhere, (S, J, 3).
-            sure: How much each joint counts, (S, J).
+        ``seen`` are the joints of each sensor [m], NaN where missing, (S, J, 3), and
+        ``weights`` tell how much each counts, (S, J).
         """
-        sure = np.minimum(sure, sure[:, self._mirror])[:, self._pairs]
-        as_given, mirrored = seen[:, self._pairs], seen[:, self._mirror[self._pairs]]
-        faces = np.tanh(self._forward(seen) / _BEND)
-        costs = self._choices @ (_EXCHANGED + _FACING * np.nan_to_num(faces))
+        sure = np.minimum(weights, weights[:, self._mirror])[:, self._paired]
+        as_given, mirrored = seen[:, self._paired], seen[:, self._mirror[self._paired]]
+        facing = np.nan_to_num(np.tanh(self._forward(seen) / _BEND))
+        costs = self._choices @ (_SWAPPED + _FACING * facing)
         ways = np.zeros(self._changes.shape[:2])
         for s, last in enumerate(self._last):
             if last is not None:
-                same, other = (
-                    _distance(now, last[0], sure[s] * last[1])
-                    for now in (as_given[s], mirrored[s])
-                )
-                ways += _GOES_ON * np.where(
-                    self._changes[..., s], other + _CHANGE, same
-                )
+                both = sure[s] * last[1]
+                same = _distance(as_given[s], last[0], both)
+                other = _distance(mirrored[s], last[0], both) + _CHANGE
+                ways += _CONTINUITY * np.where(self._changes[..., s], other, same)
             if not np.isnan(as_given[s]).all():
                 self._last[s] = as_given[s], sure[s]
         for s, k in combinations(range(len(seen)), 2):
-            weights = sure[s] * sure[k]
-            same, other = (
-                _distance(as_given[s], there[k], weights)
-                for there in (as_given, mirrored)
-            )
+            both = sure[s] * sure[k]
+            same = _distance(as_given[s], as_given[k], both)
+            other = _distance(as_given[s], mirrored[k], both)
             costs += np.where(self._choices[:, s] == self._choices[:, k], same, other)
         return self._next(ways, costs)
 
     def _forward(self, seen: Array) -> Array:
         """Return how far limbs bend to where bodies face by their sides [m], (S,).
 
-        Of frames in which people who walk face where they go, or away from it, this
-        tells 98 and 76 % right (p10 to p18 of two-kinects).
+        The sign is right in 98 % of the frames of people who walk forward and in 76 %
+        of people who walk backward (p10 to p18 of two-kinects).
         """
 
         def middle(*names: str) -> Array:
@@ -124,24 +119,20 @@ class Sides(CheapestPath):
             return np.asarray(seen[:, joints].mean(axis=1))
 
         skeleton = self._skeleton
-        left, right = (
-            seen[:, [skeleton.sides(name)[k] for name in ("Hip", "Shoulder")]].mean(1)
-            for k in (0, 1)
-        )
-        across = (left - right)[:, [0, 2]]
+        left, right = np.transpose([skeleton.sides(n) for n in ("Hip", "Shoulder")])
+        across = (seen[:, left].mean(axis=1) - seen[:, right].mean(axis=1))[:, [0, 2]]
         across /= np.linalg.norm(across, axis=1, keepdims=True) + 1e-9
         bends = middle("Knee") - middle("Hip", "Ankle")
         bends -= middle("Elbow") - middle("Shoulder", "Wrist")
         bends += 0.5 * (middle("Wrist") - middle("Shoulder"))
-        head = seen[:, skeleton.index("Head")] - seen[:, skeleton.girdle]
-        bends += 0.5 * head
+        bends += 0.5 * (seen[:, skeleton.index("Head")] - seen[:, skeleton.girdle])
         return np.asarray(bends[:, 2] * across[:, 0] - bends[:, 0] * across[:, 1])
 
 
 def _distance(points: Array, others: Array, weights: Array) -> float:
-    """Return the mean distance between joints that both have [m], 0 without any."""
-    apart = np.minimum(np.linalg.norm(points - others, axis=1), _LOST)
+    """Return the mean distance between joints present in both [m], 0 without any."""
+    apart = np.minimum(np.linalg.norm(points - others, axis=1), _FAR)
     known = ~np.isnan(apart)
-    return (
-        float(np.average(apart[known], weights=weights[known])) if known.any() else 0.0
-    )
+    if not known.any():
+        return 0.0
+    return float(np.average(apart[known], weights=weights[known]))
