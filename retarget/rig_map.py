@@ -13,7 +13,8 @@ axes: Directions of two of the bone's own axes in the rest pose, the second as c
     its first child, or continues from its parent at the end of a chain. ``axes`` at the
     top of the file is for all bones that have none.
 
-Maps in ``source_rigs`` describe skeletons from which motion is read:
+Maps in ``source_rigs`` describe skeletons from which motion is read. Limbs have only a
+left side: names on the right begin with Right, R or r in place of Left, L or l.
 
 at: The Kinect joint is at the mean of these joints (or landmarks).
 or: Where it is if those are missing, the best choice first.
@@ -253,13 +254,23 @@ class SourceRig:
 @cache
 def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
     """Return the rig in a file of ``source_rigs`` for the joints of a Kinect."""
-    tables = _embedded("source_rigs", name)
-    joints = {}
-    for joint, row in {**tables["limbs"], **tables[skeleton.name]}.items():
-        at, others = tuple(row["at"]), tuple(map(tuple, row.get("or", ())))
-        optional = row.get("optional", False)
-        joints[joint] = SourceJoint(at, row.get("turned_by"), others, optional)
+    tables, joints = _embedded("source_rigs", name), {}
+    for joint, row in tables["limbs"].items():
+        joints[f"{joint}Left"] = _source_joint(row)
+        joints[f"{joint}Right"] = _source_joint(row, right=True)
+    for joint, row in tables[skeleton.name].items():
+        joints[joint] = _source_joint(row)
     return SourceRig(name, joints)
+
+
+def _source_joint(row: dict[str, Any], *, right: bool = False) -> SourceJoint:
+    def named(name: str) -> str:
+        swap = {"Left": "Right", "L": "R", "l": "r"}
+        return re.sub("^(Left|L|l)", lambda m: swap[m[0]], name) if right else name
+
+    at, *others = (tuple(map(named, n)) for n in (row["at"], *row.get("or", ())))
+    by = row.get("turned_by") and named(row["turned_by"])
+    return SourceJoint(at, by, tuple(others), row.get("optional", False))
 
 
 def matching_source_rig(
