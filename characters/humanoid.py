@@ -42,20 +42,15 @@ _GRIP = 100.0  # N
 _REACH = 0.03  # m
 
 # Groups of parts, and the groups with which each collides.
-_ARM, _LEG = ("Wrist", "Hand", "HandTip", "Thumb"), ("Ankle", "Foot")
-_TRUNK = (
-    *("KneeLeft", "KneeRight", "Spine", "SpineMid", "ShoulderCenter"),
-    *("SpineShoulder", "Neck", "Head"),
-)
+_TRUNK = "Spine SpineMid ShoulderCenter SpineShoulder Neck Head KneeLeft KneeRight"
 _GROUPS = {
-    "arm L": (_ARM, ("arm R",)),
-    "arm R": (_ARM, ()),
-    "leg L": (_LEG, ("arm L", "arm R", "leg R")),
-    "leg R": (_LEG, ("arm L", "arm R")),
-    "trunk": (_TRUNK, ("arm L", "arm R")),
+    "left arm": ("WristLeft HandLeft HandTipLeft ThumbLeft", ["right arm"]),
+    "right arm": ("WristRight HandRight HandTipRight ThumbRight", []),
+    "left leg": ("AnkleLeft FootLeft", ["left arm", "right arm", "right leg"]),
+    "right leg": ("AnkleRight FootRight", ["left arm", "right arm"]),
+    "trunk": (_TRUNK, ["left arm", "right arm"]),
 }
-_SIDES = {"L": "Left", "R": "Right"}
-_BITS = {group: bit for bit, group in enumerate(_GROUPS, start=1)}
+_BITS = {group: 1 << bit for bit, group in enumerate(_GROUPS, start=1)}
 
 
 def to_mujoco(values: Array) -> Array:
@@ -176,10 +171,9 @@ def _collisions(name: str) -> dict[str, int]:
     Segments that meet at shoulders and hips overlap anyway.
     """
     for group, (parts, others) in _GROUPS.items():
-        side = _SIDES.get(group[-1], "")
-        if name in parts or (name.removesuffix(side) in parts and name.endswith(side)):
-            bits = sum(1 << _BITS[other] for other in others)
-            return {"contype": 1 << _BITS[group], "conaffinity": 1 | bits}
+        if name in parts.split():
+            bits = sum(_BITS[other] for other in others)
+            return {"contype": _BITS[group], "conaffinity": 1 | bits}
     return {"contype": 0, "conaffinity": 1}
 
 

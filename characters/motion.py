@@ -345,8 +345,8 @@ class Clip(Motion):
         By default, joints are tracked and measured and feet are lifted; other values
         are NaN.
         """
-        defaults = {"state": State.TRACKED, "origin": Origin.MEASURED}
-        defaults |= {"deciding_term": 0, "contacts": 0}
+        tracked = {"state": State.TRACKED, "origin": Origin.MEASURED}
+        defaults: dict[str, Any] = tracked | {"deciding_term": 0, "contacts": 0}
         unknown = {
             name: np.full(shape, defaults.get(name, np.nan))
             for name, shape in _shapes(cls, *motion.rotations.shape[:2]).items()

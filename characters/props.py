@@ -77,16 +77,17 @@ class Shape:
         radius, half = float(self.size[0]), float(self.size[1])
         make: Any = trimesh.creation
         if self.kind == "mesh":
-            return trimesh.Trimesh(self.points, self.triangles, process=False)
-        if self.kind == "box":
-            return make.box(extents=2.0 * self.size)
-        if self.kind == "ellipsoid":
-            sphere = make.icosphere(subdivisions=3)
-            sphere.vertices = sphere.vertices * self.size
-            return sphere
-        if self.kind == "cylinder":
-            return make.cylinder(radius, 2.0 * half, 32, transform=UPRIGHT)
-        return make.capsule(2.0 * half, radius, transform=UPRIGHT)
+            mesh = trimesh.Trimesh(self.points, self.triangles, process=False)
+        elif self.kind == "box":
+            mesh = make.box(extents=2.0 * self.size)
+        elif self.kind == "ellipsoid":
+            mesh = make.icosphere(subdivisions=3)
+            mesh.vertices = mesh.vertices * self.size
+        elif self.kind == "cylinder":
+            mesh = make.cylinder(radius, 2.0 * half, 32, transform=UPRIGHT)
+        else:
+            mesh = make.capsule(2.0 * half, radius, transform=UPRIGHT)
+        return mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,7 +157,7 @@ def _related(skeleton: Skeleton) -> Flags:
     own = np.arange(len(skeleton))
     meets = (parents[:, None] == parents) | (parents[:, None] == own)
     meets |= meets.T
-    return meets @ meets
+    return np.asarray(meets @ meets)
 
 
 def _margins(body: Body, points: Array, segments: Indices, weights: Array) -> Array:
@@ -256,7 +256,7 @@ class _Flesh:
 
 
 def _along_bone(points: Array, start: Array, end: Array) -> tuple[Array, Array]:
-    """Return where on a bone it is nearest (0 start, 1 end), and the distance [m]."""
+    """Return the nearest places on a bone (0 start, 1 end) and the distances [m]."""
     bone = end - start
     share = (points - start) @ bone / max(float(bone @ bone), 1e-12)
     share = np.clip(share, 0.0, 1.0)

@@ -28,20 +28,13 @@ _SKIN = [0.37, 0.53, 0.60, 1.0]  # a muted color that no prop has
 def load_scene(
     scene: str | Path, body: Body | None = None, *, tracking: Tracking | None = None
 ) -> mujoco.MjSpec:
-    """Return a scene, with a character at its origin if a body is given.
+    """Return a scene: one of SCENES, or the MJCF file at a path.
 
-    The character of ``build_humanoid`` keeps all its names, actuators, options and the
-    settings of its floor, which takes on the look of the scene's. It comes first in the
-    model, so the first seven coordinates are those of its root.
-
-    Args:
-        scene: One of SCENES, or the path of an MJCF file.
-        body: Body of the character, which is in T-pose.
-        tracking: Gains and bounds of the pull on the character.
-
-    Raises:
-        InputError: There is no such scene, MuJoCo cannot load the file, or a name in it
-            is also one of the character's.
+    If a body is given, the character of ``build_humanoid`` is at the origin in T-pose.
+    It keeps all its names, actuators, options and the settings of its floor, which
+    takes on the look of the scene's. It comes first in the model, so the first seven
+    coordinates are those of its root. Raises an InputError if there is no such scene,
+    MuJoCo cannot load it, or a name in it is also one of the character's.
     """
     path = _path(scene)
     try:
