@@ -110,13 +110,15 @@ def _move_floor(scene: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
     model = scene.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    for plane in list(scene.geoms):
-        if (
-            plane.type == mujoco.mjtGeom.mjGEOM_PLANE
-            and data.geom_xmat[plane.id][8] > 1.0 - 1e-9
-            and abs(data.geom_xpos[plane.id][2]) < 1e-9
-        ):
-            floor.rgba, floor.size = plane.rgba, plane.size
-            if plane.material:
-                floor.material = f"{_PREFIX}{plane.material}"
-            scene.delete(plane)
+    planes = [  # listed first, because removing one changes the indices of others
+        geom
+        for geom in scene.geoms
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+        and data.geom_xmat[geom.id][8] > 1.0 - 1e-9
+        and abs(data.geom_xpos[geom.id][2]) < 1e-9
+    ]
+    for plane in planes:
+        floor.rgba, floor.size = plane.rgba, plane.size
+        if plane.material:
+            floor.material = f"{_PREFIX}{plane.material}"
+        scene.delete(plane)
