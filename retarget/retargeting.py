@@ -27,7 +27,7 @@ from kinefilter.characters.rotations import (
 from .bent_limb import bent_limb, rejection
 from .heading_frame import HeadingFrame, floor_frame
 from .rig_map import SIDES
-from .stance import held, near_stance, smooth_step
+from .stance import holding_moves, near_stance, smooth_step
 from .target_rig import TargetRig
 
 _SEGMENTS = {
@@ -185,8 +185,8 @@ class _Motion:
         vector, ankle = self._foot(side), self._ankle_height(side)
         sole, slack = ankle + vector[1], _SLACK * self.rig.leg_length
         toes = rotate(self.turns[foot], vector)
-        heel = goal + held(time, goal, heel_planted, ankle, slack)
-        toe = goal + toes + held(time, goal + toes, toe_planted, sole, slack)
+        heel = goal + holding_moves(time, goal, heel_planted, ankle, slack)
+        toe = goal + toes + holding_moves(time, goal + toes, toe_planted, sole, slack)
         toe[:, 1] = np.maximum(toe[:, 1], sole)
         on_toes = near_stance(time, toe_planted)
         heel[:, 1] += np.maximum(ankle - heel[:, 1], 0.0) * on_toes

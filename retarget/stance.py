@@ -25,7 +25,7 @@ def near_stance(time: Array, planted: Flags) -> Array:
     return 1.0 - smooth_step(np.minimum(time - last, following - time) / _BLEND)
 
 
-def held(
+def holding_moves(
     time: Array, path: Array, planted: Flags, height: float, slack: float
 ) -> Array:
     """Return the move [m] (T, 3) that keeps a heel or toes in place while planted.
