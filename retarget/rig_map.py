@@ -13,8 +13,9 @@ axes: Directions of two of the bone's own axes in the rest pose, the second as c
     its first child, or continues from its parent at the end of a chain. ``axes`` at the
     top of the file is for all bones that have none.
 
-Maps in ``source_rigs`` describe skeletons from which motion is read. Limbs have only a
-left side: names on the right begin with Right, R or r in place of Left, L or l.
+Maps in ``source_rigs`` describe skeletons from which motion is read. Joints of the
+trunk are named as in Kinect v2. Limbs have only a left side: names on the right begin
+with Right, R or r in place of Left, L or l.
 
 at: The Kinect joint is at the mean of these joints (or landmarks).
 or: Where it is if those are missing, the best choice first.
@@ -73,6 +74,11 @@ WORDS = {
     "back": (0.0, 0.0, -1.0),
 }
 """Words for the directions of a bone's axes in the rest pose."""
+_KINECT_V1 = {  # its names of joints in Kinect v2's trunk
+    "SpineBase": "HipCenter",
+    "SpineMid": "Spine",
+    "SpineShoulder": "ShoulderCenter",
+}
 _NUMBER = r"-?[01]?\.?\d{1,9}"
 _ONE_AXIS = rf"(-?[xyz]) (on|{'|'.join(WORDS)}|{_NUMBER} {_NUMBER} {_NUMBER})"
 _AXES = re.compile(f"{_ONE_AXIS}, {_ONE_AXIS}")
@@ -258,8 +264,10 @@ def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
     for joint, row in tables["limbs"].items():
         joints[f"{joint}Left"] = _source_joint(row)
         joints[f"{joint}Right"] = _source_joint(row, right=True)
-    for joint, row in tables[skeleton.name].items():
-        joints[joint] = _source_joint(row)
+    for joint, row in tables["trunk"].items():
+        known = joint if joint in skeleton.joints else _KINECT_V1.get(joint)
+        if known:
+            joints[known] = _source_joint(row)
     return SourceRig(name, joints)
 
 
