@@ -6,8 +6,7 @@ Sources:
         stature). Where Kinect's joints are not anatomical landmarks (spine, head, hand,
         foot), the fraction is the median of Kinect skeletons of standing people.
     Masses: de Leva 1996, J. Biomech. 29(9), table 4, men (fractions of body mass).
-    Radii: a cylinder with the segment's mass and tissue density; the capsule's caps
-        come on top.
+    Radii: a cylinder of the segment's mass and tissue density, plus the capsule's caps.
 """
 
 from __future__ import annotations
@@ -219,12 +218,12 @@ def standard_body(
 def joint_masses(body: Body) -> Array:
     """Return the mass [kg] that moves with each joint, shape (J,).
 
-    This is half of every segment that meets there: the two-point model of a rod. The
-    masses add up to that of the body.
+    Half of every segment counts at each of its ends: the two-point model of a rod.
     """
     skeleton = body.skeleton
+    halves = 0.5 * body.masses[skeleton.segments]
     masses = np.zeros(len(skeleton))
     masses[skeleton.root] = body.masses[skeleton.root]
-    np.add.at(masses, skeleton.segments, 0.5 * body.masses[skeleton.segments])
-    np.add.at(masses, skeleton.segment_parents, 0.5 * body.masses[skeleton.segments])
+    masses[skeleton.segments] = halves
+    np.add.at(masses, skeleton.segment_parents, halves)
     return masses

@@ -14,20 +14,13 @@ from .errors import InputError
 
 Array = NDArray[np.float64]
 """Double-precision numbers; docstrings give their quantity, unit, frame and shape."""
-
+Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-"""Indices of joints, frames or points."""
-
 Codes = NDArray[np.uint8]
 """Integer codes of an enumeration, such as State."""
-
-Singles = NDArray[np.float32]
-"""Single-precision numbers."""
-
 Lengths = tuple[int | None, ...]
 """Shape of an array; None where any length is allowed."""
-
 Number = TypeVar("Number", bound=np.generic)
 
 
@@ -77,9 +70,8 @@ def as_numbers(
 ) -> NDArray[Any]:
     """Return a value as an array of real numbers; None in the shape is any length.
 
-    Masked elements, and None among numbers, become NaN. Raises an InputError if the
-    shape differs, if there is anything but real numbers, and, with ``finite``, if there
-    is a NaN or an infinity.
+    Masked elements, and None among numbers, become NaN. Raises an InputError for other
+    shapes, for anything but real numbers, and for NaN or infinity if ``finite``.
     """
     try:
         if isinstance(value, np.ma.MaskedArray):

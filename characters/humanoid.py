@@ -75,8 +75,7 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
     Bodies, ball joints and sites are named after the joint at which a segment ends; the
     site marks that joint. Actuators are in the skeleton's order of joints: first three
     forces per joint (MuJoCo x, y, z), then three torques for the root and one for every
-    other segment. The torques follow the orientation of the mocap bodies
-    ``target:NAME``.
+    other segment, which follow the orientation of the mocap body ``target:NAME``.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "kinefilter"

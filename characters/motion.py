@@ -201,8 +201,7 @@ class Take(_Frames):
     time: Array
     """Time stamps [s], shape (T,), never decreasing; repeats and gaps are normal."""
     positions: Array
-    """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN where missing
-    or not tracked."""
+    """Joint positions [m], sensor frame, y up, shape (T, J, 3); NaN if not tracked."""
     state: Codes
     """Tracking state per joint (State), shape (T, J)."""
     skeleton: Skeleton
@@ -279,8 +278,7 @@ class Clip(Motion):
     """
 
     state: Codes
-    """Tracking state (State), shape (T, J): as recorded, even in frames where swapped
-    left and right were restored."""
+    """Recorded tracking state (State), shape (T, J), even where sides were swapped."""
     reliability: Array
     """Reliability in [0, 1], NaN where unknown, shape (T, J)."""
     deciding_term: Codes
@@ -288,9 +286,8 @@ class Clip(Motion):
     origin: Codes
     """Source of each joint's position (Origin), shape (T, J)."""
     moved_by_correction: Array
-    """Distance from the measurement to the corrected joint [m], NaN where nothing was
-    measured, shape (T, J). Where swapped left and right were restored, the measurement
-    is that of the other side."""
+    """Distance from the measurement (after sides are unswapped) to the corrected joint
+    [m], NaN where nothing was measured, shape (T, J)."""
     moved_by_physics: Array
     """Distance from the corrected to the final joint [m], shape (T, J)."""
     uncertainty: Array
@@ -308,8 +305,7 @@ class Clip(Motion):
     ``y cos(tilt) - z sin(tilt)`` is up. Positive if the floor rises away from the
     sensor, which then looks down; NaN if the clip's file does not store it."""
     floor: float = float("nan")
-    """Height [m] of the floor in the leveled take, which was then subtracted; NaN as
-    for ``tilt``."""
+    """Height [m] of the floor in the leveled take, now subtracted; NaN as ``tilt``."""
     roll: float = 0.0
     """Angle [rad] about z, from x to y, by which the take was rotated before that: half
     a turn if the sensor was upside down."""
@@ -342,8 +338,7 @@ class Clip(Motion):
     def of(cls, motion: Motion, **known: Any) -> Self:
         """Return a clip of a motion, with defaults for all fields but ``known``.
 
-        By default, joints are tracked and measured and feet are lifted; other values
-        are NaN.
+        Joints are tracked and measured, feet are lifted, and other values are NaN.
         """
         tracked = {"state": State.TRACKED, "origin": Origin.MEASURED}
         defaults: dict[str, Any] = tracked | {"deciding_term": 0, "contacts": 0}

@@ -49,16 +49,12 @@ class Skeleton:
 
     def index(self, joint: str) -> int:
         """Return the index of ``joint``; raises InputError if it does not exist."""
-        if not isinstance(joint, str) or joint not in self._index:
+        if not isinstance(joint, str) or joint not in self.joints:
             raise InputError(
                 f"skeleton {self.name} has no joint {shown(joint)}; it has "
                 + ", ".join(self.joints)
             )
-        return self._index[joint]
-
-    @cached_property
-    def _index(self) -> dict[str, int]:
-        return {joint: i for i, joint in enumerate(self.joints)}
+        return self.joints.index(joint)
 
     @cached_property
     def root(self) -> int:

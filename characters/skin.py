@@ -64,8 +64,7 @@ class Skin:
     weights: Array
     """Weights of these segments, which add up to 1, shape (P, INFLUENCES)."""
     margins: Array
-    """Largest distance [m] of each segment's skin from its bone, shape (J,). It holds
-    in any posture."""
+    """Largest distance [m] of each segment's skin from its bone in any posture."""
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -174,7 +173,7 @@ def quads_of(values: Array) -> tuple[Array, Indices]:
     """Return points (P, 3) and quads (Q, 4) of the surface where a field is zero.
 
     The field (X, Y, Z) is negative inside and positive on the whole border of its grid.
-    Points are in units of the grid; quads are indices of points, counterclockwise from
+    Points are in grid units; quads are indices of points, counterclockwise if seen from
     outside.
     """
     inside = values < 0.0

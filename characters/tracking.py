@@ -42,8 +42,7 @@ class Tracking:
 class GameTracking(Tracking):
     """Tracking of a character that yields to hits, then returns to the performer.
 
-    See ``kinefilter.pipeline.physics.compliance``. All constants are guesses, tuned on
-    recorded takes.
+    See ``kinefilter.pipeline.physics.compliance``. Guesses, tuned on recorded takes.
     """
 
     sway_frequency: float = 9.0

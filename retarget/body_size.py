@@ -48,8 +48,7 @@ def measured_body(
     proportions, and so do those that differ from them by a factor of 1.6 or more (2 for
     shoulders and hips, 4 along the trunk). Segment lengths [m] (J,) and unit rest
     directions (J, 3) are NaN where unknown. Unless given, stature [m] follows from the
-    lengths and mass [kg] from the stature. Raises an InputError if height or mass is
-    not that of a human.
+    lengths and mass [kg] from the stature; an InputError says if they are not human.
     """
     average = standard_body(skeleton).lengths
     known = np.where(lengths > 0, lengths, np.nan)
@@ -96,12 +95,11 @@ class Standardizer:
         skeleton = body.skeleton
         standard = standard_body(skeleton)
         ends = skeleton.segments
-        self._to_standard = np.tile(np.eye(3), (len(skeleton), 1, 1))
-        self._to_person = self._to_standard.copy()
+        scale = np.ones((len(skeleton), 1, 1))
+        scale[ends, 0, 0] = standard.lengths[ends] / body.lengths[ends]
         turns = matrix_from_wxyz(between(body.directions, standard.directions))
-        scale = (standard.lengths[ends] / body.lengths[ends])[:, None, None]
-        self._to_standard[ends] = scale * turns[ends]
-        self._to_person[ends] = turns[ends].transpose(0, 2, 1) / scale
+        self._to_standard = scale * turns
+        self._to_person = np.ascontiguousarray(turns.transpose(0, 2, 1) / scale)
         self._chain = chain_matrix(skeleton)
         self.start()
 

@@ -10,9 +10,7 @@ from kinefilter.characters.arrays import Array, chunks
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
 _EXACT = 1e-7  # m
-# Firmness of an invented joint, relative to a measured one: it moves fifty times as
-# far. A guess.
-_INVENTED = 0.02
+_INVENTED = 0.02  # firmness: moves fifty times as far as a measured joint. A guess.
 # Factor on the firmness of hips, shoulders and their middles, on which all else
 # depends. Like the next one, it was chosen on three of six recorded people.
 _TRUNK = 10.0
@@ -35,10 +33,8 @@ class BoneLengths:
         self._lengths = body.lengths[self._ends]
         self._rest = body.directions[self._ends]
         self._ridge = 1e-9 * np.eye(len(self._ends))
-        self._incidence = np.zeros((len(self._ends), len(skeleton)))
-        rows = np.arange(len(self._ends))
-        self._incidence[rows, self._ends] = 1.0
-        self._incidence[rows, self._starts] = -1.0
+        joints = np.eye(len(skeleton))
+        self._incidence = joints[self._ends] - joints[self._starts]
         above = np.ones(len(skeleton))
         for hip in skeleton.hips:
             above[skeleton.beyond(int(hip))] = 0.0
@@ -50,9 +46,8 @@ class BoneLengths:
     def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions [m] (T, J, 3) with the body's segment lengths.
 
-        Firmness (T, J) is each joint's resistance to being moved: 0 for an invented
-        joint, 1 for a measured one, more for one that is to stay in place. Raises an
-        InputError if a joint is missing.
+        Firmness (T, J) is a joint's resistance to being moved: 0 if invented, 1 if
+        measured, more if it is to stay. Raises an InputError if a joint is missing.
         """
         if not np.isfinite(positions).all():
             raise InputError("positions are not finite; fill in missing joints first")
@@ -65,8 +60,7 @@ class BoneLengths:
         """Return the segment lengths [m] (J,) for which joints move the least.
 
         This is a least-squares fit over all frames; arguments are those of ``project``.
-        In each frame, a length counts as off by a quarter of the body's at most: larger
-        errors are the tracker's.
+        Errors of more than a quarter of the body's length are clipped: the tracker's.
         """
         directions, errors = self._bones(positions)
         coupling = self._moves(firmness) @ self._incidence.T

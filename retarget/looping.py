@@ -105,8 +105,7 @@ def _check(clip: Clip) -> None:
 def repeated(clip: Clip) -> tuple[Clip, slice]:
     """Return a loop with 3 s of its repetitions on both sides, and its own frames.
 
-    The result has no provenance. It lets feet that are planted at the ends of the loop
-    be held there across the repetitions.
+    The result has no provenance. In it, feet can be held across the loop's ends.
     """
     time, root, rotations = clip.time, clip.root, clip.rotations
     count, lasts = len(clip), time[-1] - time[0]

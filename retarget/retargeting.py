@@ -75,8 +75,7 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     relative to limb length: the vectors from shoulder to wrist and from hip to ankle,
     divided by the length of the limb, are those of the clip. A planted foot
     (``clip.contacts``) is held still within 1.75 % of the leg's length, and where the
-    leg is too short, the hips sink. Ancestors of the pelvis follow it along the floor
-    and take its heading.
+    leg is too short, the hips sink. Ancestors of the pelvis follow it on the floor.
     """
     motion = _Motion(clip, rig)
     goals = [motion.limb_end(side, _LEG) for side in SIDES]
@@ -175,9 +174,8 @@ class _Motion:
     def plant(self, side: str, goal: Array) -> Array:
         """Move the ankle's goal [m] in place so that a planted foot stays still.
 
-        Heel and toes are held separately, the heel by the ankle above it, and the foot
-        points from one to the other. Returns 1 (T,) where the foot is planted, falling
-        to 0 before and after.
+        Heel (by the ankle above it) and toes are held separately; the foot points from
+        one to the other. Returns ``near_stance`` of the foot.
         """
         time, foot = self.clip.time, self.rig.joint(f"{side} foot")
         first = CONTACTS.index(f"Heel{side.capitalize()}")

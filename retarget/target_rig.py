@@ -80,8 +80,8 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     """Return the skeleton that a map describes, in a person's size.
 
     Lengths of limbs, widths of hips and shoulders and the distance between them are the
-    person's; the rest is scaled to the stature. The soles are at y = 0. Raises an
-    InputError if the map lacks offsets.
+    person's; the rest scales with the stature. The soles are at y = 0. An InputError
+    says if the map lacks offsets.
     """
     bones = [bone for bone in rig_map.bones if bone.offset is not None]
     names = tuple(bone.name for bone in bones)
@@ -112,13 +112,9 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
         if parents[n] in moving:
             moving.append(n)
     positions[moving, 1] += height - positions[joints, 1].min()
-    rest = replace(rest, positions=positions)
-    rest = replace(
-        rest,
-        names=tuple(rig_map.prefix + name for name in names),
-        axes=_axes(bones, rest),
-        axes_in_bvh=rig_map.axes_in_bvh,
-    )
+    rest = replace(rest, positions=positions, axes_in_bvh=rig_map.axes_in_bvh)
+    names = tuple(rig_map.prefix + name for name in names)
+    rest = replace(rest, names=names, axes=_axes(bones, rest))
     return TargetRig(rest, rig.parts, 0.0)
 
 
