@@ -108,7 +108,8 @@ def _check(motion: Take | Motion) -> None:
     for name, known in _CODES.items():
         if name in shapes:
             values = getattr(motion, name)
-            _check_values(motion, name, values, np.isin(values, list(known)))
+            codes = [int(code) for code in known]
+            _check_values(motion, name, values, np.isin(values, codes), f"in {codes}")
             object.__setattr__(motion, name, values.astype(np.uint8, copy=False))
     time = motion.time
     wrong = np.flatnonzero(~(np.abs(time) < _DAMAGED))
@@ -132,14 +133,14 @@ def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
 
 
 def _check_values(
-    motion: Take | Motion, what: str, values: NDArray[Any], valid: Flags
+    motion: Take | Motion, what: str, values: NDArray[Any], valid: Flags, allowed: str
 ) -> None:
     if not valid.all():
         frame, column = np.argwhere(~valid)[0]
         columns = CONTACTS if what == "contacts" else motion.skeleton.joints
         raise InputError(
-            f"{motion.source}: frame {frame + 1}, {columns[column]}: "
-            f"{what} {values[frame, column]:g} is not valid; correct it"
+            f"{motion.source}: frame {frame + 1}, {columns[column]}: {what} must be "
+            f"{allowed}, got {values[frame, column]:g}"
         )
 
 
@@ -256,7 +257,7 @@ class Motion(_Frames):
         with np.errstate(over="ignore"):  # damaged files hold huge numbers
             lengths = np.sqrt(np.vecdot(self.rotations, self.rotations))
         unit = np.abs(lengths - 1.0) < _UNIT
-        _check_values(self, "rotation of length", lengths, unit)
+        _check_values(self, "length of the rotation", lengths, unit, "1")
         freeze(self)
 
     @property
@@ -322,9 +323,11 @@ class Clip(Motion):
                 )
         for name, most in _LARGEST.items():
             values = getattr(self, name)
-            _check_values(self, name, values, ~((values < 0.0) | (values > most)))
+            valid = ~((values < 0.0) | (values > most))
+            allowed = "in [0, 1]" if most == 1.0 else "finite and at least 0"
+            _check_values(self, name, values, valid, f"{allowed}, or NaN")
         contacts = self.contacts
-        _check_values(self, "contacts", contacts, np.isin(contacts, (0, 1)))
+        _check_values(self, "contacts", contacts, np.isin(contacts, (0, 1)), "0 or 1")
         object.__setattr__(self, "contacts", read_only(contacts.astype(np.bool_)))
         for name in ("tilt", "floor", "roll"):
             what = f"{self.source}: {name}"
