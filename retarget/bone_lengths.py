@@ -10,7 +10,9 @@ from kinefilter.characters.arrays import Array, chunks
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
 _EXACT = 1e-7  # m
-_INVENTED = 0.02  # firmness: moves fifty times as far as a measured joint. A guess.
+_RECONSTRUCTED = (
+    0.02  # firmness: moves fifty times as far as a measured joint. A guess.
+)
 # Factor on the firmness of hips, shoulders and their middles, on which all else
 # depends. Like the next one, it was chosen on three of six recorded people.
 _TRUNK = 10.0
@@ -46,8 +48,8 @@ class BoneLengths:
     def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions [m] (T, J, 3) with the body's segment lengths.
 
-        Firmness (T, J) is a joint's resistance to being moved: 0 if invented, 1 if
-        measured, more if it is to stay. Raises an InputError if a joint is missing.
+        Firmness (T, J) is a joint's resistance to being moved: 0 if reconstructed,
+        1 if measured, more if it is to stay. Raises an InputError if a joint is missing.
         """
         if not np.isfinite(positions).all():
             raise InputError("positions are not finite; fill in missing joints first")
@@ -60,7 +62,7 @@ class BoneLengths:
         """Return the segment lengths [m] (J,) for which joints move the least.
 
         This is a least-squares fit over all frames; arguments are those of ``project``.
-        Errors of more than a quarter of the body's length are clipped: the tracker's.
+        Errors above a quarter of a bone are the tracker's, and are clipped.
         """
         directions, errors = self._bones(positions)
         coupling = self._moves(firmness) @ self._incidence.T
@@ -75,7 +77,7 @@ class BoneLengths:
 
     def _moves(self, firmness: Array) -> Array:
         """Return the move of each joint per change of each bone, (T, bones, J)."""
-        firm = self._firm * firmness + _INVENTED
+        firm = self._firm * firmness + _RECONSTRUCTED
         return np.asarray(self._incidence / firm[:, None, :] + self._together)
 
     def _project(self, points: Array, firmness: Array) -> Array:

@@ -12,8 +12,8 @@ from kinefilter.characters.rotations import between, rotate, unit
 class Hands:
     """Rotation of hands with their forearms.
 
-    Moving an elbow or wrist turns the forearm. A measured hand stays in place; an
-    invented one turns too, or it would look bent.
+    Moving an elbow or wrist turns the forearm. A measured hand stays in place; a
+    reconstructed one turns too, or it would look bent.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
