@@ -287,7 +287,7 @@ class Clip(Motion):
     origin: Codes
     """Source of each joint's position (Origin), shape (T, J)."""
     moved_by_correction: Array
-    """Distance from the measurement (with swapped sides restored) to the corrected joint
+    """Distance from the measurement, with swapped sides restored, to the corrected one
     [m], NaN where nothing was measured, shape (T, J)."""
     moved_by_physics: Array
     """Distance from the corrected to the final joint [m], shape (T, J)."""

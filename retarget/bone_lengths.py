@@ -10,9 +10,7 @@ from kinefilter.characters.arrays import Array, chunks
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
 _EXACT = 1e-7  # m
-_RECONSTRUCTED = (
-    0.02  # firmness: moves fifty times as far as a measured joint. A guess.
-)
+_RECONSTRUCTED = 0.02  # firmness, 1 of a measured joint: fifty times the move. A guess.
 # Factor on the firmness of hips, shoulders and their middles, on which all else
 # depends. Like the next one, it was chosen on three of six recorded people.
 _TRUNK = 10.0
@@ -48,8 +46,8 @@ class BoneLengths:
     def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions [m] (T, J, 3) with the body's segment lengths.
 
-        Firmness (T, J) is a joint's resistance to being moved: 0 if reconstructed,
-        1 if measured, more if it is to stay. Raises an InputError if a joint is missing.
+        Firmness (T, J) is a joint's resistance to being moved: 0 if reconstructed, 1 if
+        measured, more if it is to stay. Raises an InputError if a joint is missing.
         """
         if not np.isfinite(positions).all():
             raise InputError("positions are not finite; fill in missing joints first")
