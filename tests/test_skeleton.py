@@ -274,7 +274,7 @@ def test_a_clip_of_the_wrong_shape_is_refused(name: str) -> None:
     ("name", "value", "words"),
     [
         ("rotations", [0.0, 0.0, 0.0, 0.0], "length of the rotation must be 1, got 0"),
-        ("rotations", [1.0, 0.1, 0.0, 0.0], "length of the rotation must be 1, got 1.0"),
+        ("rotations", [1.0, 0.1, 0.0, 0.0], "length of the rotation must be 1, got 1"),
         ("rotations", np.nan, "length of the rotation must be 1, got nan"),
         ("rotations", 1e200, "length of the rotation must be 1, got inf"),
         ("reliability", 7.0, "reliability must be .*, got 7"),
