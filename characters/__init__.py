@@ -1,4 +1,4 @@
-"""Who moves: skeletons, motion types, bodies, the MuJoCo humanoid."""
+"""Skeletons, bodies, motions and the MuJoCo humanoid."""
 
 from .anthropometry import STANDARD_HEIGHT, STATURES, Body, standard_body, unit_hint
 from .errors import InputError, KinefilterError

@@ -1,12 +1,12 @@
-"""A body of given height and mass: segment lengths, masses and radii.
+"""Segment lengths, masses and radii of a body of a given height and mass.
 
 Sources:
     Lengths: Drillis & Contini 1966, body segment parameters, as drawn in Winter 2009,
         Biomechanics and Motor Control of Human Movement, figure 4.1 (fractions of
-        stature). Where Kinect's joints are no anatomical landmarks (spine, head, hand,
+        stature). Where Kinect's joints are not anatomical landmarks (spine, head, hand,
         foot), the fraction is the median of Kinect skeletons of standing people.
     Masses: de Leva 1996, J. Biomech. 29(9), table 4, men (fractions of body mass).
-    Radii: a cylinder of the segment's mass at tissue density, under its capsule's caps.
+    Radii: a cylinder of the segment's mass and tissue density, plus the capsule's caps.
 """
 
 from __future__ import annotations
@@ -24,30 +24,29 @@ GRAVITY = 9.81
 """Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
 
 STANDARD_HEIGHT = 1.75
-"""Stature [m] of the standard body that postures are compared on."""
+"""Stature [m] of the standard body, on which postures are compared."""
 
 STATURES = (0.3, 3.0)
-"""Statures [m] between which a body may be: anything else is a wrong unit."""
+"""Smallest and largest stature of a body [m]; anything else is in a wrong unit."""
 
-_MEASURES = {"height": (*STATURES, "m", "meters"), "mass": (2, 500, "kg", "kilograms")}
-"""What a whole body measures: between what, in which unit."""
-_LONGEST = 100.0  # m, of a segment: beyond, a number is damaged
+_LIMITS = {"height": (*STATURES, "m", "meters"), "mass": (2, 500, "kg", "kilograms")}
+_LONGEST = 100.0  # m: a longer segment comes from a damaged file
 _UNITS = {"millimeters": 1000.0, "centimeters": 100.0, "inches": 39.37, "feet": 3.281}
-_PEOPLE = (1.2, 2.3)  # m: statures and spans, each in one of these units alone
+_PEOPLE = (1.2, 2.3)  # m: statures and arm spans; only one of the units fits a number
 
-_UNIT = 1e-3  # by which a direction may be longer than 1: single precision, and room
+_UNIT = 1e-3  # tolerance for the length of directions in single precision
 _DENSITY = 1050.0  # kg/m^3, whole-body tissue average (Winter 2009, section 4.1.1)
 _BODY_MASS_INDEX = 22.0  # kg/m^2, middle of the WHO's normal range, if no mass is given
 _FOOT_RADIUS = 0.018  # of stature: half the malleolus height of 0.039 (Winter)
-_THICKEST, _THICKEST_HAND = 0.065, 0.018  # of stature
+_LARGEST_RADIUS, _LARGEST_HAND_RADIUS = 0.065, 0.018  # of stature. Guesses.
 
 # Segment -> (length as a fraction of stature, mass as a fraction of body mass, rest
-# direction, how far [degrees] it turns against its parent from there at most, twist
-# included). T-pose facing +z: left is +x. Trunk masses split de Leva's upper, middle
-# and lower part over the segments and the root, which share them. Ranges are those of
-# motion (Norkin & White 2016, Measurement of Joint Motion, appendix B) from where the
-# T-pose has the joint, and room for where Kinect's joints lie in the body: in marker
-# mocap seen as Kinect joints, 1 % of the frames turn farther.
+# direction, largest angle [degrees] to its parent, measured from there and including
+# twist). The T-pose faces +z, so left is +x. The trunk's segments and the root share
+# the masses of de Leva's upper, middle and lower trunk. Angles are ranges of motion
+# (Norkin & White 2016, Measurement of Joint Motion, appendix B) relative to the T-pose,
+# plus a margin for where Kinect's joints lie in the body: in marker mocap converted to
+# Kinect joints, 1 % of the frames exceed them.
 _Row = tuple[float, float, tuple[float, float, float], float]
 _LIMBS: dict[str, _Row] = {
     "Shoulder": (0.110, 0.0300, (1.0, 0.0, 0.0), 50.0),
@@ -78,13 +77,12 @@ _V2_HANDS: dict[str, _Row] = {
 
 
 def joint_range(name: str) -> float:
-    """Return how far [rad] the segment that ends at a joint turns from the T-pose."""
+    """Return the largest angle [rad] of a joint's segment from its T-pose."""
     stem = name.removesuffix("Left").removesuffix("Right")
     return float(np.radians((_V1_TRUNK | _V2_TRUNK | _LIMBS | _V2_HANDS)[stem][3]))
 
 
 def _table(skeleton: Skeleton) -> dict[str, _Row]:
-    """Return the rows of a skeleton by joint name."""
     check_skeleton(skeleton, "a body")
     trunk, limbs = {
         KINECT_V1.name: (_V1_TRUNK, _LIMBS),
@@ -92,15 +90,15 @@ def _table(skeleton: Skeleton) -> dict[str, _Row]:
     }[skeleton.name]
     root: _Row = (0.0, 0.0, (0.0, 0.0, 0.0), 0.0)
     table = {skeleton.joints[skeleton.root]: root, **trunk}
-    for limb, (length, mass, (x, y, z), most) in limbs.items():
-        table[f"{limb}Left"] = (length, mass, (x, y, z), most)
-        table[f"{limb}Right"] = (length, mass, (-x, y, z), most)
+    for limb, (length, mass, (x, y, z), angle) in limbs.items():
+        table[f"{limb}Left"] = (length, mass, (x, y, z), angle)
+        table[f"{limb}Right"] = (length, mass, (-x, y, z), angle)
     return table
 
 
-def _measure(name: str, value: object) -> float:
+def _checked_size(name: str, value: object) -> float:
     """Return the height or mass of a body, or raise an InputError."""
-    least, most, unit, words = _MEASURES[name]
+    least, most, unit, words = _LIMITS[name]
     number = as_number(value, f"body {name}")
     if not least < number < most:
         raise InputError(
@@ -111,20 +109,19 @@ def _measure(name: str, value: object) -> float:
 
 
 def _check_segments(body: Body) -> None:
-    """Raise an InputError for lengths and directions that no body has."""
     skeleton = body.skeleton
     count, ends = len(skeleton), skeleton.segments
     shapes = {"lengths": (count,), "directions": (count, 3)}
     check_arrays(body, "a body", shapes, f" for {skeleton.name}")
     lengths = body.lengths[ends]
-    with np.errstate(over="ignore"):  # of a damaged file
+    with np.errstate(over="ignore"):  # damaged files hold huge numbers
         norms = np.linalg.norm(body.directions[ends], axis=1)
-    for values, good, words in (
+    for values, valid, words in (
         (lengths, (lengths > 0.0) & (lengths < _LONGEST), "is {:g} m long"),
         (norms, np.abs(norms - 1.0) < _UNIT, "points along a vector of length {:g}"),
     ):
-        if not good.all():
-            k = int(np.argmin(good))
+        if not valid.all():
+            k = int(np.argmin(valid))
             raise InputError(
                 f"the segment to {skeleton.joints[ends[k]]} {words.format(values[k])}; "
                 "give lengths above 0 and unit directions"
@@ -132,7 +129,7 @@ def _check_segments(body: Body) -> None:
 
 
 def unit_hint(size: float) -> str:
-    """Return what to try where a person measures that many "meters"."""
+    """Return advice for a person whose size is implausible in meters."""
     for unit, per_meter in _UNITS.items():
         if _PEOPLE[0] < size / per_meter < _PEOPLE[1]:
             return f"they look like {unit}: divide the positions by {per_meter:g}"
@@ -141,7 +138,7 @@ def unit_hint(size: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A body on a skeleton: what its segments measure and weigh; read-only arrays."""
+    """Size and mass of a person's segments; arrays are read-only."""
 
     skeleton: Skeleton
     """The joints, in the order of the arrays."""
@@ -152,24 +149,24 @@ class Body:
     lengths: Array
     """Length [m] of the segment that ends at each joint, shape (J,), root 0."""
     directions: Array
-    """Unit vector from each joint's parent to it in the T-pose, facing +z, shape
-    (J, 3), root 0. Sensors differ in where trunk, hips and shoulders are."""
+    """Unit vector to each joint from its parent in the T-pose facing +z, shape (J, 3),
+    root 0. Sensors differ in where they place trunk, hips and shoulders."""
 
     def __post_init__(self) -> None:
         check_skeleton(self.skeleton, "a body")
-        for name in _MEASURES:
-            object.__setattr__(self, name, _measure(name, getattr(self, name)))
+        for name in _LIMITS:
+            object.__setattr__(self, name, _checked_size(name, getattr(self, name)))
         _check_segments(self)
         freeze(self)
 
     @cached_property
     def rest_offsets(self) -> Array:
-        """Vector [m] from each joint's parent to it in the T-pose, shape (J, 3)."""
+        """Vector [m] to each joint from its parent in the T-pose, shape (J, 3)."""
         return read_only(self.directions * self.lengths[:, None])
 
     @cached_property
     def rest_positions(self) -> Array:
-        """T-pose [m], facing +z, root above the origin, soles on y = 0, (J, 3)."""
+        """T-pose [m] facing +z, root above the origin, soles at y = 0, shape (J, 3)."""
         positions = np.zeros((len(self.skeleton), 3))
         for j in self.skeleton.segments:
             positions[j] = positions[self.skeleton.parents[j]] + self.rest_offsets[j]
@@ -178,7 +175,7 @@ class Body:
 
     @cached_property
     def masses(self) -> Array:
-        """Mass [kg] of the segment that ends at each joint, root: the pelvis, (J,)."""
+        """Mass [kg] of each segment, shape (J,); the root's row is the pelvis."""
         table = _table(self.skeleton)
         shares = np.array([table[j][1] for j in self.skeleton.joints])
         shares[self.skeleton.root] = 1.0 - shares.sum()
@@ -186,33 +183,29 @@ class Body:
 
     @cached_property
     def radii(self) -> Array:
-        """Capsule radius [m] of each segment, root: of the pelvis sphere, (J,)."""
-        joints = self.skeleton.joints
+        """Capsule radius [m] of each segment, shape (J,); the pelvis is a sphere."""
+        skeleton, root = self.skeleton, self.skeleton.root
         lengths = np.where(self.lengths > 0, self.lengths, np.inf)
         radii = np.sqrt(self.masses / (_DENSITY * np.pi * lengths))
-        root = self.skeleton.root
         radii[root] = (self.masses[root] * 0.75 / (_DENSITY * np.pi)) ** (1 / 3)
-        # Short segments are no fat discs. How thick they may be is a guess.
-        radii = np.minimum(radii, _THICKEST * self.height)
-        for j, joint in enumerate(joints):
-            if joint.startswith("Foot"):
-                radii[j] = _FOOT_RADIUS * self.height
-            elif self.skeleton.hands[j]:
-                radii[j] = min(radii[j], _THICKEST_HAND * self.height)
+        # A bound on the radius keeps short segments from becoming thick discs.
+        bounds = np.where(skeleton.hands, _LARGEST_HAND_RADIUS, _LARGEST_RADIUS)
+        radii = np.minimum(radii, bounds * self.height)
+        radii[skeleton.sides("Foot")] = _FOOT_RADIUS * self.height
         return read_only(radii)
 
 
 def standard_body(
     skeleton: Skeleton, *, height: float = STANDARD_HEIGHT, mass: float | None = None
 ) -> Body:
-    """Return the body of average proportions.
+    """Return a body of average proportions.
 
-    Stature is in m, mass in kg, by default that of a body mass index of 22 kg/m^2.
-    Raises an InputError where they are not a human's.
+    Stature is in m, mass in kg; by default, the body mass index is 22 kg/m^2. Raises an
+    InputError if they are not those of a human.
     """
     table = _table(skeleton)
     rows = [table[joint] for joint in skeleton.joints]
-    height = _measure("height", height)
+    height = _checked_size("height", height)
     if mass is None:
         mass = _BODY_MASS_INDEX * height**2
     directions = np.array([row[2] for row in rows])
@@ -225,12 +218,12 @@ def standard_body(
 def joint_masses(body: Body) -> Array:
     """Return the mass [kg] that moves with each joint, shape (J,).
 
-    Half of every segment that meets there: the two-point model of a rod. The masses
-    sum to the body's.
+    Half of every segment counts at each of its ends: the two-point model of a rod.
     """
     skeleton = body.skeleton
+    halves = 0.5 * body.masses[skeleton.segments]
     masses = np.zeros(len(skeleton))
     masses[skeleton.root] = body.masses[skeleton.root]
-    np.add.at(masses, skeleton.segments, 0.5 * body.masses[skeleton.segments])
-    np.add.at(masses, skeleton.segment_parents, 0.5 * body.masses[skeleton.segments])
+    masses[skeleton.segments] = halves
+    np.add.at(masses, skeleton.segment_parents, halves)
     return masses

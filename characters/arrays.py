@@ -1,4 +1,4 @@
-"""The arrays that functions take and return, and arrays that nobody may change."""
+"""Array types, checks of arrays that users pass, and read-only arrays."""
 
 from __future__ import annotations
 
@@ -13,61 +13,53 @@ from numpy.typing import NDArray
 from .errors import InputError
 
 Array = NDArray[np.float64]
-"""Numbers in double precision; docstrings say their quantity, unit, frame and shape."""
-
+"""Double-precision numbers; docstrings give their quantity, unit, frame and shape."""
+Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-"""Truths, and indices of joints, frames or points."""
-
 Codes = NDArray[np.uint8]
-"""What is said of joints by number, such as their State."""
-
-Singles = NDArray[np.float32]
-"""Numbers in single precision."""
-
+"""Integer codes of an enumeration, such as State."""
 Lengths = tuple[int | None, ...]
-"""The shape of an array; None where any length will do."""
-
+"""Shape of an array; None where any length is allowed."""
 Number = TypeVar("Number", bound=np.generic)
 
 
 def read_only(array: NDArray[Number]) -> NDArray[Number]:
-    """Return a view of an array that cannot be written to."""
+    """Return a read-only view of an array."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def chunks(count: int, size: int) -> list[slice]:
-    """Return slices of ``size`` frames each, to bound the memory of what follows."""
+    """Return slices of ``size`` frames that cover ``count`` frames, to bound memory."""
     return [slice(start, start + size) for start in range(0, count, size)]
 
 
 def runs(flags: Flags, shortest: int = 1) -> list[slice]:
-    """Return the spans of ``shortest`` or more frames in which flags (T,) are true."""
+    """Return the runs of at least ``shortest`` frames in which flags (T,) are true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
-    pairs = edges.reshape(-1, 2)
-    long = pairs[pairs[:, 1] - pairs[:, 0] >= shortest]
-    return [slice(a, b) for a, b in long.tolist()]
+    pairs = edges.reshape(-1, 2).tolist()
+    return [slice(begin, end) for begin, end in pairs if end - begin >= shortest]
 
 
 def shown(value: object) -> str:
-    """Return the beginning of what a value looks like, for messages."""
+    """Return the beginning of the repr of a value, for error messages."""
     try:
         return repr(value)[:60].partition("\n")[0]
-    except Exception:  # of somebody else's class, or a number of 5000 digits
+    except Exception:  # a class with a broken repr, or an integer of 5000 digits
         return f"a {type(value).__name__}"
 
 
 def check_kind(value: object, kind: type | UnionType, what: str) -> None:
-    """Raise an InputError if a value is of another class."""
+    """Raise an InputError if a value is not an instance of a class."""
     if not isinstance(value, kind):
         wanted = getattr(kind, "__name__", str(kind).rpartition(".")[2])
-        raise InputError(f"{what} is {shown(value)}; give a {wanted}")
+        raise InputError(f"{what} must be a {wanted}, got {shown(value)}")
 
 
 def check_word(value: object, known: Iterable[str], what: str) -> None:
-    """Raise an InputError if a value is none of the known words."""
+    """Raise an InputError if a value is not one of the known names."""
     words = tuple(known)
     if not isinstance(value, str) or value not in words:
         raise InputError(f"unknown {what} {shown(value)}; known: {', '.join(words)}")
@@ -76,10 +68,10 @@ def check_word(value: object, known: Iterable[str], what: str) -> None:
 def as_numbers(
     value: Any, what: str, shape: Lengths, of: str = "", *, finite: bool = False
 ) -> NDArray[Any]:
-    """Return what somebody gave as an array; None in the shape is any length.
+    """Return a value as an array of real numbers; None in the shape is any length.
 
-    Masked numbers, and None among numbers, are NaN. Raises an InputError for another
-    shape, for anything but real numbers, and for NaN and inf where all are ``finite``.
+    Masked elements, and None among numbers, become NaN. Raises an InputError for other
+    shapes, for anything but real numbers, and for NaN or infinity if ``finite``.
     """
     try:
         if isinstance(value, np.ma.MaskedArray):
@@ -93,17 +85,17 @@ def as_numbers(
         wanted = f"numbers of shape {shape}" if shape else "a number"
         raise InputError(f"{what} is {shown(value)}, expected {wanted}{of}")
     if len(array.shape) != len(shape) or any(
-        wanted not in (None, found)
-        for wanted, found in zip(shape, array.shape, strict=True)
+        length not in (None, given)
+        for length, given in zip(shape, array.shape, strict=True)
     ):
         raise InputError(f"{what} has shape {array.shape}, expected {shape}{of}")
     if finite and not np.isfinite(array).all():
-        raise InputError(f"{what} is not finite; give numbers without NaN and inf")
+        raise InputError(f"{what} has NaN or infinite values; give finite numbers")
     return array
 
 
 def as_number(value: Any, what: str) -> float:
-    """Return what somebody gave as a number, or raise an InputError."""
+    """Return a value as a number, or raise an InputError."""
     return float(as_numbers(value, what, ()))
 
 
@@ -116,9 +108,9 @@ def check_arrays(
     finite: bool = False,
     keep: Container[str] = (),
 ) -> None:
-    """Make fields of a frozen dataclass arrays in double precision, or raise.
+    """Convert fields of a frozen dataclass to double-precision arrays, in place.
 
-    The type of those to ``keep`` stays; errors are those of ``as_numbers``.
+    Fields named in ``keep`` keep their type. Raises an InputError as ``as_numbers``.
     """
     for name, shape in expected.items():
         given, where = getattr(value, name), f"{what}: {name}"
@@ -129,7 +121,7 @@ def check_arrays(
 
 
 def freeze(value: Any) -> None:
-    """Make every array field of a frozen dataclass a read-only view of itself."""
+    """Replace every array field of a frozen dataclass by a read-only view of it."""
     for field in fields(value):
         array = getattr(value, field.name)
         if isinstance(array, np.ndarray):

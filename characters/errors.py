@@ -1,14 +1,12 @@
-"""The errors a user of kinefilter can meet."""
-
-from __future__ import annotations
+"""Exceptions that kinefilter raises on purpose."""
 
 
 class KinefilterError(Exception):
-    """Base of every error that kinefilter raises on purpose."""
+    """Base class of every error that kinefilter raises on purpose."""
 
 
 class InputError(KinefilterError):
-    """The input or the command is wrong; the message says what, where, what to try.
+    """Invalid input or an invalid command; the message says what, where, what to try.
 
     The command line prints it as one line and exits with code 2.
     """

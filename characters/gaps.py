@@ -1,4 +1,4 @@
-"""Long gaps: stretches of time without a frame, which nothing looks across."""
+"""Long gaps: intervals without a frame that no stage bridges."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from .arrays import Array
 
 LONG_GAP = 2.0
-"""Time without a frame [s] from which on what comes after does not go on from before. A
-guess: where a limb is two seconds later, its movement no longer says, and none of 99
+"""Longest time between frames [s] across which motion counts as continuous. A guess:
+two seconds later, a limb's earlier movement no longer says where it is, and none of 99
 recorded takes has half a second without a frame."""
-_TOLD = 5  # of a take; of more their number says enough
+_MOST_LISTED = 5  # gaps of a take; the rest are only counted
 
 
 def parts_of(time: Array) -> list[slice]:
@@ -31,14 +31,14 @@ def long_gaps(time: Array) -> list[tuple[float, float]]:
 def told_gaps(
     gaps: Sequence[tuple[float, float]], begin: float, then: str = ""
 ) -> list[str]:
-    """Return what users read about long gaps, the first few, and what ``then`` is.
+    """Return a line on each of the first few long gaps, followed by ``then``.
 
-    Times are since ``begin``, the time stamp of the first frame [s].
+    Times are relative to ``begin``, the time stamp of the first frame [s].
     """
     lines = [
         f"no frames from {start - begin:.1f} to {end - begin:.1f} s "
         f"({end - start:.4g} s){then}"
-        for start, end in gaps[:_TOLD]
+        for start, end in gaps[:_MOST_LISTED]
     ]
     more = len(gaps) - len(lines)
     return lines + [f"and {more} more such gaps"] * (more > 0)

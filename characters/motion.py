@@ -1,4 +1,4 @@
-"""What a sensor gave (Take), how a body moves (Motion), what animators get (Clip)."""
+"""Takes as recorded, motions of a body, and clips with their provenance."""
 
 from __future__ import annotations
 
@@ -28,17 +28,16 @@ from .rotations import rotate
 from .skeleton import Skeleton, check_skeleton
 
 LATEST = 1e12
-"""Frames of live motion [s] are earlier: clocks count from 1970, in seconds."""
-_NO_TIME = 1e19  # s: a damaged number; less may be in another unit, see check_rate
-_MOST = np.finfo(float).max
-_UNIT = 1e-3  # by which a quaternion may be longer than 1: single precision, and room
+"""Bound on time stamps in live mode [s]; clocks count seconds from 1970."""
+_DAMAGED = 1e19  # s: no clock shows this; less may be in another unit (check_rate)
+_UNIT = 1e-3  # tolerance for the length of quaternions in single precision
 
 CONTACTS = ("HeelLeft", "ToeLeft", "HeelRight", "ToeRight")
-"""Parts of the feet that stand on the floor, in the order of the arrays."""
+"""Parts of the feet that touch the floor, in the order of arrays of contacts."""
 
 
 class State(IntEnum):
-    """The sensor's own word on a joint."""
+    """Tracking state of a joint, as reported by the sensor."""
 
     NOT_TRACKED = 0
     INFERRED = 1
@@ -46,58 +45,60 @@ class State(IntEnum):
 
 
 class Origin(IntEnum):
-    """Where a joint's position in a clip came from."""
+    """Source of a joint's position in a clip."""
 
     MEASURED = 0
-    """The sensor's measurement, less the constant offset of that joint where the method
-    knows one; smoothed, planted and put on the bones as all joints are."""
+    """The sensor's measurement, less the joint's constant offset if the method knows
+    one; like all joints, it is smoothed, planted and moved to fit the bone lengths."""
     CORRECTED = 1
-    """A measurement that the correction method overruled, in part or whole."""
+    """A measurement that the correction method replaced, in part or entirely."""
     FILLED = 2
-    """Nothing was measured: the posture is invented."""
+    """A reconstruction: nothing was measured."""
 
 
 class Term(IntEnum):
-    """The term of a reliability score that was the smallest, and so decided."""
+    """Smallest term of a reliability, which decides it."""
 
     BEHAVIOR = 0
     KINEMATICS = 1
     TRACKING_STATE = 2
     POSTURE = 3
-    """Where in the body this kind of sensor sees the joint: of ``learned`` alone."""
+    """Where in the body this kind of sensor sees the joint; only of ``learned``."""
     FAILURE = 4
-    """A gross failure of the tracker, whatever the terms: no limb can be there."""
+    """A gross failure of the tracker, which overrides the other terms."""
 
     @property
     def words(self) -> str:
-        """What users read."""
+        """Name as users see it."""
         return self.name.lower().replace("_", " ")
 
 
 _CODES = {"state": State, "deciding_term": Term, "origin": Origin}
-_OF_JOINTS = ("reliability", "moved_by_correction", "moved_by_physics", "uncertainty")
-"""Numbers of joints that are 0 or more, the reliability at most 1, or NaN."""
+_LARGEST = dict.fromkeys(
+    ("reliability", "moved_by_correction", "moved_by_physics", "uncertainty"),
+    np.finfo(float).max,
+) | {"reliability": 1.0}
+"""Largest valid value of each quantity of joints; the smallest is 0."""
 _SHAPES = {
     "time": "T",
     "positions": "TJ3",
     "root": "T3",
     "rotations": "TJ4",
-    **dict.fromkeys((*_CODES, *_OF_JOINTS), "TJ"),
+    **dict.fromkeys((*_CODES, *_LARGEST), "TJ"),
     "contacts": "T4",
     "external_force": "T",
 }
-"""Arrays that have a row a frame, and their shapes: T frames, J joints."""
+"""Shapes of the arrays with a row per frame: T frames, J joints."""
 
 
 def _shapes(kind: Any, frames: int, joints: int) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays that a kind of motion has, by their names."""
     lengths = {"T": frames, "J": joints, "3": 3, "4": 4}
     names = [field.name for field in fields(kind) if field.name in _SHAPES]
     return {name: tuple(lengths[k] for k in _SHAPES[name]) for name in names}
 
 
 def _check(motion: Take | Motion) -> None:
-    """Make arrays of what somebody gave, or raise an InputError."""
+    """Convert the fields to arrays, or raise an InputError."""
     check_kind(motion.source, str, "the source of a take or clip")
     check_skeleton(motion.skeleton, motion.source)
     of = f" for {motion.skeleton.name}"
@@ -105,23 +106,23 @@ def _check(motion: Take | Motion) -> None:
     shapes = _shapes(motion, len(motion.time), len(motion.skeleton))
     check_arrays(motion, motion.source, shapes, of, keep=_CODES)
     for name, known in _CODES.items():
-        if name not in shapes:
-            continue
-        values = getattr(motion, name)
-        _refuse(motion, name, values, np.isin(values, list(known)))
-        object.__setattr__(motion, name, values.astype(np.uint8, copy=False))
+        if name in shapes:
+            values = getattr(motion, name)
+            codes = [int(code) for code in known]
+            _check_values(motion, name, values, np.isin(values, codes), f"in {codes}")
+            object.__setattr__(motion, name, values.astype(np.uint8, copy=False))
     time = motion.time
-    wrong = np.flatnonzero(~(np.abs(time) < _NO_TIME))
+    wrong = np.flatnonzero(~(np.abs(time) < _DAMAGED))
     if len(wrong):
         raise InputError(
-            f"{motion.source}: frame {wrong[0] + 1} has no time stamp "
-            f"({time[wrong[0]]:g}); give every frame one, in seconds"
+            f"{motion.source}: frame {wrong[0] + 1} has no valid time stamp "
+            f"({time[wrong[0]]:g}); every frame needs one in seconds"
         )
     check_order(time, lambda k: f"{motion.source}: frame {k + 1}: time", "frames")
 
 
 def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
-    """Raise InputError where time stamps [s] (T,) go backwards."""
+    """Raise an InputError if time stamps [s] (T,) go backwards."""
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
         k = int(backwards[0]) + 1
@@ -131,27 +132,27 @@ def check_order(time: Array, where: Callable[[int], str], what: str) -> None:
         )
 
 
-def _refuse(
-    motion: Take | Motion, what: str, values: NDArray[Any], good: Flags
+def _check_values(
+    motion: Take | Motion, what: str, values: NDArray[Any], valid: Flags, allowed: str
 ) -> None:
-    if not good.all():
-        frame, column = np.argwhere(~good)[0]
+    if not valid.all():
+        frame, column = np.argwhere(~valid)[0]
         columns = CONTACTS if what == "contacts" else motion.skeleton.joints
         raise InputError(
-            f"{motion.source}: frame {frame + 1}, {columns[column]}: "
-            f"{what} {values[frame, column]:g} is not valid; correct it"
+            f"{motion.source}: frame {frame + 1}, {columns[column]}: {what} must be "
+            f"{allowed}, got {values[frame, column]:g}"
         )
 
 
 def nominal_step(time: Array) -> float:
-    """Return the median time between frames that differ in time [s], or NaN."""
+    """Return the median of the nonzero time steps between frames [s], or NaN."""
     steps = np.diff(time)
     steps = steps[steps > 0]
     return float(np.median(steps)) if len(steps) else float("nan")
 
 
 def frames_per_second(time: Array) -> float:
-    """Return the nominal frame rate [1/s]: one over the nominal step, or 30."""
+    """Return the nominal frame rate [1/s], 30 if there is no nominal step."""
     step = nominal_step(time)
     return 1.0 / step if step > 0.0 else 30.0
 
@@ -159,8 +160,8 @@ def frames_per_second(time: Array) -> float:
 def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array:
     """Return joint positions [m] of a body, world frame, shape (..., J, 3).
 
-    Segments have world rotations, unit quaternions wxyz, identity in the T-pose, shape
-    (..., J, 4); the root joint is at ``root`` [m], shape (..., 3).
+    Rotations are those of segments in the world, unit quaternions wxyz, identity in the
+    T-pose, shape (..., J, 4); ``root`` is the position of the root joint [m], (..., 3).
     """
     bones = rotate(rotations, body.rest_offsets)
     positions = np.empty_like(bones)
@@ -172,7 +173,7 @@ def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array
 
 
 class _Frames:
-    """What takes and motions share: arrays of frames, by their time stamps."""
+    """Base of takes and motions: arrays with a row per frame."""
 
     time: Array
 
@@ -185,7 +186,7 @@ class _Frames:
         return frames_per_second(self.time)
 
     def at(self, frames: Any) -> Self:
-        """Return some of the frames, in their order: a slice, indices or flags."""
+        """Return some of the frames: a slice, indices or flags."""
         # Takes and motions are dataclasses.
         return replace(self, **self._at(frames))  # type: ignore[type-var]
 
@@ -196,21 +197,20 @@ class _Frames:
 
 @dataclass(frozen=True, eq=False)
 class Take(_Frames):
-    """A recording as the sensor gave it; arrays are read-only."""
+    """A recording of one person, as the sensor delivered it; arrays are read-only."""
 
     time: Array
     """Time stamps [s], shape (T,), never decreasing; repeats and gaps are normal."""
     positions: Array
-    """Joint positions [m], sensor frame with y up, shape (T, J, 3); NaN: missing, as
-    are joints that are not tracked."""
+    """Joint positions [m], sensor frame, y up, shape (T, J, 3); NaN if not tracked."""
     state: Codes
     """Tracking state per joint (State), shape (T, J)."""
     skeleton: Skeleton
     """The joints, in the order of the arrays."""
     source: str = "take"
-    """Where the take came from, for messages."""
+    """Origin of the take, for messages."""
     by_kinect: bool = True
-    """Whether a Kinect's tracker put the joints where they are, with its offsets."""
+    """True if the joints have the constant offsets of a Kinect's tracker."""
 
     def __post_init__(self) -> None:
         _check(self)
@@ -222,7 +222,7 @@ class Take(_Frames):
         freeze(self)
 
     def exchanged(self, frames: Any = np.s_[:]) -> Take:
-        """Return the take with left and right exchanged, in some of its frames."""
+        """Return the take with left and right swapped, in all or some of its frames."""
         positions, state = self.positions.copy(), self.state.copy()
         for values in (positions, state):
             values[frames] = values[frames][:, self.skeleton.mirror]
@@ -231,7 +231,7 @@ class Take(_Frames):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Motion(_Frames):
-    """How a body moves; arrays are read-only.
+    """Motion of a body; arrays are read-only.
 
     World frame: right-handed, y up, floor at y = 0, meters, seconds. Joint positions
     follow from root and rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
@@ -240,25 +240,24 @@ class Motion(_Frames):
     time: Array
     """Time stamps [s], never decreasing, shape (T,)."""
     body: Body
-    """The body that moves: skeleton, segment lengths and rest posture."""
+    """Skeleton, segment lengths and rest pose."""
     root: Array
     """Position of the root joint [m], world frame, shape (T, 3)."""
     rotations: Array
     """World rotation of the segment that ends at each joint, unit quaternions wxyz,
-    shape (T, J, 4), identity in the rest posture; the root's row is the pelvis."""
+    shape (T, J, 4), identity in the rest pose; the root's row is the pelvis."""
     source: str = "motion"
-    """Where the motion came from, for messages."""
+    """Origin of the motion, for messages."""
 
     def __post_init__(self) -> None:
         check_kind(self.body, Body, "the body of a motion")
         _check(self)
         if not np.isfinite(self.root).all():
-            raise InputError(
-                f"{self.source}: root is not finite; leave such frames out"
-            )
-        with np.errstate(over="ignore"):  # of a damaged file
+            raise InputError(f"{self.source}: root is not finite; omit such frames")
+        with np.errstate(over="ignore"):  # damaged files hold huge numbers
             lengths = np.sqrt(np.vecdot(self.rotations, self.rotations))
-        _refuse(self, "rotation of length", lengths, np.abs(lengths - 1.0) < _UNIT)
+        unit = np.abs(lengths - 1.0) < _UNIT
+        _check_values(self, "length of the rotation", lengths, unit, "1")
         freeze(self)
 
     @property
@@ -269,52 +268,48 @@ class Motion(_Frames):
     @cached_property
     def positions(self) -> Array:
         """Joint positions [m], world frame, shape (T, J, 3)."""
-        found = positions_from_rotations(self.rotations, self.root, self.body)
-        return read_only(found)
+        return read_only(positions_from_rotations(self.rotations, self.root, self.body))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Clip(Motion):
-    """A cleaned motion and, per joint and frame, where it came from.
+    """A cleaned motion with the provenance of each joint in each frame.
 
     Time stamps are those of the take.
     """
 
     state: Codes
-    """The sensor's tracking state (State), shape (T, J): as it was recorded, also in
-    frames where left and right were put back."""
+    """Recorded tracking state (State), shape (T, J), even where sides were swapped."""
     reliability: Array
     """Reliability in [0, 1], NaN where unknown, shape (T, J)."""
     deciding_term: Codes
-    """Which reliability term decided (Term), shape (T, J)."""
+    """Reliability term that decided (Term), shape (T, J)."""
     origin: Codes
-    """Where each joint came from (Origin), shape (T, J)."""
+    """Source of each joint's position (Origin), shape (T, J)."""
     moved_by_correction: Array
-    """Distance from the measurement to the corrected joint [m], NaN where nothing was
-    measured, shape (T, J); where left and right were put back, from the other side's
-    measurement."""
+    """Distance from the measurement, with swapped sides restored, to the corrected one
+    [m], NaN where nothing was measured, shape (T, J)."""
     moved_by_physics: Array
     """Distance from the corrected to the final joint [m], shape (T, J)."""
     uncertainty: Array
-    """How far the joint may be off, relative to the hips: standard deviation of each
+    """Expected error of each joint relative to the hips: standard deviation of each
     coordinate [m], NaN where unknown, shape (T, J)."""
     contacts: Flags
-    """Which parts of the feet stand on the floor (CONTACTS), shape (T, 4)."""
+    """Contacts of heels and toes with the floor (CONTACTS), shape (T, 4)."""
     external_force: Array
-    """Force on the body that no muscle and no floor gives [body weights], shape (T,);
-    NaN where nothing was simulated."""
+    """Force on the body that comes from neither muscles nor floor [body weights], shape
+    (T,); NaN where nothing was simulated."""
     props: tuple[Prop, ...] = ()
-    """What was around the character in the simulation."""
+    """Objects around the character in the simulation."""
     tilt: float = float("nan")
-    """Angle [rad] about x by which the take was turned about the sensor, from y to z:
-    ``y cos(tilt) - z sin(tilt)`` is up. Positive where the floor rises away from the
-    sensor, which then looks down; NaN where the clip's file does not keep it."""
+    """Angle [rad] about x, from y to z, by which the take was rotated about the sensor:
+    ``y cos(tilt) - z sin(tilt)`` is up. Positive if the floor rises away from the
+    sensor, which then looks down; NaN if the clip's file does not store it."""
     floor: float = float("nan")
-    """Height [m] of the floor in the take so leveled, which was then taken off; NaN as
-    for ``tilt``."""
+    """Height [m] of the floor in the leveled take, now subtracted; NaN as ``tilt``."""
     roll: float = 0.0
-    """Angle [rad] about z by which the take was turned before that, from x to y: half a
-    turn where the sensor was upside down."""
+    """Angle [rad] about z, from x to y, by which the take was rotated before that: half
+    a turn if the sensor was upside down."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -324,13 +319,15 @@ class Clip(Motion):
             if len(prop.positions) not in (1, len(self)):
                 raise InputError(
                     f"{self.source}: prop {prop.name} has {len(prop.positions)} "
-                    f"places, expected 1 or {len(self)}, one a frame"
+                    f"positions, expected 1 or {len(self)}, one per frame"
                 )
-        for name in _OF_JOINTS:
-            values, most = getattr(self, name), 1.0 if name == "reliability" else _MOST
-            _refuse(self, name, values, ~((values < 0.0) | (values > most)))
+        for name, most in _LARGEST.items():
+            values = getattr(self, name)
+            valid = ~((values < 0.0) | (values > most))
+            allowed = "in [0, 1]" if most == 1.0 else "finite and at least 0"
+            _check_values(self, name, values, valid, f"{allowed}, or NaN")
         contacts = self.contacts
-        _refuse(self, "contacts", contacts, np.isin(contacts, (0, 1)))
+        _check_values(self, "contacts", contacts, np.isin(contacts, (0, 1)), "0 or 1")
         object.__setattr__(self, "contacts", read_only(contacts.astype(np.bool_)))
         for name in ("tilt", "floor", "roll"):
             what = f"{self.source}: {name}"
@@ -342,14 +339,14 @@ class Clip(Motion):
 
     @classmethod
     def of(cls, motion: Motion, **known: Any) -> Self:
-        """Return a clip of a motion of which nothing but ``known`` fields is known.
+        """Return a clip of a motion, with defaults for all fields but ``known``.
 
-        Joints count as tracked and measured, feet as lifted; numbers are NaN.
+        Joints are tracked and measured, feet are lifted, and other values are NaN.
         """
         tracked = {"state": State.TRACKED, "origin": Origin.MEASURED}
-        usual: dict[str, Any] = tracked | {"deciding_term": 0, "contacts": 0}
+        defaults: dict[str, Any] = tracked | {"deciding_term": 0, "contacts": 0}
         unknown = {
-            name: np.full(shape, usual.get(name, np.nan))
+            name: np.full(shape, defaults.get(name, np.nan))
             for name, shape in _shapes(cls, *motion.rotations.shape[:2]).items()
         }
         moves = {field.name: getattr(motion, field.name) for field in fields(Motion)}

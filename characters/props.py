@@ -1,4 +1,4 @@
-"""Things beside a character: solids and where they are."""
+"""Props of a scene: solid shapes and their motion."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ if TYPE_CHECKING:
     import trimesh
 
 UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * [[1.0], [1.0], [-1.0], [1.0]]
-"""Turns what lies along z up along y."""
+"""Homogeneous matrix (4, 4) that turns the z axis to y."""
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A solid in the frame of the prop that it is part of."""
+    """A solid in the frame of its prop."""
 
     kind: ShapeKind
-    """What it is; cylinders and capsules are round about their own y axis."""
+    """Kind of solid; the axis of cylinders and capsules is their own y axis."""
     size: Array
-    """Half extents along its own axes [m], shape (3,); caps of a capsule not in y."""
+    """Half extents along its own axes [m], shape (3,); y excludes a capsule's caps."""
     position: Array
     """Center in the prop's frame [m], shape (3,)."""
     rotation: Array
     """Rotation in the prop's frame, unit quaternion wxyz, shape (4,)."""
     color: Array
-    """Red, green and blue as a screen gets them, 0 to 1, shape (3,)."""
+    """Red, green and blue in sRGB, 0 to 1, shape (3,)."""
     points: Array
-    """Points of a mesh [m], shape (P, 3); of other kinds none."""
+    """Points of a mesh [m], shape (P, 3); empty for other kinds."""
     triangles: Indices
-    """Indices of points, counter-clockwise from outside, shape (F, 3)."""
+    """Indices of points, counterclockwise from outside, shape (F, 3)."""
 
     def __post_init__(self) -> None:
         shapes: dict[str, Lengths] = {"rotation": (4,)}
@@ -54,52 +54,51 @@ class Shape:
         corners = self.triangles
         if not np.isin(corners, np.arange(len(self.points))).all():
             raise InputError(
-                f"triangles of a prop name points that its {len(self.points)} are not; "
-                "count them from 0"
+                f"a prop's triangles must be indices of its {len(self.points)} points, "
+                "counted from 0"
             )
         object.__setattr__(self, "triangles", corners.astype(np.intp))
         if self.kind == "mesh" and not len(self.points):
-            raise InputError("a mesh has no points; give it some, or leave it out")
+            raise InputError("a mesh has no points; add some or leave it out")
         freeze(self)
 
     @property
     def half_extents(self) -> Array:
-        """Half of the box around it along its own axes [m], shape (3,)."""
+        """Half the size of its bounding box along its own axes [m], shape (3,)."""
         if self.kind == "mesh":
             return np.asarray(np.abs(self.points).max(axis=0))
         cap = float(self.size[0]) if self.kind == "capsule" else 0.0
         return np.asarray(self.size + np.array([0.0, cap, 0.0]))
 
     def surface(self) -> trimesh.Trimesh:
-        """Return its surface along its own axes [m]."""
-        import trimesh  # takes long to load
+        """Return its surface [m] in the frame of its own axes."""
+        import trimesh  # slow to import
 
         radius, half = float(self.size[0]), float(self.size[1])
         make: Any = trimesh.creation
         if self.kind == "mesh":
-            found = trimesh.Trimesh(self.points, self.triangles, process=False)
+            mesh = trimesh.Trimesh(self.points, self.triangles, process=False)
         elif self.kind == "box":
-            found = make.box(extents=2.0 * self.size)
+            mesh = make.box(extents=2.0 * self.size)
         elif self.kind == "ellipsoid":
-            found = make.icosphere(subdivisions=3)
-            found.vertices = found.vertices * self.size
+            mesh = make.icosphere(subdivisions=3)
+            mesh.vertices = mesh.vertices * self.size
         elif self.kind == "cylinder":
-            found = make.cylinder(radius, 2.0 * half, 32, transform=UPRIGHT)
+            mesh = make.cylinder(radius, 2.0 * half, 32, transform=UPRIGHT)
         else:
-            found = make.capsule(2.0 * half, radius, transform=UPRIGHT)
-        return found
+            mesh = make.capsule(2.0 * half, radius, transform=UPRIGHT)
+        return mesh
 
 
 @dataclass(frozen=True, eq=False)
 class Prop:
-    """A thing of several shapes, and its motion."""
+    """A rigid object of one or more shapes, and its motion."""
 
     name: str
-    """What it is called, unique in a clip."""
+    """Name, unique in a clip."""
     shapes: tuple[Shape, ...]
-    """Its parts, one or more."""
     positions: Array
-    """Position [m], world frame, shape (T, 3), or (1, 3) for what never moves."""
+    """Position [m], world frame, shape (T, 3), or (1, 3) if it never moves."""
     rotations: Array
     """Rotation, unit quaternions wxyz, shape (T, 4) or (1, 4)."""
 
@@ -115,11 +114,11 @@ class Prop:
 
     @property
     def moves(self) -> bool:
-        """Whether it has a place of its own in every frame."""
+        """True if it has a position for every frame."""
         return len(self.positions) > 1
 
     def at(self, frames: Any) -> Prop:
-        """Return the prop in some frames of the clip, in their order."""
+        """Return the prop in some frames of the clip: a slice, indices or flags."""
         if not self.moves:
             return self
         places, turns = self.positions[frames], self.rotations[frames]

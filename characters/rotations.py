@@ -1,8 +1,8 @@
 """Unit quaternions, scalar first (wxyz); leading axes broadcast.
 
-The names compose like the algebra: ``rotate(multiply(a, b), v)`` is
-``rotate(a, rotate(b, v))``. scipy's Rotation serves where whole arrays convert between
-representations; these few functions serve the frame loop, where its overhead counts.
+Functions compose as in algebra: ``rotate(multiply(a, b), v)`` equals
+``rotate(a, rotate(b, v))``. These few functions are for the loop over frames, where the
+overhead of scipy's Rotation matters; elsewhere, scipy converts whole arrays.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from .arrays import Array
 IDENTITY: Array = np.array([1.0, 0.0, 0.0, 0.0])
 IDENTITY.flags.writeable = False
 
-# The matrix that multiplies from the left, by components of the quaternion.
+# Matrix of the product with a quaternion on the left: which component is at each place.
 _HAMILTON = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
 _HAMILTON_SIGNS = np.array(
     [[1.0, -1.0, -1.0, -1.0], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]]
 )
-# The matrix that takes the cross product with the quaternion's axis, likewise.
+# Likewise, the matrix of the cross product with the quaternion's vector part.
 _CROSS = np.array([[0, 3, 2], [3, 0, 1], [2, 1, 0]])
 _CROSS_SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
@@ -38,10 +38,7 @@ def inverse(q: ArrayLike) -> Array:
 
 
 def normalize(q: ArrayLike) -> Array:
-    """Scale quaternions to unit length; a zero quaternion becomes the identity.
-
-    One with a NaN in it stays NaN.
-    """
+    """Scale quaternions to unit length; zero becomes the identity, NaN stays NaN."""
     q = np.asarray(q)
     norm = np.sqrt(np.vecdot(q, q))[..., None]
     zero = norm == 0.0
@@ -59,7 +56,7 @@ def rotate(q: ArrayLike, v: ArrayLike) -> Array:
 
 
 def unit(v: Array) -> Array:
-    """Return vectors (..., 3) at unit length; null vectors stay."""
+    """Return vectors (..., 3) scaled to unit length; zero vectors stay zero."""
     lengths = np.linalg.norm(v, axis=-1, keepdims=True)
     return np.asarray(v / np.maximum(lengths, 1e-9))
 
@@ -67,7 +64,7 @@ def unit(v: Array) -> Array:
 def cross(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the cross product of vectors (..., 3).
 
-    For a single frame, ``np.cross`` spends ten times this on bookkeeping of axes.
+    For a single frame, this is ten times as fast as ``np.cross``.
     """
     a, b = np.asarray(a), np.asarray(b)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
@@ -80,10 +77,10 @@ def cross(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def between(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the smallest rotation that turns direction a onto b, shape (..., 4).
+    """Return the smallest rotation that turns direction a to b, shape (..., 4).
 
-    Vectors (..., 3) need not be unit; a zero vector gives the identity. Opposite
-    vectors turn about an arbitrary axis across them.
+    Vectors (..., 3) may have any length; a zero vector gives the identity. For opposite
+    vectors the axis is arbitrary, but perpendicular to them.
     """
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     length = np.sqrt(np.vecdot(a, a) * np.vecdot(b, b))
@@ -92,7 +89,7 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
     q[..., 0], q[..., 1:] = w, cross(a, b)
     opposite = (w <= 1e-9 * length) & (length > 0.0)
     if np.any(opposite):
-        # The axis of the smallest component is never along a.
+        # The coordinate axis along which a is shortest is never parallel to a.
         helper = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
         across = np.zeros_like(q)
         across[..., 1:] = cross(a, helper)
@@ -101,17 +98,17 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def about_x(angle: ArrayLike) -> Array:
-    """Return the rotation by ``angle`` [rad] about x: forward for who faces +z."""
+    """Return rotations about x by angles [rad]; a body facing +z leans forward."""
     return _about(1, angle)
 
 
 def about_y(angle: ArrayLike) -> Array:
-    """Return the rotation by ``angle`` [rad] about the vertical axis, (..., 4)."""
+    """Return rotations about y by angles [rad], seen from above counterclockwise."""
     return _about(2, angle)
 
 
 def about_z(angle: ArrayLike) -> Array:
-    """Return the rotation by ``angle`` [rad] about z: to the right for who faces +z."""
+    """Return rotations about z by angles [rad]; a body facing +z leans right."""
     return _about(3, angle)
 
 
@@ -123,7 +120,7 @@ def _about(part: int, angle: ArrayLike) -> Array:
 
 
 def rotation_vector(q: ArrayLike) -> Array:
-    """Return axis times angle [rad], angle in [0, pi], shape (..., 3)."""
+    """Return the axis times the angle [rad] in [0, pi], shape (..., 3)."""
     q = np.asarray(q)
     w, u = q[..., :1], q[..., 1:]
     sine = np.sqrt(np.vecdot(u, u))[..., None]
@@ -133,12 +130,12 @@ def rotation_vector(q: ArrayLike) -> Array:
 
 
 def slerp(a: ArrayLike, b: ArrayLike, share: ArrayLike) -> Array:
-    """Return rotations on the shortest arc from a (0) to b (1), shape (..., 4)."""
+    """Return rotations on the shortest arc from a (share 0) to b (1), (..., 4)."""
     a, b, share = np.asarray(a), np.asarray(b), np.asarray(share)[..., None]
     cosine = np.sum(a * b, axis=-1, keepdims=True)
     b = np.where(cosine < 0.0, -b, b)
     angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
-    small = angle < 1e-6  # there the arc is as straight as the numbers are exact
+    small = angle < 1e-6  # here, the arc is straight to within rounding
     sine = np.where(small, 1.0, np.sin(angle))
     near = np.where(small, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
     far = np.where(small, share, np.sin(share * angle) / sine)
@@ -146,12 +143,12 @@ def slerp(a: ArrayLike, b: ArrayLike, share: ArrayLike) -> Array:
 
 
 def matrix_from_wxyz(q: ArrayLike) -> Array:
-    """Return rotation matrices, columns the rotated axes, shape (..., 3, 3)."""
+    """Return rotation matrices, shape (..., 3, 3)."""
     return np.stack([rotate(q, axis) for axis in np.eye(3)], axis=-1)
 
 
 def wxyz_from_matrix(matrix: ArrayLike) -> Array:
-    """Return unit quaternions of rotation matrices (..., 3, 3), shape (..., 4)."""
+    """Return the unit quaternions of rotation matrices (..., 3, 3), (..., 4)."""
     from scipy.spatial.transform import Rotation
 
     flat = np.asarray(matrix).reshape(-1, 3, 3)
@@ -160,10 +157,8 @@ def wxyz_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def continuous(q: ArrayLike) -> Array:
-    """Flip signs along axis 0 so that neighbors lie on one hemisphere, (T, ..., 4)."""
-    q = np.asarray(q)
-    signed = q.copy()
-    if len(q) > 1:
-        flips = np.cumprod(np.where(np.vecdot(q[1:], q[:-1]) < 0.0, -1.0, 1.0), axis=0)
-        signed[1:] *= flips[..., None]
+    """Return quaternions (T, ..., 4) with signs that make them continuous in time."""
+    signed = np.array(q)
+    turned = np.vecdot(signed[1:], signed[:-1]) < 0.0
+    signed[1:] *= np.cumprod(np.where(turned, -1.0, 1.0), axis=0)[..., None]
     return signed

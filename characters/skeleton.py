@@ -1,4 +1,4 @@
-"""Skeletons of the sensors: joint names, hierarchy, mirror pairs."""
+"""Skeletons of the sensors: joint names, hierarchy and mirror pairs."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from .arrays import Flags, Indices, check_word, shown
 from .errors import InputError
 
 SIDES = ("Left", "Right")
-"""Ends of the names of paired joints, in the order of all that is by side."""
+"""Suffixes of paired joints; arrays with a row per side have this order."""
 
 
 @dataclass(frozen=True)
 class Skeleton:
     """A tree of named joints.
 
-    A segment is named after the joint it ends at, so arrays over segments have the
-    same length as arrays over joints; the root's row is a frame without a bone.
+    A segment is named after the joint at which it ends, so arrays over segments are as
+    long as arrays over joints; the root's row has no bone.
     """
 
     name: str
-    """Short name used in files, e.g. ``kinect_v1``."""
+    """Short name used in files, such as ``kinect_v1``."""
     joints: tuple[str, ...]
     """Joint names in the sensor's own order."""
     parents: tuple[int, ...]
@@ -34,29 +34,27 @@ class Skeleton:
         joints, parents = self.joints, self.parents
         for given, kind in ((joints, str), (parents, int)):
             if not isinstance(given, tuple) or {type(one) for one in given} != {kind}:
-                raise InputError(f"a skeleton has {shown(given)}; see KINECT_V1")
+                raise InputError(
+                    f"a skeleton needs a tuple of {kind.__name__}, got {shown(given)}"
+                )
         tree = len(set(joints)) == len(parents) == len(joints) and -1 in parents
         if not tree or min(parents) < -1 or len(self.order) != len(joints):
             raise InputError(
-                f"the joints of skeleton {shown(self.name)} are no tree: give each one "
-                "name and one parent, and -1 to the root"
+                f"the joints of skeleton {shown(self.name)} are not a tree: give each "
+                "a unique name and the index of its parent, -1 for the root"
             )
 
     def __len__(self) -> int:
         return len(self.joints)
 
     def index(self, joint: str) -> int:
-        """Return the index of ``joint``; raises InputError where there is none."""
-        if not isinstance(joint, str) or joint not in self._index:
+        """Return the index of ``joint``; raises InputError if it does not exist."""
+        if not isinstance(joint, str) or joint not in self.joints:
             raise InputError(
                 f"skeleton {self.name} has no joint {shown(joint)}; it has "
                 + ", ".join(self.joints)
             )
-        return self._index[joint]
-
-    @cached_property
-    def _index(self) -> dict[str, int]:
-        return {joint: i for i, joint in enumerate(self.joints)}
+        return self.joints.index(joint)
 
     @cached_property
     def root(self) -> int:
@@ -64,7 +62,7 @@ class Skeleton:
         return self.parents.index(-1)
 
     def sides(self, part: str) -> list[int]:
-        """Return the indices of the left and the right joint of a name like Knee."""
+        """Return the indices of the left and right joint of a part such as Knee."""
         return [self.index(part + side) for side in SIDES]
 
     @cached_property
@@ -74,17 +72,17 @@ class Skeleton:
 
     @cached_property
     def girdle(self) -> int:
-        """Index of the joint of the spine that the shoulders hang on."""
+        """Index of the spine's joint from which the shoulders branch off."""
         return self.parents[self.index("ShoulderLeft")]
 
     @cached_property
     def hands(self) -> Flags:
-        """Whether each joint is beyond a wrist, shape (J,)."""
+        """Flags of the joints beyond the wrists, shape (J,)."""
         return np.array([j.startswith(("Hand", "Thumb")) for j in self.joints])
 
     @cached_property
     def order(self) -> tuple[int, ...]:
-        """Joint indices with every parent before its children, root first."""
+        """Joint indices sorted so that every parent precedes its children."""
         ordered = [self.root]
         for joint in ordered:
             ordered.extend(self.children[joint])
@@ -99,41 +97,40 @@ class Skeleton:
         )
 
     def up_from(self, joint: int) -> list[int]:
-        """Return the indices of a joint and all that it hangs on, the root left out."""
+        """Return the indices of a joint and its ancestors, without the root."""
         parent = self.parents[joint]
         return [] if parent < 0 else [joint, *self.up_from(parent)]
 
     def beyond(self, joint: int) -> list[int]:
-        """Return the indices of all joints that hang on a joint, itself left out."""
+        """Return the indices of a joint's descendants, nearest first."""
         joints = list(self.children[joint])
-        for hanging in joints:
-            joints.extend(self.children[hanging])
+        for descendant in joints:
+            joints.extend(self.children[descendant])
         return joints
 
     @cached_property
     def segments(self) -> Indices:
-        """Indices of the joints that end a segment: all but the root."""
-        return np.array([j for j in self.order if j != self.root])
+        """Indices of the joints that end a segment: all but the root, in ``order``."""
+        return np.array(self.order[1:])
 
     @cached_property
     def segment_parents(self) -> Indices:
-        """Index of the joint each of ``segments`` starts at."""
+        """Index of the joint at which each of ``segments`` starts."""
         return np.array([self.parents[j] for j in self.segments])
 
     @cached_property
     def mirror(self) -> Indices:
-        """Permutation that swaps the left and the right joint of every pair."""
+        """Permutation that swaps the left and right joint of every pair."""
         swap = {"Left": "Right", "Right": "Left"}
-        return np.array(
-            [
-                self.index(re.sub("(Left|Right)$", lambda side: swap[side[0]], joint))
-                for joint in self.joints
-            ]
+        partners = (
+            re.sub("(Left|Right)$", lambda side: swap[side[0]], joint)
+            for joint in self.joints
         )
+        return np.array([self.index(partner) for partner in partners])
 
 
 def _skeleton(name: str, hierarchy: str) -> Skeleton:
-    """Build a Skeleton from ``joint:parent`` words in the sensor's order."""
+    """Return a skeleton from ``joint:parent`` words in the sensor's order."""
     pairs = [word.partition(":")[::2] for word in hierarchy.split()]
     joints = tuple(joint for joint, _ in pairs)
     return Skeleton(name, joints, tuple(joints.index(p) if p else -1 for _, p in pairs))
@@ -171,19 +168,19 @@ KINECT_V2 = _skeleton(
 """Kinect for Windows SDK 2.0: 25 joints, 24 segments, in the SDK's order."""
 
 SKELETONS = {skeleton.name: skeleton for skeleton in (KINECT_V1, KINECT_V2)}
-"""Every skeleton kinefilter knows, by name."""
+"""All supported skeletons, by name."""
 
 
 def skeleton_named(name: str) -> Skeleton:
-    """Return the skeleton called ``name``; raises InputError for an unknown one."""
+    """Return the skeleton with a name; raises InputError if it is unknown."""
     check_word(name, SKELETONS, "skeleton")
     return SKELETONS[name]
 
 
 def check_skeleton(skeleton: object, what: str) -> None:
-    """Raise an InputError if a value is none of SKELETONS."""
+    """Raise an InputError if a value is not one of SKELETONS."""
     if not isinstance(skeleton, Skeleton) or skeleton not in SKELETONS.values():
         raise InputError(
             f"{what}: its skeleton is {shown(skeleton)}; give KINECT_V1 or KINECT_V2 "
-            "of kinefilter.characters"
+            "from kinefilter.characters"
         )

@@ -1,4 +1,4 @@
-"""How hard a target pulls the humanoid."""
+"""Gains and bounds of the forces that pull the humanoid to its target."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from .errors import InputError
 
 @dataclass(frozen=True)
 class Tracking:
-    """Gains and bounds of the pull; every one above 0, or InputError is raised."""
+    """Gains and bounds of the pull. Raises InputError unless all are above 0."""
 
     natural_frequency: float = 60.0
-    """Natural frequency of the pull [rad/s]. The gains follow, critically damped, from
-    it and the mass of each part: kp = m w^2, kv = 2 m w. 60 follows a clean
-    motion within 3 mm on average and filters what is faster than 10 Hz."""
+    """Natural frequency of the pull [rad/s]. With critical damping, it and the mass m
+    of each part give the gains: kp = m w^2, kv = 2 m w. 60 follows a clean motion
+    within 3 mm on average and filters out what is faster than 10 Hz."""
     twist_frequency: float = 40.0
     """Natural frequency of the torque about the segment axis [rad/s]. A guess."""
     largest_acceleration: float = 200.0
-    """Bound of the force on a part: its mass times this [m/s^2]. About twice the
-    peak acceleration of a boxer's fist."""
+    """Bound on the force on a part, divided by its mass [m/s^2]. About twice the peak
+    acceleration of a boxer's fist."""
     largest_angular_acceleration: float = 4000.0
-    """Bound of the torque on a part: the inertia its gains are made for times this
+    """Bound on the torque on a part, divided by the inertia that its gains are based on
     [rad/s^2]. A guess."""
 
     def __post_init__(self) -> None:
@@ -40,30 +40,29 @@ class Tracking:
 
 @dataclass(frozen=True)
 class GameTracking(Tracking):
-    """A character that gives way where it is hit, and comes back to the performer.
+    """Tracking of a character that yields to hits, then returns to the performer.
 
-    ``kinefilter.pipeline.physics.compliance`` says how. All constants are guesses,
-    tried on recorded takes.
+    See ``kinefilter.pipeline.physics.compliance``. Guesses, tuned on recorded takes.
     """
 
     sway_frequency: float = 9.0
-    """Natural frequency of the body's sway on its feet after a blow, critically damped
-    [rad/s]: as that of somebody who stands, and is back after a second."""
+    """Natural frequency [rad/s] of the body's critically damped sway about its feet
+    after a blow: like a standing person, it recovers within a second."""
     hit_frequency: float = 30.0
-    """Natural frequency of the pull where the body is hit [rad/s], until it is back."""
+    """Natural frequency [rad/s] of the pull where the body is hit, until it is back."""
     felling_speed: float = 2.5
-    """A blow that would make the whole body this fast [m/s] fells it."""
+    """A blow that would give the whole body this speed [m/s] knocks it down."""
     lying: float = 1.0
-    """How long nothing pulls a felled body [s]."""
+    """Time for which nothing pulls a character that was knocked down [s]."""
     rising: float = 1.5
-    """How long the pull takes to come back then [s]."""
+    """Time over which the pull then returns [s]."""
     return_speed: float = 2.5
-    """How fast the body comes back to where the performer is, once it stands [m/s]."""
+    """Speed at which the character, once upright, returns to the performer [m/s]."""
 
 
 @dataclass(frozen=True)
 class RagdollTracking(Tracking):
-    """A character that nothing pulls, until somebody takes hold of it."""
+    """Tracking of a character that nothing pulls until it is grabbed."""
 
 
 TRACKINGS = {

@@ -1,4 +1,4 @@
-"""One body to another: view, size, orientation, and maps to other rigs."""
+"""Conversion between bodies: heading, size, orientation and other rigs."""
 
 from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths

@@ -1,4 +1,4 @@
-"""Where elbow and knee are, given both ends of a limb."""
+"""Inverse kinematics of a limb with two bones."""
 
 from __future__ import annotations
 
@@ -18,20 +18,26 @@ def bent_limb(
     lengths: ArrayLike,
     reach: tuple[float, float] | None = None,
 ) -> tuple[Array, Array]:
-    """Return where middle and end [m] of a limb of two bones are, in closed form.
+    """Return the middle joint and the end [m] of a limb of two bones in closed form.
 
-    The law of cosines says how far along the line to the goal the middle is, and how
-    far aside. A goal out of reach, by default that of the bones, is approached as far
-    as it goes. ``toward`` is the direction to which the middle bends, of any length but
-    not along the limb; points are (..., 3), lengths and reach [m] (2,).
+    The law of cosines gives the middle's place along the line to the goal and beside
+    it. If the goal is beyond the limb's reach (by default, that of its bones), the end
+    stops on the way to it. ``toward`` is the direction in which the middle bends, of
+    any length but not along the limb. Points are (..., 3), lengths and reach [m] (2,).
     """
     first, second = np.asarray(lengths, dtype=float)
     least, most = reach or (max(abs(first - second), _SHORT), first + second)
     line = goal - start
-    asked = np.linalg.norm(line, axis=-1, keepdims=True)
-    ahead = line / np.maximum(asked, _SHORT)
-    far = np.clip(asked, least, most)
-    along = (first**2 - second**2 + far**2) / (2.0 * far)
-    aside = np.sqrt(np.maximum(first**2 - along**2, 0.0))
+    distance = np.linalg.norm(line, axis=-1, keepdims=True)
+    ahead = line / np.maximum(distance, _SHORT)
+    reached = np.clip(distance, least, most)
+    along = (first**2 - second**2 + reached**2) / (2.0 * reached)
+    beside = np.sqrt(np.maximum(first**2 - along**2, 0.0))
     across = unit(toward - np.sum(toward * ahead, axis=-1, keepdims=True) * ahead)
-    return start + along * ahead + aside * across, start + far * ahead
+    return start + along * ahead + beside * across, start + reached * ahead
+
+
+def rejection(bone: Array, line: Array) -> Array:
+    """Return the part of vectors (..., 3) that is perpendicular to lines (..., 3)."""
+    share = np.sum(bone * line, axis=-1) / np.maximum(np.sum(line**2, axis=-1), 1e-12)
+    return np.asarray(bone - share[..., None] * line)

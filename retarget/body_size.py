@@ -1,13 +1,15 @@
-"""One body's size to another's: what the person measures, and the standard body.
+"""Bodies of measured size, and conversion of postures to the standard body and back.
 
-Every bone is scaled by a constant, standard length over the person's length, and turned
-by a constant where the sensor has another notion of trunk, hips and shoulders, so the
-map is linear and exact both ways. Bones keep the frame's own deviation from their
-length: where the person's proportions are ordinary, a wrong elbow then leaves the
-wrist where it was measured, which a walk with fixed lengths would not.
+Every bone is scaled by a constant, standard length over the person's length, and
+rotated by a constant where the sensor places trunk, hips or shoulders differently, so
+the map is linear and exactly invertible. Bones keep each frame's deviation from their
+length: in a person of ordinary proportions, a wrong elbow then leaves the wrist where
+it was measured. A chain of bones of fixed length would not.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,10 +27,10 @@ from kinefilter.characters.rotations import between, matrix_from_wxyz
 
 from .heading_frame import HeadingFrame, find_yaw
 
-# A segment that many times off the average is a tracker's error. Along the trunk the
-# joints have no landmarks, and sensors differ by more. Shoulders and hips hang on it,
-# and shoulders come near to it where arms reach forward. All are guesses.
-_ODDEST_LIMB, _ODDEST_SHOULDER, _ODDEST_TRUNK = 1.6, 2.0, 4.0
+# A segment longer or shorter than average by such a factor is a tracking error. Joints
+# of the trunk have no landmarks, so sensors differ more there. Shoulders and hips
+# depend on them, and shoulders near the trunk when arms reach forward. All are guesses.
+_WORST_LIMB, _WORST_SHOULDER, _WORST_TRUNK = 1.6, 2.0, 4.0
 
 
 def measured_body(
@@ -42,12 +44,11 @@ def measured_body(
 ) -> Body:
     """Return the body of a person whose segments were measured.
 
-    Left and right share the mean of what was measured. What was not measured takes
-    average proportions, and so does what is off them by a factor of 1.6 or more,
-    shoulders and hips 2, along the trunk 4. Segment lengths [m] and unit rest
-    directions are NaN where unknown, shapes (J,) and (J, 3); stature [m] follows from
-    the lengths and mass [kg] from the stature unless given. Raises InputError if height
-    or mass is not a human's.
+    Left and right get the mean of both. Segments that were not measured get average
+    proportions, and so do those that differ from them by a factor of 1.6 or more (2 for
+    shoulders and hips, 4 along the trunk). Segment lengths [m] (J,) and unit rest
+    directions (J, 3) are NaN where unknown. Unless given, stature [m] follows from the
+    lengths and mass [kg] from the stature; an InputError says if they are not human.
     """
     average = standard_body(skeleton).lengths
     known = np.where(lengths > 0, lengths, np.nan)
@@ -59,105 +60,104 @@ def measured_body(
     stature = STANDARD_HEIGHT * float(share)
     if not STATURES[0] < stature < STATURES[1]:
         raise InputError(
-            f"{source}: the segments measure a stature of {stature:.3g} m, expected "
+            f"{source}: the segments suggest a stature of {stature:.3g} m, expected "
             f"{STATURES[0]:g} to {STATURES[1]:g} m; {unit_hint(stature)}"
         )
     height = stature if height is None else height
     body = standard_body(skeleton, height=height, mass=mass)
     trunk = skeleton.mirror == np.arange(len(skeleton))
-    beside = np.where(trunk[list(skeleton.parents)], _ODDEST_SHOULDER, _ODDEST_LIMB)
-    factor = np.where(trunk, _ODDEST_TRUNK, beside)
-    sane = (lengths < factor * body.lengths) & (lengths * factor > body.lengths)
-    known = np.where(sane, lengths, np.nan)
+    sides = np.where(trunk[list(skeleton.parents)], _WORST_SHOULDER, _WORST_LIMB)
+    factor = np.where(trunk, _WORST_TRUNK, sides)
+    valid = (lengths < factor * body.lengths) & (lengths * factor > body.lengths)
+    known = np.where(valid, lengths, np.nan)
     known = _mean_of_sides(known, known[skeleton.mirror])
     lengths = np.where(np.isnan(known), body.lengths, known)
     if directions is None:
-        return Body(skeleton, body.height, body.mass, lengths, body.directions)
+        return replace(body, lengths=lengths)
     mirrored = directions[skeleton.mirror] * np.array([-1.0, 1.0, 1.0])
     both = _mean_of_sides(directions, mirrored)
     norms = np.linalg.norm(both, axis=1, keepdims=True)
     turned = np.where(norms > 0.5, both / np.maximum(norms, 0.5), body.directions)
-    return Body(skeleton, body.height, body.mass, lengths, turned)
+    return replace(body, lengths=lengths, directions=turned)
 
 
 def _mean_of_sides(values: Array, mirrored: Array) -> Array:
-    """Return the mean of what is there of two arrays, NaN where nothing is."""
+    """Return the mean of two arrays, ignoring NaN."""
     both = np.where(np.isnan(mirrored), values, (values + mirrored) / 2.0)
     return np.where(np.isnan(values), mirrored, both)
 
 
 class Standardizer:
-    """Brings a person's postures to the standard body and view, and back."""
+    """Conversion of a person's postures to the standard body, facing +z, and back."""
 
     def __init__(self, body: Body) -> None:
         self.body = body
         skeleton = body.skeleton
         standard = standard_body(skeleton)
         ends = skeleton.segments
-        self._to_standard = np.tile(np.eye(3), (len(skeleton), 1, 1))
-        self._to_person = self._to_standard.copy()
+        scale = np.ones((len(skeleton), 1, 1))
+        scale[ends, 0, 0] = standard.lengths[ends] / body.lengths[ends]
         turns = matrix_from_wxyz(between(body.directions, standard.directions))
-        scale = (standard.lengths[ends] / body.lengths[ends])[:, None, None]
-        self._to_standard[ends] = scale * turns[ends]
-        self._to_person[ends] = turns[ends].transpose(0, 2, 1) / scale
+        self._to_standard = scale * turns
+        self._to_person = np.ascontiguousarray(turns.transpose(0, 2, 1) / scale)
         self._chain = chain_matrix(skeleton)
         self.start()
 
     def start(self) -> None:
-        """Forget where the character stood, which way it faced, and its bones."""
+        """Reset the last known root, heading and bones for a new motion."""
         self._root = np.zeros(3)
         self._yaw = np.array(0.0)
         self._bones = self.body.rest_offsets.copy()
 
     def step(self, positions: Array, weights: Array) -> tuple[Array, HeadingFrame]:
-        """Return a posture on the standard body, root at the origin, facing +z.
+        """Return a posture on the standard body, and the heading frame taken out.
 
-        A missing root or heading is that of the frame before; a joint whose parent is
-        missing hangs on the parent's last known bone. Positions [m] are NaN where
-        missing, shape (J, 3), weights (J,); the second result is the view taken out.
+        The root is at the origin, facing +z. A missing root or heading is that of the
+        previous frame; a joint whose parent is missing is placed by the parent's last
+        known bone. Positions [m] (J, 3) are NaN where missing, weights are (J,).
         """
         standard, view = self.steps(positions[None], weights[None])
         return standard[0], view.at(0)
 
     def steps(self, positions: Array, weights: Array) -> tuple[Array, HeadingFrame]:
-        """Return the next frames, (T, J, 3) and (T, J), as ``step`` does one by one."""
+        """Return the next frames, (T, J, 3) and (T, J), as ``step`` one by one."""
         skeleton = self.body.skeleton
         missing = np.isnan(positions[..., 0])
-        root = _held(positions[:, skeleton.root], self._root)
-        yaw = _held(find_yaw(positions, weights, skeleton), self._yaw)
+        root = _filled_forward(positions[:, skeleton.root], self._root)
+        yaw = _filled_forward(find_yaw(positions, weights, skeleton), self._yaw)
         view = HeadingFrame(root, yaw)
-        seen = view.remove(positions)
+        local = view.remove(positions)
         if missing.any():
-            seen[:, skeleton.root] = 0.0
+            local[:, skeleton.root] = 0.0
             for j in skeleton.order[1:]:
-                parent = seen[:, skeleton.parents[j]]
-                bone = np.where(missing[:, j, None], np.nan, seen[:, j] - parent)
-                seen[:, j] = parent + _held(bone, self._bones[j])
-        bones = self._bones_of(seen)
+                parent = local[:, skeleton.parents[j]]
+                bone = np.where(missing[:, j, None], np.nan, local[:, j] - parent)
+                local[:, j] = parent + _filled_forward(bone, self._bones[j])
+        bones = self._bones_of(local)
         self._root, self._yaw, self._bones = root[-1], yaw[-1], bones[-1]
         standard = self._chain @ _apply(self._to_standard, bones)
         standard[missing] = np.nan
         return standard, view
 
     def standardize(self, positions: Array, view: HeadingFrame) -> Array:
-        """Return postures (..., J, 3) in world frame on the standard body, as ``step``.
+        """Return postures (..., J, 3) in the world frame on the standard body.
 
-        The root may be elsewhere than the view's, and stays as far from the origin. A
-        missing joint takes what hangs on it along.
+        The root may differ from the frame's, and keeps its distance from the origin. If
+        a joint is missing, so are its descendants.
         """
         bones = self._bones_of(view.remove(positions))
-        lost = np.isnan(bones)
-        standard = self._chain @ _apply(self._to_standard, np.where(lost, 0.0, bones))
-        missing = (self._chain @ lost.astype(float)) > 0.0
-        return np.where(missing, np.nan, standard)
+        missing = np.isnan(bones)
+        bones = _apply(self._to_standard, np.where(missing, 0.0, bones))
+        missing = (self._chain @ missing.astype(float)) > 0.0
+        return np.where(missing, np.nan, self._chain @ bones)
 
     def undo(self, positions: Array, view: HeadingFrame) -> Array:
-        """Return standard postures (..., J, 3) on the person's body in their view."""
+        """Return standard postures (..., J, 3) on the person's body in the world."""
         bones = _apply(self._to_person, self._bones_of(positions))
         return view.restore(self._chain @ bones)
 
     def _bones_of(self, positions: Array) -> Array:
-        """Return the vector to each joint from its parent, the root's from 0."""
+        """Return the vector to each joint from its parent, to the root from 0."""
         skeleton = self.body.skeleton
         bones = positions.copy()
         bones[..., skeleton.segments, :] -= positions[..., skeleton.segment_parents, :]
@@ -168,20 +168,18 @@ def _apply(matrices: Array, bones: Array) -> Array:
     return np.asarray((matrices @ bones[..., None])[..., 0])
 
 
-def _held(values: Array, before: Array) -> Array:
-    """Return values (T, ...) with what came before in the place of NaN."""
-    there = ~np.isnan(values).reshape(len(values), -1)[:, 0]
-    if there.all():
+def _filled_forward(values: Array, before: Array) -> Array:
+    """Return values (T, ...) with NaN replaced by the last value before it."""
+    valid = ~np.isnan(values).reshape(len(values), -1)[:, 0]
+    if valid.all():
         return values
-    last = np.maximum.accumulate(np.where(there, np.arange(1, len(values) + 1), 0))
+    last = np.maximum.accumulate(np.where(valid, np.arange(1, len(values) + 1), 0))
     return np.concatenate([before[None], values])[last]
 
 
 def chain_matrix(skeleton: Skeleton) -> Array:
-    """Return the matrix that sums bones from the root to every joint, (J, J)."""
-    chain = np.zeros((len(skeleton), len(skeleton)))
-    chain[skeleton.root, skeleton.root] = 1.0
+    """Return the matrix (J, J) that adds up bones from the root to every joint."""
+    chain = np.eye(len(skeleton))
     for j in skeleton.order[1:]:
-        chain[j] = chain[skeleton.parents[j]]
-        chain[j, j] = 1.0
+        chain[j] += chain[skeleton.parents[j]]
     return chain

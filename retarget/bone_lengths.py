@@ -1,4 +1,4 @@
-"""Move joints the least that gives every bone its length."""
+"""Smallest moves of the joints that give every bone its length."""
 
 from __future__ import annotations
 
@@ -10,61 +10,57 @@ from kinefilter.characters.arrays import Array, chunks
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
 _EXACT = 1e-7  # m
-# Against a measured joint's 1: it moves fifty times as far. A guess.
-_FIRMNESS_OF_INVENTED = 0.02
-# Chosen on three of six recorded people, as is the next.
-_TRUNK = 10.0  # times as firm: hips, shoulders and their middles, which all hangs on
-# Against a measured limb joint's 1, how easily all above the knees moves as one.
-# Without it legs that are too long or short push the hips out from under the trunk.
+_RECONSTRUCTED = 0.02  # firmness, 1 of a measured joint: fifty times the move. A guess.
+# Factor on the firmness of hips, shoulders and their middles, on which all else
+# depends. Like the next one, it was chosen on three of six recorded people.
+_TRUNK = 10.0
+# Ease with which all above the knees moves as one, relative to a measured joint of a
+# limb. Without it, legs that are too long or short push the hips away from the trunk.
 _TOGETHER = 0.5
 
 
 class BoneLengths:
-    """Projects postures onto the segment lengths of a body.
+    """Projection of postures onto the segment lengths of a body.
 
-    Newton's method on the length constraints with the shortest step, as SHAKE solves
-    them (Ryckaert, Ciccotti & Berendsen 1977, J. Comput. Phys. 23), all at once; where
-    that does not get there, bones keep their directions and are laid from the root on.
+    Newton's method solves all length constraints at once with the shortest step, like
+    SHAKE (Ryckaert, Ciccotti & Berendsen 1977, J. Comput. Phys. 23). Where it does not
+    converge, bones keep their directions and are chained from the root.
     """
 
     def __init__(self, body: Body) -> None:
         skeleton = body.skeleton
         self._ends, self._starts = skeleton.segments, skeleton.segment_parents
         self._lengths = body.lengths[self._ends]
-        self._longest = 0.5 * self._lengths
         self._rest = body.directions[self._ends]
         self._ridge = 1e-9 * np.eye(len(self._ends))
-        self._incidence = np.zeros((len(self._ends), len(skeleton)))
-        rows = np.arange(len(self._ends))
-        self._incidence[rows, self._ends] = 1.0
-        self._incidence[rows, self._starts] = -1.0
+        joints = np.eye(len(skeleton))
+        self._incidence = joints[self._ends] - joints[self._starts]
         above = np.ones(len(skeleton))
         for hip in skeleton.hips:
             above[skeleton.beyond(int(hip))] = 0.0
         self._together = _TOGETHER * np.outer(self._incidence @ above, above)
         self._firm = np.ones(len(skeleton))
-        middles = [skeleton.root, skeleton.girdle]
-        self._firm[[*middles, *skeleton.hips, *skeleton.sides("Shoulder")]] = _TRUNK
+        trunk = [skeleton.root, skeleton.girdle, *skeleton.hips]
+        self._firm[[*trunk, *skeleton.sides("Shoulder")]] = _TRUNK
 
     def project(self, positions: Array, firmness: Array) -> Array:
         """Return positions [m] (T, J, 3) with the body's segment lengths.
 
-        Firmness (T, J) is how hard each joint is to move: 0 for an invented one, 1 for
-        a measured one, more for what is to stay. Raises InputError if a joint is
-        missing.
+        Firmness (T, J) is a joint's resistance to being moved: 0 if reconstructed, 1 if
+        measured, more if it is to stay. Raises an InputError if a joint is missing.
         """
         if not np.isfinite(positions).all():
-            raise InputError("positions are not finite; fill missing joints")
+            raise InputError("positions are not finite; fill in missing joints first")
         projected = positions.copy()
         for chunk in chunks(len(positions), _CHUNK):
             projected[chunk] = self._project(positions[chunk], firmness[chunk])
         return projected
 
     def fitting(self, positions: Array, firmness: Array) -> Array:
-        """Return segment lengths [m] (J,) for which joints move the least.
+        """Return the segment lengths [m] (J,) for which joints move the least.
 
-        Least squares over all frames; arguments are as of ``project``. A length counts
-        as a quarter off the body's at most: what is farther off is a tracker's error.
+        This is a least-squares fit over all frames; arguments are those of ``project``.
+        Errors above a quarter of a bone are the tracker's, and are clipped.
         """
         directions, errors = self._bones(positions)
         coupling = self._moves(firmness) @ self._incidence.T
@@ -78,8 +74,8 @@ class BoneLengths:
         return lengths
 
     def _moves(self, firmness: Array) -> Array:
-        """Return how each joint moves for each bone, shape (T, bones, J)."""
-        firm = self._firm * firmness + _FIRMNESS_OF_INVENTED
+        """Return the move of each joint per change of each bone, (T, bones, J)."""
+        firm = self._firm * firmness + _RECONSTRUCTED
         return np.asarray(self._incidence / firm[:, None, :] + self._together)
 
     def _project(self, points: Array, firmness: Array) -> Array:
@@ -94,31 +90,31 @@ class BoneLengths:
                 break
             system = coupling * (directions @ directions.transpose(0, 2, 1))
             system += self._ridge
-            # A step half as long as a bone keeps a folded limb from flipping over.
-            wanted = np.maximum(np.minimum(errors, self._longest), -self._longest)
-            pull = np.linalg.solve(system, wanted[..., None]) * directions
+            # Steps of at most half a bone keep a folded limb from flipping over.
+            step = np.clip(errors, -0.5 * self._lengths, 0.5 * self._lengths)
+            pull = np.linalg.solve(system, step[..., None]) * directions
             tried = points - share * (moves @ pull)
-            found, wrong = self._bones(tried)
-            left = np.abs(wrong).max(axis=1)
-            # What does not come nearer is tried again with half the step.
-            better = (left < worst)[:, None, None]
+            new_directions, new_errors = self._bones(tried)
+            new_worst = np.abs(new_errors).max(axis=1)
+            # Frames that do not improve try again with half the step.
+            better = (new_worst < worst)[:, None, None]
             share = np.where(better, np.minimum(2 * share, 1), share / 2)
             points = np.where(better, tried, points)
-            directions = np.where(better, found, directions)
-            errors = np.where(better[..., 0], wrong, errors)
-            worst = np.minimum(left, worst)
+            directions = np.where(better, new_directions, directions)
+            errors = np.where(better[..., 0], new_errors, errors)
+            worst = np.minimum(new_worst, worst)
         exact = worst < _EXACT
         if exact.all():
             return points
-        walked, bones = points.copy(), directions * self._lengths[:, None]
+        chained, bones = points.copy(), directions * self._lengths[:, None]
         for k, (j, p) in enumerate(zip(self._ends, self._starts, strict=True)):
-            walked[:, j] = walked[:, p] + bones[:, k]
-        return np.where(exact[:, None, None], points, walked)
+            chained[:, j] = chained[:, p] + bones[:, k]
+        return np.where(exact[:, None, None], points, chained)
 
     def _bones(self, points: Array) -> tuple[Array, Array]:
-        """Return unit directions and length errors [m]; no length: as at rest."""
+        """Return unit directions (of zero bones: at rest) and length errors [m]."""
         bones = points[:, self._ends] - points[:, self._starts]
         lengths = np.sqrt(np.vecdot(bones, bones))
-        there = (lengths > 1e-6)[..., None]
-        directions = bones / np.where(there, lengths[..., None], 1.0)
-        return np.where(there, directions, self._rest), lengths - self._lengths
+        valid = (lengths > 1e-6)[..., None]
+        directions = bones / np.where(valid, lengths[..., None], 1.0)
+        return np.where(valid, directions, self._rest), lengths - self._lengths

@@ -1,4 +1,4 @@
-"""Hands that nobody saw follow their forearms."""
+"""Hands that follow their forearms where they were not measured."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from kinefilter.characters.rotations import between, rotate, unit
 
 
 class Hands:
-    """Turns hands as their forearms are turned.
+    """Rotation of hands with their forearms.
 
-    Who moves an elbow or a wrist turns the forearm. A hand that was measured stays
-    where it is; one that was invented would hang bent if it did not turn too.
+    Moving an elbow or wrist turns the forearm. A measured hand stays in place; a
+    reconstructed one turns too, or it would look bent.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
-        self._parents = np.array(skeleton.parents)
+        self._parents = skeleton.parents
         arms = zip(skeleton.sides("Elbow"), skeleton.sides("Wrist"), strict=True)
         self._arms = [(elbow, wrist, skeleton.beyond(wrist)) for elbow, wrist in arms]
 
     def carried(
         self, before: Array, after: Array, confidence: Array, body: Body
     ) -> Array:
-        """Return postures (..., J, 3), less trusted hands turned as their forearms.
+        """Return postures (..., J, 3) in which unmeasured hands follow their forearms.
 
         ``before`` and ``after`` are positions [m] before and after joints were moved;
-        ``confidence`` (..., J) in [0, 1] is how far each hand's joint stays in place,
-        if its forearm does.
+        ``confidence`` (..., J) in [0, 1] is the share of the measurement in each joint.
+        A hand stays in place as far as it and its forearm were measured.
         """
         carried = after.copy()
         for elbow, wrist, hand in self._arms:
-            was, now = (p[..., wrist, :] - p[..., elbow, :] for p in (before, after))
-            turn = between(was, now)
+            turn = between(
+                before[..., wrist, :] - before[..., elbow, :],
+                after[..., wrist, :] - after[..., elbow, :],
+            )
             forearm = confidence[..., [elbow, wrist]].min(axis=-1)
             for j in hand:
                 p = self._parents[j]
@@ -45,9 +47,9 @@ class Hands:
         return carried
 
     def straightened(self, positions: Array, share: Array, body: Body) -> Array:
-        """Return postures (..., J, 3), hands laid along their forearms.
+        """Return postures (..., J, 3) with hands turned toward their forearms' axes.
 
-        ``share`` (..., J) in [0, 1] is how far; where it is 0, they stay as they are.
+        ``share`` (..., J) in [0, 1] is 1 for straight hands and 0 for no change.
         """
         straight = positions.copy()
         for elbow, wrist, hand in self._arms:
@@ -56,6 +58,6 @@ class Hands:
                 p, part = self._parents[j], share[..., j, None]
                 bone = unit(positions[..., j, :] - positions[..., p, :])
                 bone = body.lengths[j] * unit(part * along + (1.0 - part) * bone)
-                there = straight[..., p, :] + bone
-                straight[..., j, :] = np.where(part > 0.0, there, positions[..., j, :])
+                turned = straight[..., p, :] + bone
+                straight[..., j, :] = np.where(part > 0.0, turned, positions[..., j, :])
         return straight

@@ -1,4 +1,4 @@
-"""Take translation and yaw out of a posture, and put them back."""
+"""Heading frames: removing position and heading from a posture, and restoring them."""
 
 from __future__ import annotations
 
@@ -12,29 +12,27 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
 
-_ACROSS = ("Hip", "Shoulder")
-
 
 @dataclass(frozen=True, eq=False)
 class HeadingFrame:
-    """Where a character stands and which way it faces."""
+    """Position and heading of a character."""
 
     root: Array
     """Position of the root joint [m], world frame, shape (..., 3)."""
     yaw: Array
-    """Heading about the vertical axis [rad], 0 facing +z, shape (...)."""
+    """Heading: angle about the vertical axis [rad], 0 facing +z, shape (...)."""
 
     def at(self, frames: Any) -> HeadingFrame:
-        """Return the view of some frames, or of one."""
+        """Return the heading frame of some frames, or of one."""
         return HeadingFrame(self.root[frames], self.yaw[frames])
 
     @property
     def unturned(self) -> HeadingFrame:
-        """The same place, facing +z."""
+        """The same position, facing +z."""
         return HeadingFrame(self.root, np.zeros_like(self.yaw))
 
     def remove(self, positions: Array) -> Array:
-        """Return positions [m] seen from the root, facing +z, shape (..., J, 3)."""
+        """Return positions [m] relative to the root, facing +z, shape (..., J, 3)."""
         return _turned(positions - self.root[..., None, :], -self.yaw)
 
     def restore(self, positions: Array) -> Array:
@@ -43,23 +41,23 @@ class HeadingFrame:
 
     @property
     def origin(self) -> Array:
-        """Where the origin [m], the sensor's place, is seen from the root, (..., 3)."""
+        """World origin (the sensor) relative to the root [m], shape (..., 3)."""
         return self.remove(np.zeros((*self.yaw.shape, 1, 3)))[..., 0, :]
 
     def remove_rotations(self, rotations: Array) -> Array:
-        """Return normalized rotations of world ones, wxyz, shape (..., J, 4)."""
+        """Return world rotations relative to the heading, wxyz, shape (..., J, 4)."""
         return multiply(inverse(about_y(self.yaw))[..., None, :], rotations)
 
     def restore_rotations(self, rotations: Array) -> Array:
-        """Return world rotations of normalized ones, wxyz, shape (..., J, 4)."""
+        """Undo ``remove_rotations``."""
         return multiply(about_y(self.yaw)[..., None, :], rotations)
 
 
 def floor_frame(pelvis: Array, turns: Array, left: ArrayLike) -> HeadingFrame:
-    """Return where on the floor a pelvis is, and how far it has turned there.
+    """Return a pelvis' place on the floor and its heading relative to the rest pose.
 
-    Its positions [m] have y up, shape (T, 3), its rotations since the rest pose, wxyz,
-    (T, 4); ``left`` is the direction to its left there (3,).
+    Positions [m] (T, 3) have y up, rotations from the rest pose are wxyz (T, 4), and
+    ``left`` (3,) is the direction to the left in the rest pose.
     """
     now, rest = rotate(turns, left), np.asarray(left)
     yaw = np.arctan2(-now[..., 2], now[..., 0]) - np.arctan2(-rest[2], rest[0])
@@ -69,7 +67,7 @@ def floor_frame(pelvis: Array, turns: Array, left: ArrayLike) -> HeadingFrame:
 def _turned(positions: Array, yaw: Array) -> Array:
     """Return positions (..., J, 3) turned about the vertical axis by yaw (...) [rad].
 
-    Sine and cosine instead of a quaternion: a third of the time for a single frame.
+    For a single frame, a quaternion takes three times as long.
     """
     sine, cosine = np.sin(yaw)[..., None], np.cos(yaw)[..., None]
     x, z = positions[..., 0], positions[..., 2]
@@ -81,15 +79,15 @@ def _turned(positions: Array, yaw: Array) -> Array:
 
 
 def find_yaw(positions: Array, weights: Array, skeleton: Skeleton) -> Array:
-    """Return the heading [rad] of postures, NaN where nothing shows it.
+    """Return the heading [rad] of postures, NaN where it cannot be found.
 
-    The left-to-right lines through hips and shoulders, projected on the floor and
-    weighted by how far both ends can be trusted, give the direction. Positions [m], y
-    up, NaN where missing, are (..., J, 3), weights (..., J).
+    It is perpendicular to the lines through hips and shoulders, projected on the floor
+    and weighted by the weights of both ends. Positions [m] (..., J, 3) have y up and
+    are NaN where missing; weights are (..., J).
     """
-    left, right = np.transpose([skeleton.sides(part) for part in _ACROSS])
+    left, right = np.transpose([skeleton.sides(part) for part in ("Hip", "Shoulder")])
     lines = positions[..., left, :] - positions[..., right, :]
-    confidence = weights[..., left] * weights[..., right]
-    lines = np.where(np.isnan(lines), 0.0, lines * confidence[..., None])
+    line_weights = weights[..., left] * weights[..., right]
+    lines = np.where(np.isnan(lines), 0.0, lines * line_weights[..., None])
     x, z = lines[..., 0].sum(axis=-1), lines[..., 2].sum(axis=-1)
     return np.where(np.hypot(x, z) > 1e-6, np.arctan2(-z, x), np.nan)

@@ -1,4 +1,4 @@
-"""Clips that can be repeated: the end blended into the beginning, feet kept."""
+"""Looping clips: the end blends into the beginning and planted feet stay in place."""
 
 from __future__ import annotations
 
@@ -19,96 +19,93 @@ from kinefilter.characters.rotations import (
     unit,
 )
 
-from .bent_limb import bent_limb
+from .bent_limb import bent_limb, rejection
 from .heading_frame import floor_frame
 from .stance import smooth_step
 
-_BLEND = 0.4  # s at the end that change, at most half of the clip. A guess.
+_BLEND = 0.4  # s at the end that are changed, at most half of the clip. A guess.
 _MARGIN = 3.0  # s on both sides of a loop; few steps take longer
 _FEWEST = 4  # frames of a loop
-_FIRM = 1e6  # weight of a foot that never steps, against another standing one's 1
-_HINGE = 0.01  # m by which knees count as farther ahead: straight legs bend there, too
-_DEEPEST = 0.1  # of a leg's length, by which hips sink for feet they do not reach
-_MOVED = 1e-7  # m: legs whose feet are moved by less stay as they are
+_FIRM = 1e6  # weight of a foot that never steps, relative to another planted foot
+_HINGE = 0.01  # m by which knees count as farther forward, so that straight legs bend
+_DEEPEST = 0.1  # of a leg's length: how far the hips sink to let the feet reach
+_MOVED = 1e-7  # m: a leg whose foot moves by less stays as it is
 _LEFT, _AHEAD = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 
 class _Repetition(NamedTuple):
-    """Where the next repetition of a clip begins."""
+    """Transform of a clip to its next repetition."""
 
     turn: Array  # rotation about y, wxyz, (4,)
     here: Array  # point on the floor [m], (3,)
-    there: Array  # where the repetition has it, (3,)
+    there: Array  # the same point in the repetition [m], (3,)
 
     def of(self, points: Array) -> Array:
-        """Return points of the clip [m] (..., 3) in its repetition."""
         return np.asarray(self.there + rotate(self.turn, points - self.here))
 
 
 def looped(clip: Clip) -> Clip:
-    """Return a clip whose last frame meets its first in posture and velocity.
+    """Return a clip whose last frame matches its first in posture and velocity.
 
-    The person may have gone elsewhere and face elsewhere by then. Feet that stand in
-    both frames say where the next repetition begins, otherwise the hips. In the last
-    0.4 s segments are turned, and the root is moved, more and more by what is missing
-    at the end (inertialization, Bollo, GDC 2018: a quintic that begins at rest and ends
-    with the velocity that is missing). Legs bend so that standing feet stay; the last
-    step of a foot ends where the next repetition has it. Raises InputError for fewer
-    than four frames, and where other feet stand at the end than in the beginning.
+    The person may be in another place by then, with another heading. The next
+    repetition begins where feet that are planted in both frames require it, or else at
+    the hips. In the last 0.4 s, a growing share of what is missing at the end is added
+    to root and rotations (inertialization, Bollo, GDC 2018: a quintic that begins at
+    rest and ends with the missing velocity). Legs bend to keep planted feet in place;
+    the last step of a foot ends where the next repetition has it. Raises an InputError
+    for fewer than four frames, and if different feet are planted at both ends.
     """
-    time, skeleton = clip.time, clip.skeleton
     _check(clip)
+    time, skeleton = clip.time, clip.skeleton
     blend = min(_BLEND, 0.5 * float(time[-1] - time[0]))
     share = np.clip((time - time[-1]) / blend + 1.0, 0.0, 1.0)
     legs = np.transpose([skeleton.sides(p) for p in ("Hip", "Knee", "Ankle", "Foot")])
-    ends = legs[:, 2:].ravel()  # as CONTACTS
+    ends = legs[:, 2:].ravel()  # in the order of CONTACTS
     again = _repetition(clip, ends)
     root, rotations = _blended(clip, again, share, blend)
     posed = positions_from_rotations(rotations, root, clip.body)
-    goals, stands = _goals(clip, again, posed[:, ends], ends, share)
+    goals, contacts = _goals(clip, again, posed[:, ends], ends, share)
     goals = np.swapaxes(goals.reshape(-1, 2, 2, 3), 0, 1)
     sinking = np.zeros(len(clip))
-    for leg, goal, down in zip(legs, goals, stands.T[::2], strict=True):
+    for leg, goal, heel in zip(legs, goals, contacts.T[::2], strict=True):
         lengths = clip.body.lengths[leg]
         moved = (np.abs(goal - posed[:, leg[2:]]) > _MOVED).any(axis=(1, 2))
-        # A heel that is up goes where toes that stand leave it room.
+        # A raised heel stays a foot's length from the planted toes.
         sole = goal[:, 0] - goal[:, 1]
-        room = goal[:, 1] + lengths[3] * unit(sole)
-        goal[:, 0] = np.where((moved & ~down)[:, None], room, goal[:, 0])
+        raised = goal[:, 1] + lengths[3] * unit(sole)
+        goal[:, 0] = np.where((moved & ~heel)[:, None], raised, goal[:, 0])
         short = _shortage(posed[:, leg[0]] - goal[:, 0], float(lengths[1:3].sum()))
         sinking = np.maximum(sinking, moved * short)
     root[:, 1] -= sinking
     posed[..., 1] -= sinking[:, None]
     for leg, goal in zip(legs, goals, strict=True):
         _bend(rotations, posed, leg, goal, clip.body.lengths[leg[1:3]])
-    return replace(clip, root=root, rotations=rotations, contacts=stands)
+    return replace(clip, root=root, rotations=rotations, contacts=contacts)
 
 
 def _check(clip: Clip) -> None:
-    """Raise InputError for what is no loop."""
     time = clip.time
     if len(clip) < _FEWEST or time[-1] <= time[0]:
         raise InputError(
-            f"{clip.source}: {len(clip)} frames, expected {_FEWEST} or more to --loop; "
-            "choose --begin and --end farther apart"
+            f"{clip.source}: {len(clip)} frames are too few for --loop, expected at "
+            f"least {_FEWEST}; choose --begin and --end farther apart"
         )
-    stands = np.asarray(clip.contacts.reshape(-1, 2, 2).any(axis=2))
+    planted = np.asarray(clip.contacts.reshape(-1, 2, 2).any(axis=2))
     for foot, side in enumerate(("left", "right")):
-        if stands[0, foot] != stands[-1, foot]:
-            where = "beginning" if stands[0, foot] else "end"
-            same = int(np.flatnonzero((stands == stands[0]).all(axis=1))[-1])
+        if planted[0, foot] != planted[-1, foot]:
+            where = "beginning" if planted[0, foot] else "end"
+            same = int(np.flatnonzero((planted == planted[0]).all(axis=1))[-1])
             before = f" {time[-1] - time[same]:.2f} s earlier" * (same >= _FEWEST)
             raise InputError(
-                f"{clip.source}: the {side} foot stands at the {where} of the loop "
-                f"alone; choose an --end{before} where the same feet stand"
+                f"{clip.source}: the {side} foot is planted only at the {where} of the "
+                f"loop; choose an --end{before} where the same feet are planted"
             )
 
 
 def repeated(clip: Clip) -> tuple[Clip, slice]:
-    """Return a loop with what comes before and after it, and which frames are its own.
+    """Return a loop with 3 s of its repetitions on both sides, and its own frames.
 
-    These are some 3 s of the repetitions on both sides, without provenance: feet that
-    stand at the ends are kept where they stand there, too.
+    The result has no provenance. In it, feet can be held across the loop's ends.
     """
     time, root, rotations = clip.time, clip.root, clip.rotations
     count, lasts = len(clip), time[-1] - time[0]
@@ -136,34 +133,33 @@ def repeated(clip: Clip) -> tuple[Clip, slice]:
 def _goals(
     clip: Clip, again: _Repetition, posed: Array, ends: Indices, share: Array
 ) -> tuple[Array, Flags]:
-    """Return where parts of the feet go [m] (T, 4, 3), and which stand by then (T, 4).
+    """Return the goals of heels and toes [m] (T, 4, 3), and their contacts (T, 4).
 
-    The blend alone has them at ``posed``.
+    The blend alone puts them at ``posed``.
     """
-    time, stands, goals = clip.time, clip.contacts.copy(), posed.copy()
+    time, contacts, goals = clip.time, clip.contacts.copy(), posed.copy()
     drift = (time - time[0]) / (time[-1] - time[0])
     for foot in (slice(0, 2), slice(2, 4)):
-        paths, parts = clip.positions[:, ends[foot]].copy(), stands[:, foot]
-        both = parts[0] & parts[-1]
+        paths, planted = clip.positions[:, ends[foot]].copy(), contacts[:, foot]
+        both = planted[0] & planted[-1]
         if both.any():
-            last = runs(np.asarray(parts.any(axis=1)))[-1]
-            # What never steps may still drift a little, which is undone on the way.
+            last = runs(np.asarray(planted.any(axis=1)))[-1]
+            # A foot that never steps may still drift; that is undone gradually.
             done = np.ones(len(clip)) if last.start > 0 else drift
             missing = again.of(paths[0]) - paths[-1]
             missing[~both] = missing[both].mean(axis=0)
             paths[last] += done[last, None, None] * missing
-        # Of heel and toes, what stands at the end alone leaves the floor.
-        parts &= (share <= 0.0)[:, None] | parts[0] | ~parts[-1]
+        # A heel or toes that are planted only at the end leave the floor.
+        planted &= (share <= 0.0)[:, None] | planted[0] | ~planted[-1]
         moves = paths - posed[:, foot]
         goals[:, foot] += np.stack(
-            [_joined(time, moves[:, k], parts[:, k]) for k in range(2)], axis=1
+            [_joined(time, moves[:, k], planted[:, k]) for k in range(2)], axis=1
         )
-    stands[-1] = stands[0]
-    return goals, stands
+    contacts[-1] = contacts[0]
+    return goals, contacts
 
 
 def _repetition(clip: Clip, ends: Indices) -> _Repetition:
-    """Return where the next repetition begins; parts of the feet are joints (4,)."""
     first, last = clip.positions[0], clip.positions[-1]
     frame = floor_frame(clip.root, clip.rotations[:, clip.skeleton.root], _LEFT)
     yaw = frame.yaw[-1] - frame.yaw[0]
@@ -177,7 +173,7 @@ def _repetition(clip: Clip, ends: Indices) -> _Repetition:
         for place in (first, last)
     )
     if firm.sum() > 1:
-        # Both seen from above as complex numbers, which yaw multiplies.
+        # Seen from above, points are complex numbers, and a change of yaw a factor.
         begun, ended = (
             (place[points, 2] - mean[2]) + 1j * (place[points, 0] - mean[0])
             for place, mean in ((first, here), (last, there))
@@ -189,7 +185,7 @@ def _repetition(clip: Clip, ends: Indices) -> _Repetition:
 def _blended(
     clip: Clip, again: _Repetition, share: Array, blend: float
 ) -> tuple[Array, Array]:
-    """Return root and rotations that end as the repetition begins, feet left alone."""
+    """Return root and rotations that end as the repetition begins, feet ignored."""
     time, root, rotations = clip.time, clip.root, clip.rotations
     second = int(np.searchsorted(time, time[0], "right"))
     before = int(np.searchsorted(time, time[-1])) - 1
@@ -213,9 +209,9 @@ def _blended(
 
 
 def _spread(missing: Array, faster: Array, share: Array) -> Array:
-    """Return what is added (T, ..., 3): 0 at rest at share 0, all that misses at 1.
+    """Return the change (T, ..., 3): from 0 at rest at share 0 to ``missing`` at 1.
 
-    The velocity there is ``faster`` [1/share], the acceleration 0.
+    The velocity at 1 is ``faster`` [1/share], the acceleration 0.
     """
     s = share.reshape(-1, *[1] * missing.ndim)
     return np.asarray(
@@ -225,32 +221,31 @@ def _spread(missing: Array, faster: Array, share: Array) -> Array:
 
 
 def _turns(vectors: Array) -> Array:
-    """Return rotations, wxyz, about vectors (..., 3) by their lengths [rad]."""
+    """Return rotations, wxyz, about vectors (..., 3) by their length [rad]."""
     half = 0.5 * np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.concatenate(
         [np.cos(half), 0.5 * np.sinc(half / np.pi) * vectors], axis=-1
     )
 
 
-def _joined(time: Array, moves: Array, stands: Flags) -> Array:
-    """Return moves (T, 3) [m]: as asked where a part stands, even between stances.
+def _joined(time: Array, moves: Array, planted: Flags) -> Array:
+    """Return moves (T, 3) [m] that are interpolated between contacts.
 
-    The first and the last frame stay where they are unless it does.
+    The first and last frame do not move unless the part is planted there.
     """
-    known = stands.copy()
-    known[[0, -1]] = True
-    moves = np.where(stands[:, None], moves, 0.0)
-    frames = np.flatnonzero(known)
-    before = frames[np.cumsum(known) - 1]
-    after = frames[np.cumsum(known) - known]
+    fixed = planted.copy()
+    fixed[[0, -1]] = True
+    moves = np.where(planted[:, None], moves, 0.0)
+    frames = np.flatnonzero(fixed)
+    before = frames[np.cumsum(fixed) - 1]
+    after = frames[np.cumsum(fixed) - fixed]
     length = np.where(after > before, time[after] - time[before], 1.0)
-    share = smooth_step((time - time[before]) / np.maximum(length, 1e-9))
-    share = share[:, None]
+    share = smooth_step((time - time[before]) / np.maximum(length, 1e-9))[:, None]
     return np.asarray((1.0 - share) * moves[before] + share * moves[after])
 
 
 def _shortage(leg: Array, reach: float) -> Array:
-    """Return by how much hips are too high (T,) for legs (T, 3) that end there [m]."""
+    """Return how far [m] (T,) hips are too high over their ankles (T, 3)."""
     level = np.hypot(leg[:, 0], leg[:, 2])
     height = np.sqrt(np.maximum(reach**2 - level**2, 0.0))
     return np.clip(leg[:, 1] - height, 0.0, _DEEPEST * reach)
@@ -259,24 +254,18 @@ def _shortage(leg: Array, reach: float) -> Array:
 def _bend(
     rotations: Array, posed: Array, leg: Indices, goals: Array, lengths: Array
 ) -> None:
-    """Turn a leg (in place) so that ankle and toes get to their goals [m] (T, 2, 3).
-
-    The indices of hip, knee, ankle and toes are (4,).
-    """
+    """Turn a leg (hip, knee, ankle, toes) in place to its goals [m] (T, 2, 3)."""
     away = np.abs(goals - posed[:, leg[2:]]) > _MOVED
     some = np.flatnonzero(away.any(axis=(1, 2)))
     _, knee, ankle, toe = leg
     hips, knees, ankles, toes = np.moveaxis(posed[some][:, leg], 1, 0)
     goal, tip = np.moveaxis(goals[some], 1, 0)
-    toward = knees - hips
-    line = ankles - hips
-    along = np.sum(toward * line, axis=1) / np.maximum(np.sum(line**2, axis=1), 1e-12)
-    toward = toward - along[:, None] * line
+    toward = rejection(knees - hips, ankles - hips)
     toward += _HINGE * rotate(rotations[some, knee], _AHEAD)
     bend, end = bent_limb(hips, goal, toward, lengths)
-    for segment, was, now in (
+    for segment, old, new in (
         (knee, knees - hips, bend - hips),
         (ankle, ankles - knees, end - bend),
         (toe, toes - ankles, tip - goal),
     ):
-        rotations[some, segment] = multiply(between(was, now), rotations[some, segment])
+        rotations[some, segment] = multiply(between(old, new), rotations[some, segment])

@@ -1,4 +1,4 @@
-"""Joint positions to segment rotations, twist included."""
+"""Segment rotations from joint positions, including twist."""
 
 from __future__ import annotations
 
@@ -24,42 +24,39 @@ _X = np.array([1.0, 0.0, 0.0])
 def rotations_from_positions(
     positions: Array, body: Body, prior: Array | None = None
 ) -> Array:
-    """Return segment rotations, wxyz (..., J, 4), whose bones point as positions say.
+    """Return segment rotations, wxyz (..., J, 4), from joint positions (..., J, 3).
 
-    Positions leave the twist about each bone open. It comes from the prior (rotations
-    of a similar posture; Shum 2013, section VII.B, takes the neighbors' in the posture
-    database), turned by the smallest rotation that brings its bone into line; without a
-    prior it comes from the parent segment, turned likewise.
+    Positions do not determine the twist about each bone. It comes from the prior
+    (rotations of a similar posture; in Shum 2013, section VII.B, the neighbors in the
+    posture database), turned by the smallest rotation that aligns its bone; without a
+    prior, it comes from the parent segment, turned likewise.
     """
-    skeleton, root = body.skeleton, body.skeleton.root
-    rest = body.rest_offsets
+    skeleton, rest = body.skeleton, body.rest_offsets
+    ends, starts = skeleton.segments, skeleton.segment_parents
     rotations = np.empty((*positions.shape[:-1], 4))
     pelvis, plane = _pelvis_frame(positions, skeleton)
     pelvis = multiply(pelvis, _from_rest_pelvis(body))
-    if not np.all(plane):
-        pelvis = np.where(plane[..., None], pelvis, IDENTITY)
-    rotations[..., root, :] = pelvis
+    rotations[..., skeleton.root, :] = np.where(plane[..., None], pelvis, IDENTITY)
     if prior is not None:
-        ends, starts = skeleton.segments, skeleton.segment_parents
         bones = positions[..., ends, :] - positions[..., starts, :]
         rotations[..., ends, :] = _aligned(prior[..., ends, :], rest[ends], bones)
         return rotations
-    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+    for j, p in zip(ends, starts, strict=True):
         bone = positions[..., j, :] - positions[..., p, :]
         rotations[..., j, :] = _aligned(rotations[..., p, :], rest[j], bone)
     return rotations
 
 
 def hang_missing(positions: Array, body: Body) -> Array:
-    """Return postures in which missing (NaN) joints hang on parents as at rest."""
-    skeleton, hung = body.skeleton, positions.copy()
+    """Return postures with missing (NaN) joints placed by their parents, as at rest."""
+    skeleton, filled = body.skeleton, positions.copy()
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
-        missing = ~np.isfinite(hung[..., j, :]).all(axis=-1, keepdims=True)
+        missing = ~np.isfinite(filled[..., j, :]).all(axis=-1, keepdims=True)
         if missing.any():
-            turns = rotations_from_positions(hung, body)[..., p, :]
-            there = hung[..., p, :] + rotate(turns, body.rest_offsets[j])
-            hung[..., j, :] = np.where(missing, there, hung[..., j, :])
-    return hung
+            turns = rotations_from_positions(filled, body)[..., p, :]
+            placed = filled[..., p, :] + rotate(turns, body.rest_offsets[j])
+            filled[..., j, :] = np.where(missing, placed, filled[..., j, :])
+    return filled
 
 
 def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:
@@ -72,19 +69,19 @@ def _from_rest_pelvis(body: Body) -> Array:
 
 
 def _pelvis_frame(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags]:
-    """Return the rotation to x through the hips and y towards the spine.
+    """Return the rotation to x through the hips and y toward the spine.
 
-    And whether the two span a plane: otherwise it is anything.
+    The flags are False where the two do not span a plane, so that it is arbitrary.
     """
     left, right = skeleton.hips
     (spine,) = (c for c in skeleton.children[skeleton.root] if c not in (left, right))
     x = positions[..., left, :] - positions[..., right, :]
     up = positions[..., spine, :] - positions[..., skeleton.root, :]
     turned = between(_X, x)
-    # What is left is the angle about x from the turned y axis to up.
-    seen = rotate(inverse(turned), up)
-    # Of a view, arctan2 is rounded in one of two ways, by where its memory lies.
-    ahead, aside = seen[..., 1].copy(), seen[..., 2].copy()
-    frame = multiply(turned, about_x(np.arctan2(aside, ahead)))
-    plane = np.sum(x * x, axis=-1) * (ahead**2 + aside**2) > _NO_PLANE**2
+    # What remains is the angle about x from the turned y axis to up.
+    local = rotate(inverse(turned), up)
+    # Copies, because the rounding of arctan2 depends on the memory layout of a view.
+    y, z = local[..., 1].copy(), local[..., 2].copy()
+    frame = multiply(turned, about_x(np.arctan2(z, y)))
+    plane = np.sum(x * x, axis=-1) * (y**2 + z**2) > _NO_PLANE**2
     return frame, np.asarray(plane)

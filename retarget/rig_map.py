@@ -1,8 +1,26 @@
 """Maps between our joints and other skeletons, in TOML files.
 
-Those in ``rigs``, or the user's, say which part of the body turns which bones of a
-skeleton. Those in ``source_rigs`` go the other way: they say where a Kinect's joints
-lie on a skeleton that motion comes on, and know neither parents nor a rest pose.
+Maps in ``rigs``, or a user's own, describe skeletons on which clips are written. Each
+bone, parents before children, has these fields:
+
+turned_by: The part of the body (PARTS) that turns it; without, it turns with its
+    parent.
+offset: Position relative to the parent in the rest pose, as shares of stature; x to the
+    left, y up, z ahead. Limbs, feet and the widths of hips and shoulders take the
+    person's size, so only their directions and proportions count.
+axes: Directions of two of the bone's own axes in the rest pose, the second as close as
+    possible: a word (WORDS), three numbers, or ``on``, which points along the bone to
+    its first child, or continues from its parent at the end of a chain. ``axes`` at the
+    top of the file is for all bones that have none.
+
+Maps in ``source_rigs`` describe skeletons from which motion is read. Joints of the
+trunk are named as in Kinect v2. Limbs have only a left side: names on the right begin
+with Right, R or r in place of Left, L or l.
+
+at: The Kinect joint is at the mean of these joints (or landmarks).
+or: Where it is if those are missing, the best choice first.
+turned_by: The joint that turns the segment which ends there.
+optional: True if it may be missing.
 """
 
 from __future__ import annotations
@@ -22,10 +40,10 @@ from kinefilter.characters.arrays import shown
 
 _HERE = Path(__file__).parent
 RIGS = tuple(sorted(path.stem for path in (_HERE / "rigs").glob("*.toml")))
-"""Names of the maps that kinefilter has."""
+"""Names of the built-in maps."""
 
 SIDES = ("left", "right")
-_LIMBS = {  # part: the part it hangs on
+_LIMBS = {  # part: its parent, None for the pelvis
     "clavicle": None,
     "upper arm": None,
     "lower arm": "upper arm",
@@ -40,9 +58,9 @@ CHAINS = {
     for side in SIDES
     for part, above in _LIMBS.items()
 } | {"spine": "pelvis", "neck": "pelvis", "head": "pelvis"}
-"""Part of the body, and the part on which it hangs."""
+"""Parent of each part of the body."""
 PARTS = ("pelvis", *CHAINS)
-"""What turns bones."""
+"""Parts of the body that turn bones."""
 OPTIONAL = {"neck", *(f"{s} {part}" for s in SIDES for part in ("clavicle", "toes"))}
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
@@ -55,47 +73,48 @@ WORDS = {
     "ahead": (0.0, 0.0, 1.0),
     "back": (0.0, 0.0, -1.0),
 }
-"""Directions in which a bone's axes may point at rest, besides any three numbers (x to
-the left, y up, z ahead) and ``on``, which is along the bone."""
+"""Words for the directions of a bone's axes in the rest pose."""
+_KINECT_V1 = {  # its names of joints in Kinect v2's trunk
+    "SpineBase": "HipCenter",
+    "SpineMid": "Spine",
+    "SpineShoulder": "ShoulderCenter",
+}
 _NUMBER = r"-?[01]?\.?\d{1,9}"
 _ONE_AXIS = rf"(-?[xyz]) (on|{'|'.join(WORDS)}|{_NUMBER} {_NUMBER} {_NUMBER})"
 _AXES = re.compile(f"{_ONE_AXIS}, {_ONE_AXIS}")
 Axes = tuple[tuple[str, str], tuple[str, str]]
-"""Two axes (``x``, ``-x``) and where they point, the second as nearly as it can."""
+"""Two axes, such as ``x`` or ``-x``, and their directions."""
 
 
 @dataclass(frozen=True)
 class MapBone:
-    """A bone of another skeleton, from the joint of its name on.
-
-    The root has no parent, and what its parent alone turns has no part (PARTS). The
-    offset from the parent in the rest pose is in shares of stature, x to the left, y
-    up, z ahead; a bone without is looked for in a target, but not built. Without axes
-    a bone has those of the world.
-    """
+    """A bone of another skeleton, which starts at the joint of its name."""
 
     name: str
     parent: str | None
+    """None for the root."""
     part: str | None
+    """Part of the body that turns it; None if it turns with its parent."""
     offset: tuple[float, float, float] | None
+    """Offset from the parent in shares of stature; None if it is only looked for in
+    files, but not built."""
     axes: Axes | None = None
+    """None for the world's axes."""
 
 
 @dataclass(frozen=True)
 class RigMap:
-    """Names, hierarchy and rest pose of another skeleton, parents before children.
-
-    Its files write the prefix before every name, or leave it out. BVH, which has no
-    rest rotations, has the bones' axes in its motion if ``axes_in_bvh``.
-    """
+    """Names, hierarchy and rest pose of another skeleton, parents before children."""
 
     name: str
     prefix: str
+    """Prefix of all names, which some files omit."""
     bones: tuple[MapBone, ...]
     axes_in_bvh: bool = False
+    """True if motion in BVH, which has no rest rotations, is in the bones' axes."""
 
     def of(self, part: str) -> list[MapBone]:
-        """Return the bones that a part turns, from the root on."""
+        """Return the bones that a part turns, parents before children."""
         return [bone for bone in self.bones if bone.part == part]
 
     def plain(self, name: str) -> str:
@@ -107,7 +126,7 @@ class RigMap:
 
 @cache
 def load_rig_map(rig: str) -> RigMap:
-    """Return one of RIGS."""
+    """Return the map of one of RIGS."""
     return rig_map_of(_embedded("rigs", rig), rig)
 
 
@@ -116,13 +135,13 @@ def _embedded(folder: str, name: str) -> dict[str, Any]:
 
 
 def rig_map_of(table: dict[str, Any], source: str) -> RigMap:
-    """Return the map in the table of a TOML file, or raise InputError."""
+    """Return the map in the table of a TOML file, or raise an InputError."""
     rows, prefix = table.get("bones"), table.get("prefix", "")
     in_bvh = table.get("axes_in_bvh", False)
     if not isinstance(rows, dict) or not isinstance(prefix, str):
         raise InputError(
-            f"{source}: expected a table [bones], a row for each joint, and at most a "
-            "text 'prefix'"
+            f"{source}: expected a table [bones] with a row per joint and, optionally, "
+            "a text 'prefix'"
         )
     known = ("prefix", "axes", "axes_in_bvh", "bones")
     if unknown := sorted(set(table) - set(known)):
@@ -130,7 +149,9 @@ def rig_map_of(table: dict[str, Any], source: str) -> RigMap:
             f"{source}: unknown {unknown[0]!r}; expected {', '.join(known)}"
         )
     if not isinstance(in_bvh, bool):
-        raise InputError(f"{source}: axes_in_bvh is {shown(in_bvh)}, expected true")
+        raise InputError(
+            f"{source}: axes_in_bvh is {shown(in_bvh)}, expected true or false"
+        )
     axes = _axes(table.get("axes"), source)
     bones = tuple(_bone(name, row, axes, source) for name, row in rows.items())
     _check(bones, source)
@@ -138,16 +159,15 @@ def rig_map_of(table: dict[str, Any], source: str) -> RigMap:
 
 
 def _axes(words: Any, where: str) -> Axes | None:
-    """Return the axes in words such as ``y on, -z ahead``."""
     if words is None:
         return None
-    found = _AXES.fullmatch(words) if isinstance(words, str) else None
-    if found is None or found[1][-1] == found[3][-1]:
+    match = _AXES.fullmatch(words) if isinstance(words, str) else None
+    if match is None or match[1][-1] == match[3][-1]:
         raise InputError(
             f"{where}: axes are {shown(words)}, expected two such as 'y on, -z back'; "
-            f"axes point on, {', '.join(WORDS)}, or to three numbers such as 0 -0.6 0.8"
+            f"directions are on, {', '.join(WORDS)}, or three numbers like 0 -0.6 0.8"
         )
-    return (found[1], found[2]), (found[3], found[4])
+    return (match[1], match[2]), (match[3], match[4])
 
 
 def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
@@ -163,110 +183,111 @@ def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
     if parent is not None and not isinstance(parent, str):
         raise InputError(f"{where}: parent is {shown(parent)}, expected a bone's name")
     axes = _axes(row.get("axes"), where) or axes
-    if offset is None:
-        return MapBone(name, parent, part, None, axes)
-    numbers = offset if isinstance(offset, list) else []
-    known = [n for n in numbers if type(n) in (int, float) and abs(n) < 100.0]
-    if len(numbers) != 3 or len(known) != 3:
-        raise InputError(f"{where}: offset is {shown(offset)}, expected three shares")
-    x, y, z = (float(n) for n in known)
-    return MapBone(name, parent, part, (x, y, z), axes)
+    if offset is not None:
+        numbers = offset if isinstance(offset, list) else []
+        valid = [type(n) in (int, float) and abs(n) < 100.0 for n in numbers]
+        if valid != [True] * 3:
+            raise InputError(
+                f"{where}: offset is {shown(offset)}, expected three shares of stature"
+            )
+        x, y, z = map(float, numbers)
+        offset = (x, y, z)
+    return MapBone(name, parent, part, offset, axes)
 
 
 def _check(bones: tuple[MapBone, ...], source: str) -> None:
-    seen: set[str] = set()
+    names: set[str] = set()
     for bone in bones:
-        if bone.parent is not None and bone.parent not in seen:
+        if bone.parent is not None and bone.parent not in names:
             raise InputError(
                 f"{source}: bone {shown(bone.name)}: its parent {shown(bone.parent)} "
-                "is not before it; list every parent before its children"
+                "is not listed before it; list every parent before its children"
             )
-        seen.add(bone.name)
+        names.add(bone.name)
     for part in PARTS:
         count = sum(bone.part == part for bone in bones)
         if count == 0 and part not in OPTIONAL:
-            raise InputError(f"{source}: no bone is turned_by {part!r}; name the one")
+            raise InputError(f"{source}: no bone is turned_by {part!r}; add one")
         if count > 1 and part not in _SEVERAL:
             raise InputError(f"{source}: {count} bones are turned_by {part!r}, not one")
 
 
 def listed(names: Sequence[str]) -> str:
     """Return the first twelve names, for messages."""
-    some = ", ".join(name[:30] for name in names[:12])
-    return some + (", ..." if len(names) > 12 else "")
-
-
-# Where motion comes from
+    first = ", ".join(name[:30] for name in names[:12])
+    return first + (", ..." if len(names) > 12 else "")
 
 
 @dataclass(frozen=True)
 class SourceJoint:
-    """Where a Kinect joint lies on another skeleton: at the mean of these joints.
-
-    ``turned_by`` is the joint that turns the segment which ends there, if it is known;
-    ``others`` are where it lies if the skeleton lacks the first ones, the best first.
-    """
+    """Place of a Kinect joint on another skeleton: the mean of these joints."""
 
     at: tuple[str, ...]
     turned_by: str | None = None
+    """Joint that turns the segment which ends there, if it is known."""
     others: tuple[tuple[str, ...], ...] = ()
+    """Alternatives if the skeleton lacks the first ones, the best first."""
     optional: bool = False
 
 
 @dataclass(frozen=True)
 class SourceRig:
-    """A skeleton that motion comes on: a file in ``source_rigs``, or a Kinect's own.
-
-    Its joints are by the Kinect joint; those that it has not are left out.
-    """
+    """A skeleton from which motion is read, by Kinect joint."""
 
     name: str
     joints: dict[str, SourceJoint]
 
     @property
     def needed(self) -> set[str]:
-        """Names of the joints that must be there, or what stands for them."""
+        """Names of the joints that must be there, or alternatives to them."""
         joints = [joint for joint in self.joints.values() if not joint.optional]
         names = {name for joint in joints for name in joint.at}
         return names | {joint.turned_by for joint in joints if joint.turned_by}
 
     def among(self, names: Set[str]) -> tuple[SourceRig, set[str]]:
-        """Return the rig with the joints that are there, and what it lacks."""
-        there, lacks = dict[str, SourceJoint](), set[str]()
+        """Return the rig with those of its joints that exist, and the missing names."""
+        present, missing = dict[str, SourceJoint](), set[str]()
         for joint, row in self.joints.items():
             by = {row.turned_by} if row.turned_by else set[str]()
-            found = [at for at in (row.at, *row.others) if by.union(at) <= names]
-            if found:
-                there[joint] = SourceJoint(found[0], row.turned_by)
+            matches = [at for at in (row.at, *row.others) if by.union(at) <= names]
+            if matches:
+                present[joint] = SourceJoint(matches[0], row.turned_by)
             elif not row.optional:
-                lacks |= by.union(row.at) - names
-        return SourceRig(self.name, there), lacks
+                missing |= by.union(row.at) - names
+        return SourceRig(self.name, present), missing
 
 
 @cache
 def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
-    """Return a rig for a Kinect's joints from its data file in ``source_rigs``."""
-    tables = _embedded("source_rigs", name)
-    rows = {**tables["limbs"], **tables[skeleton.name]}
-    joints = {
-        joint: SourceJoint(
-            tuple(row["at"]),
-            row.get("turned_by"),
-            tuple(map(tuple, row.get("or", ()))),
-            row.get("optional", False),
-        )
-        for joint, row in rows.items()
-    }
+    """Return the rig in a file of ``source_rigs`` for the joints of a Kinect."""
+    tables, joints = _embedded("source_rigs", name), {}
+    for joint, row in tables["limbs"].items():
+        joints[f"{joint}Left"] = _source_joint(row)
+        joints[f"{joint}Right"] = _source_joint(row, right=True)
+    for joint, row in tables["trunk"].items():
+        known = joint if joint in skeleton.joints else _KINECT_V1.get(joint)
+        if known:
+            joints[known] = _source_joint(row)
     return SourceRig(name, joints)
+
+
+def _source_joint(row: dict[str, Any], *, right: bool = False) -> SourceJoint:
+    def named(name: str) -> str:
+        swap = {"Left": "Right", "L": "R", "l": "r"}
+        return re.sub("^(Left|L|l)", lambda m: swap[m[0]], name) if right else name
+
+    at, *others = (tuple(map(named, n)) for n in (row["at"], *row.get("or", ())))
+    by = row.get("turned_by") and named(row["turned_by"])
+    return SourceJoint(at, by, tuple(others), row.get("optional", False))
 
 
 def matching_source_rig(
     names: Collection[str], skeleton: Skeleton, known: Sequence[str]
 ) -> tuple[SourceRig, list[str]]:
-    """Return the rig that joints are of, and which of its joints are missing.
+    """Return the rig to which joints belong, and which of its joints are missing.
 
-    The first whose joints are all there; if there is none, the one that lacks the
-    smallest share of its own. ``known`` are data files, the most particular first.
+    This is the first rig without missing joints or, if there is none, the one with the
+    smallest share of them. ``known`` are files of ``source_rigs``, most specific first.
     """
     fine = ("HandTip", "Thumb")
     own = [joint for joint in skeleton.joints if not joint.startswith(fine)]
@@ -275,5 +296,5 @@ def matching_source_rig(
     found = [rig.among(set(names)) for rig in rigs]
     shares = [len(f[1]) / len(rig.needed) for f, rig in zip(found, rigs, strict=True)]
     best = int(np.argmin(shares))
-    there, lacks = found[best]
-    return (rigs[best] if lacks else there), sorted(lacks)
+    present, missing = found[best]
+    return (rigs[best] if missing else present), sorted(missing)

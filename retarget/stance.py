@@ -1,4 +1,4 @@
-"""Feet of another skeleton that stay where they stand."""
+"""Moves that hold the planted feet of another skeleton in place."""
 
 from __future__ import annotations
 
@@ -8,37 +8,37 @@ import numpy as np
 
 from kinefilter.characters.arrays import Array, Flags, runs
 
-_BLEND = 0.15
-"""Seconds in which a foot joins its own path after it stood, and leaves it before. A
-guess."""
+_BLEND = 0.15  # s in which a foot goes from its path to its stance, and back. A guess.
 _TINY = 1e-12
 
 
 def smooth_step(share: Array) -> Array:
-    """Return 0 up to 0 and 1 from 1 on, between them the cubic level at both ends."""
+    """Return the cubic that rises from 0 at 0 to 1 at 1, constant beyond."""
     share = np.clip(share, 0.0, 1.0)
     return np.asarray(share**2 * (3.0 - 2.0 * share))
 
 
-def near_stance(time: Array, stands: Flags) -> Array:
-    """Return 1 (T,) while something stands, falling to 0 in 0.15 s before and after."""
-    last = np.maximum.accumulate(np.where(stands, time, -np.inf))
-    following = np.minimum.accumulate(np.where(stands, time, np.inf)[::-1])[::-1]
+def near_stance(time: Array, planted: Flags) -> Array:
+    """Return 1 (T,) in frames with contact, falling to 0 in 0.15 s before and after."""
+    last = np.maximum.accumulate(np.where(planted, time, -np.inf))
+    following = np.minimum.accumulate(np.where(planted, time, np.inf)[::-1])[::-1]
     return 1.0 - smooth_step(np.minimum(time - last, following - time) / _BLEND)
 
 
-def held(time: Array, path: Array, stands: Flags, height: float, slack: float) -> Array:
-    """Return the move [m] (T, 3) by which a part of a foot rests while it stands.
+def holding_moves(
+    time: Array, path: Array, planted: Flags, height: float, slack: float
+) -> Array:
+    """Return the move [m] (T, 3) that keeps a heel or toes in place while planted.
 
-    Steps keep their own path but for their beginning and end. The path (T, 3) [m] has y
-    up, floor at 0; a standing part is at ``height`` [m] and may rest ``slack`` [m]
-    aside from its path. Beyond, it is dragged along, or a body that drifts away would
-    pull its leg straight.
+    Steps change only where they begin and end. The path (T, 3) [m] has y up and the
+    floor at 0. While planted, the part is at ``height`` [m] and may be ``slack`` [m]
+    away from its path. Beyond that it is dragged along, because a body that drifts away
+    would otherwise pull its leg straight.
     """
-    moves, stances = np.zeros((len(time), 3)), runs(stands)
+    moves, stances = np.zeros((len(time), 3)), runs(planted)
     for stance in stances:
         steps = -np.diff(path[stance][:, [0, 2]], axis=0)
-        moves[stance, 0], moves[stance, 2] = _within(slack, steps).T
+        moves[stance, 0], moves[stance, 2] = _dragged(steps, slack).T
         moves[stance, 1] = height - path[stance, 1]
     for before, after in pairwise([None, *stances, None]):
         first = 0 if before is None else before.stop
@@ -48,7 +48,7 @@ def held(time: Array, path: Array, stands: Flags, height: float, slack: float) -
             ended = 1.0 - smooth_step((time[gap] - time[first - 1]) / _BLEND)
         if after is not None:
             begins = 1.0 - smooth_step((time[gap.stop] - time[gap]) / _BLEND)
-        # Each counts the less the nearer the other is, and alone beside its own stance.
+        # The nearer stance has the larger weight, and all of it next to itself.
         old, new = ended * (1.0 - begins), begins * (1.0 - ended)
         some = (ended + begins - ended * begins) / np.maximum(old + new, _TINY)
         if before is not None:
@@ -58,8 +58,8 @@ def held(time: Array, path: Array, stands: Flags, height: float, slack: float) -
     return moves
 
 
-def _within(slack: float, steps: Array) -> Array:
-    """Return the sums of steps (T - 1, 2) [m] about their middle, dragged, (T, 2)."""
+def _dragged(steps: Array, slack: float) -> Array:
+    """Return sums (T, 2) of steps (T - 1, 2) [m], centered and kept within slack."""
     moves = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     moves[0] = _shortened(-0.5 * (moves.max(axis=0) + moves.min(axis=0)), slack)
     for k, step in enumerate(steps):

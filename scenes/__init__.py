@@ -1,7 +1,7 @@
-"""Where takes happen: rooms and their props.
+"""Scenes: rooms and their props.
 
-``library`` has scripted performers and ``sensor`` the virtual Kinect; nothing that
-cleans a take imports these two.
+``library`` has scripted performers and ``sensor`` the virtual Kinect. Cleaning a take
+imports neither.
 """
 
 from .rooms import SAMPLE, SCENES, load_scene, scene_xml

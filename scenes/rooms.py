@@ -1,7 +1,7 @@
-"""Rooms and their props: the scenes that ship and users' own.
+"""Scenes: the built-in rooms with their props, and users' own.
 
-A scene is MJCF: z up, the person at the origin facing +x. Its movable props are the
-bodies with a free joint; everything else stands still.
+A scene is MJCF with z up; the person is at the origin and faces +x. Bodies with a free
+joint are movable props; everything else is fixed.
 """
 
 from __future__ import annotations
@@ -16,37 +16,30 @@ from kinefilter.characters.humanoid import build_humanoid
 _FOLDER = Path(__file__).parent
 
 SCENES = tuple(sorted(path.stem for path in _FOLDER.glob("*.xml")))
-"""Names of the scenes that ship: the settings of Shum et al. 2013, table II."""
+"""Names of the built-in scenes: the settings of Shum et al. 2013, table II."""
 
 SAMPLE = _FOLDER / "takes" / "wave_punch_bend.csv"
-"""The take that ships."""
+"""The built-in sample take."""
 
-_ATTACHED = "attached--"  # taken off again: no name of a scene begins so
-_SKIN = [0.37, 0.53, 0.60, 1.0]  # a quiet color that no prop has
+_PREFIX = "attached--"  # removed again, so no name in a scene may begin with it
+_SKIN = [0.37, 0.53, 0.60, 1.0]  # a muted color that no prop has
 
 
 def load_scene(
     scene: str | Path, body: Body | None = None, *, tracking: Tracking | None = None
 ) -> mujoco.MjSpec:
-    """Return a scene, with the character in it if a body is given.
+    """Return a scene: one of SCENES, or the MJCF file at a path.
 
-    The character is that of ``build_humanoid``, all names, actuators, options and the
-    settings of its floor unchanged, and comes first in the model: its first seven
-    coordinates are its root's. The floor takes on the look of the scene's.
-
-    Args:
-        scene: One of SCENES, or the path of an MJCF file.
-        body: Whose character stands in the scene, in T-pose at the origin.
-        tracking: Gains and bounds of the pull on the character.
-
-    Raises:
-        InputError: There is no such scene, the file is no MJCF that MuJoCo can load, or
-            a name in it is one of the character's.
+    If a body is given, the character of ``build_humanoid`` is at the origin in T-pose.
+    It keeps all its names, actuators, options and the settings of its floor, which
+    takes on the look of the scene's. It comes first in the model, so the first seven
+    coordinates are those of its root. Raises an InputError if there is no such scene,
+    MuJoCo cannot load it, or a name in it is also one of the character's.
     """
     path = _path(scene)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        _find_assets(spec, path)
+        _resolve_assets(spec, path)
         if body is not None:
             spec = _merged(build_humanoid(body, tracking), spec)
         spec.copy().compile()
@@ -54,26 +47,19 @@ def load_scene(
         why = " ".join(str(error).split())
         raise InputError(
             f"{path}: MuJoCo cannot load this scene: {why}; check that it is MJCF, "
-            "that its files are beside it, and that no name is one of the character's"
+            "that its files are next to it, and that no name is one of the character's"
         ) from error
     return spec
 
 
 def scene_xml(scene: str | Path, body: Body | None = None) -> str:
-    """Return a scene as one MJCF text, which plain MuJoCo loads from anywhere.
+    """Return a scene as self-contained MJCF that MuJoCo can load from anywhere.
 
-    It includes no other MJCF file. Meshes and textures of users' scenes stay in their
-    files and are named by absolute paths.
-
-    Args:
-        scene: One of SCENES, or the path of an MJCF file.
-        body: Whose character stands in the scene.
-
-    Raises:
-        InputError: As ``load_scene``.
+    Only the meshes and textures of users' scenes stay in their files, with absolute
+    paths. Arguments and errors are those of ``load_scene``.
     """
     spec = load_scene(scene, body)
-    spec.compiler.savecompiled = False  # every number exactly as it was written
+    spec.compiler.savecompiled = False  # keeps all numbers as they were written
     return str(spec.to_xml())
 
 
@@ -92,54 +78,47 @@ def _path(scene: str | Path) -> Path:
 
 
 def _merged(character: mujoco.MjSpec, scene: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Return the character's spec with everything in the scene but its floor."""
+    """Return the character's spec with everything in the scene except its floor."""
     for part in character.geoms:
         if part.name != "floor":
             part.rgba = _SKIN
-    _take_floor(character.geom("floor"), scene)
+    _move_floor(scene, character.geom("floor"))
     character.modelname = scene.modelname
     character.visual, character.stat = scene.visual, scene.stat
     scene.option = character.option
     character.meshdir, character.texturedir = scene.meshdir, scene.texturedir
     frame = character.worldbody.add_frame()
-    character.attach(scene, frame=frame, prefix=_ATTACHED)
-    # An attached model needs a prefix, and every later reader the names without. Only
-    # the root of its default classes would then have a namesake.
+    character.attach(scene, frame=frame, prefix=_PREFIX)
+    # Attaching needs a prefix, but all later readers need the names without it. Only
+    # the root of the default classes would then have the name of another.
     character.compiler.savecompiled = False
     text = str(character.to_xml())
-    text = text.replace(f'class="{_ATTACHED}main"', 'class="main:scene"')
-    return mujoco.MjSpec.from_string(text.replace(_ATTACHED, ""))
+    text = text.replace(f'class="{_PREFIX}main"', 'class="main:scene"')
+    return mujoco.MjSpec.from_string(text.replace(_PREFIX, ""))
 
 
-def _find_assets(scene: mujoco.MjSpec, path: Path) -> None:
-    """Let the meshes and textures of a file be found from everywhere."""
+def _resolve_assets(scene: mujoco.MjSpec, path: Path) -> None:
+    """Make the paths of meshes and textures absolute."""
     if any(a.file for a in (*scene.meshes, *scene.hfields, *scene.skins)):
         scene.meshdir = str((path.parent / scene.meshdir).resolve())
     if any(texture.file or any(texture.cubefiles) for texture in scene.textures):
         scene.texturedir = str((path.parent / scene.texturedir).resolve())
 
 
-def _take_floor(floor: mujoco.MjsGeom, scene: mujoco.MjSpec) -> None:
-    """Give the character's floor the look of the scene's, and remove that one.
-
-    The floor of a scene is a level plane at height 0.
-    """
-    for plane in _level_planes(scene):
-        floor.rgba, floor.size = plane.rgba, plane.size
-        if plane.material:
-            floor.material = f"{_ATTACHED}{plane.material}"
-        scene.delete(plane)
-
-
-def _level_planes(scene: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
-    """Return the planes at height 0 that face up."""
+def _move_floor(scene: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
+    """Remove the scene's floor (planes at height 0 that face up), but keep its look."""
     model = scene.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    return [
+    planes = [  # listed first, because removing one changes the indices of others
         geom
         for geom in scene.geoms
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE
         and data.geom_xmat[geom.id][8] > 1.0 - 1e-9
         and abs(data.geom_xpos[geom.id][2]) < 1e-9
     ]
+    for plane in planes:
+        floor.rgba, floor.size = plane.rgba, plane.size
+        if plane.material:
+            floor.material = f"{_PREFIX}{plane.material}"
+        scene.delete(plane)

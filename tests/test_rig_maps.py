@@ -227,7 +227,7 @@ def test_a_map_without_neck_clavicles_and_toes_is_a_map(tmp_path: Path) -> None:
         (", offset = [0, 0.3, 0]", "", "bone 'Chest' has no offset, but"),
         (", offset = [0, 0.1, 0]", "", "turned_by 'head' has no offset"),
         ('parent = "RUp", turned_by = "right shin"', 'parent = "LUp", turned_by = '
-         '"right shin"', "'RLow' does not hang on 'RUp'"),
+         '"right shin"', "'RLow' (right shin) must descend from 'RUp'"),
         ('"left shin", offset = [0, -1, 0]', '"left shin", offset = [0, 0, 0]',
          "'LUp' and 'LLow' are in one place"),
         ('Hips = { ', 'Floor = { offset = [0, 0, 0] }\nHips = { ', "has 2 roots"),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rig_motions import bent_to
 
 from kinefilter.retarget.bent_limb import bent_limb
-from kinefilter.retarget.stance import held, near_stance
+from kinefilter.retarget.stance import holding_moves, near_stance
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def path_of(stands: list[int], slip: float) -> tuple[Array, Array, NDArray[np.bo
 
 def test_a_held_foot_rests_and_joins_its_path_in_a_sixth_of_a_second() -> None:
     time, path, stands = path_of([0] * 10 + [1] * 10 + [0] * 10, 0.002)
-    move = held(time, path, stands, 0.0, 0.015)
+    move = holding_moves(time, path, stands, 0.0, 0.015)
     rests = (path + move)[10:20]
     np.testing.assert_allclose(rests, np.broadcast_to(rests[0], (10, 3)), atol=1e-12)
     assert not move[[0, 5, 24, 29]].any()
@@ -56,13 +56,13 @@ def test_a_held_foot_rests_and_joins_its_path_in_a_sixth_of_a_second() -> None:
 
 def test_a_foot_that_drifts_is_dragged_along() -> None:
     time, path, stands = path_of([1] * 100, 0.002)
-    move = held(time, path, stands, 0.0, 0.015)
+    move = holding_moves(time, path, stands, 0.0, 0.015)
     assert np.linalg.norm(move, axis=1).max() <= 0.015 + 1e-9
 
 
 def test_a_foot_that_stands_again_at_once_rests_both_times() -> None:
     time, path, stands = path_of([1] * 6 + [0] + [1] * 6, 0.002)
-    moved = path + held(time, path, stands, 0.0, 0.015)
+    moved = path + holding_moves(time, path, stands, 0.0, 0.015)
     assert np.abs(np.diff(moved[:6], axis=0)).max() < 1e-12
     assert np.abs(np.diff(moved[7:], axis=0)).max() < 1e-12
     assert moved[5, 0] < moved[6, 0] < moved[7, 0]
@@ -71,7 +71,7 @@ def test_a_foot_that_stands_again_at_once_rests_both_times() -> None:
 def test_a_foot_that_stands_is_as_high_as_it_stands() -> None:
     time, path, stands = path_of([0] * 9 + [1] * 10 + [0] * 9, 0.0)
     path[:, 1] = 0.1 + 0.01 * np.sin(np.arange(28))
-    moved = path + held(time, path, stands, 0.08, 0.015)
+    moved = path + holding_moves(time, path, stands, 0.08, 0.015)
     np.testing.assert_allclose(moved[9:19, 1], 0.08)
 
 
@@ -89,5 +89,5 @@ def test_near_a_stance_counts_less_the_farther_it_is() -> None:
 def test_a_step_joins_its_own_path_as_the_stance_gets_farther() -> None:
     time, path, stands = path_of([0] * 12 + [1] * 5 + [0] * 9, 0.0)
     path[:, 1] = 0.1
-    move = held(time, path, stands, 0.08, 0.015)
+    move = holding_moves(time, path, stands, 0.08, 0.015)
     np.testing.assert_allclose(move[:, 1], -0.02 * near_stance(time, stands))

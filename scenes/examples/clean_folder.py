@@ -1,8 +1,8 @@
-"""Clean every take in a folder and write a USD clip of each.
+"""Clean every take in a folder and write the clips as USD.
 
     python clean_folder.py TAKES CLIPS
 
-``kinefilter batch TAKES -o CLIPS`` does the same on all cores and keeps a manifest.
+``kinefilter batch TAKES -o CLIPS`` does the same on all cores and writes a manifest.
 """
 
 import sys
@@ -12,14 +12,9 @@ import kinefilter
 
 
 def main(takes: Path, clips: Path) -> None:
-    """Clean the CSV takes in a folder.
-
-    Args:
-        takes: Folder of takes.
-        clips: Folder for the clips; made if it is not there.
-    """
+    """Clean the CSV takes in a folder."""
     clips.mkdir(parents=True, exist_ok=True)
-    cleaner = kinefilter.Cleaner()  # loads its database once for all takes
+    cleaner = kinefilter.Cleaner()  # loads its database only once
     for path in sorted(takes.glob("*.csv")):
         try:
             result = cleaner.clean(kinefilter.read_take(path))

@@ -1,9 +1,9 @@
-"""Compare two correction methods on pairs of Kinect and mocap.
+"""Compare correction methods on pairs of Kinect takes and mocap.
 
-    python compare_methods.py PAIRS [METHOD METHOD]
+    python compare_methods.py PAIRS [METHOD ...]
 
-``kinefilter simulate box --motion lift_box --pairs pairs.npz -o take.csv`` makes pairs
-of a simulated person.
+``kinefilter simulate box --motion lift_box --pairs pairs.npz -o take.csv`` makes such
+pairs of a simulated person.
 """
 
 import sys
@@ -14,12 +14,7 @@ from kinefilter.pipeline.pairs import read_pairs
 
 
 def main(path: Path, *methods: str) -> None:
-    """Print how far the clips of each method are from the mocap.
-
-    Args:
-        path: Pairs file.
-        methods: Names of correction methods.
-    """
+    """Print the errors of each method's clips relative to the mocap."""
     figures = kinefilter.evaluate([], read_pairs(path), methods or ("none", "default"))
     for name, row in figures["methods"].items():
         print(f"{name}: E {row['E']:.2f} cm, E_var {row['E_var']:.2f} cm")

@@ -1,8 +1,8 @@
-"""Let a character follow frames as they come, and push it.
+"""Have a simulated character follow a performer frame by frame, and push it.
 
     python follow_and_push.py TAKE
 
-A game gets its frames from a sensor; here they come from a recorded take.
+In a game, frames come from a sensor; here they come from a recorded take.
 """
 
 import sys
@@ -13,14 +13,10 @@ from kinefilter.characters import Tracking, standard_body
 
 
 def main(path: Path) -> None:
-    """Follow a take frame by frame, with a push to the chest after two seconds.
-
-    Args:
-        path: The take.
-    """
+    """Follow a take, with a push to the chest after two seconds."""
     take = kinefilter.read_take(path)
     body = standard_body(take.skeleton, height=1.75)
-    # A soft character gives way; the default one holds on to the person.
+    # A soft pull lets the character yield; the default keeps it close to the performer.
     avatar = kinefilter.Avatar(body, tracking=Tracking(natural_frequency=15.0))
     chest = take.skeleton.girdle
     pushed = False

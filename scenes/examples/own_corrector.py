@@ -1,9 +1,9 @@
-"""Correct by a method of one's own, written in one file.
+"""Clean a take with your own correction method.
 
     python own_corrector.py TAKE CLIP
 
-To give the method a name on the command line, put its class into ``pipeline/correct``
-and add one line to ``METHODS`` in ``pipeline/methods.py``.
+To add the method to the command line, put its class into ``pipeline/correct`` and add a
+line to ``METHODS`` in ``pipeline/methods.py``.
 """
 
 import sys
@@ -16,21 +16,17 @@ from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
 
 
 class Mirror(Corrector):
-    """Puts an unreliable joint where its partner on the other side is, mirrored.
-
-    Args:
-        skeleton: The joints.
-    """
+    """Correction of unreliable joints by mirroring those of the other side."""
 
     def __init__(self, skeleton):
         self._hold, self._partner = Hold(skeleton), skeleton.mirror
 
     def start(self):
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         self._hold.start()
 
     def step(self, observation: Observation) -> Correction:
-        """Correct the next frame: the root is at the origin and faces +z."""
+        """Correct the next frame, in which the root is at the origin and faces +z."""
         filled = self._hold.step(observation)
         mirrored = filled.positions[self._partner] * [-1.0, 1.0, 1.0]
         share = (observation.reliability * filled.confidence)[:, None]
@@ -39,12 +35,7 @@ class Mirror(Corrector):
 
 
 def main(path: Path, clip: Path) -> None:
-    """Clean a take by the method above.
-
-    Args:
-        path: The take.
-        clip: The clip to write.
-    """
+    """Clean a take with the method above."""
     take = kinefilter.read_take(path)
     cleaner = kinefilter.Cleaner(corrector=Mirror(take.skeleton))
     kinefilter.write_clip(cleaner.clean(take).clip, clip)

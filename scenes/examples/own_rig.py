@@ -1,9 +1,10 @@
-"""Write a clip for a skeleton of one's own.
+"""Write a clip on your own skeleton.
 
     python own_rig.py TAKE CLIP
 
-The map says which part of the body turns each bone, and where each bone is at rest, in
-shares of the person's height; ``retarget/rigs`` has those that come with kinefilter.
+The map gives the part of the body that turns each bone, and the bone's rest position as
+a share of the person's height. ``retarget/rigs`` has the built-in maps, and
+``retarget/rig_map.py`` describes their fields.
 """
 
 import sys
@@ -13,8 +14,6 @@ from pathlib import Path
 import kinefilter
 
 MAP = """
-prefix = ""
-
 [bones]
 Root = { turned_by = "pelvis", offset = [0.0, 0.53, 0.0] }
 Belly = { parent = "Root", turned_by = "spine", offset = [0.0, 0.08, 0.0] }
@@ -32,12 +31,7 @@ LIMB = """
 
 
 def main(take: Path, clip: Path) -> None:
-    """Clean a take and write it on the rig above.
-
-    Args:
-        take: The take.
-        clip: The clip to write, ``.bvh`` or USD.
-    """
+    """Clean a take and write it on the rig above, as ``.bvh`` or USD."""
     limbs = [LIMB.format(S="L", s="left", x=""), LIMB.format(S="R", s="right", x="-")]
     result = kinefilter.clean(kinefilter.read_take(take))
     with tempfile.TemporaryDirectory() as folder:
