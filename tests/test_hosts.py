@@ -205,7 +205,7 @@ def test_names_that_windows_takes_for_devices_are_refused_there(
     assert files.check_folder(tmp_path / "aux.csv")
     monkeypatch.setattr(files, "_WINDOWS", True)
     for name in ("aux.csv", "NUL", "com1.take.bvh", "a:b.csv", "what?.usdc", "end."):
-        with pytest.raises(InputError, match="Windows keeps such names"):
+        with pytest.raises(InputError, match="Windows reserves such names"):
             files.check_folder(tmp_path / name)
     for name in ("auxiliary.csv", "com.csv", "aux-1.csv", ".hidden", "a b.csv"):
         assert files.check_folder(tmp_path / name)
