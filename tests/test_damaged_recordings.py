@@ -42,7 +42,7 @@ def edited(lines: list[str], row: int, text: str) -> str:
     [
         ("".join(ntu_lines()[:40]), ["ends the file in frame 2 of 3", "cut off"]),
         (edited(ntu_lines(), 1, "9" * 15), ["ends the file in frame 4"]),
-        (edited(ntu_lines(), 1, "2"), ["goes on after 2 frames", "row 1"]),
+        (edited(ntu_lines(), 1, "2"), ["after the last of 2 frames", "row 1"]),
         (edited(ntu_lines(), 2, "many"), ["row 2", "'many'", "number of bodies"]),
         (edited(ntu_lines(), 2, "0"), ["row 3", "expected the number of bodies"]),
         (edited(ntu_lines(), 3, "7 0 1"), ["row 3", "3 values", "10 of a body"]),
@@ -78,8 +78,8 @@ def azure_with(**changes: object) -> str:
     ("text", "words"),
     [
         (azure_json([made_up(3)])[:5000], ["not JSON", "cut off"]),
-        ("{}", ["without a list 'frames'"]),
-        ('{"frames": {}}', ["without a list 'frames'"]),
+        ("{}", ["no list 'frames'"]),
+        ('{"frames": {}}', ["no list 'frames'"]),
         ("[" * 100_000, ["row 1"]),
         ('{"a":' * 100_000, ["not JSON"]),
         ('{"frames": [1, 2]}', ["frame 1", "timestamp_usec"]),

@@ -40,10 +40,10 @@ JOINTS = (
 """The joints of the body tracking SDK in its order (k4abt_joint_id_t)."""
 
 _TRUNK = {
-    "SpineBase": ("PELVIS",),
+    "SpineBase": ("PELVIS", "PELVIS"),
     "SpineMid": ("SPINE_NAVEL", "SPINE_CHEST"),
     "SpineShoulder": ("CLAVICLE_LEFT", "CLAVICLE_RIGHT"),
-    "Neck": ("NECK",),
+    "Neck": ("NECK", "NECK"),
     "Head": ("EAR_LEFT", "EAR_RIGHT"),
 }
 """Joints of Kinect v2 that differ from Azure Kinect's of similar name: each is at the
@@ -54,8 +54,7 @@ end between the shoulders, and the head in the middle of the skull, not at its b
 def _sources(joint: str) -> list[int]:
     """Return the two joints whose mean is a joint of Kinect v2, or one joint twice."""
     limb = re.sub("(Left|Right)$", r"_\1", joint).upper()
-    names = _TRUNK.get(joint, (limb,))
-    return [JOINTS.index(names[0]), JOINTS.index(names[-1])]
+    return [JOINTS.index(name) for name in _TRUNK.get(joint, (limb, limb))]
 
 
 _PAIRS = np.array([_sources(joint) for joint in KINECT_V2.joints])

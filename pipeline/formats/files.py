@@ -193,10 +193,7 @@ def _too_long(path: Path, most: int) -> InputError:
 
 @contextmanager
 def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[tuple[_Stream, int]]:
-    """Yield the unzipped stream of a file and its size limit in bytes.
-
-    Errors while it is read become InputErrors.
-    """
+    """Yield a file unzipped, and its size limit; errors in it become InputErrors."""
     try:
         with path.open("rb") as raw:
             if raw.peek(2)[:2] != _GZIP_MAGIC:
@@ -239,9 +236,7 @@ def list_in(value: Any, key: str, where: str, tool: str) -> list[Any]:
     """Return the list ``key`` of a JSON object; raises InputError without one."""
     found = value.get(key) if isinstance(value, dict) else None
     if not isinstance(found, list):
-        raise InputError(
-            f"{where}: JSON without a list {key!r}; export it again with {tool}"
-        )
+        raise InputError(f"{where}: no list {key!r}; export it again with {tool}")
     return found
 
 

@@ -114,8 +114,7 @@ def read_npy(source: str) -> Recording:
         counts = ", ".join(map(str, sorted(_IN_NPY)))
         raise InputError(
             f"{source}: {array.dtype} of shape {array.shape}, expected numbers of shape"
-            f" (frames, landmarks, 3 or 4) with {counts} landmarks; convert others to "
-            "TRC, which names them"
+            f" (frames, landmarks, 3 or 4) with {counts} landmarks; give others as TRC"
         )
     names = _IN_NPY[array.shape[1]]
     with np.errstate(invalid="ignore"):  # casting signaling NaN would warn
@@ -142,25 +141,21 @@ def read_freemocap(source: str) -> Recording:
     """Read a table with a column per coordinate; raises InputError if malformed."""
     with open_rows(source) as (row, line, lines):
         header = [cell.strip() for cell in _cells(line, source)]
-        ends = [cell.rpartition("_")[::2] for cell in header]
-        at = {pair: k for k, pair in reversed(list(enumerate(ends)))}
-        names = [n for n in dict.fromkeys(n for n, _ in ends) if (n, "z") in at]
-        names = [n for n in names if plain_name(n) in BLAZEPOSE]
-        if missing := [n for n in names if not {(n, "x"), (n, "y")} <= set(at)]:
-            raise InputError(
-                f"{source}: row {row} lacks the x or y of {missing[0]!r}; export it "
-                "again"
-            )
-        columns = [at[name, axis] for name in names for axis in "xyz"]
-        stamp = header.index("timestamp") if "timestamp" in header else None
+        at = {cell: k for k, cell in reversed(list(enumerate(header)))}
+        found = dict.fromkeys(cell.rpartition("_")[0] for cell in header)
+        names = [n for n in found if f"{n}_z" in at and plain_name(n) in BLAZEPOSE]
+        needed = [f"{name}_{axis}" for name in names for axis in "xyz"]
+        if missing := [cell for cell in needed if cell not in at]:
+            raise InputError(f"{source}: row {row} has no column {missing[0]!r}")
 
         def cells(line: str) -> str:
-            found = _cells(line, source)
-            found += [""] * (len(header) - len(found))
-            wanted = [found[k].strip() for k in columns]
-            return ",".join([_seconds(found, stamp), *wanted, *found[len(header) :]])
+            given = _cells(line, source)
+            given += [""] * (len(header) - len(given))
+            time = _seconds(given[at["timestamp"]]) if "timestamp" in at else ""
+            values = [given[at[cell]].strip() for cell in needed]
+            return ",".join([time, *values, *given[len(header) :]])
 
-        reader = RowReader(source, ("timestamp", *(header[k] for k in columns)), cells)
+        reader = RowReader(source, ("timestamp", *needed), cells)
         values = reader.read(lines, row + 1, MOST_FRAMES).values
     check_length(len(values), source)
     positions = values[:, 1:].reshape(len(values), len(names), 3)
@@ -176,14 +171,12 @@ def _cells(line: str, source: str) -> list[str]:
     try:
         return next(csv.reader([line]), [])
     except csv.Error as error:
-        raise InputError(
-            f"{source}: a row is not CSV ({error}); export it again"
-        ) from None
+        raise InputError(f"{source}: not CSV ({error}); export it again") from None
 
 
-def _seconds(cells: Sequence[str], column: int | None) -> str:
-    """Return a row's time stamp, a number or an ISO date and time, in seconds."""
-    stamp = "" if column is None else cells[column].strip()[:_LONGEST_STAMP]
+def _seconds(stamp: str) -> str:
+    """Convert a time stamp, in seconds or an ISO date and time, to seconds."""
+    stamp = stamp.strip()[:_LONGEST_STAMP]
     try:
         return repr(datetime.fromisoformat(stamp).timestamp())
     except (ValueError, OverflowError, OSError):
@@ -222,9 +215,7 @@ def frame_files(source: str) -> list[tuple[int, Path]]:
         if other and other[1] == name[1]:
             files[int(other[2])] = file
         if len(files) > MOST_FRAMES:
-            raise InputError(
-                f"{source}: is one of more than {MOST_FRAMES:,} frames; split them"
-            )
+            raise InputError(f"{source}: over {MOST_FRAMES:,} frames; split them")
     return sorted(files.items())
 
 
@@ -261,7 +252,6 @@ def read_mmpose(source: str) -> Recording:
 
 
 def _landmark_names(meta: Any) -> tuple[str, ...] | None:
-    """Return the names of landmarks in ``meta_info``, or None without any."""
     table = meta.get("keypoint_id2name") if isinstance(meta, dict) else None
     if not isinstance(table, dict):
         return None
@@ -291,7 +281,6 @@ def _recording(
     source: str,
     layout: str,
 ) -> Recording:
-    """Make the recording of all people in frames with these numbers."""
     check_length(len(frames), source)
     time = (np.array(numbers) - numbers[0]) / ASSUMED_FPS
     check_order(time, lambda k: f"{source}: frame {k + 1}: its number", "frames")
@@ -302,10 +291,7 @@ def _recording(
         if body is not None
     ]
     if not found:
-        raise InputError(
-            f"{source}: no one is in any of {len(frames)} frames; record again with "
-            "the person in view"
-        )
+        raise InputError(f"{source}: no one is in any of {len(frames)} frames")
     names = found[0][2][0]
     if any(body[0] != names for _, _, body in found):
         raise InputError(f"{source}: bodies have different landmarks; split it")

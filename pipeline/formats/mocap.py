@@ -97,8 +97,7 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
         return read_trc(path)
     if first[:1] not in ("#", ":"):
         raise InputError(
-            f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, "
-            "C3D or TRC"
+            f"{path}: not mocap: expected BVH, C3D, TRC, or AMC beside its ASF"
         )
     given = skeletons or sorted(path.parent.glob("*.asf"))
     fitting = [asf for asf in given if path.name.startswith(asf.stem)]

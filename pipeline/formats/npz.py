@@ -171,10 +171,7 @@ def clip_of_arrays(archive: dict[str, Any]) -> Clip:
     body = Body(skeleton, **{name: arrays.pop(name) for name in _BODY})
     positions = arrays.pop("positions")
     if positions.shape != (len(arrays["time"]), len(skeleton), 3):
-        raise InputError(
-            f"positions have shape {positions.shape}, expected (frames, "
-            f"{len(skeleton)}, 3); write the clip again"
-        )
+        raise InputError(f"positions have shape {positions.shape}; write it again")
     return Clip(
         **arrays,
         root=positions[:, skeleton.root],

@@ -189,8 +189,7 @@ def check_length(frames: int, source: str) -> None:
     """Raise InputError for fewer than two frames or more than MOST_FRAMES."""
     if frames < 2:
         raise InputError(
-            f"{source}: has {counted(frames, 'frame')}, expected at least 2; record a "
-            "longer take"
+            f"{source}: has {counted(frames, 'frame')}, expected at least 2"
         )
     if frames > MOST_FRAMES:
         raise InputError(
@@ -213,10 +212,10 @@ def check_rate(time: Array, source: str) -> None:
     if step > _LONGEST_STEP:
         unit, factor = min(_UNITS.items(), key=lambda u: abs(np.log(30 * step / u[1])))
         hint = f"the time stamps look like {unit}: divide them by {factor:.0f}"
+        hint = hint if step > _SHORTEST_NUMBER else "record more frames"
         raise InputError(
-            f"{source}: frames are typically {step:.4g} s apart, expected at most "
-            f"{_LONGEST_STEP:g} s; "
-            f"{hint if step > _SHORTEST_NUMBER else 'record more frames'}"
+            f"{source}: frames are {step:.4g} s apart, expected at most "
+            f"{_LONGEST_STEP:g} s; {hint}"
         )
     latest = max(time[0], time[-1], key=abs)
     spacing = np.spacing(abs(latest))
@@ -319,10 +318,8 @@ def recording_of_people(
     for row, sighting in enumerate(sightings):
         rows = rows_of.setdefault(sighting.body, [])
         if rows and frames[rows[-1]] == sighting.frame:
-            raise InputError(
-                f"{source}: frame {sighting.frame + 1} has body {sighting.body} twice; "
-                "delete one of them"
-            )
+            where = f"{source}: frame {sighting.frame + 1}"
+            raise InputError(f"{where} has body {sighting.body} twice; delete one")
         rows.append(row)
     positions, state = missing_marked(
         np.reshape([sighting.positions for sighting in sightings], (-1, joints, 3)),
@@ -366,7 +363,6 @@ def recording_of_people(
 def _notes_on_changes(
     people: Sequence[Sequence[Part]], tracks: Sequence[Track]
 ) -> Iterator[str]:
-    """Yield a note if the tracker has mistaken one person for another."""
     changes = sorted(
         float(tracks[part.track].time[part.rows[0]])
         for parts in people

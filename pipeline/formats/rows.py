@@ -71,18 +71,17 @@ class RowReader:
             named = [_fill_empty_cells(text) for text in texts]
             values = np.loadtxt(named, delimiter=",", comments=None, ndmin=2)
         except ValueError:
-            values = None
-        if values is None or values.shape != (len(rows), len(self.columns)):
-            values = np.array(
-                [self._cells(row, text) for row, text in zip(rows, texts, strict=True)]
-            )
+            values = np.empty(0)
+        if values.shape != (len(rows), len(self.columns)):
+            numbered = zip(rows, texts, strict=True)
+            values = np.array([self._numbers(row, text) for row, text in numbered])
         block = Block(rows, values)
         for column in np.flatnonzero(np.isinf(values).any(axis=0)).tolist():
             complaint = "is infinite; expected a finite number"
             self.refuse(block, column, np.isinf(values[:, column]), complaint)
         return block
 
-    def _cells(self, row: int, text: str) -> list[float]:
+    def _numbers(self, row: int, text: str) -> list[float]:
         cells, numbers = [cell.strip() for cell in text.split(",")], []
         if len(cells) != len(self.columns):
             raise InputError(
