@@ -22,7 +22,7 @@ from kinefilter.characters import KINECT_V2, InputError, State
 from kinefilter.characters.motion import check_order
 
 from .files import array_of, list_in, number_in, read_json
-from .recording import Recording, Sighting, check_length, recording_of_people
+from .recording import Recording, Sighting, check_length, takes_of_people
 
 _LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with spaces
 _TOOL = "offline_processor"
@@ -92,8 +92,8 @@ def read_azure(source: str) -> Recording:
         "Azure Kinect: its 32 joints are converted to the 25 of Kinect v2, but may be "
         "offset differently; compare with --method local-pca"
     )
-    details: dict[str, Any] = {"unit": "mm", "notes": (note,)}
-    return recording_of_people(time, sightings, KINECT_V2, source, "azure", **details)
+    takes, notes = takes_of_people(time, sightings, KINECT_V2, source)
+    return Recording(takes, "azure", unit="mm", notes=(note, *notes))
 
 
 def _slim(value: dict[str, Any]) -> dict[str, Any]:

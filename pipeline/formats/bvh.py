@@ -96,10 +96,8 @@ class Bvh:
         """World rotation of each joint, unit quaternions wxyz, shape (T, N, 4)."""
         world = np.empty((len(self), len(self.names), 4))
         for n, parent in enumerate(self.parents):
-            turns = [k for k, c in enumerate(self.channels[n]) if c[1:] == "rotation"]
-            axes = "".join(self.channels[n][k][0] for k in turns)
-            angles = np.radians(self.motion[:, self._columns(n)][:, turns])
-            local = wxyz_from_euler(angles, axes)
+            axes, angles = self._values(n, "rotation")
+            local = wxyz_from_euler(np.radians(angles), axes)
             world[:, n] = local if parent < 0 else multiply(world[:, parent], local)
         return world
 
@@ -108,19 +106,19 @@ class Bvh:
         """World position of each joint in the file's unit, shape (T, N, 3)."""
         world = np.empty((len(self), len(self.names), 3))
         for n, parent in enumerate(self.parents):
-            local = np.broadcast_to(self.offsets[n], (len(self), 3)).copy()
-            first = self._columns(n).start
-            for k, channel in enumerate(self.channels[n]):
-                if channel[1:] == "position":
-                    local[:, "XYZ".index(channel[0])] = self.motion[:, first + k]
+            local = np.tile(self.offsets[n], (len(self), 1))
+            axes, values = self._values(n, "position")
+            local[:, ["XYZ".index(axis) for axis in axes]] = values
             if parent >= 0:
                 local = world[:, parent] + rotate(self.rotations[:, parent], local)
             world[:, n] = local
         return world
 
-    def _columns(self, joint: int) -> slice:
-        first = sum(map(len, self.channels[:joint]))
-        return slice(first, first + len(self.channels[joint]))
+    def _values(self, joint: int, kind: str) -> tuple[str, Array]:
+        """Return the axes and the values (T, C) of a joint's channels of a kind."""
+        channels = enumerate(self.channels[joint], sum(map(len, self.channels[:joint])))
+        columns = {k: c[0] for k, c in channels if c[1:] == kind}
+        return "".join(columns.values()), self.motion[:, list(columns)]
 
 
 def wxyz_from_euler(angles: Array, axes: str) -> Array:
@@ -280,8 +278,8 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
         file.write("HIERARCHY\n")
         file.writelines(_hierarchy(rig, offsets, channels, 0, 0))
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
-        for some in chunks(len(motion), FRAMES_AT_ONCE):
-            numbers = motion[some]
+        for span in chunks(len(motion), FRAMES_AT_ONCE):
+            numbers = motion[span]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 
 

@@ -30,8 +30,8 @@ from .recording import (
     Sighting,
     check_length,
     open_rows,
-    recording_of,
-    recording_of_people,
+    takes_of_people,
+    takes_of_rows,
 )
 from .rows import LineReader, RowReader
 
@@ -75,7 +75,8 @@ def read_msr_action3d(source: str) -> Recording:
     halves = np.round(2.0 * np.clip(np.nan_to_num(values[..., 3]), 0.0, 1.0))
     time = np.arange(len(values)) / _MSR_FPS
     places, states = values[..., :3], halves.astype(np.uint8)
-    return recording_of(time, places, states, KINECT_V1, source, "msr-action3d")
+    takes, notes = takes_of_rows(time, places, states, KINECT_V1, source)
+    return Recording(takes, "msr-action3d", notes=notes)
 
 
 def read_ntu(source: str) -> Recording:
@@ -92,7 +93,8 @@ def read_ntu(source: str) -> Recording:
         if next(reader.filled(), None):
             reader.fail(f"comes after the last of {count} frames; correct row 1")
     time = np.arange(count) / _NTU_FPS
-    return recording_of_people(time, sightings, KINECT_V2, source, "ntu")
+    takes, notes = takes_of_people(time, sightings, KINECT_V2, source)
+    return Recording(takes, "ntu", notes=notes)
 
 
 @dataclass

@@ -38,7 +38,7 @@ from kinefilter.characters.motion import check_order
 
 from .files import array_of, list_in, number_in, read_bytes, read_json
 from .markers import mocap_of_points
-from .mocap import measured, plain_name, read_points
+from .mocap import kinect_joints, plain_name, read_points
 from .npz import check_header, read_array
 from .recording import (
     ASSUMED_FPS,
@@ -48,7 +48,7 @@ from .recording import (
     check_length,
     of_other_tracker,
     open_rows,
-    recording_of_people,
+    takes_of_people,
 )
 from .rows import RowReader
 
@@ -56,11 +56,9 @@ _LARGEST = 2**29  # bytes
 _LONGEST_STAMP = 40  # characters
 _FRAME_FILE = re.compile(r"(.*?)(\d{12})(_keypoints\.json)")
 _UNREADABLE = (ValueError, TypeError, EOFError, MemoryError, SyntaxError, OverflowError)
-_LIMBS = "shoulder elbow wrist hip knee ankle"
 
 
 def _sides(words: str) -> list[str]:
-    """Return the left and right landmark for each word."""
     return [side + word for word in words.split() for side in "lr"]
 
 
@@ -70,7 +68,7 @@ BLAZEPOSE = (
     *_sides("shoulder elbow wrist pinky index thumb hip knee ankle heel footindex"),
 )
 """MediaPipe's landmarks of a pose in its order (PoseLandmark)."""
-COCO = ("nose", *_sides(f"eye ear {_LIMBS}"))
+COCO = ("nose", *_sides("eye ear shoulder elbow wrist hip knee ankle"))
 _TOES = ("bigtoe", "smalltoe", "heel")
 WHOLE_BODY = (*COCO, *(side + toe for side in "lr" for toe in _TOES))
 """COCO-WholeBody's landmarks without those of face and hands, which follow."""
@@ -96,8 +94,6 @@ _IN_NPY = {
 COCO or Human3.6M, BODY_25 or Kinect v2."""
 _IN_JSON = {17: HUMAN_36M, 25: BODY_25, 26: HALPE, 33: BLAZEPOSE, 133: WHOLE_BODY}
 """For files that do not name their landmarks; 3D lifters give Human3.6M's 17."""
-
-# Arrays and tables of one person
 
 
 def read_npy(source: str) -> Recording:
@@ -181,9 +177,6 @@ def _seconds(stamp: str) -> str:
         return repr(datetime.fromisoformat(stamp).timestamp())
     except (ValueError, OverflowError, OSError):
         return stamp
-
-
-# JSON of several people
 
 
 _Body = tuple[tuple[str, ...], Array, Array]  # names, positions and confidence
@@ -285,25 +278,21 @@ def _recording(
     time = (np.array(numbers) - numbers[0]) / ASSUMED_FPS
     check_order(time, lambda k: f"{source}: frame {k + 1}: its number", "frames")
     found = [
-        (frame, number, body)
+        (frame, number, *body)
         for frame, bodies in enumerate(frames)
         for number, body in enumerate(bodies)
         if body is not None
     ]
     if not found:
         raise InputError(f"{source}: no one is in any of {len(frames)} frames")
-    names = found[0][2][0]
-    if any(body[0] != names for _, _, body in found):
+    frame_of, number_of, names, points, scores = zip(*found, strict=True)
+    if len(set(names)) > 1:
         raise InputError(f"{source}: bodies have different landmarks; split it")
-    points = np.stack([body[1] for _, _, body in found])
-    scores = np.stack([body[2] for _, _, body in found])
-    mocap = mocap_of_points(names, points, ASSUMED_FPS, source, scores)
-    positions, state, _, details = measured(mocap, KINECT_V2)
-    sightings = [
-        Sighting(frame, number, positions[k], state[k])
-        for k, (frame, number, _) in enumerate(found)
-    ]
-    people = recording_of_people(
-        *(time, sightings, KINECT_V2, source, layout), timed=False, **details
+    mocap = mocap_of_points(
+        names[0], np.stack(points), ASSUMED_FPS, source, np.stack(scores)
     )
+    positions, state, unit, notes, _ = kinect_joints(mocap, KINECT_V2)
+    sightings = list(map(Sighting, frame_of, number_of, positions, state))
+    takes, others = takes_of_people(time, sightings, KINECT_V2, source)
+    people = Recording(takes, layout, unit, (*notes, *others), timed=False)
     return of_other_tracker(people)

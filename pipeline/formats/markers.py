@@ -33,7 +33,7 @@ C3D_MAGIC = 0x50
 _BLOCK = 512  # bytes of a C3D file
 _LARGEST_C3D = 2**30  # bytes
 _HEADER = 5  # lines
-_LEAST_RATE = 0.01  # frames a second
+_LEAST_RATE = 0.01  # frames/s
 
 
 def read_trc(path: AnyPath) -> Mocap:

@@ -21,7 +21,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -41,7 +40,7 @@ from .acclaim import read_amc, read_asf
 from .bvh import read_bvh
 from .files import AnyPath, beginning, check_file
 from .markers import C3D_MAGIC, TRC_MAGIC, read_c3d, read_trc
-from .recording import Mocap, Recording, check_length, of_other_tracker, recording_of
+from .recording import Mocap, Recording, check_length, of_other_tracker, takes_of_rows
 
 _POINT_RIGS = ("plug_in_gait", "keypoints")
 RIGS = ("cmu", "motionbuilder", "acclaim", *_POINT_RIGS)
@@ -148,18 +147,18 @@ def _recording(
     check_length(len(mocap.positions), mocap.source)
     _, missing = matching_source_rig(mocap.bare_names, skeletons[0], ())
     skeleton = skeletons[1] if missing else skeletons[0]
-    positions, state, rig, details = measured(mocap, skeleton, rigs)
+    positions, state, unit, notes, rig = kinect_joints(mocap, skeleton, rigs)
     if time is None:
         time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
-    motion = (time, positions, state, skeleton)
-    recording = recording_of(*motion, mocap.source, layout, **details)
+    takes, others = takes_of_rows(time, positions, state, skeleton, mocap.source)
+    recording = Recording(takes, layout, unit, (*notes, *others))
     return recording if rig == skeleton.name else of_other_tracker(recording)
 
 
-def measured(
+def kinect_joints(
     mocap: Mocap, skeleton: Skeleton, rigs: Sequence[str] = _POINT_RIGS
-) -> tuple[Array, Codes, str, dict[str, Any]]:
-    """Return positions [m] (T, J, 3), states (T, J), the rig, and unit and notes.
+) -> tuple[Array, Codes, str, list[str], str]:
+    """Return positions [m] (T, J, 3), states (T, J), the unit, notes and the rig.
 
     Raises InputError as ``kinect_motion``.
     """
@@ -176,8 +175,7 @@ def measured(
     if motion.confidence is not None:
         state[~(motion.confidence >= _TRACKED_FROM)] = State.INFERRED
         state[~(motion.confidence > 0.0)] = State.NOT_TRACKED
-    details = {"unit": motion.unit or "unknown", "notes": tuple(notes)}
-    return positions, state, motion.rig, details
+    return positions, state, motion.unit or "unknown", notes, motion.rig
 
 
 @dataclass(frozen=True, eq=False)

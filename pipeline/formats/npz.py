@@ -75,7 +75,7 @@ def read_arrays(path: AnyPath, expected: str = _OURS) -> dict[str, NDArray[Any]]
         if size > _LARGEST or len(members) > _MOST_ARRAYS:
             raise InputError(
                 f"{os.fspath(path)}: {len(members)} arrays of {size / 1e6:.0f} MB are "
-                "more than kinefilter writes; is it the right file?"
+                f"more than kinefilter writes; give {expected}"
             )
         arrays = {}
         for member in members:

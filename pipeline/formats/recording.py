@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.people import Part, Track
 
 _Path = TypeVar("_Path", bound=PurePath)
+Notes = tuple[str, ...]
 
 MOST_FRAMES = 1_000_000  # per recording: nine hours at 30 frames/s
 FASTEST = 2000.0  # frames/s, of marker mocap
@@ -60,7 +61,7 @@ class Recording:
     takes: tuple[Take, ...]  # one per person, in order of appearance
     format: str  # name of the file's format (``takes.FORMATS``)
     unit: str = "m"  # the file's own unit of length
-    notes: tuple[str, ...] = ()  # what the user should know about how it was read
+    notes: Notes = ()  # what the user should know about how it was read
     timed: bool = True  # False if the file has no time stamps
 
     @property
@@ -158,31 +159,23 @@ def missing_marked(positions: Array, state: Codes) -> tuple[Array, Codes]:
     return np.where(seen[..., None], positions, np.nan), state
 
 
-def recording_of(
-    time: Array,
-    positions: Array,
-    state: Codes,
-    skeleton: Skeleton,
-    source: str,
-    layout: str,
-    **details: Any,
-) -> Recording:
-    """Make a recording from the rows of a table; raises InputError if malformed.
+def takes_of_rows(
+    time: Array, positions: Array, state: Codes, skeleton: Skeleton, source: str
+) -> tuple[tuple[Take, ...], Notes]:
+    """Return the takes in the rows of a table, and notes for the user.
 
-    Time stamps [s] have shape (T,), positions [m] (T, J, 3), tracking states (T, J);
-    ``details`` are other fields of Recording. The rows are one person's, unless many
-    repeat the time stamp of another row at another place: then of several people.
+    Time stamps [s] have shape (T,), positions [m] (T, J, 3), tracking states (T, J).
+    The rows are one person's, unless many repeat the time stamp of another row at
+    another place: then of several people. Raises InputError if they are not a take.
     """
     check_length(len(time), source)
     check_rate(time, source)
     positions, state = missing_marked(positions, state)
     check_extent(positions, source)
-    stamps, found = _sightings(time, positions, state, skeleton.root)
-    if found:
-        return recording_of_people(stamps, found, skeleton, source, layout, **details)
-    return Recording(
-        (Take(time, positions, state, skeleton, source),), layout, **details
-    )
+    stamps, sightings = _sightings(time, positions, state, skeleton.root)
+    if sightings:
+        return takes_of_people(stamps, sightings, skeleton, source)
+    return (Take(time, positions, state, skeleton, source),), ()
 
 
 def check_length(frames: int, source: str) -> None:
@@ -192,9 +185,7 @@ def check_length(frames: int, source: str) -> None:
             f"{source}: has {counted(frames, 'frame')}, expected at least 2"
         )
     if frames > MOST_FRAMES:
-        raise InputError(
-            f"{source}: has more than {MOST_FRAMES:,} frames; cut it into shorter takes"
-        )
+        raise InputError(f"{source}: over {MOST_FRAMES:,} frames; cut it into parts")
 
 
 def check_rate(time: Array, source: str) -> None:
@@ -290,23 +281,15 @@ def _sightings(
     return stamps, sightings
 
 
-def recording_of_people(
-    time: Array,
-    sightings: Sequence[Sighting],
-    skeleton: Skeleton,
-    source: str,
-    layout: str,
-    *,
-    notes: tuple[str, ...] = (),
-    **details: Any,
-) -> Recording:
-    """Make a recording of several people, in order of appearance.
+def takes_of_people(
+    time: Array, sightings: Sequence[Sighting], skeleton: Skeleton, source: str
+) -> tuple[tuple[Take, ...], Notes]:
+    """Return the takes of several people, in order of appearance, and notes.
 
     The tracker's numbers are only a hint at who is who (``people``). A take goes from
     its person's first frame to the last, without long gaps. Sightings are in the order
-    of the frames, whose time stamps [s] have shape (T,); ``details`` are other fields
-    of Recording. Raises InputError if no one is tracked, a body is in a frame twice, or
-    a take is malformed.
+    of the frames, whose time stamps [s] have shape (T,). Raises InputError if no one is
+    tracked, a body is in a frame twice, or a take is malformed.
     """
     from kinefilter.pipeline.people import Track, people_of
 
@@ -316,16 +299,16 @@ def recording_of_people(
     frames = np.array([sighting.frame for sighting in sightings], dtype=np.intp)
     rows_of: dict[int, list[int]] = {}
     for row, sighting in enumerate(sightings):
-        rows = rows_of.setdefault(sighting.body, [])
-        if rows and frames[rows[-1]] == sighting.frame:
+        others = rows_of.setdefault(sighting.body, [])
+        if others and frames[others[-1]] == sighting.frame:
             where = f"{source}: frame {sighting.frame + 1}"
             raise InputError(f"{where} has body {sighting.body} twice; delete one")
-        rows.append(row)
+        others.append(row)
     positions, state = missing_marked(
         np.reshape([sighting.positions for sighting in sightings], (-1, joints, 3)),
         np.reshape([sighting.state for sighting in sightings], (-1, joints)),
     )
-    bodies = [np.array(rows) for rows in rows_of.values()]
+    bodies = [np.array(body) for body in rows_of.values()]
     tracks = [Track(time[frames[b]], positions[b], skeleton) for b in bodies]
     for track in tracks:
         if np.isfinite(track.positions).any():
@@ -356,27 +339,27 @@ def recording_of_people(
         places[tracked], states[tracked] = positions[rows], state[rows]
         check_extent(places, name)
         takes.append(Take(time[span], places, states, skeleton, name))
-    notes += tuple(_notes_on_changes([parts for parts, _ in people], tracks))
-    return Recording(tuple(takes), layout, notes=notes, **details)
+    return tuple(takes), _notes_on_changes([parts for parts, _ in people], tracks)
 
 
 def _notes_on_changes(
     people: Sequence[Sequence[Part]], tracks: Sequence[Track]
-) -> Iterator[str]:
+) -> Notes:
     changes = sorted(
         float(tracks[part.track].time[part.rows[0]])
         for parts in people
         for last, part in pairwise(parts)
         if last.track != part.track
     )
-    if changes:
-        times = ", ".join(f"{time:.1f}" for time in changes[:_MOST_TIMES_LISTED])
-        others = len(changes) - _MOST_TIMES_LISTED
-        more = f" and {others} more times" if others > 0 else ""
-        yield (
-            f"the tracker's numbers for people change at {times} s{more}: people were "
-            "told apart by place, time and body lengths"
-        )
+    if not changes:
+        return ()
+    times = ", ".join(f"{time:.1f}" for time in changes[:_MOST_TIMES_LISTED])
+    others = len(changes) - _MOST_TIMES_LISTED
+    more = f" and {others} more times" if others > 0 else ""
+    return (
+        f"the tracker's numbers for people change at {times} s{more}: people were told "
+        "apart by place, time and body lengths",
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ from .recording import (
     check_length,
     missing_marked,
     open_rows,
-    recording_of,
+    takes_of_rows,
 )
 from .rows import Block, RowReader
 
@@ -69,8 +69,8 @@ def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
     with new_text(path) as file:
         file.write(take_header(motion.skeleton))
-        for some in chunks(len(motion), FRAMES_AT_ONCE):
-            rows = take_rows(motion.time[some], motion.positions[some], state[some])
+        for span in chunks(len(motion), FRAMES_AT_ONCE):
+            rows = take_rows(motion.time[span], motion.positions[span], state[span])
             file.write(rows)
 
 
@@ -191,15 +191,17 @@ def _msrc_12(_line: str, _source: str) -> _Layout:
     return _Layout("msrc-12", KINECT_V1, columns, normalize, 1e-6, weighted=True)
 
 
-def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
+def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
     with open_rows(source) as (row, line, lines):
-        layout = lay_out(line, source)
+        layout = layout_of(line, source)
         if not layout.has_header:
             lines = chain([line], lines)
         reader = RowReader(source, layout.columns, layout.normalize)
         blocks, count, notes = [], 0, list[str]()
         if source.endswith(PART):
-            lines = _untorn(lines, row + layout.has_header, layout.columns, notes)
+            lines = _without_torn_end(
+                lines, row + layout.has_header, layout.columns, notes
+            )
         for block in reader.blocks(lines, row + layout.has_header):
             blocks.append(_frames(block, layout, reader))
             count += len(block.rows)
@@ -216,11 +218,11 @@ def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
     if layout.weighted and state.max() == State.INFERRED:
         # Not states but the w of homogeneous points, 1 for every joint present.
         state = np.where(state > 0, State.TRACKED, State.NOT_TRACKED).astype(np.uint8)
-    motion = (time, positions, state, layout.skeleton)
-    return recording_of(*motion, source, layout.name, notes=tuple(notes))
+    takes, others = takes_of_rows(time, positions, state, layout.skeleton, source)
+    return Recording(takes, layout.name, notes=(*notes, *others))
 
 
-def _untorn(
+def _without_torn_end(
     lines: Iterable[str], first_row: int, columns: Sequence[str], notes: list[str]
 ) -> Iterator[str]:
     """Yield lines except an incomplete last one, which is noted instead."""
