@@ -287,7 +287,7 @@ def read_contacts(path: AnyPath, time: Array) -> Flags:
     if stamps[0] > time[-1] + _ROUNDED or (len(stamps) > 1 and stamps[-1] < time[0]):
         raise InputError(
             f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, are "
-            f"outside the take's, {time[0]:.3f} to {time[-1]:.3f} s; give another file"
+            f"outside the take's, {time[0]:.3f} to {time[-1]:.3f} s; use this take's"
         )
     rows = np.searchsorted(stamps, time + _ROUNDED, side="right") - 1
     return np.asarray(flags[np.maximum(rows, 0)])
