@@ -119,7 +119,7 @@ def _sighting(frame: int, body: Any, where: str) -> Sighting:
     if np.shape(level) != (len(JOINTS),) or not np.isin(level, range(4)).all():
         raise InputError(
             f"{where}: body {number:g} has no valid confidence levels, expected "
-            f"{len(JOINTS)} of 0 none, 1 low, 2 medium and 3 high"
+            f"{len(JOINTS)} numbers: 0 none, 1 low, 2 medium or 3 high"
         )
     state = np.minimum(np.asarray(level, dtype=np.intp), State.TRACKED)
     places = positions[_PAIRS].mean(axis=1) * _METERS

@@ -36,8 +36,7 @@ from .recording import (
 from .rows import LineReader, RowReader
 
 _NTU_FPS, _MSR_FPS = 30.0, 15.0
-_BODY_VALUES = 10
-_JOINT_VALUES = 12
+_PER_BODY, _PER_JOINT = 10, 12  # values in a line of NTU
 
 MSR_JOINTS = (
     *("ShoulderRight", "ShoulderLeft", "ShoulderCenter", "Spine"),
@@ -121,9 +120,10 @@ class _NtuReader(LineReader):
 
     def body(self, frame: int) -> Sighting:
         words = self.words()
-        if len(words) != _BODY_VALUES:
+        if len(words) != _PER_BODY:
             self.fail(
-                f"has {len(words)} values, not {_BODY_VALUES} of a body; check row 1"
+                f"has {len(words)} values, not the {_PER_BODY} of a body; correct row 1, "
+                "the number of frames"
             )
         body = self.whole("the body's number", words[0])
         joints = self.whole("the number of joints")
@@ -132,8 +132,8 @@ class _NtuReader(LineReader):
         values = np.empty((joints, 4))
         for row in values:
             words = self.words()
-            if len(words) != _JOINT_VALUES:
-                self.fail(f"has {len(words)} values, not {_JOINT_VALUES} of a joint")
+            if len(words) != _PER_JOINT:
+                self.fail(f"has {len(words)} values, not the {_PER_JOINT} of a joint")
             try:
                 row[:] = *words[:3], words[-1]
             except ValueError:

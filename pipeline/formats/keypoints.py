@@ -24,7 +24,6 @@ import csv
 import io
 import os
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -234,7 +233,7 @@ def read_mmpose(source: str) -> Recording:
         names = _landmark_names(root.get("meta_info"))
     else:
         listed, names = root, None
-    frames, numbers = [], []
+    frames, numbers = list[list[_Body | None]](), []
     for k, frame in enumerate(listed):
         where = f"{source}: frame {k + 1}"
         bodies = list_in(frame, "instances", where, "MMPose")
@@ -269,10 +268,7 @@ def _mmpose_body(body: Any, names: tuple[str, ...] | None, where: str) -> _Body:
 
 
 def _recording(
-    frames: Sequence[Sequence[_Body | None]],
-    numbers: Sequence[float],
-    source: str,
-    layout: str,
+    frames: list[list[_Body | None]], numbers: list[float], source: str, layout: str
 ) -> Recording:
     check_length(len(frames), source)
     time = (np.array(numbers) - numbers[0]) / ASSUMED_FPS

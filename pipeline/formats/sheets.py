@@ -146,7 +146,7 @@ def _kinefilter(line: str, source: str) -> _Layout:
             "the joint, such as Head.x"
         )
     elif missing := [column for column in needed if column not in columns]:
-        wrong = f" has no column {missing[0]}; add it or delete all of this joint"
+        wrong = f" has no column {missing[0]}; add it or delete the joint's columns"
     if wrong:
         raise InputError(f"{source}: row 1{wrong}")
     return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
