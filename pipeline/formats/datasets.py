@@ -122,8 +122,8 @@ class _NtuReader(LineReader):
         words = self.words()
         if len(words) != _PER_BODY:
             self.fail(
-                f"has {len(words)} values, not the {_PER_BODY} of a body; correct row 1, "
-                "the number of frames"
+                f"has {len(words)} values, not the {_PER_BODY} of a body; row 1 may "
+                "have the wrong number of frames"
             )
         body = self.whole("the body's number", words[0])
         joints = self.whole("the number of joints")

@@ -152,16 +152,6 @@ def _kinefilter(line: str, source: str) -> _Layout:
     return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
 
 
-def _kinect_v2(_line: str, _source: str) -> _Layout:
-    columns = _columns(KINECT_V2)
-
-    def normalize(line: str) -> str:
-        # The recorder puts a comma after every cell, including the last.
-        return line[:-1] if line.count(",") == len(columns) else line
-
-    return _Layout("kinect-v2", KINECT_V2, columns, normalize, 100e-9)
-
-
 def _kinect_v1(line: str, source: str) -> _Layout:
     names = [n.strip().strip('"') for n in line.strip().rstrip(";").split(";")]
     joints = tuple(name for name in names if name in KINECT_V1.joints)
@@ -183,12 +173,18 @@ def _kinect_v1(line: str, source: str) -> _Layout:
     return _Layout("kinect-v1", KINECT_V1, columns, normalize, 1 / 30, has_header=True)
 
 
-def _msrc_12(_line: str, _source: str) -> _Layout:
-    def normalize(line: str) -> str:
-        return ",".join(line.replace(",", " ").split())
+def _v2_cells(line: str) -> str:
+    # The recorder puts a comma after every cell, including the last.
+    return line[:-1] if line.count(",") == len(_V2_COLUMNS) else line
 
-    columns = _columns(KINECT_V1)
-    return _Layout("msrc-12", KINECT_V1, columns, normalize, 1e-6, weighted=True)
+
+def _msrc_cells(line: str) -> str:
+    return ",".join(line.replace(",", " ").split())
+
+
+_V1_COLUMNS, _V2_COLUMNS = _columns(KINECT_V1), _columns(KINECT_V2)
+_V2 = _Layout("kinect-v2", KINECT_V2, _V2_COLUMNS, _v2_cells, 100e-9)
+_MSRC = _Layout("msrc-12", KINECT_V1, _V1_COLUMNS, _msrc_cells, 1e-6, weighted=True)
 
 
 def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
@@ -234,9 +230,9 @@ def _without_torn_end(
 
 
 read_kinefilter = partial(_read, _kinefilter)
-read_kinect_v2 = partial(_read, _kinect_v2)
+read_kinect_v2 = partial(_read, lambda *_: _V2)
 read_kinect_v1 = partial(_read, _kinect_v1)
-read_msrc_12 = partial(_read, _msrc_12)
+read_msrc_12 = partial(_read, lambda *_: _MSRC)
 
 
 def _frames(
