@@ -168,7 +168,7 @@ def test_a_zipped_bvh_is_the_same_bvh(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (SMALL, "", "ends the file, expected the line MOTION"),
+        (SMALL, "", "ends the file before the line MOTION"),
         ("HIERARCHY", "hello there", "line 1 is 'hello there'"),
         ("OFFSET 1 0 0", "OFFSET 1 0", "line 7 has offset '1 0'"),
         ("OFFSET 1 0 0", "OFFSET 1 0 x", "line 7 has offset '1 0 x'"),

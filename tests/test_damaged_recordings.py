@@ -42,7 +42,7 @@ def edited(lines: list[str], row: int, text: str) -> str:
     [
         ("".join(ntu_lines()[:40]), ["ends the file in frame 2 of 3", "cut off"]),
         (edited(ntu_lines(), 1, "9" * 15), ["ends the file in frame 4"]),
-        (edited(ntu_lines(), 1, "2"), ["goes on after 2 frames", "row 1"]),
+        (edited(ntu_lines(), 1, "2"), ["after the last of 2 frames", "row 1"]),
         (edited(ntu_lines(), 2, "many"), ["row 2", "'many'", "number of bodies"]),
         (edited(ntu_lines(), 2, "0"), ["row 3", "expected the number of bodies"]),
         (edited(ntu_lines(), 3, "7 0 1"), ["row 3", "3 values", "10 of a body"]),
@@ -52,7 +52,7 @@ def edited(lines: list[str], row: int, text: str) -> str:
         (edited(ntu_lines(), 6, "1e400" + " 2" * 11), ["row 6", "infinite"]),
         (edited(ntu_lines(), 6, "1 " * 11 + "7"), ["row 6", "'7'", "tracking state"]),
         ("1\n0\n", ["1 frame,", "at least 2"]),
-        ("2\n0\n0\n", ["nobody is tracked"]),
+        ("2\n0\n0\n", ["no one is tracked"]),
     ],
 )
 def test_damaged_ntu_files_are_refused_naming_the_row(
@@ -78,8 +78,8 @@ def azure_with(**changes: object) -> str:
     ("text", "words"),
     [
         (azure_json([made_up(3)])[:5000], ["not JSON", "cut off"]),
-        ("{}", ["without 'frames'"]),
-        ('{"frames": {}}', ["without 'frames'"]),
+        ("{}", ["no list 'frames'"]),
+        ('{"frames": {}}', ["no list 'frames'"]),
         ("[" * 100_000, ["row 1"]),
         ('{"a":' * 100_000, ["not JSON"]),
         ('{"frames": [1, 2]}', ["frame 1", "timestamp_usec"]),
@@ -138,7 +138,7 @@ def test_a_torn_last_row_of_a_killed_recording_is_left_out_and_a_note_says_so(
     torn = write_text(tmp_path / "take.1.part.csv", text[:-30])
     recording = read_recording(torn)
     assert len(recording.takes[0]) == 2
-    assert recording.notes == ("row 4 was not written to its end: it is left out",)
+    assert recording.notes == ("row 4 is incomplete: it is left out",)
     assert "row 4 has" in complaint(write_text(torn, text[:-30], "\n"))
     assert len(read_recording(write_text(torn, text[:-1])).takes[0]) == 3
     assert "row 4 has" in complaint(write_text(tmp_path / "take.csv", text[:-30]))

@@ -150,7 +150,7 @@ def test_c3d_and_usd_are_read_in_bounded_memory(
     # On Linux the system bounds it; this is how it is bounded elsewhere.
     write_clip(make_clip(), tmp_path / "clip.usdc")
     monkeypatch.setattr(guarded, "_MEMORY", 1)
-    monkeypatch.setattr(guarded, "_LOOK", 0.01)
+    monkeypatch.setattr(guarded, "_INTERVAL", 0.01)
     with pytest.raises(InputError, match=r"the reader failed .* too large"):
         guarded.read_guarded("usd_reader:clip_arrays", str(tmp_path / "clip.usdc"))
 
@@ -161,7 +161,7 @@ def test_a_file_that_takes_too_long_to_read_is_refused(
     write_clip(make_clip(), tmp_path / "clip.usdc")
     for seconds in ("_SECONDS", "_PER_BYTE"):
         monkeypatch.setattr(guarded, seconds, 0.0)
-    monkeypatch.setattr(guarded, "_LOOK", 0.01)
+    monkeypatch.setattr(guarded, "_INTERVAL", 0.01)
     with pytest.raises(InputError, match=r"takes over 0 s to read"):
         guarded.read_guarded("usd_reader:clip_arrays", str(tmp_path / "clip.usdc"))
 
@@ -205,7 +205,7 @@ def test_names_that_windows_takes_for_devices_are_refused_there(
     assert files.check_folder(tmp_path / "aux.csv")
     monkeypatch.setattr(files, "_WINDOWS", True)
     for name in ("aux.csv", "NUL", "com1.take.bvh", "a:b.csv", "what?.usdc", "end."):
-        with pytest.raises(InputError, match="Windows keeps such names"):
+        with pytest.raises(InputError, match="Windows reserves such names"):
             files.check_folder(tmp_path / name)
     for name in ("auxiliary.csv", "com.csv", "aux-1.csv", ".hidden", "a b.csv"):
         assert files.check_folder(tmp_path / name)

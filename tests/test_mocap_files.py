@@ -112,7 +112,7 @@ def test_amc_bones_end_where_matrices_put_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("length 2", "length two", ["line 18", "1 finite numbers"]),
+        ("length 2", "length two", ["line 18", "1 finite number"]),
         ("direction 0 1 0", "direction 0 1 nan", ["line 17", "finite"]),
         ("axis 0 0 90 XYZ", "axis 0 0 90 XXZ", ["axis"]),
         ("dof ry\n", "dof rq\n", ["degrees of freedom 'rq'"]),

@@ -87,7 +87,7 @@ def test_who_comes_back_is_the_same_person_by_place_time_and_body_lengths(
     )  # no frames in long gaps
     assert len(recording.takes[0]) == count
     told = " ".join(recording.notes)
-    assert ("numbers of people change" in told) == (people == 1)
+    assert ("numbers for people change" in told) == (people == 1)
 
 
 @pytest.mark.parametrize("far", [0.0, 0.35])

@@ -1,10 +1,10 @@
-"""Acclaim's ASF (skeleton) and AMC (motion), in which CMU's mocap comes.
+"""Acclaim's ASF (skeleton) and AMC (motion), the formats of CMU's mocap.
 
 Layout (Lander 1998, Working with motion capture file formats, Game Developer): an ASF
-has ``:units``, ``:root``, ``:bonedata`` with ``begin`` to ``end`` a bone (name,
-direction, length, axis, dof) and ``:hierarchy`` with lines of a parent and its
-children; an AMC the number of each frame and a line of values for each bone that
-moves. A bone's own axes are turned by ``axis``; its motion turns about them, x first.
+has ``:units``, ``:root``, ``:bonedata`` with each bone (name, direction, length, axis,
+dof) from ``begin`` to ``end``, and ``:hierarchy`` with lines of a parent and its
+children. An AMC has the number of each frame and a line of values for each bone that
+moves. ``axis`` rotates a bone's own axes, about which its motion turns, x first.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .recording import Mocap
 from .rows import LineReader
 
 _FRAME_TIME = 1.0 / 120.0
-"""Time between frames [s]: no AMC tells it, CMU's cameras took 120 a second."""
+"""Time between frames [s], which AMC files lack; CMU recorded 120 frames/s."""
 _MOST_BONES = 1000
 _ROOT = "root"
 _FREEDOMS = ("rx", "ry", "rz", "tx", "ty", "tz")
@@ -44,20 +44,20 @@ class Acclaim:
     """The skeleton of an ASF file, in its own unit of length."""
 
     bones: dict[str, _Bone]
-    """By name, every parent before its children, the root first."""
-    degrees: bool
+    """By name, the root first and parents before their children."""
+    degrees: bool  # unit of angles; else radians
     source: str
 
 
 def read_asf(path: AnyPath) -> Acclaim:
-    """Read an ASF file; raises InputError, which names the line, where it is wrong."""
+    """Read an ASF file; raises InputError, which names the line, if malformed."""
     source = os.fspath(path)
     with open_text(path) as lines:
         reader = _AsfReader(source, lines)
         for key, *values in reader.filled("#"):
             reader.take(key, values)
     if len(reader.bones) < 2:
-        raise InputError(f"{source}: has no :bonedata; is it an ASF file?")
+        raise InputError(f"{source}: has no :bonedata; give an ASF file")
     ordered = [_ROOT]
     for parent in ordered:
         ordered += [n for n, bone in reader.bones.items() if bone.parent == parent]
@@ -80,7 +80,7 @@ class _AsfReader(LineReader):
             self.bones[_ROOT].freedoms = self._freedoms(values)
         elif self.section == ":root" and key == "orientation":
             if self.numbers(values, 3).any():
-                self.fail("turns the root, which is not supported; expected 0 0 0")
+                self.fail("turns the root, which is not supported; write 0 0 0")
         elif self.section == ":bonedata":
             self._bone_line(key, values)
         elif self.section == ":hierarchy" and key not in ("begin", "end"):
@@ -96,13 +96,13 @@ class _AsfReader(LineReader):
         if key in ("begin", "end"):
             self.bone = _Bone() if key == "begin" else None
         elif self.bone is None:
-            self.fail(f"is {key[:40]!r}, expected begin")
+            self.fail(f"is {key[:40]!r}, expected 'begin'")
         elif key == "name":
             name = " ".join(values)
             if name in self.bones or not name:
-                self.fail(f"names bone {name[:40]!r} again")
+                self.fail(f"names bone {name[:40]!r} again; rename one of them")
             if len(self.bones) > _MOST_BONES:
-                self.fail(f"is bone number {len(self.bones)}, more than any body has")
+                self.fail(f"is bone {len(self.bones)}, more than any body has")
             self.bones[name] = self.bone
         elif key == "direction":
             self.bone.direction = self.numbers(values, 3)
@@ -111,8 +111,8 @@ class _AsfReader(LineReader):
         elif key == "axis":
             order = values[3].upper() if len(values) == 4 else ""
             if sorted(order) != ["X", "Y", "Z"]:
-                self.fail("has no axis, expected three numbers and an order like XYZ")
-            self.bone.axis = _turned(self.numbers(values[:3], 3), order, self.degrees)
+                self.fail("has no axis; expected three numbers and an order like XYZ")
+            self.bone.axis = _rotation(self.numbers(values[:3], 3), order, self.degrees)
         elif key == "dof":
             self.bone.freedoms = self._freedoms(values)
 
@@ -126,14 +126,14 @@ class _AsfReader(LineReader):
         return freedoms
 
 
-def _turned(angles: Array, axes: str, degrees: bool) -> Array:
-    """Return the rotation of turns about fixed axes, the first named first."""
+def _rotation(angles: Array, axes: str, degrees: bool) -> Array:
+    """Return the rotation by angles about fixed axes, in the order given."""
     angles = np.radians(angles) if degrees else angles
     return wxyz_from_euler(angles[..., ::-1], axes[::-1])
 
 
 def read_amc(path: AnyPath, skeleton: Acclaim) -> Mocap:
-    """Read where an AMC file's bones end and how they turn; raises InputError."""
+    """Read an AMC file's bone ends and rotations; raises InputError if malformed."""
     source = os.fspath(path)
     values = _amc_values(source, skeleton)
     frames = len(values[_ROOT])
@@ -142,9 +142,9 @@ def read_amc(path: AnyPath, skeleton: Acclaim) -> Mocap:
     rotations = np.empty((frames, len(names), 4))
     for n, (name, bone) in enumerate(skeleton.bones.items()):
         moves = values.get(name, np.empty((frames, 0)))
-        about = [k for k, freedom in enumerate(bone.freedoms) if freedom[0] == "r"]
-        axes = "".join(bone.freedoms[k][1].upper() for k in about)
-        turn = _turned(moves[:, about], axes, skeleton.degrees)
+        angles = [k for k, freedom in enumerate(bone.freedoms) if freedom[0] == "r"]
+        axes = "".join(bone.freedoms[k][1].upper() for k in angles)
+        turn = _rotation(moves[:, angles], axes, skeleton.degrees)
         if bone.parent is None:
             rotations[:, n] = turn
             for k, freedom in enumerate(bone.freedoms):
@@ -154,8 +154,8 @@ def read_amc(path: AnyPath, skeleton: Acclaim) -> Mocap:
         p = names.index(bone.parent)
         own = multiply(multiply(bone.axis, turn), inverse(bone.axis))
         rotations[:, n] = multiply(rotations[:, p], own)
-        reach = rotate(rotations[:, n], bone.direction * bone.length)
-        positions[:, n] = positions[:, p] + reach
+        vector = rotate(rotations[:, n], bone.direction * bone.length)
+        positions[:, n] = positions[:, p] + vector
     return Mocap(names, positions, rotations, _FRAME_TIME, source)
 
 
@@ -172,7 +172,7 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
             if len(values) != frames:
                 raise InputError(
                     f"{source}: {where} ends frame {frames} without bone {name!r}; the "
-                    "file may be cut off"
+                    "file may be cut off, copy it again"
                 )
 
     with open_text(source) as lines:
@@ -189,9 +189,9 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
                 reader.fail(f"names {name!r}, not in the ASF; give this subject's ASF")
             values = reader.numbers(words, moving[name], f"bone {name!r} as ")
             if len(rows[name]) != frames - 1:
-                reader.fail(f"has {name!r} twice, or outside of a frame")
+                reader.fail(f"has {name!r} twice in a frame, or before the first")
             rows[name].append(values)
     end_frame("the file")
     if not frames:
-        raise InputError(f"{source}: has no frames; expected an AMC file")
+        raise InputError(f"{source}: has no frames; give an AMC file")
     return {name: np.array(values) for name, values in rows.items()}

@@ -1,14 +1,14 @@
-"""Azure Kinect: bodies as JSON, as Microsoft's sample ``offline_processor`` writes.
+"""Azure Kinect: bodies as JSON, as Microsoft's sample ``offline_processor`` writes it.
 
 Layout (microsoft/Azure-Kinect-Samples, body-tracking-samples/offline_processor):
 ``joint_names``, ``bone_list`` and ``frames``, each with ``timestamp_usec`` and
 ``bodies``, each with ``body_id``, ``joint_positions`` (32 times x, y, z in mm) and
-``joint_orientations``. Programs made from the sample add the joints' confidence levels
-(k4abt_joint_confidence_level_t) to the body: 32 numbers under any name that has
-``confidence`` in it.
+``joint_orientations``. Programs derived from the sample add the joints' confidence
+levels (k4abt_joint_confidence_level_t) to a body: 32 numbers under any name that
+contains ``confidence``.
 
-The 32 joints become the 25 of Kinect v2, on which everything else stands: bodies,
-database, reliability, failures. Face and clavicles tell nothing more about the body.
+The 32 joints are converted to the 25 of Kinect v2, on which everything else is based:
+bodies, database, reliability, failures. Face and clavicles add nothing to the body.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ import numpy as np
 from kinefilter.characters import KINECT_V2, InputError, State
 from kinefilter.characters.motion import check_order
 
-from .files import read_json
-from .recording import Recording, Sighting, check_length, recording_of_people
+from .files import array_of, list_in, number_in, read_json
+from .recording import Recording, Sighting, check_length, takes_of_people
 
-_LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with
+_LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with spaces
+_TOOL = "offline_processor"
 
 JOINTS = (
     *("PELVIS", "SPINE_NAVEL", "SPINE_CHEST", "NECK"),
@@ -39,39 +40,33 @@ JOINTS = (
 """The joints of the body tracking SDK in its order (k4abt_joint_id_t)."""
 
 _TRUNK = {
-    "SpineBase": ("PELVIS",),
+    "SpineBase": ("PELVIS", "PELVIS"),
     "SpineMid": ("SPINE_NAVEL", "SPINE_CHEST"),
     "SpineShoulder": ("CLAVICLE_LEFT", "CLAVICLE_RIGHT"),
-    "Neck": ("NECK",),
+    "Neck": ("NECK", "NECK"),
     "Head": ("EAR_LEFT", "EAR_RIGHT"),
 }
-"""Joints of Kinect v2 that lie elsewhere than Azure Kinect's of like name: at the mean
-of these. Kinect v2 has the middle of the spine between navel and chest, its upper end
-between the shoulders, and the head in the middle of the skull, Azure Kinect at its
-base."""
+"""Joints of Kinect v2 that differ from Azure Kinect's of similar name: each is at the
+mean of these. Kinect v2 has the middle of the spine between navel and chest, its upper
+end between the shoulders, and the head in the middle of the skull, not at its base."""
 
 
 def _sources(joint: str) -> list[int]:
-    """Return the two joints whose mean a joint of Kinect v2 is, or twice the same."""
+    """Return the two joints whose mean is a joint of Kinect v2, or one joint twice."""
     limb = re.sub("(Left|Right)$", r"_\1", joint).upper()
-    first, *other = _TRUNK.get(joint, (limb,))
-    return [JOINTS.index(name) for name in (first, *(other or [first]))]
+    return [JOINTS.index(name) for name in _TRUNK.get(joint, (limb, limb))]
 
 
 _PAIRS = np.array([_sources(joint) for joint in KINECT_V2.joints])
-_TO_OURS = np.array([-1e-3, -1e-3, 1e-3])
-"""Meters for millimeters, x to the camera's left for right, y up for down: half a turn
-about z, after which a take faces the sensor as takes of Kinect v2 do."""
+_METERS = np.array([-1e-3, -1e-3, 1e-3])
+"""From millimeters to meters, from x right to x left and from y down to y up: after
+this half turn about z, a person faces the sensor as in takes of Kinect v2."""
 
 
 def read_azure(source: str) -> Recording:
-    """Read a JSON file of bodies; raises InputError where it is malformed."""
+    """Read a JSON file of bodies; raises InputError if it is malformed."""
     root = read_json(source, _LARGEST, _slim)
-    frames = root.get("frames") if isinstance(root, dict) else None
-    if not isinstance(frames, list):
-        raise InputError(
-            f"{source}: JSON without 'frames'; expected offline_processor's output"
-        )
+    frames = list_in(root, "frames", source, _TOOL)
     names = root.get("joint_names")
     if names is not None:
         # The SDK's header spells it NAVEL, its documentation NAVAL.
@@ -79,7 +74,7 @@ def read_azure(source: str) -> Recording:
         found = tuple(str(name).replace("NAVAL", "NAVEL") for name in listed)
         if found != JOINTS:
             raise InputError(
-                f"{source}: 'joint_names' are {len(found)}, "
+                f"{source}: 'joint_names' are {len(found)} names, "
                 f"{', '.join(found[:3])[:60]}, ..., expected the {len(JOINTS)} of "
                 f"Azure Kinect in the SDK's order: {', '.join(JOINTS[:3])}, ..."
             )
@@ -88,56 +83,45 @@ def read_azure(source: str) -> Recording:
     stamps = []
     for k, frame in enumerate(frames):
         where = f"{source}: frame {k + 1}"
-        stamp = frame.get("timestamp_usec") if isinstance(frame, dict) else None
-        if not isinstance(stamp, float) or not abs(stamp) < 1e18:
-            raise InputError(f"{where} has no 'timestamp_usec', expected a number")
-        stamps.append(stamp)
-        bodies = frame.get("bodies")
-        if not isinstance(bodies, list):
-            raise InputError(f"{where} has no 'bodies', expected a list")
+        stamps.append(number_in(frame, "timestamp_usec", where, 1e18))
+        bodies = list_in(frame, "bodies", where, _TOOL)
         sightings += [_sighting(k, body, where) for body in bodies]
     time = (np.array(stamps) - stamps[0]) * 1e-6
     check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp_usec'", "frames")
     note = (
-        "Azure Kinect: 32 joints taken for the 25 of Kinect v2, whose offsets they "
-        "need not have; compare with --method local-pca"
+        "Azure Kinect: its 32 joints are converted to the 25 of Kinect v2, but may be "
+        "offset differently; compare with --method local-pca"
     )
-    return recording_of_people(
-        time, sightings, KINECT_V2, source, "azure", unit="mm", notes=(note,)
-    )
+    takes, notes = takes_of_people(time, sightings, KINECT_V2, source)
+    return Recording(takes, "azure", unit="mm", notes=(note, *notes))
 
 
 def _slim(value: dict[str, Any]) -> dict[str, Any]:
-    """Return a JSON object without what is long and not read."""
+    """Compact a JSON object: drop what is long and unused, make arrays of the rest."""
     value.pop("joint_orientations", None)
     for key in value if "joint_positions" in value else ():
         if key == "joint_positions" or "confidence" in key:
-            try:
-                value[key] = np.array(value[key], dtype=np.float64)
-            except (TypeError, ValueError):
-                value[key] = None
+            value[key] = array_of(value[key])
     return value
 
 
 def _sighting(frame: int, body: Any, where: str) -> Sighting:
-    number = body.get("body_id") if isinstance(body, dict) else None
-    if not isinstance(number, float) or not abs(number) < 2**53:
-        raise InputError(f"{where} has a body without 'body_id', expected a number")
+    number = number_in(body, "body_id", f"{where}: a body", 2**53)
     positions = body.get("joint_positions")
     if np.shape(positions) != (len(JOINTS), 3) or np.isinf(positions).any():
         raise InputError(
-            f"{where} has no 'joint_positions' of body {number:g}, expected "
+            f"{where}: body {number:g} has no valid 'joint_positions', expected "
             f"{len(JOINTS)} times three finite numbers in millimeters"
         )
     levels = [item for key, item in body.items() if "confidence" in key]
-    # None, low (not observed), medium, high: both of the latter are tracked.
+    # None, low (not observed), medium, high: the last two are tracked.
     level = levels[0] if levels else np.full(len(JOINTS), 3)
     if np.shape(level) != (len(JOINTS),) or not np.isin(level, range(4)).all():
         raise InputError(
-            f"{where} has no {len(JOINTS)} confidence levels, expected 0 none, 1 low, "
-            "2 medium or 3 high for each joint"
+            f"{where}: body {number:g} has no valid confidence levels, expected "
+            f"{len(JOINTS)} numbers: 0 none, 1 low, 2 medium or 3 high"
         )
     state = np.minimum(np.asarray(level, dtype=np.intp), State.TRACKED)
-    places = positions[_PAIRS].mean(axis=1) * _TO_OURS
+    places = positions[_PAIRS].mean(axis=1) * _METERS
     state = state[_PAIRS].min(axis=1).astype(np.uint8)
     return Sighting(frame, int(number), places, state)

@@ -1,6 +1,6 @@
-"""BVH, which every animation tool has read since Biovision's: read and written.
+"""BVH files, which every animation tool reads: read and written.
 
-Files are read of any skeleton and channel order.
+Any skeleton and channel order can be read.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from .rig import Rig, RigMotion
 from .rows import LARGEST_NUMBER, LineReader, RowReader
 
 MOST_CELLS = 20_000_000
-"""Joints times frames at most: an hour of 75 joints at 60 frames a second."""
+"""Limit of joints times frames: an hour of 75 joints at 60 frames/s."""
 _LOCKED = 1e-7
-"""Cosine of the middle angle below which the outer two are one: sqrt(eps)."""
-_END_SHARE = 0.3  # an end site goes on by this share of its bone, enough to be seen
+"""Cosine of the middle angle below which there is gimbal lock: about sqrt(eps)."""
+_END_SHARE = 0.3  # offset of an end site as a share of its bone, enough to be visible
 _MOST_JOINTS = 1000
 _MOST_CHANNELS = 6
-_FRAME_TIMES = (1e-4, 60.0)  # s, what any recorder could mean
+_FRAME_TIMES = (1e-4, 60.0)  # s, plausible for any recorder
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 _UNITS = (1.0, 0.01, 0.001, 0.0254)  # m, cm, mm, inches
@@ -45,23 +45,23 @@ _LEG = 0.86  # m: thigh and shin of a body of 1.75 m (Winter 2009, figure 4.1)
 
 
 def meters_by_leg(leg: float) -> float:
-    """Return the unit [m] in which a leg (thigh and shin) is nearest to a person's."""
+    """Return the unit [m] that brings a leg (thigh and shin) nearest to a person's."""
     return min(_UNITS, key=lambda unit: abs(np.log(unit * max(leg, 1e-9) / _LEG)))
 
 
 @dataclass(frozen=True, eq=False)
 class Bvh:
-    """A skeleton of its own and its motion, in the file's own unit of length.
+    """A skeleton and its motion, in the file's own unit of length.
 
-    End sites are joints without channels, called ``<Parent>End``. The rest posture has
-    no rotation at all; each rotation turns a joint with all that hangs on it.
+    End sites are joints without channels, named ``<Parent>End``. The rest posture has
+    no rotations; a rotation turns a joint with all its descendants.
     """
 
     names: tuple[str, ...]  # of joints, every parent before its children
     parents: tuple[int, ...]  # index of each joint's parent, -1 for a root
     offsets: Array  # vector from the parent in the rest posture, shape (N, 3)
     channels: tuple[tuple[str, ...], ...]
-    """Channels of each joint in their order, such as ``Xposition``, ``Zrotation``."""
+    """Channels of each joint in file order, such as ``Xposition``, ``Zrotation``."""
     frame_time: float  # between frames [s]
     motion: Array  # channel values, angles in degrees, shape (T, C)
 
@@ -78,7 +78,7 @@ class Bvh:
 
     @property
     def joints(self) -> list[int]:
-        """Indices of the joints without the end sites."""
+        """Indices of the joints that are not end sites."""
         ends = [f"{self.names[p]}End" if p >= 0 else None for p in self.parents]
         named = enumerate(zip(self.names, self.channels, ends, strict=True))
         return [n for n, (name, channels, end) in named if channels or name != end]
@@ -96,10 +96,8 @@ class Bvh:
         """World rotation of each joint, unit quaternions wxyz, shape (T, N, 4)."""
         world = np.empty((len(self), len(self.names), 4))
         for n, parent in enumerate(self.parents):
-            turns = [k for k, c in enumerate(self.channels[n]) if c[1:] == "rotation"]
-            axes = "".join(self.channels[n][k][0] for k in turns)
-            angles = np.radians(self.motion[:, self._columns(n)][:, turns])
-            local = wxyz_from_euler(angles, axes)
+            axes, angles = self._values(n, "rotation")
+            local = wxyz_from_euler(np.radians(angles), axes)
             world[:, n] = local if parent < 0 else multiply(world[:, parent], local)
         return world
 
@@ -108,26 +106,25 @@ class Bvh:
         """World position of each joint in the file's unit, shape (T, N, 3)."""
         world = np.empty((len(self), len(self.names), 3))
         for n, parent in enumerate(self.parents):
-            local = np.broadcast_to(self.offsets[n], (len(self), 3)).copy()
-            first = self._columns(n).start
-            for k, channel in enumerate(self.channels[n]):
-                if channel[1:] == "position":
-                    local[:, "XYZ".index(channel[0])] = self.motion[:, first + k]
+            local = np.tile(self.offsets[n], (len(self), 1))
+            axes, values = self._values(n, "position")
+            local[:, ["XYZ".index(axis) for axis in axes]] = values
             if parent >= 0:
                 local = world[:, parent] + rotate(self.rotations[:, parent], local)
             world[:, n] = local
         return world
 
-    def _columns(self, joint: int) -> slice:
-        first = sum(map(len, self.channels[:joint]))
-        return slice(first, first + len(self.channels[joint]))
+    def _values(self, joint: int, kind: str) -> tuple[str, Array]:
+        """Return the axes and the values (T, C) of a joint's channels of a kind."""
+        channels = enumerate(self.channels[joint], sum(map(len, self.channels[:joint])))
+        columns = {k: c[0] for k, c in channels if c[1:] == kind}
+        return "".join(columns.values()), self.motion[:, list(columns)]
 
 
 def wxyz_from_euler(angles: Array, axes: str) -> Array:
-    """Return the rotation, wxyz (..., 4), of angles [rad], shape (..., A).
+    """Convert intrinsic Euler angles [rad], shape (..., A), to wxyz, shape (..., 4).
 
-    The axes are a node's own: of ``ZYX``, the first angle turns about z, the second
-    about the turned y.
+    With axes ``ZYX``, the first angle turns about z, the second about the turned y.
     """
     about = {"X": about_x, "Y": about_y, "Z": about_z}
     rotation = np.tile(IDENTITY, (*np.shape(angles)[:-1], 1))
@@ -147,12 +144,12 @@ def read_bvh(path: AnyPath) -> Bvh:
         if frames * len(reader.names) > MOST_CELLS:
             raise InputError(
                 f"{source}: {frames:g} frames of {len(reader.names)} joints are more "
-                "than any recording has; correct 'Frames:' or cut it into shorter files"
+                "than any recording has; correct 'Frames:' or split the file"
             )
         if not _FRAME_TIMES[0] <= frame_time <= _FRAME_TIMES[1]:
             raise InputError(
-                f"{source}: frame time is {frame_time:g} s, expected one between two "
-                "frames of a recording, such as 0.0333; correct 'Frame Time:'"
+                f"{source}: frame time is {frame_time:g} s, expected "
+                f"{_FRAME_TIMES[0]:g} to {_FRAME_TIMES[1]:g}; correct 'Frame Time:'"
             )
         motion = reader.motion(frames)
     names, parents = tuple(reader.names), tuple(reader.parents)
@@ -166,7 +163,7 @@ class _BvhReader(LineReader):
     parents: list[int] = field(default_factory=list)
     offsets: list[Array] = field(default_factory=list)
     channels: list[tuple[str, ...]] = field(default_factory=list)
-    open: list[int] = field(default_factory=list)  # from a root down to this joint
+    open: list[int] = field(default_factory=list)  # from the root to the current joint
 
     def read_hierarchy(self) -> None:
         for line in self.lines:
@@ -174,7 +171,7 @@ class _BvhReader(LineReader):
             words = line.replace("{", " ").split()
             if words[:1] == ["MOTION"]:
                 if self.open or not self.names:
-                    self.fail("begins the motion inside the hierarchy, expected }")
+                    self.fail("begins the motion inside the hierarchy; expected }")
                 return
             if words[:1] in (["ROOT"], ["JOINT"]) and len(words) > 1:
                 self._add(" ".join(words[1:]))
@@ -191,7 +188,7 @@ class _BvhReader(LineReader):
                     f"is {' '.join(words)[:40]!r}, expected HIERARCHY, ROOT, JOINT, "
                     "End Site, OFFSET, CHANNELS, a brace or MOTION"
                 )
-        self.fail("ends the file, expected the line MOTION; is it a BVH file?")
+        self.fail("ends the file before the line MOTION; give a complete BVH file")
 
     def _add(self, name: str) -> None:
         if len(self.names) == _MOST_JOINTS:
@@ -208,12 +205,12 @@ class _BvhReader(LineReader):
         if words[:1] != [str(len(names))] or not known:
             self.fail(
                 f"has channels {' '.join(words)[:60]!r}, expected their number and "
-                f"names out of {', '.join(sorted(_CHANNELS))}"
+                f"names from {', '.join(sorted(_CHANNELS))}"
             )
         self.channels[self.open[-1]] = names
 
     def header(self, key: str) -> float:
-        """Return the number in the next line, which begins with a key."""
+        """Return the number after ``key`` in the next line."""
         line = next(self.lines, "")
         self.row += bool(line)
         words = line.split()
@@ -230,41 +227,37 @@ class _BvhReader(LineReader):
         named = zip(self.names, self.channels, strict=True)
         columns = tuple(f"{name}.{c}" for name, channels in named for c in channels)
         reader = RowReader(self.source, columns)
-        values, count = [np.empty((0, len(columns)))], 0
-        for block in reader.blocks(self.lines, self.row + 1):
-            large = np.abs(block.values) > LARGEST_NUMBER
-            unknown = np.isnan(block.values)
-            for column in np.flatnonzero((unknown | large).any(axis=0)).tolist():
-                words = "is not a number; expected one"
-                reader.refuse(block, column, unknown[:, column], words)
-                words = "is {:.3g}; delete the frame"
-                reader.refuse(block, column, large[:, column], words)
-            values.append(block.values)
-            count, self.row = count + len(block.values), int(block.rows[-1])
-            if count > frames:
-                break  # whatever follows, the header is wrong
+        # A file with more rows than frames has a wrong header: do not read it all.
+        block = reader.read(self.lines, self.row + 1, frames)
+        for k, values in enumerate(block.values.T):
+            missing = "is not a number; expected one"
+            reader.refuse(block, k, np.isnan(values), missing)
+            large = np.abs(values) > LARGEST_NUMBER
+            reader.refuse(block, k, large, "is {:.3g}; delete the frame")
+        count = len(block.rows)
+        self.row = int(block.rows[-1]) if count else self.row
         if count != frames:
             self.fail(
                 f"ends the motion after {count} frames, expected {frames:g}; the file "
-                "may be cut off, or correct 'Frames:'"
+                "may be cut off, else correct 'Frames:'"
             )
-        return np.concatenate(values)
+        return block.values
 
 
 def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
-    """Write a rig's rotations and the path of its root, or of its pelvis.
+    """Write a rig's rotations and the path of its root and its pelvis.
 
-    The format has neither axes nor a unit; ``export`` chooses them. Angles [deg] are
-    continuous over time: they pass 360 rather than jump. Each frame of the clip is one
-    frame of the file, at the mean frame time, which a long gap makes no sense of
-    (``paced``). Raises InputError if it cannot be
-    written.
+    BVH specifies neither axes nor a unit; ``export`` chooses them. Angles [deg] are
+    continuous over time: they go beyond 360 rather than jump. Each frame of the clip is
+    one frame of the file, at the mean frame time, so a clip must not have long gaps
+    (``paced``). Raises InputError if the file cannot be written.
     """
     rig = moved.rig
-    if not rig.axes_in_bvh:  # a BVH skeleton is not rotated at rest
+    if not rig.axes_in_bvh:  # BVH has no rotations at rest
         rig = replace(rig, axes=None)
     order, columns = export.rotation_order.upper(), []
-    # Node by node: the angles need the whole time, and all at once would be gigabytes.
+    # Node by node: unwrapping angles needs all frames, which for all nodes at once
+    # would be gigabytes.
     for n in rig.depth_first:
         if n in (0, rig.mover):
             place = moved.places.get(n, np.tile(rig.root, (len(clip), 1)))
@@ -276,7 +269,7 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     motion = np.concatenate(columns, axis=1)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     offsets = export.points(rig.at_rest[0])
-    offsets[[0, rig.mover]] = 0.0  # readers add the channels, or put them in its place
+    offsets[[0, rig.mover]] = 0.0  # readers add the channels to it or replace it
     channels = [f"{axis}rotation" for axis in order]
     duration = float(clip.time[-1] - clip.time[0])
     mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
@@ -285,8 +278,8 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
         file.write("HIERARCHY\n")
         file.writelines(_hierarchy(rig, offsets, channels, 0, 0))
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
-        for some in chunks(len(motion), FRAMES_AT_ONCE):
-            numbers = motion[some]
+        for span in chunks(len(motion), FRAMES_AT_ONCE):
+            numbers = motion[span]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 
 
@@ -314,30 +307,30 @@ def _offset(vector: Array) -> str:
 
 
 def continuous_euler(rotations: Array, axes: str) -> Array:
-    """Return angles [rad] about an axis, the turned second and the twice turned third.
+    """Convert rotations, wxyz (T, 4), to intrinsic Euler angles [rad], shape (T, 3).
 
-    Of the two triples that give the same rotation, and of all their full turns, each
-    frame gets the one nearest to the frame before, so angles (T, 3) are unbounded.
-    Rotations are wxyz, shape (T, 4); the axes are given in order, such as ``ZYX``.
+    Two triples, and all their full turns, give the same rotation; each frame gets the
+    one nearest to the frame before, so the angles are unbounded. ``axes`` is the order
+    of the axes, such as ``ZYX``.
     """
-    # The axes renamed to z, y, x: half of the orders are its mirror images, in which
-    # every turn goes the other way.
+    # Rename the axes to z, y, x: in half of the orders this is a mirror image, where
+    # every rotation goes the other way.
     sign = 1.0 if axes in "ZYXZYX" else -1.0
     order = [0, *(1 + "XYZ".index(axis) for axis in reversed(axes))]
     angles = _zyx(rotations[:, order] * [1.0, sign, sign, sign])
     other = angles * [1.0, -1.0, 1.0] + np.pi
-    # Crossing over costs the same whichever triple the frame before has, so the
-    # choice is the parity of the crossings up to now.
+    # Switching triples costs the same whichever one the frame before has, so the
+    # choice is the parity of the switches so far.
     turns = np.stack([angles[1:], other[1:]]) - angles[:-1]
     wrapped = (turns + np.pi) % (2.0 * np.pi) - np.pi
-    stay, cross = np.sum(wrapped**2, axis=-1)
-    crossed = np.concatenate([[False], np.cumsum(cross < stay) % 2 == 1])
-    chosen = np.where(crossed[:, None], other, angles)
+    stay, switch = np.sum(wrapped**2, axis=-1)
+    switched = np.concatenate([[False], np.cumsum(switch < stay) % 2 == 1])
+    chosen = np.where(switched[:, None], other, angles)
     return sign * np.unwrap(chosen, axis=0)
 
 
 def _zyx(rotations: Array) -> Array:
-    """Return the triple with the middle angle in [-pi/2, pi/2], shape (T, 3)."""
+    """Return the angles about z, y, x with the second in [-pi/2, pi/2], (T, 3)."""
     w, x, y, z = np.moveaxis(np.asarray(rotations, dtype=np.float64), -1, 0)
     m00, m10 = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)
     m01, m11 = 2.0 * (x * y - w * z), w * w - x * x + y * y - z * z
@@ -345,11 +338,11 @@ def _zyx(rotations: Array) -> Array:
     m21, m22 = 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
     cosine = np.hypot(m00, m10)
     locked = cosine < _LOCKED
-    # Where it is locked, x is the last before, at first 0.
+    # In gimbal lock, x keeps its last value, initially 0.
     last = np.maximum.accumulate(np.where(locked, -1, np.arange(len(locked))))
     turn_x = np.where(last < 0, 0.0, np.arctan2(m21, m22)[last])
-    # With the middle angle a quarter turn, z and x turn about one line: x is held and
-    # z takes the rest. m01 and m11 are then -sin and cos of z minus or plus x.
+    # With y at a quarter turn, z and x turn about the same line: x is held, z takes the
+    # rest. m01 and m11 are then -sin and cos of z minus or plus x.
     sign = np.where(m20 < 0.0, 1.0, -1.0)
     turn_z = np.where(
         locked, np.arctan2(-m01, m11) + sign * turn_x, np.arctan2(m10, m00)

@@ -2,16 +2,15 @@
 
 NTU RGB+D, ``.skeleton`` (Shahroudy et al. 2016, NTU RGB+D, CVPR; the data set's own
 reader): the number of frames; per frame the number of bodies; per body a line of ten
-values, the body's number first, the number of joints, and a line of twelve values a
+values, the body's number first, the number of joints, and a line of twelve values per
 joint: x, y, z [m], depth image x and y, color image x and y, orientation w, x, y, z,
-tracking state. The joints are those of Kinect v2 in the SDK's order, 30 frames a
-second.
+tracking state. The joints are those of Kinect v2 in the SDK's order, 30 frames/s.
 
 MSR Action3D, ``aXX_sYY_eZZ_skeleton3D.txt`` (Li, Zhang & Liu 2010, Action recognition
-based on a bag of 3D points, CVPR workshops): a joint of a depth camera of 2010 a row,
-``x y z c``, 20 rows a frame, 15 frames a second; meters, y up, z away from the camera,
-c the tracker's confidence. The joints have an order of their own. The same data set's
-files of screen coordinates, ``u v d c``, hold pixels and raw depth: without the
+based on a bag of 3D points, CVPR workshops): one joint per row, ``x y z c``, 20 rows
+per frame, 15 frames/s; meters, y up, z away from the camera, c the tracker's
+confidence. The joints have an order of their own. The data set's files of screen
+coordinates, ``u v d c``, hold pixels and raw depth: without the parameters of the
 camera's lens they are not positions.
 """
 
@@ -26,18 +25,18 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
 
 from .recording import (
     MOST_FRAMES,
+    STATES,
     Recording,
     Sighting,
     check_length,
     open_rows,
-    recording_of,
-    recording_of_people,
+    takes_of_people,
+    takes_of_rows,
 )
 from .rows import LineReader, RowReader
 
-_NTU_FRAMES_PER_SECOND = 30.0
-_BODY_VALUES = 10
-_JOINT_VALUES = 12
+_NTU_FPS, _MSR_FPS = 30.0, 15.0
+_PER_BODY, _PER_JOINT = 10, 12  # values in a line of NTU
 
 MSR_JOINTS = (
     *("ShoulderRight", "ShoulderLeft", "ShoulderCenter", "Spine"),
@@ -47,43 +46,40 @@ MSR_JOINTS = (
     "Head",
 )
 """The joints of MSR Action3D in the order of the rows."""
-_MSR_FRAMES_PER_SECOND = 15.0
 _MSR_COLUMNS = ("x", "y", "z", "confidence")
-_PIXELS = 20.0  # a person is less meters wide, and more pixels
+_PIXELS = 20.0  # a person is less wide than this in meters, and wider in pixels
 
 
 def read_msr_action3d(source: str) -> Recording:
-    """Read a file of real-world coordinates; raises InputError if it is malformed."""
-    blocks, count = [], 0
+    """Read a file of real-world coordinates; raises InputError if malformed."""
+    joints = len(MSR_JOINTS)
     with open_rows(source) as (row, line, lines):
-        for block in RowReader(source, _MSR_COLUMNS).blocks(chain([line], lines), row):
-            blocks.append(block.values)
-            count += len(block.values)
-            if count > MOST_FRAMES * len(MSR_JOINTS):
-                break
-    if count % len(MSR_JOINTS):
+        reader = RowReader(source, _MSR_COLUMNS)
+        rows = reader.read(chain([line], lines), row, MOST_FRAMES * joints).values
+    if len(rows) % joints:
         raise InputError(
-            f"{source}: has {count} rows, expected {len(MSR_JOINTS)} a frame; the file "
+            f"{source}: has {len(rows)} rows, expected {joints} per frame; the file "
             "may be cut off, download it again"
         )
-    check_length(count // len(MSR_JOINTS), source)
-    values = np.concatenate(blocks).reshape(-1, len(MSR_JOINTS), len(_MSR_COLUMNS))
+    check_length(len(rows) // joints, source)
+    values = rows.reshape(-1, joints, len(_MSR_COLUMNS))
     width = float(np.nanmedian(np.ptp(values[..., :2], axis=1), axis=0).max())
     if width > _PIXELS:
         raise InputError(
-            f"{source}: rows of u v d c, pixels and raw depth, are not positions; take "
-            "the data set's files of real-world coordinates (..._skeleton3D.txt)"
+            f"{source}: the rows are u v d c, in pixels and raw depth, not positions; "
+            "use the files of real-world coordinates (..._skeleton3D.txt)"
         )
     values = values[:, [MSR_JOINTS.index(joint) for joint in KINECT_V1.joints]]
-    # Of confidences, OpenNI knows 0, 0.5 and 1.
+    # The tracker, OpenNI, knows confidences of 0, 0.5 and 1.
     halves = np.round(2.0 * np.clip(np.nan_to_num(values[..., 3]), 0.0, 1.0))
-    time = np.arange(len(values)) / _MSR_FRAMES_PER_SECOND
+    time = np.arange(len(values)) / _MSR_FPS
     places, states = values[..., :3], halves.astype(np.uint8)
-    return recording_of(time, places, states, KINECT_V1, source, "msr-action3d")
+    takes, notes = takes_of_rows(time, places, states, KINECT_V1, source)
+    return Recording(takes, "msr-action3d", notes=notes)
 
 
 def read_ntu(source: str) -> Recording:
-    """Read a .skeleton file; raises InputError where it is malformed."""
+    """Read a .skeleton file; raises InputError if it is malformed."""
     sightings: list[Sighting] = []
     with open_rows(source) as (row, line, lines):
         reader = _NtuReader(source, chain([line], lines), row - 1)
@@ -94,9 +90,10 @@ def read_ntu(source: str) -> Recording:
             sightings += [reader.body(frame) for _ in range(bodies)]
         check_length(count, source)
         if next(reader.filled(), None):
-            reader.fail(f"goes on after {count} frames; correct row 1")
-    time = np.arange(count) / _NTU_FRAMES_PER_SECOND
-    return recording_of_people(time, sightings, KINECT_V2, source, "ntu")
+            reader.fail(f"comes after the last of {count} frames; correct row 1")
+    time = np.arange(count) / _NTU_FPS
+    takes, notes = takes_of_people(time, sightings, KINECT_V2, source)
+    return Recording(takes, "ntu", notes=notes)
 
 
 @dataclass
@@ -105,7 +102,7 @@ class _NtuReader(LineReader):
     frame: str = ""
 
     def words(self) -> list[str]:
-        """Return the words of the next line that has some."""
+        """Return the words of the next line that is not blank."""
         words = next(self.filled(), None)
         if words is None:
             self.fail(
@@ -115,7 +112,7 @@ class _NtuReader(LineReader):
         return words
 
     def whole(self, meaning: str, word: str | None = None) -> int:
-        """Return the whole number, 0 or more, that a word or the next line is."""
+        """Parse a word, or the next line, as a whole number that is not negative."""
         word = " ".join(self.words()) if word is None else word
         if not word.isascii() or not word.isdigit() or len(word) > 18:
             self.fail(f"is {word[:40]!r}, expected {meaning}")
@@ -123,10 +120,10 @@ class _NtuReader(LineReader):
 
     def body(self, frame: int) -> Sighting:
         words = self.words()
-        if len(words) != _BODY_VALUES:
+        if len(words) != _PER_BODY:
             self.fail(
-                f"has {len(words)} values, expected the {_BODY_VALUES} of a body; is "
-                "row 1 the number of frames?"
+                f"has {len(words)} values, not the {_PER_BODY} of a body; row 1 may "
+                "have the wrong number of frames"
             )
         body = self.whole("the body's number", words[0])
         joints = self.whole("the number of joints")
@@ -135,17 +132,14 @@ class _NtuReader(LineReader):
         values = np.empty((joints, 4))
         for row in values:
             words = self.words()
-            if len(words) != _JOINT_VALUES:
-                self.fail(f"has {len(words)} values, not {_JOINT_VALUES} of a joint")
+            if len(words) != _PER_JOINT:
+                self.fail(f"has {len(words)} values, not the {_PER_JOINT} of a joint")
             try:
                 row[:] = *words[:3], words[-1]
             except ValueError:
-                self.fail("has a word, expected numbers")
+                row[:] = np.inf
             if np.isinf(row).any():
-                self.fail("has an infinite number, expected finite ones")
+                self.fail("has a word or an infinite number, expected finite numbers")
             if row[-1] not in list(State):
-                self.fail(
-                    f"ends in {words[-1][:40]!r}, expected a tracking state: 0 not "
-                    "tracked, 1 inferred, 2 tracked"
-                )
+                self.fail(f"ends in {words[-1][:40]!r}, expected {STATES}")
         return Sighting(frame, body, values[:, :3], values[:, -1].astype(np.uint8))

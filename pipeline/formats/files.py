@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, text that may be zipped, and TOML."""
+"""Files: written whole or not at all, text that may be gzipped, JSON and TOML."""
 
 from __future__ import annotations
 
@@ -16,36 +16,38 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
+import numpy as np
+
 from kinefilter.characters import InputError
-from kinefilter.characters.arrays import shown
+from kinefilter.characters.arrays import Array, shown
 
 AnyPath = str | os.PathLike[str]
 
-_Limited = tuple[io.BufferedReader | gzip.GzipFile, int]  # and the most bytes of it
+_Stream = io.BufferedReader | gzip.GzipFile
 _GZIP_MAGIC = b"\x1f\x8b"
 
-_LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV; a recording is shorter
-LARGEST_TOML = 2**16  # bytes of what somebody wrote by hand
+_LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV, longer than any recording
+LARGEST_TOML = 2**16  # bytes of a handwritten file
 _LARGEST_RATIO = 100
-"""Text that is this many times as long as its gzip file, and longer than
-``_ANY_RATIO``, is not a recording: numbers give 2 to 10. A guess."""
+"""Compression ratio of gzipped text above which, beyond ``_ANY_RATIO`` bytes, it is not
+a recording: numbers reach 2 to 10. A guess."""
 _ANY_RATIO = 2**25
 _LONGEST_LINE = 1_000_000  # characters; a binary file may have no line end at all
-_BEGINNING = 2**16  # bytes in which a text begins
-_MOST_BLANK = 10_000  # lines in a row
+_BEGINNING = 2**16  # bytes read to find out what a file is
+_MOST_BLANK = 10_000  # consecutive lines
 _WINDOWS = sys.platform == "win32"
 _UNUSABLE = re.compile(
     r'(con|prn|aux|nul|(com|lpt)\d)(\..*)?|.*[<>:"|?*].*|.*[ .]', re.IGNORECASE
 )
-"""Names of files that Windows takes for devices, for something else, or not at all."""
-_LONGEST_PATH = 259  # characters, on Windows unless long paths are switched on
+"""Names that Windows reserves for devices, changes, or refuses."""
+_LONGEST_PATH = 259  # characters, on Windows unless long paths are enabled
 
 
 def check_folder(path: AnyPath) -> Path:
-    """Return ``path`` if a file may be written there, else raise InputError."""
+    """Return ``path`` if a file can be written there, else raise InputError."""
     path = as_path(path)
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
-        raise InputError(f"{path}: Windows keeps such names to itself; give another")
+        raise InputError(f"{path}: Windows reserves such names; choose another")
     if not path.parent.is_dir():
         raise InputError(f"{path}: folder {path.parent} does not exist; create it")
     if path.is_dir():
@@ -56,30 +58,30 @@ def check_folder(path: AnyPath) -> Path:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it, or raise an InputError."""
+    """Create a folder and its parents; raises InputError if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        reason = f"cannot be made ({error.strerror})"
+        reason = f"cannot be created ({error.strerror})"
         raise InputError(f"{path}: {reason}; write elsewhere") from error
 
 
 def as_path(path: AnyPath) -> Path:
-    """Return a path that the system takes, or raise an InputError."""
+    """Convert to a path that the system accepts, or raise InputError."""
     try:
         found = Path(path)
         found.is_dir()
-    except (TypeError, OSError):  # no name at all, or one too long
-        raise InputError(f"{shown(path)}: not the name of a file") from None
+    except (TypeError, OSError):  # not a name at all, or too long
+        raise InputError(f"{shown(path)}: is not a valid file name") from None
     return found
 
 
 @contextmanager
 def atomic_path(path: AnyPath) -> Iterator[Path]:
-    """Yield a temporary path beside ``path`` that takes its place on success.
+    """Yield a temporary path beside ``path`` that replaces it on success.
 
-    An older file stays as it was until then, and for good if the block raises. The
-    temporary path ends in the same suffix. Raises InputError if it cannot be written.
+    If the block raises, an existing file stays as it was. The temporary path has the
+    same suffix. Raises InputError if the file cannot be written.
     """
     target = check_folder(path)
     temporary = target.with_name(f".{uuid.uuid4().hex}{target.suffix}")
@@ -90,7 +92,7 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
         temporary.replace(target)
     except OSError as error:
         reason, hint = error.strerror or str(error), "write elsewhere or make room"
-        if isinstance(error, PermissionError):  # Windows replaces no file that is open
+        if isinstance(error, PermissionError):  # Windows does not replace open files
             hint = "close it in other programs, or write elsewhere"
         elif _WINDOWS and len(str(temporary.absolute())) > _LONGEST_PATH:
             hint = "its path is too long; write elsewhere"
@@ -102,7 +104,7 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
 
 @contextmanager
 def new_text(path: AnyPath) -> Iterator[TextIO]:
-    """Yield a text to write that takes the place of ``path`` on success."""
+    """Yield a text file to write that replaces ``path`` on success."""
     with (
         atomic_path(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="\n") as file,
@@ -111,7 +113,7 @@ def new_text(path: AnyPath) -> Iterator[TextIO]:
 
 
 def check_file(path: AnyPath) -> Path:
-    """Return ``path`` if there is a file to read, else raise InputError."""
+    """Return ``path`` if it is a file that can be opened, else raise InputError."""
     path = as_path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file")
@@ -120,17 +122,17 @@ def check_file(path: AnyPath) -> Path:
         if path.exists():  # opening it might wait forever
             wrong = "is a pipe, a socket or a device; give a file"
         elif path.is_symlink():
-            wrong = "is a link to a file that is not there; restore or remove it"
+            wrong = "is a link to a missing file; restore that file or remove the link"
         raise InputError(f"{path}: {wrong}")
     return path
 
 
 @contextmanager
 def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
-    """Yield the lines of a file of UTF-8 text, unzipped where it is gzip's.
+    """Yield the lines of a UTF-8 text file, gzipped or not, one at a time in memory.
 
-    One line at a time is in memory. Raises InputError, also while the block reads, if
-    the file is missing, unreadable, not UTF-8 text, too long, or a line has no end.
+    Raises InputError, also while the lines are read, if the file is missing,
+    unreadable, not UTF-8 text or too long, or has a line without end.
     """
     path = check_file(path)
     with _readable(path) as (stream, most):
@@ -148,7 +150,7 @@ def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
                 if "\0" in line:
                     wrong = "is binary; expected a text file, export it as CSV"
                 elif blank > _MOST_BLANK:
-                    wrong = "follows only blank rows; expected recorded frames"
+                    wrong = "comes after nothing but blank rows; delete these"
                 elif len(line) == _LONGEST_LINE:
                     wrong = "does not end; expected recorded frames"
                 if wrong:
@@ -159,55 +161,39 @@ def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
 
 
 def beginning(path: AnyPath, most: int = 100) -> str:
-    """Return the first characters of a text, without leading blanks."""
+    """Return the first characters of a text file, without leading blanks."""
     with _readable(check_file(path)) as (stream, _):
         return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
 def read_limited(path: AnyPath, most: int) -> str:
-    """Return a file's text, unzipped; raises InputError beyond ``most`` bytes."""
+    """Read UTF-8 text, gzipped or not; raises InputError above ``most`` bytes."""
     path = check_file(path)
     with _readable(path, most) as (stream, most):
         return _all(stream, path, most).decode("utf-8-sig")
 
 
 def read_bytes(path: AnyPath, most: int) -> bytes:
-    """Return what is in a file, unzipped; raises InputError beyond ``most`` bytes."""
+    """Read a file, gzipped or not; raises InputError above ``most`` bytes."""
     path = check_file(path)
     with _readable(path, most) as (stream, most):
         return _all(stream, path, most)
 
 
-def _all(stream: io.BufferedReader | gzip.GzipFile, path: Path, most: int) -> bytes:
+def _all(stream: _Stream, path: Path, most: int) -> bytes:
     data = stream.read(most + 1)
     if len(data) > most:
         raise _too_long(path, most)
     return data
 
 
-def read_json(path: AnyPath, most: int, hook: Callable[[Any], Any]) -> Any:
-    """Return what is in a file of JSON, whole numbers as floats.
-
-    ``hook`` is json's for objects. Raises InputError if it is malformed or too long.
-    """
-    try:
-        return json.loads(read_limited(path, most), object_hook=hook, parse_int=float)
-    except json.JSONDecodeError as error:
-        raise InputError(
-            f"{path}: row {error.lineno} is not JSON ({error.msg}); the file may be "
-            "cut off, export it again"
-        ) from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: not JSON of a take; export it again") from None
-
-
 def _too_long(path: Path, most: int) -> InputError:
-    return InputError(f"{path}: more than {most / 1e6:.3g} MB; split it")
+    return InputError(f"{path}: is longer than {most / 1e6:.3g} MB; split it")
 
 
 @contextmanager
-def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[_Limited]:
-    """Yield a file unzipped, and its most bytes; errors in it become InputErrors."""
+def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[tuple[_Stream, int]]:
+    """Yield a file unzipped, and its size limit; errors in it become InputErrors."""
     try:
         with path.open("rb") as raw:
             if raw.peek(2)[:2] != _GZIP_MAGIC:
@@ -218,7 +204,7 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[_Limited]:
                 yield stream, min(most, max(_ANY_RATIO, ratio))
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); "
+            f"{path}: is not UTF-8 text (byte 0x{error.object[error.start]:02x}); "
             "expected a text file, save it as CSV in UTF-8"
         ) from None
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
@@ -228,18 +214,62 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[_Limited]:
         raise InputError(f"{path}: cannot be read ({reason})") from error
 
 
+def read_json(
+    path: AnyPath, most: int, hook: Callable[[Any], Any] | None = None
+) -> Any:
+    """Read a JSON file, whole numbers as floats; ``hook`` is json's ``object_hook``.
+
+    Raises InputError if it is malformed or longer than ``most`` bytes.
+    """
+    try:
+        return json.loads(read_limited(path, most), object_hook=hook, parse_int=float)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"{path}: row {error.lineno} is not JSON ({error.msg}); the file may be "
+            "cut off, export it again"
+        ) from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: is not JSON of a take; export it again") from None
+
+
+def list_in(value: Any, key: str, where: str, tool: str) -> list[Any]:
+    """Return the list ``key`` of a JSON object; raises InputError without one."""
+    found = value.get(key) if isinstance(value, dict) else None
+    if not isinstance(found, list):
+        raise InputError(f"{where}: no list {key!r}; export it again with {tool}")
+    return found
+
+
+def number_in(value: Any, key: str, where: str, limit: float) -> float:
+    """Return the number ``key`` of a JSON object; raises InputError without one."""
+    found = value.get(key) if isinstance(value, dict) else None
+    if not isinstance(found, float) or not abs(found) < limit:
+        raise InputError(
+            f"{where}: {key!r} is {shown(found)}, expected a number under {limit:g}"
+        )
+    return found
+
+
+def array_of(values: Any) -> Array:
+    """Convert nested lists of numbers to an array, anything else to an empty one."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
 def read_toml(path: AnyPath, expected: str) -> dict[str, Any]:
-    """Return the table in a file as ``parse_toml``; raises InputError without one."""
+    """Read a TOML file; raises InputError as ``parse_toml``."""
     return parse_toml(read_limited(path, LARGEST_TOML), os.fspath(path), expected)
 
 
 def parse_toml(text: str, name: str, expected: str) -> dict[str, Any]:
-    """Return the table that TOML describes; raises InputError if it is malformed.
+    """Parse TOML from the place ``name``; raises InputError if it is malformed.
 
-    ``name`` says where the text is and ``expected`` what to write instead.
+    ``expected`` tells the user what to write instead.
     """
     try:
         return tomllib.loads(text)
-    # Not its own error alone: numbers of thousands of digits, brackets in thousands.
+    # Also errors from numbers of thousands of digits or thousands of brackets.
     except (ValueError, RecursionError) as error:
         raise InputError(f"{name}: not TOML ({error}); {expected}") from None

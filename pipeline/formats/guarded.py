@@ -1,8 +1,8 @@
-"""Files that libraries in C++ read, in a process of bounded memory and time.
+"""Readers in C++ libraries, run in a process with limited memory and time.
 
-The readers of C3D and binary USD believe what a file says of itself: of a damaged one
-they ask for any amount of memory, or never end. So they run in a process of their own,
-which is ended where it goes too far, and hand over plain arrays.
+The readers of C3D and binary USD trust what a file says about itself: a damaged one may
+make them ask for any amount of memory, or never return. They run in a process of their
+own, which is killed above its limits, and hand over plain arrays.
 """
 
 from __future__ import annotations
@@ -26,90 +26,88 @@ from kinefilter.characters import InputError
 from .files import AnyPath, check_file
 
 _SECONDS, _PER_BYTE = 15.0, 2e-6
-"""Processor time [s] for any file, and more for each byte: hundreds of times what whole
-files need. A guess."""
-_PATIENCE = 8.0  # times as long by the clock, on a machine that is busy
-_LOOK = 0.1  # s between looks at its memory and time
+"""Limit of processor time [s] for any file, and in addition per byte: hundreds of times
+what valid files need. A guess."""
+_PATIENCE = 8.0  # wall time over processor time at most, on a busy machine
+_INTERVAL = 0.1  # s between checks of memory and time
 _MEMORY = 2 * 2**30  # bytes, libraries included
 _LARGEST_USD = 2**31  # bytes
-_NAME = "kinefilter.pipeline.formats.guarded"
-_REFUSED = 3  # exit code: the message is on the standard error
+_REFUSED = 3  # exit code: the message is on standard error
 
 
 def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays that a function of this package makes of a file.
+    """Read arrays from a file with a function of this package, in another process.
 
-    The reader is a module and a name, such as ``usd_reader:clip_arrays``. Raises
-    InputError if it refuses the file, fails, or needs too much.
+    ``reader`` is its module and name, such as ``usd_reader:clip_arrays``. Raises
+    InputError if the reader refuses the file, fails, or exceeds a limit.
     """
-    command = [sys.executable, "-m", _NAME, reader, path]
-    import psutil  # only here is it needed
+    import psutil  # needed only here
 
+    command = [sys.executable, "-m", __name__, reader, path]
     own = {"OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
     pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     most = _SECONDS + _PER_BYTE * Path(path).stat().st_size
-    with subprocess.Popen(command, env=os.environ | own, **pipes) as reading:
-        for look in count(1):
+    with subprocess.Popen(command, env=os.environ | own, **pipes) as process:
+        for checks in count(1):
             with suppress(subprocess.TimeoutExpired):
-                output, said = reading.communicate(timeout=_LOOK)
+                output, errors = process.communicate(timeout=_INTERVAL)
                 break
             used = 0.0
             with suppress(psutil.Error):
-                watched = psutil.Process(reading.pid)
+                watched = psutil.Process(process.pid)
                 used = sum(watched.cpu_times()[:2])
                 if watched.memory_info().rss > _MEMORY:
-                    reading.kill()
-            if used > most or look * _LOOK > _PATIENCE * most:
-                reading.kill()
+                    process.kill()
+            if used > most or checks * _INTERVAL > _PATIENCE * most:
+                process.kill()
                 raise InputError(
-                    f"{path}: takes over {most:.0f} s to read; it is damaged"
+                    f"{path}: takes over {most:.0f} s to read; it may be damaged"
                 )
-    if reading.returncode == _REFUSED:
-        raise InputError(said.decode("utf-8", "replace").splitlines()[-1])
-    if reading.returncode != 0:
+    if process.returncode == _REFUSED:
+        raise InputError(errors.decode("utf-8", "replace").splitlines()[-1])
+    if process.returncode != 0:
         raise InputError(
-            f"{path}: the reader failed (code {reading.returncode}); damaged or too "
-            "large?"
+            f"{path}: the reader failed (code {process.returncode}); the file may be "
+            "damaged or too large, export it again"
         )
-    with np.load(io.BytesIO(output), allow_pickle=False) as file:
-        return {key: file[key] for key in file.files}
+    with np.load(io.BytesIO(output), allow_pickle=False) as arrays:
+        return dict(arrays)
 
 
 def read_usd(reader: str, path: AnyPath) -> dict[str, NDArray[Any]]:
-    """Return the arrays that a function of ``usd_reader`` makes of a file.
+    """Read arrays from a USD file with a function of ``usd_reader``.
 
-    Raises InputError as ``read_guarded``, and for files too large to be opened at all.
+    Raises InputError as ``read_guarded``, and for files too large to open at all.
     """
     source, size = os.fspath(path), check_file(path).stat().st_size
     if size > _LARGEST_USD:
-        raise InputError(f"{source}: {size / 1e6:.0f} MB is more than any USD clip has")
+        raise InputError(f"{source}: {size / 1e6:.0f} MB is too large; split it")
     if Path(source).suffix.lower() == ".usdz":
         try:
             with zipfile.ZipFile(source) as archive:
                 members = archive.infolist()
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-            wrong = "damaged USD package; export it again"
-            raise InputError(f"{source}: {wrong}") from None
+            reason = "is a damaged USD package; export it again"
+            raise InputError(f"{source}: {reason}") from None
         stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
         if not stored or sum(member.file_size for member in members) > size:
-            wrong = "packed smaller than USD may be; export it again"
-            raise InputError(f"{source}: {wrong}")
+            raise InputError(f"{source}: packed, as USD must not be; export it again")
     return read_guarded(f"usd_reader:{reader}", source)
 
 
 def _main(reader: str, path: str) -> int:
-    if sys.platform == "linux":  # elsewhere who waits looks at the memory
+    if sys.platform == "linux":  # elsewhere, only the parent process limits memory
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    # What the libraries themselves print must not get between the arrays.
+    # Keep what the libraries print out of the arrays.
     output = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     module, _, function = reader.partition(":")
-    found = importlib.import_module(f"kinefilter.pipeline.formats.{module}")
+    read = getattr(importlib.import_module(f".{module}", __package__), function)
     try:
-        arrays = getattr(found, function)(path)
+        arrays = read(path)
     except InputError as error:
         sys.stderr.write(f"\n{error}\n")
         return _REFUSED

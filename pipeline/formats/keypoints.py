@@ -1,17 +1,17 @@
-"""Landmarks that trackers of camera images found in three dimensions, as takes.
+"""Takes from the 3D landmarks that trackers of camera images find.
 
-Layouts, after the tools' own documentation:
+Layouts, as the tools document them:
 
 - ``npy``: an array (frames, landmarks, 3), or 4 with the landmark's visibility, 0 to 1.
   MediaPipe's 33 landmarks of a pose, alone, with both hands (75), or as FreeMoCap
-  writes them, with hands and face first to last (543 or 553); COCO's whole body (133);
+  writes them, followed by hands and face (543 or 553); COCO's whole body (133);
   HALPE_26; OpenPose's BODY_25 with hands and face (137).
 - ``freemocap``: CSV with a column for each coordinate of a landmark, such as
-  ``body_left_hip_x``, and perhaps a ``timestamp``.
-- ``openpose``: ``--write_json`` with ``--3d``: a file for each frame, of which one
-  stands for all that are beside it, or a list of their contents in one file. Each has
-  ``people`` with ``pose_keypoints_3d``: x, y, z and confidence of BODY_25's landmarks.
-- ``mmpose``: predictions of MMPose's 3D lifters, RTMPose's among them: a list of frames
+  ``body_left_hip_x``, and optionally a ``timestamp``.
+- ``openpose``: ``--write_json`` with ``--3d``: one file per frame, of which any stands
+  for all those beside it, or a list of their contents in one file. Each has ``people``
+  with ``pose_keypoints_3d``: x, y, z and confidence of BODY_25's landmarks.
+- ``mmpose``: predictions of MMPose's 3D lifters, including RTMPose's: a list of frames
   with ``instances``, each with ``keypoints`` and ``keypoint_scores``, by itself or as
   ``instance_info`` beside ``meta_info``.
 
@@ -24,24 +24,21 @@ import csv
 import io
 import os
 import re
-import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib import format as npy
 
 from kinefilter.characters import KINECT_V2, InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import check_order
 
-from .files import read_bytes, read_json
+from .files import array_of, list_in, number_in, read_bytes, read_json
 from .markers import mocap_of_points
-from .mocap import measured, plain_name, read_points
-from .npz import check_header
+from .mocap import kinect_joints, plain_name, read_points
+from .npz import check_header, read_array
 from .recording import (
     ASSUMED_FPS,
     MOST_FRAMES,
@@ -50,7 +47,7 @@ from .recording import (
     check_length,
     of_other_tracker,
     open_rows,
-    recording_of_people,
+    takes_of_people,
 )
 from .rows import RowReader
 
@@ -58,11 +55,9 @@ _LARGEST = 2**29  # bytes
 _LONGEST_STAMP = 40  # characters
 _FRAME_FILE = re.compile(r"(.*?)(\d{12})(_keypoints\.json)")
 _UNREADABLE = (ValueError, TypeError, EOFError, MemoryError, SyntaxError, OverflowError)
-_LIMBS = "shoulder elbow wrist hip knee ankle"
 
 
 def _sides(words: str) -> list[str]:
-    """Return each word's left and right landmark."""
     return [side + word for word in words.split() for side in "lr"]
 
 
@@ -72,10 +67,10 @@ BLAZEPOSE = (
     *_sides("shoulder elbow wrist pinky index thumb hip knee ankle heel footindex"),
 )
 """MediaPipe's landmarks of a pose in its order (PoseLandmark)."""
-COCO = ("nose", *_sides(f"eye ear {_LIMBS}"))
+COCO = ("nose", *_sides("eye ear shoulder elbow wrist hip knee ankle"))
 _TOES = ("bigtoe", "smalltoe", "heel")
 WHOLE_BODY = (*COCO, *(side + toe for side in "lr" for toe in _TOES))
-"""COCO-WholeBody's landmarks, without those of face and hands, which come after."""
+"""COCO-WholeBody's landmarks without those of face and hands, which follow."""
 HALPE = (*COCO, "head", "neck", "hip", *_sides(" ".join(_TOES)))
 BODY_25 = (
     *("nose", "neck", "rshoulder", "relbow", "rwrist", "lshoulder", "lelbow", "lwrist"),
@@ -94,23 +89,17 @@ _IN_NPY = {
     26: HALPE,
     137: BODY_25,
 }
-"""By their number, landmarks that an array begins with. 17 and 25 have too many
-meanings: COCO's or Human3.6M's, BODY_25 or Kinect v2."""
+"""First landmarks of an array, by its number of landmarks. 17 and 25 are ambiguous:
+COCO or Human3.6M, BODY_25 or Kinect v2."""
 _IN_JSON = {17: HUMAN_36M, 25: BODY_25, 26: HALPE, 33: BLAZEPOSE, 133: WHOLE_BODY}
-"""Of trackers that do not name theirs; lifters to 3D give Human3.6M's 17."""
-
-
-# Arrays and tables of one person
+"""For files that do not name their landmarks; 3D lifters give Human3.6M's 17."""
 
 
 def read_npy(source: str) -> Recording:
-    """Read an array of landmarks; raises InputError if it is malformed or of others."""
+    """Read an array of landmarks; raises InputError if it is malformed."""
     data = io.BytesIO(read_bytes(source, _LARGEST))
     try:
-        check_header(data, len(data.getvalue()))
-        data.seek(0)
-        with warnings.catch_warnings(action="ignore"):  # a header that Python 2 wrote
-            array = np.asarray(npy.read_array(data, allow_pickle=False))
+        array = read_array(data, len(data.getvalue()))
     except _UNREADABLE as error:
         name = type(error).__name__
         raise InputError(
@@ -120,14 +109,14 @@ def read_npy(source: str) -> Recording:
         counts = ", ".join(map(str, sorted(_IN_NPY)))
         raise InputError(
             f"{source}: {array.dtype} of shape {array.shape}, expected numbers of shape"
-            f" (frames, landmarks, 3 or 4) with {counts} landmarks; name others in TRC"
+            f" (frames, landmarks, 3 or 4) with {counts} landmarks; give others as TRC"
         )
     names = _IN_NPY[array.shape[1]]
-    with np.errstate(invalid="ignore"):  # there are NaN that casting complains of
+    with np.errstate(invalid="ignore"):  # casting signaling NaN would warn
         values = array[:, : len(names)].astype(np.float64)
-    sure = values[..., 3] if values.shape[2] == 4 else None
-    found = mocap_of_points(names, values[..., :3], ASSUMED_FPS, source, sure)
-    return replace(read_points(found, "npy"), timed=False)
+    visibility = values[..., 3] if values.shape[2] == 4 else None
+    mocap = mocap_of_points(names, values[..., :3], ASSUMED_FPS, source, visibility)
+    return replace(read_points(mocap, "npy"), timed=False)
 
 
 def _is_pose(shape: tuple[int, ...]) -> bool:
@@ -135,7 +124,7 @@ def _is_pose(shape: tuple[int, ...]) -> bool:
 
 
 def claims_npy(source: str) -> bool:
-    """Return whether an array has the shape of landmarks; others lie beside them."""
+    """Return True if an array's shape is one of landmarks; others are beside takes."""
     data = io.BytesIO(read_bytes(source, _LARGEST))
     try:
         return _is_pose(check_header(data, len(data.getvalue())))
@@ -144,101 +133,89 @@ def claims_npy(source: str) -> bool:
 
 
 def read_freemocap(source: str) -> Recording:
-    """Read a table with a column a coordinate; raises InputError if it is malformed."""
+    """Read a table with a column per coordinate; raises InputError if malformed."""
     with open_rows(source) as (row, line, lines):
         header = [cell.strip() for cell in _cells(line, source)]
-        ends = [cell.rpartition("_")[::2] for cell in header]
-        at = {pair: k for k, pair in reversed(list(enumerate(ends)))}
-        names = [n for n in dict.fromkeys(n for n, _ in ends) if (n, "z") in at]
-        names = [n for n in names if plain_name(n) in BLAZEPOSE]
-        if missing := [n for n in names if not {(n, "x"), (n, "y")} <= set(at)]:
-            raise InputError(f"{source}: row {row} lacks the x or y of {missing[0]!r}")
-        columns = [at[name, axis] for name in names for axis in "xyz"]
-        stamp = header.index("timestamp") if "timestamp" in header else None
+        at = {cell: k for k, cell in reversed(list(enumerate(header)))}
+        found = dict.fromkeys(cell.rpartition("_")[0] for cell in header)
+        names = [n for n in found if f"{n}_z" in at and plain_name(n) in BLAZEPOSE]
+        needed = [f"{name}_{axis}" for name in names for axis in "xyz"]
+        if missing := [cell for cell in needed if cell not in at]:
+            raise InputError(f"{source}: row {row} has no column {missing[0]!r}")
 
         def cells(line: str) -> str:
-            found = _cells(line, source)
-            found += [""] * (len(header) - len(found))
-            wanted = [found[k].strip() for k in columns]
-            return ",".join([_seconds(found, stamp), *wanted, *found[len(header) :]])
+            given = _cells(line, source)
+            given += [""] * (len(header) - len(given))
+            time = _seconds(given[at["timestamp"]]) if "timestamp" in at else ""
+            values = [given[at[cell]].strip() for cell in needed]
+            return ",".join([time, *values, *given[len(header) :]])
 
-        reader = RowReader(source, ("timestamp", *(header[k] for k in columns)), cells)
-        blocks, rows = [], 0
-        for block in reader.blocks(lines, row + 1):
-            blocks.append(block.values)
-            rows += len(block.values)
-            if rows > MOST_FRAMES:
-                break
-    check_length(rows, source)
-    values = np.concatenate(blocks)
-    positions = values[:, 1:].reshape(rows, len(names), 3)
-    found = mocap_of_points(tuple(names), positions, ASSUMED_FPS, source)
+        reader = RowReader(source, ("timestamp", *needed), cells)
+        values = reader.read(lines, row + 1, MOST_FRAMES).values
+    check_length(len(values), source)
+    positions = values[:, 1:].reshape(len(values), len(names), 3)
+    mocap = mocap_of_points(tuple(names), positions, ASSUMED_FPS, source)
     time = values[:, 0]
     if np.isnan(time).any():
-        return replace(read_points(found, "freemocap"), timed=False)
+        return replace(read_points(mocap, "freemocap"), timed=False)
     check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp'", "frames")
-    return read_points(found, "freemocap", time - time[0])
+    return read_points(mocap, "freemocap", time - time[0])
 
 
 def _cells(line: str, source: str) -> list[str]:
     try:
         return next(csv.reader([line]), [])
     except csv.Error as error:
-        raise InputError(f"{source}: a row is no CSV ({error})") from None
+        raise InputError(f"{source}: not CSV ({error}); export it again") from None
 
 
-def _seconds(cells: Sequence[str], column: int | None) -> str:
-    """Return a time stamp in seconds, as a number, of a number or a date and time."""
-    stamp = "" if column is None else cells[column].strip()[:_LONGEST_STAMP]
+def _seconds(stamp: str) -> str:
+    """Convert a time stamp, in seconds or an ISO date and time, to seconds."""
+    stamp = stamp.strip()[:_LONGEST_STAMP]
     try:
         return repr(datetime.fromisoformat(stamp).timestamp())
     except (ValueError, OverflowError, OSError):
         return stamp
 
 
-# JSON of several people
+_Body = tuple[tuple[str, ...], Array, Array]  # names, positions and confidence
 
 
 def read_openpose(source: str) -> Recording:
-    """Read OpenPose's files of frames; raises InputError where one is malformed."""
+    """Read OpenPose's files of frames; raises InputError if one is malformed."""
     frames, numbers = [], []
     for number, path in frame_files(source):
-        found = read_json(path, _LARGEST, lambda value: value)
-        found = found if isinstance(found, list) else [found]
-        for k, frame in enumerate(found):
-            where = f"{path}: frame {k + 1}" if len(found) > 1 else os.fspath(path)
-            people = frame.get("people") if isinstance(frame, dict) else None
-            if not isinstance(people, list):
-                raise InputError(f"{where} has no 'people', expected a list")
-            frames.append([_of_openpose(person, where) for person in people])
+        root = read_json(path, _LARGEST)
+        listed = root if isinstance(root, list) else [root]
+        for k, frame in enumerate(listed):
+            where = f"{path}: frame {k + 1}" if len(listed) > 1 else os.fspath(path)
+            people = list_in(frame, "people", where, "OpenPose")
+            frames.append([_openpose_body(person, where) for person in people])
             numbers.append(float(number + k))
     return _recording(frames, numbers, source, "openpose")
 
 
 def frame_files(source: str) -> list[tuple[int, Path]]:
-    """Return number and path of a frame's file and all beside it, in their order."""
+    """Return the number and path of a frame's file and all beside it, in order."""
     path = Path(source)
     name = _FRAME_FILE.fullmatch(path.name)
     if name is None:
         return [(0, path)]
-    found = {}
+    files = {}
     for file in path.parent.iterdir():
         other = _FRAME_FILE.fullmatch(file.name)
         if other and other[1] == name[1]:
-            found[int(other[2])] = file
-        if len(found) > MOST_FRAMES:
-            raise InputError(f"{source}: is one of too many frames; split them")
-    return sorted(found.items())
+            files[int(other[2])] = file
+        if len(files) > MOST_FRAMES:
+            raise InputError(f"{source}: over {MOST_FRAMES:,} frames; split them")
+    return sorted(files.items())
 
 
-_Body = tuple[tuple[str, ...], Array, Array]  # names, positions and confidence
-
-
-def _of_openpose(person: Any, where: str) -> _Body | None:
+def _openpose_body(person: Any, where: str) -> _Body | None:
     values = person.get("pose_keypoints_3d") if isinstance(person, dict) else None
     if values == []:
         return None
-    numbers = _numbers(values)
+    numbers = array_of(values)
     if numbers.ndim != 1 or len(numbers) != 4 * len(BODY_25):
         raise InputError(
             f"{where} has no 'pose_keypoints_3d' with x, y, z and confidence of "
@@ -250,88 +227,68 @@ def _of_openpose(person: Any, where: str) -> _Body | None:
 
 def read_mmpose(source: str) -> Recording:
     """Read predictions of MMPose's 3D lifters; raises InputError if malformed."""
-    root = read_json(source, _LARGEST, lambda value: value)
-    meta = root.get("meta_info") if isinstance(root, dict) else None
-    listed = root.get("instance_info") if isinstance(root, dict) else root
-    if not isinstance(listed, list):
-        raise InputError(f"{source}: JSON without 'instance_info'; export it again")
-    names, frames, numbers = _named(meta), [], []
+    root = read_json(source, _LARGEST)
+    if not isinstance(root, list):
+        listed = list_in(root, "instance_info", source, "MMPose")
+        names = _landmark_names(root.get("meta_info"))
+    else:
+        listed, names = root, None
+    frames, numbers = list[list[_Body | None]](), []
     for k, frame in enumerate(listed):
         where = f"{source}: frame {k + 1}"
-        bodies = frame.get("instances") if isinstance(frame, dict) else None
-        if not isinstance(bodies, list):
-            raise InputError(f"{where} has no 'instances', expected a list")
-        number = frame.get("frame_id", float(k))
-        if not isinstance(number, float) or not abs(number) < MOST_FRAMES:
-            raise InputError(f"{where} has 'frame_id' {number!s:.20}, not a number")
-        frames.append([_of_mmpose(body, names, where) for body in bodies])
-        numbers.append(number)
+        bodies = list_in(frame, "instances", where, "MMPose")
+        frame = {"frame_id": float(k), **frame}
+        numbers.append(number_in(frame, "frame_id", where, MOST_FRAMES))
+        frames.append([_mmpose_body(body, names, where) for body in bodies])
     return _recording(frames, numbers, source, "mmpose")
 
 
-def _named(meta: Any) -> tuple[str, ...] | None:
-    """Return the landmarks that meta_info names, or None."""
+def _landmark_names(meta: Any) -> tuple[str, ...] | None:
     table = meta.get("keypoint_id2name") if isinstance(meta, dict) else None
     if not isinstance(table, dict):
         return None
-    names = [table.get(str(k)) for k in range(len(table))]
-    return tuple(plain_name(str(name)) for name in names)
+    return tuple(plain_name(str(table.get(str(k)))) for k in range(len(table)))
 
 
-def _of_mmpose(body: Any, names: tuple[str, ...] | None, where: str) -> _Body:
+def _mmpose_body(body: Any, names: tuple[str, ...] | None, where: str) -> _Body:
     body = body if isinstance(body, dict) else {}
-    places, sure = (_numbers(body.get(k)) for k in ("keypoints", "keypoint_scores"))
+    places, scores = (array_of(body.get(k)) for k in ("keypoints", "keypoint_scores"))
     if places.ndim == 3 and len(places) == 1:
         places = places[0]
     names = names or _IN_JSON.get(len(places) if places.ndim else 0)
-    right = names is not None and places.ndim == 2 and places.shape[1] == 3
-    if not right or names is None or not len(names) <= len(places) == sure.size:
+    valid = names is not None and places.ndim == 2 and places.shape[1] == 3
+    if not valid or names is None or not len(names) <= len(places) == scores.size:
         counts = ", ".join(map(str, _IN_JSON))
         raise InputError(
-            f"{where} has 'keypoints' of shape {places.shape} with {sure.size} "
+            f"{where} has 'keypoints' of shape {places.shape} with {scores.size} "
             f"'keypoint_scores', expected x, y, z of {counts} landmarks or of those "
             "that 'meta_info' names; use a 3D lifter"
         )
-    return names, places[: len(names)], sure.reshape(-1)[: len(names)]
-
-
-def _numbers(values: Any) -> Array:
-    """Return nested lists of numbers as an array; an empty one of anything else."""
-    try:
-        return np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        return np.empty(0)
+    return names, places[: len(names)], scores.reshape(-1)[: len(names)]
 
 
 def _recording(
-    frames: Sequence[Sequence[_Body | None]],
-    numbers: Sequence[float],
-    source: str,
-    layout: str,
+    frames: list[list[_Body | None]], numbers: list[float], source: str, layout: str
 ) -> Recording:
-    """Return the recording of everybody in frames with these numbers."""
     check_length(len(frames), source)
     time = (np.array(numbers) - numbers[0]) / ASSUMED_FPS
     check_order(time, lambda k: f"{source}: frame {k + 1}: its number", "frames")
     found = [
-        (frame, number, body)
+        (frame, number, *body)
         for frame, bodies in enumerate(frames)
         for number, body in enumerate(bodies)
         if body is not None
     ]
     if not found:
-        raise InputError(f"{source}: nobody is in any of {len(frames)} frames")
-    names = found[0][2][0]
-    if any(body[0] != names for _, _, body in found):
+        raise InputError(f"{source}: no one is in any of {len(frames)} frames")
+    frame_of, number_of, names, points, scores = zip(*found, strict=True)
+    if len(set(names)) > 1:
         raise InputError(f"{source}: bodies have different landmarks; split it")
-    points = np.stack([body[1] for _, _, body in found])
-    sure = np.stack([body[2] for _, _, body in found])
-    mocap = mocap_of_points(names, points, ASSUMED_FPS, source, sure)
-    positions, state, known = measured(mocap, KINECT_V2)
-    sightings = [
-        Sighting(frame, number, positions[k], state[k])
-        for k, (frame, number, _) in enumerate(found)
-    ]
-    known = {"unit": known["unit"], "notes": known["notes"], "timed": False}
-    people = recording_of_people(time, sightings, KINECT_V2, source, layout, **known)
+    mocap = mocap_of_points(
+        names[0], np.stack(points), ASSUMED_FPS, source, np.stack(scores)
+    )
+    positions, state, unit, notes, _ = kinect_joints(mocap, KINECT_V2)
+    sightings = list(map(Sighting, frame_of, number_of, positions, state))
+    takes, others = takes_of_people(time, sightings, KINECT_V2, source)
+    people = Recording(takes, layout, unit, (*notes, *others), timed=False)
     return of_other_tracker(people)

@@ -1,9 +1,9 @@
-"""Points that marker mocap measured: C3D, and TRC of Motion Analysis and OpenSim.
+"""Points from marker mocap: C3D, and TRC of Motion Analysis and OpenSim.
 
-C3D is read by ezc3d (extra ``c3d``). TRC has five lines of header, split by tabs: kind
-and name of the file; names and then values of rates and units; ``Frame#``, ``Time`` and
-every third column a marker's name; and the names of the coordinates. Then a row for
-each frame; empty cells are missing.
+C3D is read by ezc3d (extra ``c3d``). TRC has five header lines of cells separated by
+tabs: type and name of the file; names of rates and units; their values; ``Frame#``,
+``Time`` and every third column a marker's name; and the names of the coordinates. Then
+comes a row for each frame, with empty cells for missing points.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from .recording import FASTEST, Mocap
 from .rows import LARGEST_NUMBER, RowReader
 
 TRC_MAGIC = "PathFileType"
-"""What a TRC file begins with."""
+"""First word of a TRC file."""
 C3D_MAGIC = 0x50
 """Second byte of every C3D file."""
 _BLOCK = 512  # bytes of a C3D file
 _LARGEST_C3D = 2**30  # bytes
 _HEADER = 5  # lines
-_LEAST_RATE = 0.01  # frames a second
+_LEAST_RATE = 0.01  # frames/s
 
 
 def read_trc(path: AnyPath) -> Mocap:
@@ -42,35 +42,32 @@ def read_trc(path: AnyPath) -> Mocap:
     with open_text(path) as lines:
         header = [line.rstrip("\r\n").split("\t") for line in islice(lines, _HEADER)]
         if len(header) < _HEADER or header[0][0].strip() != TRC_MAGIC:
-            raise InputError(f"{source}: not TRC, or cut off; export it again")
-        rate = _rate(dict(zip(header[1], header[2], strict=False)), source)
+            raise InputError(f"{source}: is not TRC, or cut off; export it again")
+        rate = _data_rate(dict(zip(header[1], header[2], strict=False)), source)
         names = tuple(name.strip() for name in header[3][2:] if name.strip())
         if not names:
             raise InputError(f"{source}: line 4 names no marker; export it again")
-        axes = [f"{name}.{axis}" for name in names for axis in "xyz"]
-        columns = ("Frame#", "Time", *axes)
+        points = (f"{name}.{axis}" for name in names for axis in "xyz")
+        columns = ("Frame#", "Time", *points)
 
         def cells(line: str) -> str:
             values = [cell.strip() for cell in line.split("\t")]
-            values += [""] * (len(columns) - len(values))  # the last markers' gaps
+            values += [""] * (len(columns) - len(values))  # if the last are missing
             while len(values) > len(columns) and not values[-1]:
                 values.pop()
             return ",".join(values)
 
-        reader, frames, rows = RowReader(source, columns, cells), [], 0
-        for block in reader.blocks(lines, _HEADER + 1):
-            frames.append(block.values[:, 2:])
-            rows += len(block.values)
-            if rows * len(names) > MOST_CELLS:
-                raise InputError(f"{source}: too many frames of markers; split it")
-    if rows < 2:
-        raise InputError(f"{source}: has {rows} frames, expected at least 2")
-    positions = np.concatenate(frames).reshape(rows, len(names), 3)
+        most = MOST_CELLS // len(names)
+        values = RowReader(source, columns, cells).read(lines, _HEADER + 1, most).values
+    if len(values) > most:
+        raise InputError(f"{source}: too many frames of markers; split it")
+    if len(values) < 2:
+        raise InputError(f"{source}: has {len(values)} frames, expected at least 2")
+    positions = values[:, 2:].reshape(len(values), len(names), 3)
     return mocap_of_points(names, positions, rate, source)
 
 
-def _rate(values: dict[str, str], source: str) -> float:
-    """Return the frames a second that the header states, or raise InputError."""
+def _data_rate(values: dict[str, str], source: str) -> float:
     stated = values.get("DataRate", "")
     try:
         rate = float(stated)
@@ -78,7 +75,7 @@ def _rate(values: dict[str, str], source: str) -> float:
         rate = float("nan")
     if not _LEAST_RATE < rate <= FASTEST:
         raise InputError(
-            f"{source}: line 3 has DataRate {stated[:20]!r}, expected frames a second"
+            f"{source}: line 3 has DataRate {stated[:20]!r}, expected frames/s"
         )
     return rate
 
@@ -91,10 +88,10 @@ def read_c3d(path: AnyPath) -> Mocap:
     arrays = read_guarded("markers:c3d_arrays", source)
     points, rate = arrays["points"], float(arrays["rate"].item())
     names, count = tuple(arrays["names"].tolist()), points.shape[1]
-    if not 0.01 < rate < 1e4 or len(names) < count or not points.size:
+    if not _LEAST_RATE < rate < 1e4 or len(names) < count or not points.size:
         raise InputError(
             f"{source}: has {points.shape[2]} frames of {count} points, "
-            f"{len(names)} labels, {rate:g} frames a second; export it again"
+            f"{len(names)} labels and {rate:g} frames/s; export it again"
         )
     positions = np.moveaxis(points[:3], 0, -1).swapaxes(0, 1)
     unseen = arrays["residuals"] < 0
@@ -103,7 +100,7 @@ def read_c3d(path: AnyPath) -> Mocap:
 
 
 def c3d_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return points, residuals, labels and rate of a file, or raise InputError."""
+    """Read points, residuals, labels and rate, or raise InputError."""
     import ezc3d
 
     try:
@@ -116,29 +113,29 @@ def c3d_arrays(path: str) -> dict[str, NDArray[Any]]:
             "names": np.array(names, dtype=str),
             "rate": np.array(float(parameters["RATE"]["value"][0])),
         }
-    except Exception as error:  # ezc3d raises whatever its C++ does
+    except Exception as error:  # ezc3d may raise anything that its C++ code does
         raise InputError(
             f"{path}: cannot be read as C3D ({type(error).__name__}); export it again"
         ) from None
 
 
 def _check_header(source: str) -> None:
-    """Raise InputError for a wrong length in the header, which ezc3d believes."""
+    """Raise InputError for wrong lengths in the header, which ezc3d would trust."""
     path = check_file(source)
     size = path.stat().st_size
     with path.open("rb") as file:
         header = file.read(_BLOCK)
     if len(header) < _BLOCK or header[1] != C3D_MAGIC or size > _LARGEST_C3D:
-        raise InputError(f"{source}: not a C3D file, or cut off; export it again")
+        raise InputError(f"{source}: is not C3D, or cut off; export it again")
     points, analog, first, last, scale, start = struct.unpack("<4H2xfH", header[2:18])
     frames = last - first + 1
-    # Whole numbers where the scale is positive, floats where it is negative.
+    # A positive scale means integers, a negative one floats.
     width = 4 if scale < 0 else 2
     needed = frames * (4 * points + analog) * width
     if frames < 1 or start * _BLOCK > size or needed > size or points == 0:
         raise InputError(
             f"{source}: {frames} frames of {points} points do not fit into {size} "
-            "bytes; the file may be cut off, or its header damaged"
+            "bytes; the file may be cut off or damaged, export it again"
         )
     if frames * points > MOST_CELLS:
         raise InputError(
@@ -153,9 +150,9 @@ def mocap_of_points(
     source: str,
     confidence: Array | None = None,
 ) -> Mocap:
-    """Return points (T, N, 3), NaN where they are in part, or zeros, as unseen ones."""
+    """Make mocap of points (T, N, 3); those at the origin or partly NaN are missing."""
     unseen = np.isnan(positions).any(axis=2) | (positions == 0).all(axis=2)
     positions = np.where(unseen[..., None], np.nan, positions)
     if not np.nanmax(np.abs(positions), initial=0.0) < LARGEST_NUMBER:
-        raise InputError(f"{source}: a point is beyond any room; export it again")
+        raise InputError(f"{source}: a coordinate is too large; export it again")
     return Mocap(names, positions, None, 1.0 / rate, source, confidence)

@@ -1,17 +1,17 @@
-"""Mocap files of every kind, and the Kinect's joints in them; also as takes.
+"""Mocap files of all kinds and the Kinect's joints in them, also as takes.
 
-BVH that tools recorded from a Kinect gives the joints of Kinect v2 where the file has
-the SDK's names, as kinefilter's own; else those of Kinect v1, found by the names of
-``retarget/source_rigs``. A BVH knows no tracking states: every joint counts as tracked.
-Its unit is the one in which the bones are a person's: m, cm, mm or inches.
+BVH files recorded from a Kinect give the joints of Kinect v2 if they use the SDK's
+names, as kinefilter's own do; otherwise those of Kinect v1, by the joint names of
+``retarget/source_rigs``. A BVH has no tracking states, so every joint is tracked. Its
+unit (m, cm, mm or inches) is the one in which the bones are a person's.
 
-Of the points in C3D and TRC (``markers``) only those that are joints are of use here:
-named as the Kinect's joints, as the joint centers that Vicon's Plug-in Gait writes, or
-as landmarks that trackers of camera images find (``source_rigs/keypoints.toml``).
-Where joints lie among bare markers, ``pipeline/lab/marker_sets`` knows.
+From C3D and TRC (``markers``), only points that are joints are used: named like the
+Kinect's joints, like the joint centers of Vicon's Plug-in Gait, or like landmarks that
+trackers of camera images find (``source_rigs/keypoints.toml``). For bare markers,
+``pipeline/lab/marker_sets`` finds the joints.
 
-What a tracker is sure of at least to a half counts as tracked, as MediaPipe draws only
-landmarks that are visible to at least 0.5; what it is less sure of as inferred.
+A confidence of at least 0.5 counts as tracked, a lower one as inferred: MediaPipe draws
+only landmarks with a visibility of at least 0.5.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -41,29 +40,23 @@ from .acclaim import read_amc, read_asf
 from .bvh import read_bvh
 from .files import AnyPath, beginning, check_file
 from .markers import C3D_MAGIC, TRC_MAGIC, read_c3d, read_trc
-from .recording import (
-    Mocap,
-    Recording,
-    check_length,
-    of_other_tracker,
-    recording_of,
-)
+from .recording import Mocap, Recording, check_length, of_other_tracker, takes_of_rows
 
 _POINT_RIGS = ("plug_in_gait", "keypoints")
 RIGS = ("cmu", "motionbuilder", "acclaim", *_POINT_RIGS)
-"""Skeletons that mocap comes on, besides the Kinects' own."""
+"""Rigs that mocap comes with, besides the Kinects' own skeletons."""
 _BVH_RIGS = ("cmu", "motionbuilder", "rokoko", "ipi", "jointed")
-"""The most particular first."""
+"""The most specific first."""
 _QUARTER = np.sqrt(0.5)
 _TO_Y_UP = {
     (2, 1.0): np.array([_QUARTER, -_QUARTER, 0.0, 0.0]),
     (2, -1.0): np.array([_QUARTER, _QUARTER, 0.0, 0.0]),
     (1, -1.0): np.array([0.0, 0.0, 0.0, 1.0]),
 }
-"""How to turn an axis and direction, if it is up, to y, wxyz: about x, but cameras' y
-that points down by half a turn about z, after which a person still faces the camera."""
+"""Rotation, wxyz, that makes y up, by the axis and direction that are up: about x, but
+for y down, as in camera frames, half a turn about z: people still face the camera."""
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU": 0.056444}
-"""Meters in units that mocap comes in; CMU's is an inch over 0.45."""
+"""Units of mocap in meters; CMU's is an inch over 0.45."""
 _TITLES = {
     "cmu": "the joint names of the cgspeed conversion of CMU mocap",
     "motionbuilder": "the joint names of MotionBuilder",
@@ -74,24 +67,23 @@ _TITLES = {
     "ipi": "the bone names of iPi Mocap Studio",
     "jointed": "the names of a skeleton of joints",
 }
-_TOLERANCE = 1.5
-"""Lengths of bodies over those of the standard one, or under, at most."""
-_SURE = 0.5  # confidence from which on a joint counts as tracked, see above
-_STILL = 1e-3  # m; hips that move less are where a tracker always puts them
+_TOLERANCE = 1.5  # largest ratio of a body's lengths to the standard body's, or inverse
+_TRACKED_FROM = 0.5  # confidence, see above
+_STILL = 1e-3  # m; a tracker whose hips move less always puts them in the same place
 _AHEAD = np.array([0.0, 0.0, 2.0])
-"""How far such hips are moved [m], as a joint at the origin counts as missing."""
+"""Shift [m] of such a motion, since a joint at the origin counts as missing."""
 _NO_TRAVEL = (
-    "the hips stay over one place: the tracker knows postures, but not where somebody "
-    "goes"
+    "the hips stay over one place: the tracker gives postures but not the path of the "
+    "person"
 )
 
 
 def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
-    """Read a BVH, AMC, C3D or TRC file, told apart by content; text may be gzipped.
+    """Read a BVH, AMC, C3D or TRC file, detected by content; text may be gzipped.
 
-    The ASF file for an AMC is the one of ``skeletons`` whose name the motion's begins
-    with, or the only one; without any, one beside the motion. Raises InputError if the
-    file is missing or malformed, or there is no skeleton for it.
+    The ASF file for an AMC is the one of ``skeletons`` whose name begins the motion's
+    name, or the only one; if none are given, one beside the motion. Raises InputError
+    if the file is missing or malformed, or if there is no skeleton for it.
     """
     path = check_file(path)
     with path.open("rb") as file:
@@ -104,8 +96,7 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
         return read_trc(path)
     if first[:1] not in ("#", ":"):
         raise InputError(
-            f"{path}: not mocap: expected BVH, AMC (:FULLY-SPECIFIED) with its ASF, "
-            "C3D or TRC"
+            f"{path}: not mocap: expected BVH, C3D, TRC, or AMC beside its ASF"
         )
     given = skeletons or sorted(path.parent.glob("*.asf"))
     fitting = [asf for asf in given if path.name.startswith(asf.stem)]
@@ -124,10 +115,7 @@ def _bvh_mocap(source: str) -> Mocap:
 
 def read_bvh_take(source: str) -> Recording:
     """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
-    mocap = _bvh_mocap(source)
-    _, missing = matching_source_rig(mocap.bare_names, KINECT_V2, ())
-    skeleton = KINECT_V1 if missing else KINECT_V2
-    return _recording(mocap, skeleton, _BVH_RIGS, "bvh")
+    return _recording(_bvh_mocap(source), (KINECT_V2, KINECT_V1), _BVH_RIGS, "bvh")
 
 
 def read_trc_take(source: str) -> Recording:
@@ -141,37 +129,36 @@ def read_c3d_take(source: str) -> Recording:
 
 
 def read_points(mocap: Mocap, layout: str, time: Array | None = None) -> Recording:
-    """Return a take of named points, at even times or those given [s].
+    """Make a take of named points, at the frame rate or at the times [s] given.
 
-    Raises InputError if they are not of a known rig, or nobody's.
+    Raises InputError if they are of no known rig or not of a person.
     """
-    _, missing = matching_source_rig(mocap.bare_names, KINECT_V1, ())
-    skeleton = KINECT_V2 if missing else KINECT_V1
-    return _recording(mocap, skeleton, _POINT_RIGS, layout, time)
+    return _recording(mocap, (KINECT_V1, KINECT_V2), _POINT_RIGS, layout, time)
 
 
 def _recording(
     mocap: Mocap,
-    skeleton: Skeleton,
+    skeletons: tuple[Skeleton, Skeleton],
     rigs: Sequence[str],
     layout: str,
     time: Array | None = None,
 ) -> Recording:
+    """Make a recording on the first skeleton if all its joints are there by name."""
     check_length(len(mocap.positions), mocap.source)
-    positions, state, known = measured(mocap, skeleton, rigs)
+    _, missing = matching_source_rig(mocap.bare_names, skeletons[0], ())
+    skeleton = skeletons[1] if missing else skeletons[0]
+    positions, state, unit, notes, rig = kinect_joints(mocap, skeleton, rigs)
     if time is None:
         time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
-    rig = known.pop("rig")
-    found = recording_of(
-        time, positions, state, skeleton, mocap.source, layout, **known
-    )
-    return found if rig == skeleton.name else of_other_tracker(found)
+    takes, others = takes_of_rows(time, positions, state, skeleton, mocap.source)
+    recording = Recording(takes, layout, unit, (*notes, *others))
+    return recording if rig == skeleton.name else of_other_tracker(recording)
 
 
-def measured(
+def kinect_joints(
     mocap: Mocap, skeleton: Skeleton, rigs: Sequence[str] = _POINT_RIGS
-) -> tuple[Array, Codes, dict[str, Any]]:
-    """Return positions [m] (T, J, 3), states (T, J), and rig, unit and notes by name.
+) -> tuple[Array, Codes, str, list[str], str]:
+    """Return positions [m] (T, J, 3), states (T, J), the unit, notes and the rig.
 
     Raises InputError as ``kinect_motion``.
     """
@@ -186,26 +173,25 @@ def measured(
         notes.append(_NO_TRAVEL)
     state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
     if motion.confidence is not None:
-        state[~(motion.confidence >= _SURE)] = State.INFERRED
+        state[~(motion.confidence >= _TRACKED_FROM)] = State.INFERRED
         state[~(motion.confidence > 0.0)] = State.NOT_TRACKED
-    known = {"rig": motion.rig, "unit": motion.unit or "unknown", "notes": tuple(notes)}
-    return positions, state, known
+    return positions, state, motion.unit or "unknown", notes, motion.rig
 
 
 @dataclass(frozen=True, eq=False)
 class KinectMotion:
-    """The joints of a Kinect in motion that was recorded otherwise, y up."""
+    """The motion of a Kinect's joints in mocap, y up."""
 
-    positions: Array  # of joints in the file's unit, NaN where missing, (T, J, 3)
-    turns: Array | None  # world rotation of what turns each segment, wxyz, (T, J, 4)
-    unit: str  # that fits a body best; empty: none does
-    meters: float  # length of that unit, or of what a standard body would need [m]
+    positions: Array  # in the file's unit, NaN where missing, shape (T, J, 3)
+    turns: Array | None  # world rotation of the part that turns each segment, wxyz
+    unit: str  # best fit to the bones; empty if none fits
+    meters: float  # length of the unit, or scale to a standard body if none fits [m]
     rig: str
-    confidence: Array | None = None  # in each joint, (T, J), or unknown
+    confidence: Array | None = None  # of each joint, shape (T, J), if known
 
 
 def plain_name(name: str) -> str:
-    """Return a landmark's name as the keypoints rig has it: ``lhip`` for Left_Hip."""
+    """Return a landmark's name in the keypoints rig: ``lhip`` for Left_Hip."""
     plain = re.sub("[^a-z0-9]", "", name.casefold()).removeprefix("body")
     return re.sub("^(l|r)(eft|ight)(?=.)", r"\1", plain)
 
@@ -213,11 +199,11 @@ def plain_name(name: str) -> str:
 def kinect_motion(
     mocap: Mocap, skeleton: Skeleton, known: Sequence[str]
 ) -> KinectMotion:
-    """Return the joints of a Kinect in mocap.
+    """Return the motion of a Kinect's joints in mocap.
 
-    The axis (y or z, of points also down y or z) that mostly points from hips to
-    shoulders is up. ``known`` are the rigs to look for (``retarget/source_rigs``).
-    Raises InputError if the joints are of no known rig, or are in no frame.
+    Up is the axis (y or z; for points also down) that mostly points from hips to
+    shoulders. ``known`` are the rigs to look for (``retarget/source_rigs``). Raises
+    InputError if the joints are of no known rig, or in no frame.
     """
     names = mocap.bare_names
     column = dict[str, int]()
@@ -229,8 +215,8 @@ def kinect_motion(
     if missing and len(missing) == len(rig.needed):
         titles = "; ".join(_TITLES.get(name, name) for name in known)
         raise InputError(
-            f"{mocap.source}: no joint of a known name: the Kinect's; {titles}; "
-            f"found {listed(names)}"
+            f"{mocap.source}: no joint has a known name: expected the Kinect's; "
+            f"{titles}; found {listed(names)}"
         )
     if missing:
         title = _TITLES.get(rig.name, f"the joint names of {rig.name}")
@@ -238,24 +224,24 @@ def kinect_motion(
             f"{mocap.source}: no joint {missing[0]!r} ({len(missing)} missing); "
             f"expected {title} ({listed(sorted(rig.needed))}); found {listed(names)}"
         )
+    joints = [skeleton.index(joint) for joint in rig.joints]
+    columns = [[column[name] for name in row.at] for row in rig.joints.values()]
+    turned_by = [row.turned_by for row in rig.joints.values() if row.turned_by]
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
-    turned = mocap.rotations is not None and all(
-        joint.turned_by for joint in rig.joints.values()
-    )
-    turns = np.tile(IDENTITY, (*positions.shape[:2], 1)) if turned else None
-    sure = None if mocap.confidence is None else np.zeros(positions.shape[:2])
-    for joint, row in rig.joints.items():
-        j = skeleton.index(joint)
-        columns = [column[name] for name in row.at]
-        positions[:, j] = mocap.positions[:, columns].mean(axis=1)
-        if turns is not None and mocap.rotations is not None and row.turned_by:
-            turns[:, j] = mocap.rotations[:, column[row.turned_by]]
-        if sure is not None and mocap.confidence is not None:
-            sure[:, j] = mocap.confidence[:, columns].min(axis=1)
+    turns = confidence = None
+    for j, at in zip(joints, columns, strict=True):
+        positions[:, j] = mocap.positions[:, at].mean(axis=1)
+    if mocap.rotations is not None and len(turned_by) == len(joints):
+        turns = np.tile(IDENTITY, (*positions.shape[:2], 1))
+        turns[:, joints] = mocap.rotations[:, [column[name] for name in turned_by]]
+    if mocap.confidence is not None:
+        confidence = np.zeros(positions.shape[:2])
+        for j, at in zip(joints, columns, strict=True):
+            confidence[:, j] = mocap.confidence[:, at].min(axis=1)
     spine = positions[:, skeleton.girdle] - positions[:, skeleton.root]
     spine = spine[np.isfinite(spine).all(axis=1)]
     if not len(spine):
-        raise InputError(f"{mocap.source}: no frame has shoulders and hips")
+        raise InputError(f"{mocap.source}: no frame has both shoulders and hips")
     up = np.median(spine, axis=0)
     axis = int(np.abs(up).argmax())
     turn = _TO_Y_UP.get((axis, float(np.sign(up[axis]))))
@@ -263,15 +249,19 @@ def kinect_motion(
         positions = rotate(turn, positions)
         turns = None if turns is None else multiply(turn, turns)
     unit, meters = find_unit(positions, skeleton, mocap.source)
-    return KinectMotion(positions, turns, unit, meters, rig.name, sure)
+    return KinectMotion(positions, turns, unit, meters, rig.name, confidence)
 
 
 def find_unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float]:
-    """Return name and length [m] of the unit in which these are a person's bones."""
+    """Return the unit in which the bones are a person's, and its length [m].
+
+    If none fits, its name is empty and the length the scale to a standard body. Raises
+    InputError if all joints are in one place.
+    """
     ends = skeleton.segments
     bones = positions[:, ends] - positions[:, skeleton.segment_parents]
-    seen = [n[np.isfinite(n)] for n in np.linalg.norm(bones, axis=2).T]
-    lengths = np.array([np.median(norms) if len(norms) else 0.0 for norms in seen])
+    norms = [n[np.isfinite(n)] for n in np.linalg.norm(bones, axis=2).T]
+    lengths = np.array([np.median(n) if len(n) else 0.0 for n in norms])
     usual = standard_body(skeleton).lengths[ends]
     known = lengths > 1e-3 * max(lengths.max(), 1e-12)
     if not known.any() or not np.isfinite(lengths).all():

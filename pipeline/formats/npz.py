@@ -1,4 +1,4 @@
-"""Arrays in npz files, none larger than the file says, and whole clips in them."""
+"""Arrays in npz files, read only up to the size that the file has, and clips."""
 
 from __future__ import annotations
 
@@ -23,19 +23,18 @@ from kinefilter.characters import Body, Clip, InputError, Prop, Shape, skeleton_
 from .files import AnyPath, atomic_path, check_file
 
 _LARGEST = 2**31  # bytes of all arrays: nine hours of the largest skeleton's positions
-_KINDS = "biufUS"  # truth values, numbers and text
+_KINDS = "biufUS"  # numpy's letters for Booleans, numbers and text
 _MOST_ARRAYS = 1000
-_LONGEST_HEADER = 10_000  # bytes, numpy's own limit for files from elsewhere
+_LONGEST_HEADER = 10_000  # bytes, numpy's own limit for untrusted files
 
-_UNSAID = {"tilt": np.nan, "floor": np.nan, "roll": 0.0}
-"""What archives of older versions lack, as they lack the uncertainty; none has a roll
-but where there is one."""
+_DEFAULTS = {"tilt": np.nan, "floor": np.nan, "roll": 0.0}
+"""Values that files of older versions lack, as they lack the uncertainty; a roll of 0
+is never written."""
 _FIRST = ("time", "positions", "rotations")
-_OTHERS = (*_FIRST, *_UNSAID, "root", "body", "source", "props")
+_OTHERS = (*_FIRST, *_DEFAULTS, "root", "body", "source", "props")
 _ARRAYS = (*_FIRST, *(f.name for f in fields(Clip) if f.name not in _OTHERS))
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
-
 
 _OURS = "a file that kinefilter wrote"
 
@@ -51,26 +50,24 @@ def _archive(path: AnyPath, expected: str = _OURS) -> Iterator[zipfile.ZipFile]:
     except (
         *(OSError, EOFError, ValueError, TypeError, MemoryError, OverflowError),
         *(zipfile.BadZipFile, zlib.error, NotImplementedError, SyntaxError),
-        RuntimeError,  # an archive with a password
+        RuntimeError,  # from an archive with a password
     ) as error:
-        name = type(error).__name__
-        raise InputError(
-            f"{source}: cannot be read as npz ({name}); expected {expected}"
-        ) from None
+        reason = f"cannot be read as npz ({type(error).__name__})"
+        raise InputError(f"{source}: {reason}; expected {expected}") from None
 
 
 def array_names(path: AnyPath) -> set[str]:
-    """Return the names of the arrays in an npz file, or raise InputError."""
+    """List the names of the arrays in an npz file, or raise InputError."""
     with _archive(path) as archive:
         return {name.removesuffix(".npy") for name in archive.namelist()}
 
 
 def read_arrays(path: AnyPath, expected: str = _OURS) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an npz file, without running anything in it.
+    """Read the arrays of an npz file without executing anything in it.
 
-    The sizes that archive and arrays claim are compared before memory is allocated, so
-    a small file cannot ask for much. Raises InputError if the file is missing, damaged,
-    holds objects, or more than 2 GB.
+    The sizes that the archive and the arrays claim are checked before memory is
+    allocated. Raises InputError if the file is missing or damaged, contains objects, or
+    is over 2 GB; ``expected`` then says what to give instead.
     """
     with _archive(path, expected) as archive:
         members = archive.infolist()
@@ -78,26 +75,32 @@ def read_arrays(path: AnyPath, expected: str = _OURS) -> dict[str, NDArray[Any]]
         if size > _LARGEST or len(members) > _MOST_ARRAYS:
             raise InputError(
                 f"{os.fspath(path)}: {len(members)} arrays of {size / 1e6:.0f} MB are "
-                "more than kinefilter writes; is it the right file?"
+                f"more than kinefilter writes; give {expected}"
             )
         arrays = {}
         for member in members:
             with archive.open(member) as file:
-                check_header(file, member.file_size)
-                file.seek(0)
-                array: NDArray[Any] = npy.read_array(file, allow_pickle=False)
-            arrays[member.filename.removesuffix(".npy")] = np.asarray(array)
+                array = read_array(file, member.file_size)
+            arrays[member.filename.removesuffix(".npy")] = array
         return arrays
 
 
+def read_array(file: IO[bytes], size: int) -> NDArray[Any]:
+    """Read an array in npy format; raises as ``check_header`` and numpy's reader."""
+    check_header(file, size)
+    file.seek(0)
+    with warnings.catch_warnings(action="ignore"):  # about a header from Python 2
+        return np.asarray(npy.read_array(file, allow_pickle=False))
+
+
 def check_header(file: IO[bytes], size: int) -> tuple[int, ...]:
-    """Return an array's shape; raises ValueError if it is larger than what holds it."""
+    """Return an array's shape; raises ValueError if ``size`` bytes cannot hold it."""
     version = npy.read_magic(file)
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
     if version not in readers:
         raise ValueError(f"version {version}")
     try:
-        with warnings.catch_warnings(action="ignore"):  # a header that Python 2 wrote
+        with warnings.catch_warnings(action="ignore"):  # about a header from Python 2
             shape, _, dtype = readers[version](file, max_header_size=_LONGEST_HEADER)
     except (TokenError, RecursionError):
         raise ValueError("no header") from None
@@ -109,22 +112,22 @@ def check_header(file: IO[bytes], size: int) -> tuple[int, ...]:
 
 def write_arrays(path: AnyPath, arrays: Mapping[str, Any]) -> None:
     """Write arrays as npz; the file appears whole or not at all."""
-    # An open file, as numpy adds .npz to a name that ends in .NPZ.
+    # Pass an open file: numpy would add .npz to a name that ends in .NPZ.
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
 
 def write_npz(clip: Clip, path: AnyPath) -> None:
-    """Write ``clip_as_arrays``; equal clips give equal bytes."""
+    """Write a clip as npz; equal clips give equal bytes."""
     write_arrays(path, clip_as_arrays(clip))
 
 
 def clip_as_arrays(clip: Clip) -> dict[str, Any]:
-    """Return every array of a clip and every measure of its body under its own name.
+    """Return the arrays of a clip and the measures of its body by the fields' names.
 
-    Besides them there are ``skeleton``, ``joints`` and ``source``, and for each prop
-    ``prop:K:name``, ``positions``, ``rotations``, ``kinds`` and, for each of its
-    shapes, ``prop:K:L:size`` and so on.
+    There are also ``skeleton``, ``joints`` and ``source``, for each prop
+    ``prop:K:name``, ``:positions``, ``:rotations`` and ``:kinds``, and for each of its
+    shapes ``prop:K:L:size`` and so on.
     """
     return {
         **{name: getattr(clip, name) for name in (*_ARRAYS, "tilt", "floor")},
@@ -138,7 +141,7 @@ def clip_as_arrays(clip: Clip) -> dict[str, Any]:
 
 
 def read_npz(path: AnyPath) -> Clip:
-    """Read a clip that write_clip wrote as npz; raises InputError of other files."""
+    """Read a clip that write_clip wrote as npz; raises InputError for other files."""
     arrays = read_arrays(path, "a clip that kinefilter wrote")
     try:
         return clip_of_arrays(arrays)
@@ -147,21 +150,24 @@ def read_npz(path: AnyPath) -> Clip:
     except KeyError as error:
         wrong = f"not a kinefilter clip (no array {error.args[0]}); write it again"
     except (ValueError, TypeError, IndexError):
-        wrong = "its arrays do not make a clip; write it again"
+        wrong = "its arrays are not those of a clip; write it again"
     raise InputError(f"{os.fspath(path)}: {wrong}")
 
 
 def clip_of_arrays(archive: dict[str, Any]) -> Clip:
-    """Return the clip whose arrays these are, or raise InputError, KeyError or so."""
+    """Return the clip whose arrays these are.
+
+    Raises InputError, KeyError, ValueError, TypeError or IndexError if they are not.
+    """
     skeleton = skeleton_named(str(archive["skeleton"]))
     unknown = np.full(np.shape(archive["reliability"]), np.nan)
-    archive = {"uncertainty": unknown, **_UNSAID, **archive}
-    names = (*_ARRAYS, *_UNSAID, *_BODY)
+    archive = {"uncertainty": unknown, **_DEFAULTS, **archive}
+    names = (*_ARRAYS, *_DEFAULTS, *_BODY)
     arrays: dict[str, Any] = {name: np.asarray(archive[name]) for name in names}
     for name, array in arrays.items():
         if array.dtype.kind not in ("f" if name == "time" else "biuf"):
-            raise InputError(f"{name} is not numbers; write the clip again")
-    arrays |= {name: arrays[name].item() for name in (*_UNSAID, "height", "mass")}
+            raise InputError(f"array {name} is not numeric; write the clip again")
+    arrays |= {name: arrays[name].item() for name in (*_DEFAULTS, "height", "mass")}
     body = Body(skeleton, **{name: arrays.pop(name) for name in _BODY})
     positions = arrays.pop("positions")
     if positions.shape != (len(arrays["time"]), len(skeleton), 3):
@@ -176,7 +182,6 @@ def clip_of_arrays(archive: dict[str, Any]) -> Clip:
 
 
 def _props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of props as ``write_npz`` names them."""
     arrays: dict[str, NDArray[Any]] = {}
     for k, prop in enumerate(props):
         arrays[f"prop:{k}:name"] = np.array(prop.name)
@@ -190,14 +195,13 @@ def _props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
 
 
 def _props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
-    """Yield the props whose arrays are named as ``write_npz`` names them."""
     for k in count():
         if f"prop:{k}:name" not in archive:
             return
-        kinds, name = archive[f"prop:{k}:kinds"].tolist(), archive[f"prop:{k}:name"]
         shapes = [
             Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
-            for n, kind in enumerate(kinds)
+            for n, kind in enumerate(archive[f"prop:{k}:kinds"].tolist())
         ]
+        name = str(archive[f"prop:{k}:name"])
         places, turns = archive[f"prop:{k}:positions"], archive[f"prop:{k}:rotations"]
-        yield Prop(str(name), tuple(shapes), places, turns)
+        yield Prop(name, tuple(shapes), places, turns)

@@ -1,7 +1,8 @@
-"""Rows of numbers in text: read fast where all is well, exact about where it is not."""
+"""Readers of numbers in text files: fast on valid rows, precise about wrong ones."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -12,33 +13,51 @@ import numpy as np
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array, Flags, Indices
 
+from .plain import counted
+
 LARGEST_NUMBER = 1e9
-"""Of lengths and angles at most, whatever their unit; a damaged number may be more."""
-_BLOCK_LINES = 2000  # some megabytes of text at a time, whatever the file's length
+"""Largest length or angle in any unit; a larger number means damage."""
+_BLOCK_LINES = 2000  # a few megabytes of text in memory, however long the file
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Some rows of a file."""
+    """Consecutive rows of a file."""
 
     rows: Indices  # line number of each row, counted from 1, shape (R,)
-    values: Array  # the numbers, NaN where a cell is empty, none infinite, (R, C)
+    values: Array  # the numbers, NaN for empty cells, never infinite, shape (R, C)
 
 
 @dataclass(frozen=True)
 class RowReader:
-    """Reads rows of numbers and says where one is wrong."""
+    """Parser of rows of numbers whose errors name the row and the column."""
 
     source: str
     columns: tuple[str, ...]
     normalize: Callable[[str], str] = lambda line: ",".join(line.split())
-    """Turns a line into comma-separated cells, one per column if the line is right."""
+    """Turns a line into comma-separated cells, one per column if the line is valid."""
+
+    def read(
+        self, lines: Iterable[str], first_row: int, most: float = math.inf
+    ) -> Block:
+        """Read all rows; stops early, after a block, at more than ``most`` rows.
+
+        Raises InputError as ``blocks``.
+        """
+        blocks, count = [Block(np.empty(0, int), np.empty((0, len(self.columns))))], 0
+        for block in self.blocks(lines, first_row):
+            blocks.append(block)
+            count += len(block.rows)
+            if count > most:
+                break
+        rows = np.concatenate([block.rows for block in blocks])
+        return Block(rows, np.concatenate([block.values for block in blocks]))
 
     def blocks(self, lines: Iterable[str], first_row: int) -> Iterator[Block]:
-        """Yield the rows in order, blank lines left out.
+        """Yield the rows in order, without blank lines.
 
-        The first of the lines has number ``first_row``, counted from 1. Raises
-        InputError for a wrong number of columns, text, or an infinite number.
+        ``first_row`` is the number of the first line, counted from 1. Raises InputError
+        for a wrong number of columns, text, or an infinite number.
         """
         numbered = enumerate(lines, start=first_row)
         while chunk := list(islice(numbered, _BLOCK_LINES)):
@@ -49,21 +68,20 @@ class RowReader:
 
     def _block(self, rows: Indices, texts: list[str]) -> Block:
         try:
-            named = [_name_the_empty(text) for text in texts]
+            named = [_fill_empty_cells(text) for text in texts]
             values = np.loadtxt(named, delimiter=",", comments=None, ndmin=2)
         except ValueError:
-            values = None
-        if values is None or values.shape != (len(rows), len(self.columns)):
-            values = np.array(
-                [self._cells(row, text) for row, text in zip(rows, texts, strict=True)]
-            )
+            values = np.empty(0)
+        if values.shape != (len(rows), len(self.columns)):
+            numbered = zip(rows, texts, strict=True)
+            values = np.array([self._numbers(row, text) for row, text in numbered])
         block = Block(rows, values)
         for column in np.flatnonzero(np.isinf(values).any(axis=0)).tolist():
-            words = "is infinite; expected a finite number"
-            self.refuse(block, column, np.isinf(values[:, column]), words)
+            complaint = "is infinite; expected a finite number"
+            self.refuse(block, column, np.isinf(values[:, column]), complaint)
         return block
 
-    def _cells(self, row: int, text: str) -> list[float]:
+    def _numbers(self, row: int, text: str) -> list[float]:
         cells, numbers = [cell.strip() for cell in text.split(",")], []
         if len(cells) != len(self.columns):
             raise InputError(
@@ -75,22 +93,26 @@ class RowReader:
                 numbers.append(float(cell or "nan"))
             except ValueError:
                 word = cell if len(cell) <= 40 else f"{cell[:37]}..."
-                words = "leave the cell empty if nothing was measured"
-                self._fail(row, column, f"is {word!r}, expected a number; {words}")
+                hint = "leave the cell empty if nothing was measured"
+                self._fail(row, column, f"is {word!r}, expected a number; {hint}")
         return numbers
 
-    def refuse(self, block: Block, column: int, wrong: Flags, words: str) -> None:
-        """Raise InputError for the first wrong row (R,); ``{}`` is its number."""
+    def refuse(self, block: Block, column: int, wrong: Flags, complaint: str) -> None:
+        """Raise InputError for the first wrong row (R,), if any.
+
+        ``{}`` in the complaint stands for the number in that row.
+        """
         if wrong.any():
             k = int(np.argmax(wrong))
-            self._fail(block.rows[k], column, words.format(block.values[k, column]))
+            value = block.values[k, column]
+            self._fail(block.rows[k], column, complaint.format(value))
 
     def _fail(self, row: int, column: int, complaint: str) -> NoReturn:
         name = self.columns[column]
         raise InputError(f"{self.source}: row {row}, column {name} {complaint}")
 
 
-def _name_the_empty(text: str) -> str:
+def _fill_empty_cells(text: str) -> str:
     """Write nan into empty cells, which numpy's reader does not accept."""
     if ",," in text:
         # Twice: neighbors share a comma, so one pass fills every other cell.
@@ -102,15 +124,15 @@ def _name_the_empty(text: str) -> str:
 
 @dataclass
 class LineReader:
-    """Goes through the lines of a text that is no table, and knows where it is."""
+    """Reader of a text that is not a table; its errors name the current line."""
 
     source: str
     lines: Iterator[str]
-    row: int = 0  # number of the last line that was read, counted from 1
+    row: int = 0  # number of the last line read, counted from 1
     noun: ClassVar[str] = "line"
 
     def filled(self, comments: str = "") -> Iterator[list[str]]:
-        """Yield the words of each line that has some and is no comment."""
+        """Yield the words of each line that is neither blank nor a comment."""
         for line in self.lines:
             self.row += 1
             words = line.split()
@@ -118,14 +140,15 @@ class LineReader:
                 yield words
 
     def numbers(self, words: Sequence[str], count: int, what: str = "") -> Array:
-        """Return words as that many finite numbers, or fail."""
+        """Convert words to ``count`` finite numbers, or fail."""
         try:
             numbers = np.array(words, dtype=np.float64)
         except ValueError:
             numbers = np.full(count, np.nan)
         if len(numbers) != count or not (np.abs(numbers) < LARGEST_NUMBER).all():
             found = " ".join(words)[:40]
-            self.fail(f"has {what}{found!r}, expected {count} finite numbers")
+            wanted = f"{counted(count, 'finite number')} under {LARGEST_NUMBER:g}"
+            self.fail(f"has {what}{found!r}, expected {wanted}")
         return numbers
 
     def fail(self, complaint: str) -> NoReturn:

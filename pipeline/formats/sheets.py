@@ -1,4 +1,4 @@
-"""Takes as tables with a frame a row: kinefilter's own CSV and the Kinects'."""
+"""Takes as tables, one row per frame: kinefilter's own CSV and the Kinects'."""
 
 from __future__ import annotations
 
@@ -31,23 +31,24 @@ from .npz import read_npz
 from .recording import (
     FRAMES_AT_ONCE,
     MOST_FRAMES,
+    STATES,
     Recording,
     check_length,
     missing_marked,
     open_rows,
-    recording_of,
+    takes_of_rows,
 )
 from .rows import Block, RowReader
 
 PART = ".part.csv"
-"""End of the name of what ``live`` records; if it is killed, the last row is torn."""
-_LATEST = 1e19  # of the units of any format: a sensor's clock starts centuries ago
+"""Suffix of recordings by ``live``; if it is killed, the last row may be incomplete."""
+_LATEST = 1e19  # in any format's unit of time: some clocks count from centuries ago
 _AXES = ("x", "y", "z")
 _OURS = (*_AXES, "state")
 _MERGED = ("reliability", "sensor")
-"""What merged takes have more of each joint; for people to read, not for cleaning."""
+"""Extra columns per joint of merged takes: informative, cleaning ignores them."""
 _CONTACT_HEADER = ("time", *CONTACTS)
-_ROUNDED = 5e-4  # s: stamps that were rounded in a spreadsheet are the same
+_ROUNDED = 5e-4  # s: tolerance for time stamps that a spreadsheet has rounded
 
 
 def _columns(skeleton: Skeleton, parts: Sequence[str] = _OURS) -> tuple[str, ...]:
@@ -55,32 +56,31 @@ def _columns(skeleton: Skeleton, parts: Sequence[str] = _OURS) -> tuple[str, ...
 
 
 def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
-    """Write time [s], joint positions [m] and states, one row per frame.
+    """Write time [s], joint positions [m] and tracking states, one row per frame.
 
     The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` in the sensor's
-    order. In a clip, a joint that was not measured as it is counts as inferred.
-    Positions have nine decimals, time reads back the same; a missing coordinate is an
-    empty cell.
+    order. In a clip, every joint that was corrected or filled counts as inferred.
+    Positions have nine decimals, times are exact; a missing coordinate is an empty
+    cell.
     """
     state = motion.state
     if isinstance(motion, Clip):
-        # What the sensor did not see has a place now, but only inferred.
         measured = motion.origin == Origin.MEASURED
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
     with new_text(path) as file:
         file.write(take_header(motion.skeleton))
-        for some in chunks(len(motion), FRAMES_AT_ONCE):
-            rows = take_rows(motion.time[some], motion.positions[some], state[some])
+        for span in chunks(len(motion), FRAMES_AT_ONCE):
+            rows = take_rows(motion.time[span], motion.positions[span], state[span])
             file.write(rows)
 
 
 def write_merged_csv(
     take: Take, reliability: Array, shares: Array, path: AnyPath
 ) -> None:
-    """Write a take of several sensors, with the columns that only such a take has.
+    """Write a merged take, with two more columns per joint.
 
-    ``Joint.reliability`` is (T, J), ``Joint.sensor`` the number, from 1, of the sensor
-    with the largest of the shares (T, S, J), 0 where no sensor has the joint.
+    These are ``Joint.reliability``, shape (T, J), and ``Joint.sensor``: the number,
+    from 1, of the sensor with the largest share (T, S, J), 0 where none has the joint.
     """
     largest = np.where(shares.max(axis=1) > 0.0, 1 + shares.argmax(axis=1), 0)
     names = _columns(take.skeleton, _MERGED)[1:]
@@ -88,19 +88,18 @@ def write_merged_csv(
     row = ",%.3f,%d" * len(take.skeleton) + "\n"
     with new_text(path) as file:
         file.write(take_header(take.skeleton).rstrip("\n") + f",{','.join(names)}\n")
-        for k in range(len(take)):
-            one = slice(k, k + 1)
-            rows = take_rows(take.time[one], take.positions[one], take.state[one])
-            file.write(rows.rstrip("\n") + row % tuple(each[k].tolist()))
+        for k, one in enumerate(chunks(len(take), 1)):
+            line = take_rows(take.time[one], take.positions[one], take.state[one])
+            file.write(line.rstrip("\n") + row % tuple(each[k].tolist()))
 
 
 def take_header(skeleton: Skeleton) -> str:
-    """Return the line of the columns' names."""
+    """Return the header line of a take's CSV."""
     return ",".join(_columns(skeleton)) + "\n"
 
 
 def take_rows(time: Array, positions: Array, state: Codes) -> str:
-    """Return the lines of frames, shapes (T,), (T, J, 3) and (T, J)."""
+    """Format frames as lines of CSV; shapes (T,), (T, J, 3) and (T, J)."""
     count, joints = state.shape
     row = ",".join(["%r", *["%.9f,%.9f,%.9f,%d"] * joints]) + "\n"
     each = np.concatenate([positions, state[..., None]], axis=-1)
@@ -114,31 +113,28 @@ class _Layout:
     name: str
     skeleton: Skeleton
     columns: tuple[str, ...]
-    normalize: Callable[[str], str]  # a line into comma-separated cells, one a column
-    seconds: float  # one unit of the time column; one frame where there is none
+    normalize: Callable[[str], str]  # see RowReader
+    seconds: float  # per unit of the time column, or per frame without this column
     has_header: bool = False
-    weighted: bool = False  # states that are all 1 or 0 say that there is a point
+    weighted: bool = False  # states that are all 0 or 1 only mark missing joints
 
 
 def _kinefilter(line: str, source: str) -> _Layout:
     columns = tuple(cell.strip().strip('"') for cell in line.strip().split(","))
     joints = tuple(dict.fromkeys(c.rpartition(".")[0] or c for c in columns[1:]))
     skeletons = sorted(SKELETONS.values(), key=len)
-    # The smallest skeleton that has all the joints, or else most of them.
+    # The skeleton with most of the joints, the smallest among equals.
     skeleton = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
     needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
     twice, times = Counter(columns).most_common(1)[0]
     known = {*_columns(skeleton), *_columns(skeleton, _MERGED)}
     wrong = ""
     if columns[0] != "time":
-        wrong = (
-            f", column 1 is {columns[0][:40]!r}, expected the header 'time'; give the "
-            "file's own format"
-        )
+        wrong = f", column 1 is {columns[0][:40]!r}, expected the header 'time'"
     elif times > 1:
-        wrong = f" has column {twice[:40]!r} twice; delete one"
+        wrong = f" has column {twice[:40]!r} twice; delete one of them"
     elif not joints:
-        wrong = " names no joints; expected Joint.x and so on"
+        wrong = " names no joints; expected columns such as Head.x after 'time'"
     elif unknown := [joint for joint in joints if joint not in skeleton.joints]:
         wrong = (
             f", joint {unknown[0][:40]!r} is not one of {skeleton.name}: "
@@ -146,27 +142,14 @@ def _kinefilter(line: str, source: str) -> _Layout:
         )
     elif unknown := [name for name in columns if name not in known]:
         wrong = (
-            f", column {unknown[0][:40]!r} is unknown; expected Joint.x, Joint.y, "
-            "Joint.z or Joint.state"
+            f", column {unknown[0][:40]!r} is unknown; expected x, y, z or state after "
+            "the joint, such as Head.x"
         )
     elif missing := [column for column in needed if column not in columns]:
-        wrong = (
-            f" has no column {missing[0]}; add it or delete the other columns of that "
-            "joint"
-        )
+        wrong = f" has no column {missing[0]}; add it or delete the joint's columns"
     if wrong:
         raise InputError(f"{source}: row 1{wrong}")
     return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
-
-
-def _kinect_v2(_line: str, _source: str) -> _Layout:
-    columns = _columns(KINECT_V2)
-
-    def normalize(line: str) -> str:
-        # The recorder ends every cell with a comma, the last one too.
-        return line[:-1] if line.count(",") == len(columns) else line
-
-    return _Layout("kinect-v2", KINECT_V2, columns, normalize, 100e-9)
 
 
 def _kinect_v1(line: str, source: str) -> _Layout:
@@ -177,37 +160,44 @@ def _kinect_v1(line: str, source: str) -> _Layout:
         found = f"{strangers[0][:40]!r}" if strangers else f"{len(set(joints))} joints"
         raise InputError(
             f"{source}: row 1 has {found}, expected the {len(KINECT_V1)} joint names "
-            f"of {KINECT_V1.name} split by ;: {', '.join(KINECT_V1.joints)}"
+            f"of {KINECT_V1.name} separated by ;: {', '.join(KINECT_V1.joints)}"
         )
 
     def normalize(line: str) -> str:
         cells = line.split(";")
         if len(cells) == len(KINECT_V1) + 1:
-            del cells[-1]  # the label of the action
+            del cells[-1]  # a label of the action
         return ",".join(",".join(cell.split()) or ",," for cell in cells)
 
     columns = tuple(f"{joint}.{axis}" for joint in joints for axis in _AXES)
     return _Layout("kinect-v1", KINECT_V1, columns, normalize, 1 / 30, has_header=True)
 
 
-def _msrc_12(_line: str, _source: str) -> _Layout:
-    def normalize(line: str) -> str:
-        return ",".join(line.replace(",", " ").split())
-
-    columns = _columns(KINECT_V1)
-    return _Layout("msrc-12", KINECT_V1, columns, normalize, 1e-6, weighted=True)
+def _v2_cells(line: str) -> str:
+    # The recorder puts a comma after every cell, including the last.
+    return line[:-1] if line.count(",") == len(_V2_COLUMNS) else line
 
 
-def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
+def _msrc_cells(line: str) -> str:
+    return ",".join(line.replace(",", " ").split())
+
+
+_V1_COLUMNS, _V2_COLUMNS = _columns(KINECT_V1), _columns(KINECT_V2)
+_V2 = _Layout("kinect-v2", KINECT_V2, _V2_COLUMNS, _v2_cells, 100e-9)
+_MSRC = _Layout("msrc-12", KINECT_V1, _V1_COLUMNS, _msrc_cells, 1e-6, weighted=True)
+
+
+def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
     with open_rows(source) as (row, line, lines):
-        layout = lay_out(line, source)
+        layout = layout_of(line, source)
         if not layout.has_header:
             lines = chain([line], lines)
         reader = RowReader(source, layout.columns, layout.normalize)
-        blocks, count = [], 0
-        notes: list[str] = []
+        blocks, count, notes = [], 0, list[str]()
         if source.endswith(PART):
-            lines = _untorn(lines, row + layout.has_header, layout.columns, notes)
+            lines = _without_torn_end(
+                lines, row + layout.has_header, layout.columns, notes
+            )
         for block in reader.blocks(lines, row + layout.has_header):
             blocks.append(_frames(block, layout, reader))
             count += len(block.rows)
@@ -218,39 +208,37 @@ def _read(lay_out: Callable[[str, str], _Layout], source: str) -> Recording:
     if "time" not in layout.columns:
         time = np.arange(len(time)) * layout.seconds
     elif not layout.has_header:
-        # The clock of the machine; subtracted before scaling, which rounds.
+        # The file has clock readings: subtract the first before scaling rounds them.
         time = (time - time[0]) * layout.seconds
     check_order(time, lambda k: f"{source}: row {rows[k]}, column time", "rows")
     if layout.weighted and state.max() == State.INFERRED:
-        # The w of a homogeneous point, which is 1 wherever there is one.
+        # Not states but the w of homogeneous points, 1 for every joint present.
         state = np.where(state > 0, State.TRACKED, State.NOT_TRACKED).astype(np.uint8)
-    return recording_of(
-        *(time, positions, state, layout.skeleton, source, layout.name),
-        notes=tuple(notes),
-    )
+    takes, others = takes_of_rows(time, positions, state, layout.skeleton, source)
+    return Recording(takes, layout.name, notes=(*notes, *others))
 
 
-def _untorn(
+def _without_torn_end(
     lines: Iterable[str], first_row: int, columns: Sequence[str], notes: list[str]
 ) -> Iterator[str]:
-    """Yield lines without a last one that ends before its last column; note that."""
+    """Yield lines except an incomplete last one, which is noted instead."""
     for row, line in enumerate(lines, start=first_row):
         if line.endswith("\n") or line.count(",") >= len(columns) - 1:
             yield line
         else:
-            notes.append(f"row {row} was not written to its end: it is left out")
+            notes.append(f"row {row} is incomplete: it is left out")
 
 
 read_kinefilter = partial(_read, _kinefilter)
-read_kinect_v2 = partial(_read, _kinect_v2)
+read_kinect_v2 = partial(_read, lambda *_: _V2)
 read_kinect_v1 = partial(_read, _kinect_v1)
-read_msrc_12 = partial(_read, _msrc_12)
+read_msrc_12 = partial(_read, lambda *_: _MSRC)
 
 
 def _frames(
     block: Block, layout: _Layout, reader: RowReader
 ) -> tuple[Indices, Array, Array, Codes]:
-    """Return row numbers, times [s], positions [m] (R, J, 3) and states (R, J)."""
+    """Return row numbers, times, positions [m] (R, J, 3) and states (R, J)."""
     skeleton, values = layout.skeleton, block.values
     index = {column: i for i, column in enumerate(layout.columns)}
     positions = np.full((len(values), len(skeleton), 3), np.nan)
@@ -260,55 +248,57 @@ def _frames(
             positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
             state[:, j] = State.TRACKED
         if (column := index.get(f"{joint}.state")) is not None:
-            # An empty cell says nothing against the joint.
+            # An empty state does not make the joint missing.
             given = np.nan_to_num(values[:, column], nan=State.TRACKED)
-            words = "is {:g}, expected a tracking state: 0 not tracked, 1 inferred, "
             unknown = ~np.isin(given, list(State))
-            reader.refuse(block, column, unknown, words + "2 tracked")
+            reader.refuse(block, column, unknown, f"is {{:g}}, expected {STATES}")
             state[:, j] = given
     time = np.zeros(len(values))
     if (column := index.get("time")) is not None:
         time = values[:, column]
-        words = "is empty, expected a time; delete the row"
-        reader.refuse(block, column, np.isnan(time), words)
-        words = "is {:.3g}, expected a time; correct or delete the row"
-        reader.refuse(block, column, np.abs(time) > _LATEST, words)
+        empty = "is empty, expected a time; delete the row"
+        reader.refuse(block, column, np.isnan(time), empty)
+        late = "is {:.3g}, expected a time; correct or delete the row"
+        reader.refuse(block, column, np.abs(time) > _LATEST, late)
     return block.rows, time, *missing_marked(positions, state)
 
 
 def write_contacts(clip: Clip, path: AnyPath) -> None:
-    """Write 1 where a part of a foot is on the floor, else 0, one row per frame."""
-    rows = zip(clip.time.tolist(), clip.contacts.astype(int).tolist(), strict=True)
+    """Write the contacts of a clip: 1 on the floor, else 0, one row per frame."""
     with new_text(path) as file:
         file.write(",".join(_CONTACT_HEADER) + "\n")
-        for time, flags in rows:
-            file.write(",".join([repr(time), *map(str, flags)]) + "\n")
+        for time, flags in zip(clip.time.tolist(), clip.contacts, strict=True):
+            file.write(",".join([repr(time), *map(str, flags.astype(int))]) + "\n")
 
 
 def read_contacts(path: AnyPath, time: Array) -> Flags:
-    """Return the contacts (CONTACTS) of a file at times [s] (T,), shape (T, 4).
+    """Read contacts (CONTACTS) at times [s] (T,) from a file, shape (T, 4).
 
-    The file is one of ``write_contacts``, edited or not, or a clip as npz. Each time
-    gets the last row at or before it: a file may have a row per frame, or one per
-    change. Raises InputError if it is missing, no such table, or of another time.
+    The file comes from ``write_contacts``, edited or not, or is a clip as npz. Each
+    time gets the last row at or before it, so a file may have one row per frame or one
+    per change. Raises InputError if the file is missing or malformed, or if its times
+    and those given do not overlap.
     """
     stamps, flags = contact_table(path)
     if stamps[0] > time[-1] + _ROUNDED or (len(stamps) > 1 and stamps[-1] < time[0]):
         raise InputError(
             f"{os.fspath(path)}: its times, {stamps[0]:.3f} to {stamps[-1]:.3f} s, are "
-            f"outside the take's, {time[0]:.3f} to {time[-1]:.3f} s; give this take's"
+            f"outside the take's, {time[0]:.3f} to {time[-1]:.3f} s; use this take's"
         )
     rows = np.searchsorted(stamps, time + _ROUNDED, side="right") - 1
     return np.asarray(flags[np.maximum(rows, 0)])
 
 
 def claims_contacts(path: AnyPath) -> bool:
-    """Tell whether a file begins as ``write_contacts`` does."""
+    """Return True if a file begins like one of ``write_contacts``."""
     return beginning(path).startswith(",".join(_CONTACT_HEADER))
 
 
 def contact_table(path: AnyPath) -> tuple[Array, Flags]:
-    """Return times [s] (T,) and contacts (T, 4) of a table or clip, or InputError."""
+    """Read times [s] (T,) and contacts (T, 4) from a table or a clip as npz.
+
+    Raises InputError if the file is missing or malformed.
+    """
     source = os.fspath(path)
     if source.lower().endswith(".npz"):
         clip = read_npz(path)
@@ -320,16 +310,14 @@ def contact_table(path: AnyPath) -> tuple[Array, Flags]:
                 f"{source}: row 1 is {','.join(header)[:60]!r}; expected the header "
                 f"{','.join(_CONTACT_HEADER)} of 'kinefilter clean --save-contacts'"
             )
-        blocks = list(RowReader(source, _CONTACT_HEADER, str.strip).blocks(file, 2))
-    values = np.concatenate([np.empty((0, 5)), *(block.values for block in blocks)])
-    rows = np.concatenate([np.empty(0, int), *(block.rows for block in blocks)])
-    time, flags = values[:, 0], values[:, 1:]
+        block = RowReader(source, _CONTACT_HEADER, str.strip).read(file, 2)
+    time, flags = block.values[:, 0], block.values[:, 1:]
     wrong = ~np.isin(flags, (0.0, 1.0)).all(axis=1) | np.isnan(time)
     wrong[1:] |= np.diff(time) < 0.0
-    if len(values) == 0 or wrong.any():
-        row = int(rows[wrong][0]) if wrong.any() else 2
+    if len(time) == 0 or wrong.any():
+        row = int(block.rows[wrong][0]) if wrong.any() else 2
         raise InputError(
-            f"{source}: row {row} is not a time after the last and four times 0 or 1; "
-            "correct or remove it"
+            f"{source}: row {row}: expected a time not before the previous row's and "
+            "four flags, 0 or 1; correct or remove the row"
         )
     return time, flags == 1.0

@@ -1,6 +1,6 @@
-"""Takes out of the files that sensors and their tools write, whatever their layout."""
+"""Takes from the files of sensors and their tools, in any known format."""
 
-# ruff: noqa: A002 - "format" is the word that users know
+# ruff: noqa: A002 - "format" is the name that users know
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from .files import AnyPath, beginning, check_file
 from .recording import Recording, at_rate, open_rows
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
-_SAID = ("kinefilter", "kinect-v2", "kinect-v1")  # in messages, in words
+_DESCRIBED = ("kinefilter", "kinect-v2", "kinect-v1")  # in the error message
 _JOINTS = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")
-"""Joints that headers of takes name: the root or what hangs on it."""
+"""Joints of which every take's header has at least one."""
 _JSON_KEYS = {
     "openpose": ('"people"', '"pose_keypoints_3d"'),
     "mmpose": ('"meta_info"', '"instance_info"', '"instances"', '"keypoint_scores"'),
     "azure": ('"bone_list"', '"joint_names"', '"timestamp_usec"', '"joint_positions"'),
 }
-"""Words that takes in JSON have near the beginning."""
-_NPY, _C3D = "NUMPY", "\x02P"  # how they begin, without what is no text
-_CLIPS = (b"glTF", b"PXR-USDC", b"PK\x03\x04")  # how they begin
-_BEGINNING = 2**16  # characters: a bone list is a tenth of it
+"""Keys of which takes in JSON have at least one near the beginning."""
+_NPY, _C3D = "NUMPY", "\x02P"  # beginnings of files, decoded without other bytes
+_CLIPS = (b"glTF", b"PXR-USDC", b"PK\x03\x04")  # beginnings of files
+_BEGINNING = 2**16  # characters: ten times the length of a bone list
 
 
 def _cells(line: str) -> list[str]:
@@ -57,7 +57,7 @@ FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
     ),
     "kinect-v2": (
         "sheets:read_kinect_v2",
-        # The recorder ends every cell with a comma, the last one too.
+        # The last cell may end with a comma, too.
         lambda line: ";" not in line and len(_cells(line)) - _V2_CELLS in (0, 1),
     ),
     "kinect-v1": ("sheets:read_kinect_v1", lambda line: ";" in line),
@@ -70,9 +70,8 @@ FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
     "azure": ("azure:read_azure", lambda line: line.startswith("{")),
     "bvh": ("mocap:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]),
 }
-"""By the name of a format: module of this package and function in it that makes a
-Recording of a path, and whether a file can begin with a line. The first that can is
-the format of a file."""
+"""For each format by name: the module and function that read a path into a Recording,
+and a predicate on the first line of a file. The first match is the file's format."""
 
 
 def read_take(
@@ -84,77 +83,71 @@ def read_take(
 ) -> Take:
     """Read a recording of a person.
 
-    Known formats, told apart by content; each may be gzipped:
+    Formats are detected by content; each may be gzipped:
 
     - ``kinefilter``: header ``time,Joint.x,Joint.y,Joint.z,Joint.state,...``, seconds
-      and meters. An empty cell is missing; joints in any order; states may be left out.
-      Rows of one time in several places are several people.
+      and meters. Joints are in any order, states are optional, and an empty cell is
+      missing. Rows of one time in different places are different people.
     - ``kinect-v2``: no header, time in units of 100 ns, then x, y, z and state of the
       25 joints in the SDK's order. Time is counted from the first frame.
-    - ``kinect-v1``: header of 20 joint names split by ``;``, then ``x y z`` per joint;
-      30 frames a second, no states.
+    - ``kinect-v1``: header of 20 joint names separated by ``;``, then ``x y z`` per
+      joint; 30 frames/s, no states.
     - ``msrc-12``: no header, time in microseconds, then x, y, z and state of Kinect
-      v1's 20 joints in the SDK's order, split by blanks or commas. Where no state is 2,
-      1 says that there is a joint (Fothergill et al. 2012, CHI).
+      v1's 20 joints in the SDK's order, separated by blanks or commas. If no state is
+      2, then 1 only marks a joint as present (Fothergill et al. 2012, CHI).
     - ``msr-action3d`` and ``ntu``: see ``datasets``. ``azure``: see the module of this
       name. ``bvh``, ``trc`` and ``c3d``, if they have joints: see ``mocap``.
     - ``npy``, ``freemocap``, ``openpose`` and ``mmpose``: see ``keypoints``.
 
-    A joint that is not tracked, not a number or exactly at the origin, where the
-    sensors put what they do not see, is missing: NaN and state 0. Joints of trackers of
-    images count as tracked from a confidence of 0.5 on, and under it as inferred.
+    A joint that is not tracked, not a number or exactly at the origin, where sensors
+    put joints that they do not see, is missing: NaN and state 0. Joints from trackers
+    of images count as tracked from a confidence of 0.5, and below it as inferred.
 
-    ``format`` overrides the content. ``body`` is a person, counted from 1 in order of
-    appearance; by default the one who is seen in most frames. ``fps`` is the frame rate
-    of a file without time stamps, by default 30. Raises InputError, which says where,
-    if the file is missing, malformed, without joints or not in meters, or has time
-    stamps beside ``fps``.
+    ``format`` overrides the detected one. ``body`` is a person's number, from 1 in
+    order of appearance; the default is the one tracked in most frames. ``fps`` is the
+    frame rate of a file without time stamps, by default 30. Raises InputError if the
+    file is missing, malformed, without joints or not in meters, or if it has time
+    stamps although ``fps`` is given.
     """
     return read_recording(path, format=format, fps=fps).take(body)
 
 
 def read_takes(path: AnyPath, *, format: str | None = None) -> tuple[Take, ...]:
-    """Read a take for each person, as they appear; raises InputError as read_take."""
+    """Read everyone's take, in order of appearance; raises InputError as read_take."""
     return read_recording(path, format=format).takes
 
 
 def read_recording(
     path: AnyPath, *, format: str | None = None, fps: float | None = None
 ) -> Recording:
-    """Read all that is known about a recorded file; raises InputError as read_take."""
+    """Read all takes in a file, and its format; raises InputError as read_take."""
     source = os.fspath(check_file(path))
     if format is not None:
         check_word(format, FORMATS, "take format")
     with Path(source).open("rb") as file:
         if file.read(8).startswith(_CLIPS):
-            raise InputError(
-                f"{source}: is a clip or an archive, not a recorded take; give the take"
-            )
+            raise InputError(f"{source}: is a clip or an archive; give the take")
+    from kinefilter.pipeline.target.upright import with_y_up
+
     name = format or _detected(_first_line(source), source)
     module, _, function = FORMATS[name][0].partition(":")
     read: Callable[[str], Recording]
     read = getattr(import_module(f".{module}", __package__), function)
-    return at_rate(_with_y_up(read(source)), fps)
-
-
-def _with_y_up(recording: Recording) -> Recording:
-    """Return a recording with y up where it pointed down, and a note that says so."""
-    from kinefilter.pipeline.target.upright import with_y_up
-
+    recording = read(source)
     takes = tuple(map(with_y_up, recording.takes))
-    if takes == recording.takes:
-        return recording
-    note = "y pointed down, going by feet and toes: it was negated"
-    return replace(recording, takes=takes, notes=(*recording.notes, note))
+    if takes != recording.takes:
+        note = "y points down, judging by feet and toes: it was negated"
+        recording = replace(recording, takes=takes, notes=(*recording.notes, note))
+    return at_rate(recording, fps)
 
 
 def claims_take(path: AnyPath) -> bool:
-    """Return whether a file claims by how it begins to be a recording.
+    """Return True if a file looks like a recording from its beginning.
 
-    Names of joints in a header, or numbers, tell a damaged recording from notes and
-    other tables. Of OpenPose's files only the first stands for all frames, and TRC and
-    C3D are read: those of bare markers are mocap that lies beside takes. Raises
-    InputError if it is missing, empty, or not text.
+    Joint names in a header, or numbers, distinguish a damaged recording from notes and
+    other tables. Of OpenPose's files, the first stands for all frames. TRC and C3D are
+    read in full, since those of bare markers are mocap that lies beside takes. Raises
+    InputError if the file is missing, empty or not text.
     """
     from .keypoints import claims_npy, frame_files
 
@@ -180,7 +173,7 @@ def claims_take(path: AnyPath) -> bool:
 def _first_line(source: str) -> str:
     start = beginning(source, _BEGINNING)
     if start.startswith(("{", "[", _NPY, _C3D)):
-        return start  # the first line of JSON may be all of it, the others have none
+        return start  # JSON may be a single line, and binary files have no lines
     with open_rows(source) as (_, line, _):
         return line
 
@@ -189,10 +182,10 @@ def _detected(line: str, source: str) -> str:
     for name, (_, begins) in FORMATS.items():
         if begins(line):
             return name
-    others = [name for name in FORMATS if name not in _SAID]
+    others = [name for name in FORMATS if name not in _DESCRIBED]
     raise InputError(
         f"{source}: row 1 is of no known layout ({len(_cells(line))} comma-separated "
         "cells); expected a kinefilter CSV (header time,Joint.x,Joint.y,Joint.z,"
-        f"Joint.state), Kinect v2 rows of {_V2_CELLS} numbers, Kinect v1 joints split "
-        f"by ;, or one of the other formats: {', '.join(others)}"
+        f"Joint.state), Kinect v2 rows of {_V2_CELLS} numbers, Kinect v1 joint names "
+        f"separated by ;, or one of the other formats: {', '.join(others)}"
     )
