@@ -28,40 +28,40 @@ _KINDS: dict[int, ShapeKind] = {
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
     int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
 }
-_LAST_SHOWN = 2  # group of geoms that MuJoCo's own viewer shows
+_LAST_VISIBLE = 2  # group of geoms that MuJoCo's own viewer shows by default
 _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 
 
 class Things:
-    """The visible bodies of a model that are not the character's, frame by frame.
+    """The visible props of a scene, recorded frame by frame.
+
+    ``poses`` has positions [m] and rotations, wxyz, of the props that can move, in
+    MuJoCo's world, shape (frames, N, 7).
 
     Args:
         model: A compiled scene.
         data: Its state, of which ``record`` takes the poses.
-        character: Index of the character's root body.
+        character: Index of the character's root body, whose parts are no props.
         frames: How many frames there will be.
-
-    ``poses`` are places [m] and rotations of what moves, MuJoCo's, (frames, N, 7).
     """
 
     def __init__(
         self, model: mujoco.MjModel, data: mujoco.MjData, character: int, frames: int
     ) -> None:
         self._model, self._data = model, data
-        shown = [g for g in range(model.ngeom) if _is_shown(model, g)]
+        visible = [g for g in range(model.ngeom) if _is_visible(model, g)]
         self._geoms = {
-            int(body): [g for g in shown if model.geom_bodyid[g] == body]
-            for body in dict.fromkeys(model.geom_bodyid[shown])
+            int(body): [g for g in visible if model.geom_bodyid[g] == body]
+            for body in dict.fromkeys(model.geom_bodyid[visible])
             if model.body_rootid[body] != character
         }
         self._moving = [b for b in self._geoms if model.body_weldid[b] != 0]
         self.poses = np.empty((frames, len(self._moving), 7))
 
     def record(self, frame: int) -> None:
-        """Record the pose of everything that can move."""
-        if self._moving:
-            self.poses[frame, :, :3] = self._data.xpos[self._moving]
-            self.poses[frame, :, 3:] = self._data.xquat[self._moving]
+        """Record the current poses as those of a frame."""
+        self.poses[frame, :, :3] = self._data.xpos[self._moving]
+        self.poses[frame, :, 3:] = self._data.xquat[self._moving]
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -70,7 +70,7 @@ class Things:
 
     @property
     def now(self) -> tuple[Array, Array]:
-        """Where these were last [m], (N, 3), and their rotations, wxyz, (N, 4)."""
+        """Last positions [m], (N, 3), and rotations, wxyz, (N, 4), of these props."""
         poses = self.poses[-1]
         return from_mujoco(poses[:, :3]), from_mujoco(poses[:, 3:])
 
@@ -78,10 +78,9 @@ class Things:
         return self._model.body(body).name or f"body{body}"
 
     def props(self, place: HeadingFrame) -> tuple[Prop, ...]:
-        """Return the things and their motion in the world frame of a take.
+        """Return the props and their motion in the world frame of a take.
 
-        Args:
-            place: What was taken out of the take's positions to land in the scene.
+        ``place`` is the frame that was removed from the take to put it into the scene.
         """
         return tuple(self._prop(body, place) for body in self._geoms)
 
@@ -109,8 +108,8 @@ class Things:
         return Shape(
             kind,
             from_mujoco(_half_extents(model, geom)),
-            from_mujoco(model.geom_pos[geom].copy()),
-            from_mujoco(model.geom_quat[geom].copy()),
+            from_mujoco(model.geom_pos[geom]),
+            from_mujoco(model.geom_quat[geom]),
             _color(model, geom),
             points,
             triangles,
@@ -119,25 +118,24 @@ class Things:
 
 @dataclass(frozen=True, eq=False)
 class PhysicsTrace:
-    """What the simulation did, frame by frame; arrays of shape (T,)."""
+    """Record of a simulation, frame by frame; arrays of shape (T,)."""
 
     tracking_error: Array
     """Mean distance of the joints from their targets [m]."""
     external_force: Array
-    """Mean force over the frame that no muscle and no floor gives [body weights]."""
+    """Mean force over the frame that only the pulls explain [body weights]."""
     contacts: NDArray[np.int64]
     """Number of points in which the character touches itself or anything else."""
     reset: Flags
-    """The character was put back onto its target: the step had diverged, or a limb was
-    stuck at the end of its joint's range (``stuck_limbs``)."""
+    """True where the character was reset onto its target: the simulation had diverged,
+    or a limb was stuck at the end of its joint's range (``stuck_limbs``)."""
 
     @property
     def status(self) -> str:
-        """``ok``, or how many frames had to be reset."""
+        """``ok``, or the number of frames with a reset."""
         resets = int(self.reset.sum())
-        if resets == 0:
-            return "ok"
-        return f"character reset onto its target in {resets} frame{'s' * (resets != 1)}"
+        frames = f"{resets} frame{'s' * (resets != 1)}"
+        return f"character reset onto its target in {frames}" if resets else "ok"
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,9 +147,9 @@ class PhysicsResult:
     positions: Array
     """Joint positions [m], world frame, shape (T, J, 3)."""
     trace: PhysicsTrace
-    """What happened in each frame."""
+    """Record of the simulation."""
     things: Things
-    """What else was in the scene, in the frame of the targets."""
+    """The props of the scene, in the frame of the targets."""
 
 
 class PhysicsFilter(PulledCharacter):
@@ -166,35 +164,29 @@ class PhysicsFilter(PulledCharacter):
         stands: Flags | None = None,
         frames: Iterable[int] | None = None,
     ) -> PhysicsResult:
-        """Pull the character through a whole motion; it starts again after long gaps.
+        """Pull the character through a whole motion; it restarts after long gaps.
 
         Args:
             time: Time stamps [s], strictly increasing, shape (T,).
-            positions: Target joint positions [m], world frame, shape (T, J, 3).
-            rotations: Target world segment rotations, wxyz, shape (T, J, 4).
+            positions: Joint positions of the target [m], world frame, shape (T, J, 3).
+            rotations: World segment rotations of the target, wxyz, shape (T, J, 4).
             stands: Whether each foot (left, right) bears weight, shape (T, 2).
-            frames: Yields 0 to T - 1, e.g. a progress bar's iterator.
+            frames: Yields 0 to T - 1, such as the iterator of a progress bar.
         """
         count = len(time)
         accelerations = _accelerations(time, positions)
-        result = np.empty_like(rotations)
-        roots = np.empty((count, 3))
-        trace = PhysicsTrace(
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(count, dtype=np.int64),
-            np.zeros(count, dtype=np.bool_),
-        )
+        result, roots = np.empty_like(rotations), np.empty((count, 3))
+        types = (float, float, np.int64, np.bool_)
+        trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
         character = int(self._bodies[self.body.skeleton.root])
         things = Things(self.model, self.data, character, count)
         for k in range(count) if frames is None else frames:
             standing = None if stands is None else stands[k]
             if k == 0 or time[k] - time[k - 1] > LONG_GAP:
                 self.start(positions[k], rotations[k], anew=k == 0)
-                # Hold the first target until the start-up transient is gone.
-                first, turns = (from_mujoco(value) for value in self._target)
+                # Hold the first target until the initial transient is gone.
                 for _ in range(_SETTLING):
-                    self.step(first, turns, 1 / 30, stands=standing)
+                    self.step(positions[k], rotations[k], 1 / 30, stands=standing)
             else:
                 trace.reset[k] = not self.step(
                     positions[k],
@@ -203,8 +195,7 @@ class PhysicsFilter(PulledCharacter):
                     acceleration=accelerations[k],
                     stands=standing,
                 )
-            result[k] = self.rotations
-            roots[k] = self.root
+            result[k], roots[k] = self.rotations, self.root
             trace.tracking_error[k] = self.tracking_error
             trace.external_force[k] = self.external_force
             trace.contacts[k] = self.contacts
@@ -219,34 +210,34 @@ class PhysicsFilter(PulledCharacter):
 
 
 def _accelerations(time: Array, positions: Array) -> Array:
-    """Return accelerations [m/s^2] of a motion, of which each step knows the next."""
-    found = np.zeros_like(positions)
+    """Return central second differences [m/s^2], 0 at the ends of each part."""
+    accelerations = np.zeros_like(positions)
     if len(time) > 2:
-        steps = np.diff(time)
-        velocities = np.diff(positions, axis=0) / steps[:, None, None]
-        found[1:-1] = (velocities[1:] - velocities[:-1]) / (
-            0.5 * (steps[1:] + steps[:-1])
-        )[:, None, None]
-        found[1:-1][np.maximum(steps[1:], steps[:-1]) > LONG_GAP] = 0.0
-    return found
+        steps = np.diff(time)[:, None, None]
+        velocities = np.diff(positions, axis=0) / steps
+        means = 0.5 * (steps[1:] + steps[:-1])
+        inner = (velocities[1:] - velocities[:-1]) / means
+        longest = np.maximum(steps[1:], steps[:-1])
+        accelerations[1:-1] = np.where(longest > LONG_GAP, 0.0, inner)
+    return accelerations
 
 
-def _is_shown(model: mujoco.MjModel, geom: int) -> bool:
+def _is_visible(model: mujoco.MjModel, geom: int) -> bool:
     return (
         int(model.geom_type[geom]) in _KINDS
-        and model.geom_group[geom] <= _LAST_SHOWN
+        and model.geom_group[geom] <= _LAST_VISIBLE
         and model.geom_rgba[geom, 3] > 0.0
     )
 
 
 def _half_extents(model: mujoco.MjModel, geom: int) -> Array:
-    """Return half extents of a geom [m] in MuJoCo's axes, shape (3,)."""
-    a, b, c = model.geom_size[geom].tolist()
+    """Return the half extents of a geom [m] in MuJoCo's axes, shape (3,)."""
+    size = np.array(model.geom_size[geom])
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return np.array([a, a, a])
+        return size[[0, 0, 0]]
     if _KINDS[int(model.geom_type[geom])] in ("cylinder", "capsule"):
-        return np.array([a, a, b])
-    return np.array([a, b, c])
+        return size[[0, 0, 1]]
+    return size
 
 
 def _color(model: mujoco.MjModel, geom: int) -> Array:
