@@ -30,14 +30,11 @@ _LIMBS = {"arm": ("Elbow", "Wrist"), "leg": ("Knee", "Ankle")}
 def find_displaced(
     time: Array, raw: Array, clean: Array, yaw: Array, skeleton: Skeleton
 ) -> Iterator[Failure]:
-    """Yield the stretches in which a limb was moved far relative to the hips.
+    """Yield the stretches in which cleaning moved a limb far relative to the hips.
 
-    Args:
-        time: Time stamps [s], strictly increasing, shape (T,).
-        raw: Joint positions [m] from the sensor, NaN where missing, shape (T, J, 3).
-        clean: The same joints after cleaning, shape (T, J, 3).
-        yaw: Heading of the person [rad], shape (T,).
-        skeleton: The joints.
+    Joint positions [m], shape (T, J, 3), are those of the sensor, NaN where missing,
+    and those after cleaning; time stamps [s] increase strictly, shape (T,); ``yaw`` is
+    the heading of the person [rad], shape (T,).
     """
     hips = (clean[:, skeleton.hips] - raw[:, skeleton.hips]).mean(axis=1, keepdims=True)
     heading = HeadingFrame(np.zeros((len(time), 3)), yaw)

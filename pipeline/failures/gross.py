@@ -89,9 +89,6 @@ class Failure:
         """Return the failure with its frame numbers shifted."""
         return replace(self, first=self.first + frames, last=self.last + frames)
 
-    def __str__(self) -> str:
-        return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
-
 
 def told_failures(failures: Iterable[Failure], begin: float) -> tuple[str, ...]:
     """Return a sentence for each kind of failure and part: when, and the remedy.
@@ -174,8 +171,6 @@ def _mirrored(take: Take) -> Flags:
     frames = np.zeros(len(take), dtype=bool)
     left = np.nan_to_num(leftward(take)[:, [0, 2]])
     lag = max(1, round(_SPIN_TIME * len(take) / (take.time[-1] - take.time[0])))
-    if len(take) <= lag:
-        return frames
     norms = np.maximum(np.linalg.norm(left, axis=1), 1e-9)
     cosines = np.sum(left[lag:] * left[:-lag], axis=1) / (norms[lag:] * norms[:-lag])
     # A turn shows in every pair of frames that has it in between.
@@ -216,10 +211,8 @@ def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
 
 def _jump(take: Take, inside: int, outside: int, *, swap: bool) -> float:
     """Return how far joints move between two frames, relative to the root, mean [m]."""
-    root = take.skeleton.root
-    frame, other = (
-        take.positions[k] - take.positions[k, root] for k in (inside, outside)
-    )
+    places = take.positions[[inside, outside]]
+    frame, other = places - places[:, [take.skeleton.root]]
     if swap:
         frame = frame[take.skeleton.mirror]
     distances = np.linalg.norm(frame - other, axis=1)

@@ -133,10 +133,7 @@ class Compliance:
         return False
 
     def can_rise(self, dt: float, speed: float) -> bool:
-        """Return True if a fallen body is to get up, ``dt`` [s] after the last call.
-
-        Its hips move at ``speed`` [m/s].
-        """
+        """Return True if a body that fell is to get up; its hips have a speed [m/s]."""
         self._since += dt
         still = speed < _STILL and self._since > self._tracking.lying
         return self.fallen and (still or self._since > _LONGEST)
@@ -150,10 +147,7 @@ class Compliance:
     def target(
         self, positions: Array, rotations: Array, dt: float
     ) -> tuple[Array, Array]:
-        """Return the target of a frame ``dt`` [s] later, changed by the hits.
-
-        Joint positions [m], (J, 3), and world rotations, wxyz, (J, 4).
-        """
+        """Return a target (J, 3) and (J, 4), ``dt`` [s] later, changed by the hits."""
         if self._lying is not None:
             self._since += dt
             self.recovered = float(smooth_step(np.array(self._since / _GRASP_TIME)))
@@ -169,9 +163,9 @@ class Compliance:
         return positions + self._sways[:, None] * self._sway, rotations
 
     def _return(self, dt: float) -> None:
-        distance = float(np.linalg.norm(self._offset))
-        eased = smooth_step(np.array(self._since - self._tracking.rising))
-        pace = min(_RETURN_RATE * distance, float(eased) * self._tracking.return_speed)
+        distance, tracking = float(np.linalg.norm(self._offset)), self._tracking
+        eased = float(smooth_step(np.array(self._since - tracking.rising)))
+        pace = min(_RETURN_RATE * distance, eased * tracking.return_speed)
         if distance < 1e-3:
             self._lying = None
         else:

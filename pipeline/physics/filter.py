@@ -35,14 +35,9 @@ _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 class Things:
     """The visible props of a scene, recorded frame by frame.
 
-    ``poses`` has positions [m] and rotations, wxyz, of the props that can move, in
-    MuJoCo's world, shape (frames, N, 7).
-
-    Args:
-        model: A compiled scene.
-        data: Its state, of which ``record`` takes the poses.
-        character: Index of the character's root body, whose parts are no props.
-        frames: How many frames there will be.
+    That is, all bodies but those of the character, whose root body has index
+    ``character``. ``poses`` has positions [m] and rotations, wxyz, of the props that
+    can move, in MuJoCo's world, shape (frames, N, 7).
     """
 
     def __init__(
@@ -147,7 +142,6 @@ class PhysicsResult:
     positions: Array
     """Joint positions [m], world frame, shape (T, J, 3)."""
     trace: PhysicsTrace
-    """Record of the simulation."""
     things: Things
     """The props of the scene, in the frame of the targets."""
 
@@ -180,6 +174,7 @@ class PhysicsFilter(PulledCharacter):
         trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
         character = int(self._bodies[self.body.skeleton.root])
         things = Things(self.model, self.data, character, count)
+        own = np.isin(self.model.geom_bodyid, self._bodies)
         for k in range(count) if frames is None else frames:
             standing = None if stands is None else stands[k]
             if k == 0 or time[k] - time[k - 1] > LONG_GAP:
@@ -196,16 +191,15 @@ class PhysicsFilter(PulledCharacter):
                     stands=standing,
                 )
             result[k], roots[k] = self.rotations, self.root
-            trace.tracking_error[k] = self.tracking_error
+            away = self.data.site_xpos[self._sites] - self._target[0]
+            trace.tracking_error[k] = np.sqrt(np.vecdot(away, away)).sum() / len(away)
             trace.external_force[k] = self.external_force
-            trace.contacts[k] = self.contacts
+            trace.contacts[k] = own[self.data.contact.geom].any(axis=1).sum()
             things.record(k)
         result = continuous(result)
         joints = np.empty_like(positions)
-        for some in chunks(count, _CHUNK):
-            joints[some] = positions_from_rotations(
-                result[some], roots[some], self.body
-            )
+        for k in chunks(count, _CHUNK):
+            joints[k] = positions_from_rotations(result[k], roots[k], self.body)
         return PhysicsResult(result, joints, trace, things)
 
 
@@ -231,7 +225,6 @@ def _is_visible(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def _half_extents(model: mujoco.MjModel, geom: int) -> Array:
-    """Return the half extents of a geom [m] in MuJoCo's axes, shape (3,)."""
     size = np.array(model.geom_size[geom])
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
         return size[[0, 0, 0]]

@@ -14,13 +14,8 @@ class Momentum:
 
     The engine reports the forces at the beginning of a substep but integrates others,
     as it evaluates damping at the substep's end unless a force is at its bound. So what
-    the pulls gave is computed from the momentum that was gained.
-
-    Args:
-        model: A compiled scene.
-        sites: The sites at the character's joints, shape (J,).
-        masses: Mass that moves with each of them [kg], shape (J,).
-        root: The character's root body.
+    the pulls gave is computed from the momentum that was gained. ``masses`` [kg] move
+    with the sites at the character's joints, both of shape (J,).
     """
 
     def __init__(
@@ -42,8 +37,7 @@ class Momentum:
     def add(self, data: mujoco.MjData) -> None:
         """Add the forces of a substep: of the floor, props, grips and pulls."""
         self._steps += 1
-        root = self._root
-        self._forces += data.qfrc_constraint[root] + data.qfrc_actuator[root]
+        self._forces += (data.qfrc_constraint + data.qfrc_actuator)[self._root]
         self._pulled += data.actuator_force[: len(self._pulls)]
 
     def unexplained(self, data: mujoco.MjData, pushed: Array) -> Array:

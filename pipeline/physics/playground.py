@@ -49,12 +49,9 @@ _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
 class Playground:
     """An interactive simulation for a page or a game, in the scene's frame, y up.
 
-    Args:
-        motion: The motion to repeat; it is moved to start at the origin, facing +z.
-        scene: The character's surroundings, one of SCENES or an MJCF file.
-        tracking: How the character follows the motion, one of TRACKINGS.
-
-    Raises InputError as ``load_scene`` does, or if the motion is too short.
+    The motion is moved to start at the origin, facing +z, and repeated in a scene, one
+    of SCENES or an MJCF file. Raises InputError as ``load_scene`` does, or if the
+    motion is too short.
     """
 
     def __init__(
@@ -253,7 +250,6 @@ def _closed(clip: Clip) -> Clip:
 
 
 def _add_balls(spec: mujoco.MjSpec) -> None:
-    """Add balls to a scene that wait far away to be thrown."""
     x, y = _PARKED
     for k in range(_BALLS):
         name, place = f"{_BALL} {k + 1}", [x, y + 3.0 * k * _BALL_RADIUS, _BALL_RADIUS]
@@ -271,6 +267,5 @@ def _add_balls(spec: mujoco.MjSpec) -> None:
 
 
 def _is_parked(prop: Prop) -> bool:
-    """Return True if a prop is a ball that was never thrown."""
     far = to_mujoco(prop.positions)[:, 0] < 0.9 * _PARKED[0]
     return prop.name.startswith(_BALL) and bool(far.all())

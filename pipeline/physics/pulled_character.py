@@ -52,9 +52,7 @@ def steps_in(dt: float) -> tuple[int, int]:
 def _check_target(positions: Array, rotations: Array) -> None:
     # A single NaN would spoil every later step.
     if not (np.isfinite(positions).all() and np.isfinite(rotations).all()):
-        raise InputError(
-            "the target has numbers that are not finite; correct or skip the frame"
-        )
+        raise InputError("the target is not finite; correct the frame or skip it")
 
 
 class PulledCharacter:
@@ -111,7 +109,6 @@ class PulledCharacter:
         self._palms = body.skeleton.sides("Hand")
         self._hands = self._bodies[self._palms]
         self._grips = [model.actuator(f"grip:{joints[j]}").id for j in self._palms]
-        self._own = np.isin(model.geom_bodyid, self._bodies)
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         self._props = np.isin(model.body_rootid, free[free != root])
         self._weight = float(body.mass * GRAVITY)
@@ -126,6 +123,8 @@ class PulledCharacter:
         if isinstance(tracking, GameTracking):
             self.compliance = Compliance(body, tracking)
         self.limp = isinstance(tracking, RagdollTracking)
+        """Whether nothing pulls the character, so that it falls; can be set."""
+        self._disabled = model.opt.disableactuator
         if mujoco.get_mju_user_warning() is None:
             # The engine's own handler writes a log file into the working directory;
             # the trace reports diverging steps anyway.
@@ -167,17 +166,6 @@ class PulledCharacter:
         if not 0.0 <= lasting < np.inf:
             raise InputError(f"a push lasts {lasting:g} s; give 0 or more, and finite")
         self._pushes.append((body, to_mujoco(pushed.astype(float)), lasting))
-
-    @property
-    def limp(self) -> bool:
-        """Whether nothing pulls the character, so that it falls; can be set."""
-        return bool(self.model.opt.disableactuator & (1 << PULLS))
-
-    @limp.setter
-    def limp(self, value: bool) -> None:
-        bit = 1 << PULLS
-        others = self.model.opt.disableactuator & ~bit
-        self.model.opt.disableactuator = others | (bit if value else 0)
 
     def step(
         self,
@@ -234,6 +222,7 @@ class PulledCharacter:
             ctrl[self._grips] = float(self._holds() and not self.limp)
         updates, substeps = steps_in(dt)
         self.model.opt.timestep = dt / (updates * substeps)
+        self.model.opt.disableactuator = self._disabled | (self.limp << PULLS)
         for k in range(updates):
             # Midway between the first and the last step of this update, as the engine
             # compares the target with the state at the beginning of a step.
@@ -374,11 +363,6 @@ class PulledCharacter:
         return from_mujoco(self.data.site_xpos[self._sites])
 
     @property
-    def contacts(self) -> int:
-        """Number of points in which the character touches itself or anything else."""
-        return int(self._own[self.data.contact.geom].any(axis=1).sum())
-
-    @property
     def external_force(self) -> float:
         """Mean force over the last step that only the pulls explain [body weights].
 
@@ -387,9 +371,3 @@ class PulledCharacter:
         """
         force = float(np.linalg.norm(self._external) / self._weight)
         return 0.0 if self.limp else force
-
-    @property
-    def tracking_error(self) -> float:
-        """Mean distance of the joints from their targets [m]."""
-        away = self.data.site_xpos[self._sites] - self._target[0]
-        return float(np.sqrt(np.vecdot(away, away)).sum() / len(away))
