@@ -72,7 +72,7 @@ class Bearing:
     def of(cls, take: Take | KinectMotion, skeleton: Skeleton = KINECT_V1) -> Bearing:
         """Measure it in a take."""
         some = take.positions[:: 1 + len(take.positions) // _MOST_FRAMES]
-        return cls(*upright._measure_posture(some, skeleton))
+        return cls(*upright._posture(some, skeleton))
 
     def turn(self, matrix: Array) -> Turn:
         """Return what is found once the take is turned by a matrix."""

@@ -12,9 +12,8 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
 _TOP_SPEED = 20.0
-"""Speed [m/s] that no person reaches: sprinters reach 12.4, recorded bodies at most
-11.4 between two frames. A tracker that jumps from one person to another has 50 to 70.
-"""
+"""Speed [m/s] beyond any person: sprinters reach 12.4 and recorded bodies 11.4, but
+trackers that jump from one person to another 50 to 70."""
 _NOISE = 0.5  # m by which the middle of a body may be off
 _RANGE = 20.0  # m, beyond the range of any depth sensor
 _BRIEF = 0.5  # s: a body that is elsewhere for less than this was never there. A guess.
@@ -33,8 +32,7 @@ class ImpossibleBodies:
     """
 
     appears: bool
-    """True if the last frame is the first one accepted, or the first one accepted at
-    another place."""
+    """Whether the last frame is the first one accepted, at all or at another place."""
 
     def __init__(self, body: Body) -> None:
         self._skeleton = body.skeleton
@@ -101,8 +99,7 @@ def _lower_median(values: Array) -> Array:
 
 def wrong_size_frames(take: Take) -> Flags:
     """Return the frames in which the body has a size that is not its own, (T,)."""
-    lengths = segment_lengths(take.positions, take.skeleton)
-    lengths = lengths[:, take.skeleton.segments]
+    lengths = segment_lengths(take.positions, take.skeleton)[:, take.skeleton.segments]
     sizes = lengths / np.maximum(column_medians(lengths), 1e-6)
     size = np.nan_to_num(column_medians(sizes.T), nan=1.0)
     return np.asarray((size > _SIZE_FACTOR) | (size < 1.0 / _SIZE_FACTOR))

@@ -18,13 +18,13 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame
 
 from .gross import Failure, FailureKind, stretches
+from .limbs import LIMBS
 
 _FAR = 0.09
 """Distance [m], relative to the joint's mean over the take, from which a limb is
 reported. Chosen so that, whichever of six people is left out, 5 % of the others' clips
 in which no joint is 12 cm off are reported."""
 _WINDOW = 0.5  # s over which the distance is averaged
-_LIMBS = {"arm": ("Elbow", "Wrist"), "leg": ("Knee", "Ankle")}
 
 
 def find_displaced(
@@ -40,19 +40,18 @@ def find_displaced(
     heading = HeadingFrame(np.zeros((len(time), 3)), yaw)
     frames, parts = max(round(_WINDOW / nominal_step(time)), 1), parts_of(time)
     for side in SIDES:
-        for limb, ends in _LIMBS.items():
+        for limb, (_, *ends) in LIMBS.items():
             far = np.zeros(len(time), dtype=bool)
             for joint in ends:
                 j = [skeleton.index(joint + side)]
                 move = heading.remove(clean[:, j] - raw[:, j] - hips)[:, 0]
                 known = ~np.isnan(move[:, 0])
                 if known.any():
-                    away = np.linalg.norm(move - move[known].mean(axis=0), axis=1)
-                    away = np.nan_to_num(away)
+                    move = np.nan_to_num(move - move[known].mean(axis=0))
+                    away = np.linalg.norm(move, axis=1)
                     for part in parts:
                         far[part] |= uniform_filter1d(away[part], frames) > _FAR
-            name = f"{side.lower()} {limb}"
+            what = FailureKind.DISPLACED, f"{side.lower()} {limb}"
             for part in parts:
-                kind, flags = FailureKind.DISPLACED, far[part]
-                for failure in stretches(time[part], kind, name, flags):
+                for failure in stretches(time[part], *what, far[part]):
                     yield failure.moved(part.start)

@@ -14,15 +14,13 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import Scores
 
 from .bodies import misplaced_frames, wrong_size_frames
-from .limbs import bent_backwards, leaps, leftward, out_of_range, through_head
+from .limbs import LIMBS, bent_backwards, leaps, leftward, out_of_range, through_head
 
 _SPIN = np.radians(120.0)
 _SPIN_TIME = 1.0 / 6.0
 """Nobody turns the trunk by this angle [rad] in this time [s], which is two revolutions
 a second: figure skaters reach six, dancers two."""
-_REPAIRED = 0.7
-"""A mirrored stretch is swapped back if that reduces the jumps into and out of it to
-this share or less. A guess."""
+_REPAIRED = 0.7  # share of jumps that swapping back a stretch may leave. A guess.
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
 _SHORT = 0.3  # s: an arm at an impossible place for less only brushes past it
 _LISTED = 5  # stretches of one kind that are listed one by one; more are counted
@@ -47,22 +45,19 @@ class FailureKind(StrEnum):
         return _REMEDIES.get(self, "left as measured; check it")
 
 
-_REMEDIES = {
-    FailureKind.MIRRORED: "swapped back where that makes the motion continuous",
-    FailureKind.BENT_BACKWARDS: "distrusted and inferred from the rest of the body",
-    FailureKind.THROUGH_HEAD: "distrusted and inferred from the rest of the body",
-    FailureKind.DISPLACED: "moved to where the rest of the take suggests; check it",
-    FailureKind.ELSEWHERE: "removed and filled in from the frames around it",
-    FailureKind.ODD_SIZE: "removed and filled in from the frames around it",
-    FailureKind.JUMPING: "left as measured; if this is another person, cut there",
-}
-
 _IMPOSSIBLE_BODY = (FailureKind.ELSEWHERE, FailureKind.ODD_SIZE)
 """Failures whose frames say nothing about the person."""
 _DISTRUSTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
 """Failures whose limbs get reliability 0. An arm beyond its range is closer to the
 truth than what correction puts in its place: 27 against 39 cm in 14 recorded clips. A
 limb that jumps may be right before or after it: distrusting it removed real kicks."""
+_REMEDIES = {
+    FailureKind.MIRRORED: "swapped back where that makes the motion continuous",
+    **dict.fromkeys(_DISTRUSTED, "distrusted and inferred from the rest of the body"),
+    FailureKind.DISPLACED: "moved to where the rest of the take suggests; check it",
+    **dict.fromkeys(_IMPOSSIBLE_BODY, "removed and filled in from frames around it"),
+    FailureKind.JUMPING: "left as measured; cut the take if it is another person",
+}
 
 
 @dataclass(frozen=True)
@@ -158,8 +153,8 @@ def distrust(
             term[failure.frames] = Term.FAILURE
         if failure.kind in _DISTRUSTED:
             side, limb = failure.part.split()
-            top = {"arm": "Shoulder", "leg": "Hip"}[limb] + side.capitalize()
-            joints = skeleton.beyond(skeleton.index(top))
+            top = skeleton.index(LIMBS[limb][0] + side.capitalize())
+            joints = skeleton.beyond(top)
             reliability[failure.frames, joints] = 0.0
             geometry[failure.frames, joints] = 0.0
             term[failure.frames, joints] = Term.FAILURE
@@ -194,14 +189,15 @@ def without_nobody(take: Take, failures: Iterable[Failure]) -> Take:
 def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
     """Return a take with left and right swapped back where they were mirrored.
 
-    A stretch stays as it is if the body would jump as far either way, as then more is
-    wrong than the sides.
+    A stretch stays if the body would jump as far either way: more is wrong than sides.
     """
     frames = np.zeros(len(take), dtype=bool)
     for failure in failures:
         if failure.kind is FailureKind.MIRRORED:
-            first, last = failure.first, failure.last
-            edges = [(first, first - 1), (last, last + 1)]
+            edges = [
+                (failure.first, failure.first - 1),
+                (failure.last, failure.last + 1),
+            ]
             edges = [edge for edge in edges if 0 <= edge[1] < len(take)]
             before = sum(_jump(take, *edge, swap=False) for edge in edges)
             after = sum(_jump(take, *edge, swap=True) for edge in edges)

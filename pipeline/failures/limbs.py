@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.ndimage import median_filter
 
@@ -43,14 +45,9 @@ _LEAP_TIME = 1.0 / 15.0
 """Time [s] too short for a movement from rest to rest: the fastest voluntary
 contractions last about a tenth of a second, however small they are (Freund & Buedingen
 1978, Experimental Brain Research 31:1-12)."""
-_REST = 0.1
-"""Time [s] before and after a jump in which movement counts against it: a quick limb is
-still moving then."""
+_REST = 0.1  # s around a jump whose movement counts against it: quick limbs swing on
 _SLACK = 1.25  # times _LEAP_TIME that two frames of an uneven clock may be apart
-_SEGMENTS = {
-    "arm": (("Shoulder", "Elbow"), ("Elbow", "Wrist")),
-    "leg": (("Hip", "Knee"), ("Knee", "Ankle")),
-}
+LIMBS = {"arm": ("Shoulder", "Elbow", "Wrist"), "leg": ("Hip", "Knee", "Ankle")}
 
 
 def bent_backwards(take: Take, side: str) -> Flags:
@@ -112,7 +109,7 @@ def leaps(take: Take, side: str, limb: str) -> Flags:
     if lag < 1 or len(take) < lag + 2 * rest + 1:
         return frames
     quick = take.time[lag:] - take.time[:-lag] <= _SLACK * _LEAP_TIME
-    for start, end in _SEGMENTS[limb]:
+    for start, end in pairwise(LIMBS[limb]):
         bones = {s: _joint(take, end, s) - _joint(take, start, s) for s in SIDES}
         lengths = np.stack([np.linalg.norm(b, axis=1) for b in bones.values()], axis=1)
         # The longer side's median is the true length, as lost limbs shrink.
@@ -124,10 +121,7 @@ def leaps(take: Take, side: str, limb: str) -> Flags:
 
 
 def _contrasts(bones: Array, lag: int, rest: int) -> Array:
-    """Return how far vectors move in ``lag`` frames, minus movement around that.
-
-    Shape (T - lag,), by the frame in which each movement begins.
-    """
+    """Return movement over ``lag`` frames minus that around it, shape (T - lag,)."""
     moved = np.linalg.norm(bones[lag:] - bones[:-lag], axis=1)
     before, after = np.zeros((2, len(bones)))
     for k in range(1, rest + 1):
@@ -175,8 +169,7 @@ def _running_median(take: Take, values: Array) -> Array:
 def _distances(start: Array, way: Array, low: Array, high: Array) -> Array:
     """Return the distances [m] of segments (start, start + way) and (low, high), (T,).
 
-    Ericson 2005, Real-Time Collision Detection, section 5.1.9: the nearest points of
-    the lines, each then clipped to its segment.
+    Ericson 2005, Real-Time Collision Detection, section 5.1.9: clipped nearest points.
     """
     other, between = high - low, start - low
     a = np.maximum(np.sum(way * way, axis=1), 1e-12)

@@ -68,10 +68,8 @@ class Compliance:
     @property
     def doing(self) -> str:
         """What the character does, in words."""
-        if self.fallen:
-            return "fell"
         if self._lying is None:
-            return "follows"
+            return "fell" if self.fallen else "follows"
         return "gets up" if self._since < self._tracking.rising else "returns"
 
     @property

@@ -20,14 +20,15 @@ from .pulled_character import PulledCharacter
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory
-_KINDS: dict[int, ShapeKind] = {
-    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): "ellipsoid",
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
-    int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
+_KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", [0, 1, 2]),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("ellipsoid", [0, 0, 0]),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", [0, 1, 2]),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", [0, 0, 1]),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", [0, 0, 1]),
+    int(mujoco.mjtGeom.mjGEOM_MESH): ("mesh", [0, 1, 2]),
 }
+"""Kind of shape by type of geom, and which of its sizes are the half extents."""
 _LAST_VISIBLE = 2  # group of geoms that MuJoCo's own viewer shows by default
 _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 
@@ -44,9 +45,13 @@ class Things:
         self, model: mujoco.MjModel, data: mujoco.MjData, character: int, frames: int
     ) -> None:
         self._model, self._data = model, data
-        visible = [g for g in range(model.ngeom) if _is_visible(model, g)]
+        visible = np.flatnonzero(
+            np.isin(model.geom_type, list(_KINDS))
+            & (model.geom_group <= _LAST_VISIBLE)
+            & (model.geom_rgba[:, 3] > 0.0)
+        )
         self._geoms = {
-            int(body): [g for g in visible if model.geom_bodyid[g] == body]
+            int(body): [int(g) for g in visible if model.geom_bodyid[g] == body]
             for body in dict.fromkeys(model.geom_bodyid[visible])
             if model.body_rootid[body] != character
         }
@@ -92,7 +97,7 @@ class Things:
 
     def _shape(self, geom: int) -> Shape:
         model = self._model
-        kind = _KINDS[int(model.geom_type[geom])]
+        kind, sizes = _KINDS[int(model.geom_type[geom])]
         points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
         if kind == "mesh":
             mesh = model.mesh(model.geom_dataid[geom])
@@ -100,12 +105,15 @@ class Things:
             points = from_mujoco(model.mesh_vert[first : first + count].astype(float))
             first, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
             triangles = model.mesh_face[first : first + count].astype(np.int64)
+        color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
+        if material >= 0 and np.allclose(color, _UNSET):
+            color = model.mat_rgba[material]
         return Shape(
             kind,
-            from_mujoco(_half_extents(model, geom)),
+            from_mujoco(model.geom_size[geom][sizes]),
             from_mujoco(model.geom_pos[geom]),
             from_mujoco(model.geom_quat[geom]),
-            _color(model, geom),
+            color[:3].astype(float),
             points,
             triangles,
         )
@@ -160,12 +168,9 @@ class PhysicsFilter(PulledCharacter):
     ) -> PhysicsResult:
         """Pull the character through a whole motion; it restarts after long gaps.
 
-        Args:
-            time: Time stamps [s], strictly increasing, shape (T,).
-            positions: Joint positions of the target [m], world frame, shape (T, J, 3).
-            rotations: World segment rotations of the target, wxyz, shape (T, J, 4).
-            stands: Whether each foot (left, right) bears weight, shape (T, 2).
-            frames: Yields 0 to T - 1, such as the iterator of a progress bar.
+        Time stamps [s] increase strictly, shape (T,); targets are as in ``step``, with
+        a leading axis T. ``stands`` says whether each foot (left, right) bears weight,
+        shape (T, 2). ``frames`` yields 0 to T - 1, for example for a progress bar.
         """
         count = len(time)
         accelerations = _accelerations(time, positions)
@@ -176,20 +181,17 @@ class PhysicsFilter(PulledCharacter):
         things = Things(self.model, self.data, character, count)
         own = np.isin(self.model.geom_bodyid, self._bodies)
         for k in range(count) if frames is None else frames:
-            standing = None if stands is None else stands[k]
-            if k == 0 or time[k] - time[k - 1] > LONG_GAP:
-                self.start(positions[k], rotations[k], anew=k == 0)
+            target, dt = (positions[k], rotations[k]), float(time[k] - time[k - 1])
+            feet = None if stands is None else stands[k]
+            if k == 0 or dt > LONG_GAP:
+                self.start(*target, anew=k == 0)
                 # Hold the first target until the initial transient is gone.
                 for _ in range(_SETTLING):
-                    self.step(positions[k], rotations[k], 1 / 30, stands=standing)
+                    self.step(*target, 1 / 30, stands=feet)
             else:
-                trace.reset[k] = not self.step(
-                    positions[k],
-                    rotations[k],
-                    float(time[k] - time[k - 1]),
-                    acceleration=accelerations[k],
-                    stands=standing,
-                )
+                gained = accelerations[k]
+                good = self.step(*target, dt, acceleration=gained, stands=feet)
+                trace.reset[k] = not good
             result[k], roots[k] = self.rotations, self.root
             away = self.data.site_xpos[self._sites] - self._target[0]
             trace.tracking_error[k] = np.sqrt(np.vecdot(away, away)).sum() / len(away)
@@ -198,43 +200,17 @@ class PhysicsFilter(PulledCharacter):
             things.record(k)
         result = continuous(result)
         joints = np.empty_like(positions)
-        for k in chunks(count, _CHUNK):
-            joints[k] = positions_from_rotations(result[k], roots[k], self.body)
+        for some in chunks(count, _CHUNK):
+            turns, places = result[some], roots[some]
+            joints[some] = positions_from_rotations(turns, places, self.body)
         return PhysicsResult(result, joints, trace, things)
 
 
 def _accelerations(time: Array, positions: Array) -> Array:
     """Return central second differences [m/s^2], 0 at the ends of each part."""
-    accelerations = np.zeros_like(positions)
-    if len(time) > 2:
-        steps = np.diff(time)[:, None, None]
-        velocities = np.diff(positions, axis=0) / steps
-        means = 0.5 * (steps[1:] + steps[:-1])
-        inner = (velocities[1:] - velocities[:-1]) / means
-        longest = np.maximum(steps[1:], steps[:-1])
-        accelerations[1:-1] = np.where(longest > LONG_GAP, 0.0, inner)
+    accelerations, steps = np.zeros_like(positions), np.diff(time)[:, None, None]
+    velocities = np.diff(positions, axis=0) / steps
+    inner = (velocities[1:] - velocities[:-1]) / (0.5 * (steps[1:] + steps[:-1]))
+    longest = np.maximum(steps[1:], steps[:-1])
+    accelerations[1:-1] = np.where(longest > LONG_GAP, 0.0, inner)
     return accelerations
-
-
-def _is_visible(model: mujoco.MjModel, geom: int) -> bool:
-    return (
-        int(model.geom_type[geom]) in _KINDS
-        and model.geom_group[geom] <= _LAST_VISIBLE
-        and model.geom_rgba[geom, 3] > 0.0
-    )
-
-
-def _half_extents(model: mujoco.MjModel, geom: int) -> Array:
-    size = np.array(model.geom_size[geom])
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return size[[0, 0, 0]]
-    if _KINDS[int(model.geom_type[geom])] in ("cylinder", "capsule"):
-        return size[[0, 0, 1]]
-    return size
-
-
-def _color(model: mujoco.MjModel, geom: int) -> Array:
-    own, material = model.geom_rgba[geom], int(model.geom_matid[geom])
-    if material >= 0 and np.allclose(own, _UNSET):
-        own = model.mat_rgba[material]
-    return np.asarray(own[:3], dtype=np.float64)

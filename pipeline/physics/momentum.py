@@ -41,10 +41,10 @@ class Momentum:
         self._pulled += data.actuator_force[: len(self._pulls)]
 
     def unexplained(self, data: mujoco.MjData, pushed: Array) -> Array:
-        """Return the mean force [N] of the pulls over the substeps since the last call.
+        """Return the mean force [N], (3,), since the last call that only pulls explain.
 
-        That is what contacts, grips, gravity and pushes (3,) leave unexplained,
-        shape (3,). Also brings the kinematics of ``data`` up to date.
+        That is, not contacts, grips, gravity or pushes, of which the sum (3,) is given.
+        Also brings the kinematics of ``data`` up to date.
         """
         there, model = data.site_xpos[self._sites], data.model
         mujoco.mj_kinematics(model, data)

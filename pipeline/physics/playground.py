@@ -5,23 +5,18 @@ from __future__ import annotations
 from collections import deque
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import (
-    TRACKINGS,
-    Clip,
-    InputError,
-    Motion,
-    Prop,
-    TrackingName,
-    positions_from_rotations,
-)
+from kinefilter.characters import TRACKINGS, Clip, InputError, Motion, Prop
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import to_mujoco
+from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import slerp
+from kinefilter.characters.tracking import TrackingName
 from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.target.feet import feet_of
 from kinefilter.pipeline.target.floor import place_of
@@ -33,14 +28,13 @@ from .pulled_character import PulledCharacter
 
 RATE = 30.0
 """Frame rate [1/s] of the motion and of recordings."""
-BALL_MASS, BALL_SPEED = 5.0, 10.0
-"""Mass [kg] and speed [m/s] of thrown balls."""
+_BALL_MASS, _BALL_SPEED = 5.0, 10.0  # kg, m/s
 _BALLS, _BALL_RADIUS = 6, 0.13  # m: a medicine ball
 _BALL = "thrown ball"
 _BALL_COLOR = (0.75, 0.22, 0.17, 1.0)
 _PARKED = (-300.0, 0.0)  # m: where balls wait on the floor, too far away to be seen
 _PUSH, _PUSH_TIME = 300.0, 0.3  # N and s of a person who shoves
-_DRAG_STIFFNESS, _MAX_DRAG = 1500.0, 900.0  # N/m and N of a hand that drags. Guesses.
+_STIFFNESS, _MAX_DRAG = 1500.0, 900.0  # N/m and N of a hand that drags. Guesses.
 _BACK, _SLOWEST = 0.6, 1.5  # s at least, and m/s, from a motion's end to its beginning
 _HERE = HeadingFrame(np.zeros(3), np.zeros(()))  # the world is the scene's
 _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
@@ -49,9 +43,8 @@ _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
 class Playground:
     """An interactive simulation for a page or a game, in the scene's frame, y up.
 
-    The motion is moved to start at the origin, facing +z, and repeated in a scene, one
-    of SCENES or an MJCF file. Raises InputError as ``load_scene`` does, or if the
-    motion is too short.
+    The motion is moved to the origin, facing +z, and repeated in a scene, one of SCENES
+    or an MJCF file. Raises InputError as ``load_scene``, or if the motion is too short.
     """
 
     def __init__(
@@ -59,7 +52,7 @@ class Playground:
     ) -> None:
         self.motion = _closed(motion)
         self.scene, self.tracking = scene, tracking
-        self._frames: deque[tuple[Array, ...]] | None = None
+        self._frames: deque[tuple[Any, ...]] | None = None
         self._set_up()
 
     def _set_up(self) -> None:
@@ -99,15 +92,17 @@ class Playground:
         self.time += dt
         if self._dragged is not None:
             joint, grabbed, pointer = self._dragged
-            offset = pointer - self.character.positions[joint] - grabbed
-            force = _DRAG_STIFFNESS * offset
+            force = _STIFFNESS * (pointer - self.character.positions[joint] - grabbed)
             size = float(np.linalg.norm(force))
             self._push(joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
         positions, rotations, stands = self._target()
         self.resets += not self.character.step(positions, rotations, dt, stands=stands)
         self.things.record(0)
         if self._frames is not None:
-            self._frames.append(self._state(dt))
+            contacts = self.motion.contacts[int(self.time * RATE) % len(self.motion)]
+            pose = self.character.root, self.character.rotations
+            force, props = self.character.external_force, self.things.poses[0].copy()
+            self._frames.append((dt, *pose, contacts, force, props))
 
     def _target(self) -> tuple[Array, Array, Flags]:
         """Return the motion's positions, rotations and planted feet at this time."""
@@ -122,10 +117,8 @@ class Playground:
     def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> int | None:
         """Return the joint that ends the part that a ray hits first, None if none."""
         start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
-        model, geom = self.character.model, np.zeros(1, np.int32)
-        hit = mujoco.mj_ray(
-            model, self.character.data, start, way, None, True, -1, geom
-        )
+        model, data, geom = self.character.model, self.character.data, np.zeros(1, "i4")
+        hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)
         joint = int(self.character.parts[model.geom_bodyid[geom[0]]])
         return None if hit < 0.0 or joint < 0 else joint
 
@@ -140,11 +133,10 @@ class Playground:
     def drag(self, joint: int, grabbed: ArrayLike, pointer: ArrayLike) -> None:
         """Pull the part that ends at a joint to a pointer [m], (3,), until ``release``.
 
-        Where it is ``grabbed`` [m], (3,), counts when the drag begins.
+        Only the first call of a drag uses the place where it is ``grabbed`` [m], (3,).
         """
-        if self._dragged is None or self._dragged[0] != joint:
-            offset = np.asarray(grabbed) - self.character.positions[joint]
-        else:
+        offset = np.asarray(grabbed) - self.character.positions[joint]
+        if self._dragged is not None and self._dragged[0] == joint:
             offset = self._dragged[1]
         self._dragged = joint, offset, np.asarray(pointer, dtype=float)
 
@@ -159,7 +151,7 @@ class Playground:
         data, place, speed = self.character.data, ball.qposadr[0], ball.dofadr[0]
         data.qpos[place : place + 3] = start
         data.qvel[speed : speed + 6] = 0.0
-        data.qvel[speed : speed + 3] = BALL_SPEED * (way / np.linalg.norm(way))
+        data.qvel[speed : speed + 3] = _BALL_SPEED * (way / np.linalg.norm(way))
 
     @property
     def props(self) -> tuple[Prop, ...]:
@@ -197,9 +189,8 @@ class Playground:
         frames, self._frames = self._frames or deque(), None
         if len(frames) < 2:
             raise InputError("nothing was recorded; play for a moment before stopping")
-        steps, root, rotations, contacts, force, poses = map(
-            np.array, zip(*frames, strict=True)
-        )
+        columns = map(np.array, zip(*frames, strict=True))
+        steps, root, rotations, contacts, force, poses = columns
         current, self.things.poses = self.things.poses, poses
         props = tuple(prop for prop in self.props if not _is_parked(prop))
         self.things.poses = current
@@ -212,24 +203,11 @@ class Playground:
         )
         return Clip.of(motion, contacts=contacts, external_force=force, props=props)
 
-    def _state(self, dt: float) -> tuple[Array, ...]:
-        character, frame = self.character, int(self.time * RATE) % len(self.motion)
-        return (
-            np.array(dt),
-            character.root,
-            character.rotations,
-            self.motion.contacts[frame],
-            np.array(character.external_force),
-            self.things.poses[0].copy(),
-        )
-
 
 def _closed(clip: Clip) -> Clip:
     """Return a clip moved to the origin, with a transition back to its beginning."""
     if len(clip) < 2:
-        raise InputError(
-            f"{clip.source}: a clip of {len(clip)} frames; expected 2 or more"
-        )
+        raise InputError(f"{clip.source} has {len(clip)} frames; expected 2 or more")
     clip = resampled(clip, RATE)
     place = place_of(clip.positions, clip.skeleton)
     root = place.remove(clip.root[:, None])[:, 0]
@@ -259,7 +237,7 @@ def _add_balls(spec: mujoco.MjSpec) -> None:
             name=name,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[_BALL_RADIUS, 0.0, 0.0],
-            mass=BALL_MASS,
+            mass=_BALL_MASS,
             condim=6,
             friction=[0.8, 0.005, 0.01],
             rgba=_BALL_COLOR,

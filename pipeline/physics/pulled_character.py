@@ -29,12 +29,11 @@ from .momentum import Momentum
 from .stuck_limbs import StuckLimbs
 
 _UP = np.array([0.0, 0.0, 1.0])
-UPDATE = 1.0 / 60.0
-"""Longest time [s] between two updates of the actuators' targets."""
-SUBSTEP = 1.0 / 240.0
+_UPDATE = 1.0 / 60.0  # s at most between two updates of the actuators' targets
+_SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
 in six recorded takes of punches and kicks diverged somewhere."""
-LOST = 3.0
+_LOST = 3.0
 """Distance [m] of a joint from its target that means divergence: more than the longest
 jump of a tracker that the bounded forces are still catching up with."""
 _TOP_SPEED = 1e3  # rad/s or m/s: no part of a body is ever that fast
@@ -45,8 +44,8 @@ _HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, 
 
 def steps_in(dt: float) -> tuple[int, int]:
     """Return how many updates are in a frame of ``dt`` [s], and steps in an update."""
-    updates = max(1, int(np.ceil(dt / UPDATE - 1e-3)))
-    return updates, max(1, int(np.ceil(dt / (updates * SUBSTEP) - 1e-3)))
+    updates = max(1, int(np.ceil(dt / _UPDATE - 1e-3)))
+    return updates, max(1, int(np.ceil(dt / (updates * _SUBSTEP) - 1e-3)))
 
 
 def _check_target(positions: Array, rotations: Array) -> None:
@@ -59,16 +58,9 @@ class PulledCharacter:
     """The humanoid of one body, stepped from one target posture to the next.
 
     It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
-    joint positions [m], world frame, shape (J, 3), and world segment rotations, wxyz,
-    shape (J, 4).
-
-    Args:
-        body: The person.
-        tracking: How hard the character is pulled.
-        scene: Its surroundings, one of SCENES or an MJCF file; by default the floor.
-        more: Called to add to the scene before it is compiled.
-
-    Raises InputError as ``load_scene`` does.
+    joint positions [m], shape (J, 3), and segment rotations, wxyz, (J, 4), in the world
+    frame. The scene is one of SCENES or an MJCF file, by default just a floor; ``more``
+    is called to add to it before it is compiled. Raises InputError as ``load_scene``.
     """
 
     def __init__(
@@ -261,8 +253,7 @@ class PulledCharacter:
         if self.limp and gives.can_rise(dt, float(np.linalg.norm(self.data.qvel[:3]))):
             self.limp = False
         if self._was_limp and not self.limp:
-            performer = positions[self.body.skeleton.root]
-            gives.rise(self.root, self.rotations, performer)
+            gives.rise(self.root, self.rotations, positions[self.body.skeleton.root])
             self._target = self.data.site_xpos[self._sites], to_mujoco(self.rotations)
             self._velocity = np.zeros_like(positions)
         if not self.limp:
@@ -320,7 +311,7 @@ class PulledCharacter:
         if not self.data.time > before or not np.abs(self.data.qvel).max() < _TOP_SPEED:
             return True
         away = np.abs(self.data.site_xpos[self._sites] - target).max()
-        return not (self._yields or away < LOST)  # also True for NaN
+        return not (self._yields or away < _LOST)  # also True for NaN
 
     def _stuck(self, dt: float) -> bool:
         """Return True if a limb is stuck, unless it may hang or was pushed away."""

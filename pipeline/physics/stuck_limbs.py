@@ -1,9 +1,8 @@
 """Limbs stuck at the end of a joint's range, where they cannot reach their target.
 
 A knee that is fully bent, after the tracker turned the leg upwards, is held there by
-the very pull that should straighten it. So is a forearm or a thigh that was left behind
-when the body turned around within a frame: the pull turns it the short way, which its
-joint does not allow.
+the very pull that should straighten it. So is a forearm or a thigh left behind when the
+body turned within a frame: it is pulled the short way, which its joint does not allow.
 """
 
 from __future__ import annotations
@@ -40,8 +39,7 @@ class StuckLimbs:
     ) -> bool:
         """Return True if a limb is stuck, ``elapsed`` [s] after the last frame.
 
-        Pose and target are joint positions [m], (J, 3), and rotations of the segments
-        that end there, wxyz, (J, 4).
+        Pose and target are joint positions [m], (J, 3), and rotations, wxyz, (J, 4).
         """
         own, wanted = (
             points[self._ends] - points[self._starts] for points, _ in (pose, target)

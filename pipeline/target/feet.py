@@ -41,8 +41,9 @@ _HEEL_ERROR = 0.10  # m: a planted ankle that is higher than this has left the f
 _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _LIFT_TIME = 0.1  # s to lift a foot by the clearance, and to set it down
 _SLIDE_SPEED = 0.15  # m/s: a foot that is faster is lifted
-_CLEARANCE = 0.065  # m between the floor and a moving sole. People walk with less, but
-# a viewer takes anything lower for sliding.
+_CLEARANCE = (
+    0.065  # m under a moving sole. Walkers have less, but it looks like sliding
+)
 _HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
 _CATCH_UP = 0.15  # s in which it then joins the measured path
 _FIRM = 1e4  # weight of a planted foot in the smoother; a stepping one has 1
@@ -130,8 +131,8 @@ class StanceTracker:
         speed = np.linalg.norm(moved, axis=1) / dt
         height = self._paths[:, 1]
         odds = _odds(speed, height, height - flat - _ERROR_OF_HEIGHT)
-        self._lead = np.clip(self._lead + odds * dt * _RATE, -_SWITCH, _SWITCH)
-        lead = self._lead
+        lead = np.clip(self._lead + odds * dt * _RATE, -_SWITCH, _SWITCH)
+        self._lead = lead
         self._stands = np.where(self._stands, lead > -_SWITCH, lead >= _SWITCH)
         return self._stands
 
@@ -154,19 +155,17 @@ def _unloaded(time: Array, stands: Flags) -> Flags:
 
 def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
     """Split a stance (in place) during which the foot moved to another place."""
-    points = path[stance]
-    count = len(points)
+    points, count = path[stance], stance.stop - stance.start
     if count < 4:
         return
-    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    if away.max() < _DRIFT:
+    away = points - np.median(points, axis=0)
+    if np.linalg.norm(away, axis=1).max() < _DRIFT:
         return
     # The frame that best splits the path into two resting places.
     sums = np.cumsum(points, axis=0)
     k = np.arange(1, count)[:, None]
-    gain = np.sum(
-        sums[:-1] ** 2 / k + (sums[-1] - sums[:-1]) ** 2 / (count - k), axis=1
-    )
+    rest = sums[-1] - sums[:-1]
+    gain = np.sum(sums[:-1] ** 2 / k + rest**2 / (count - k), axis=1)
     middle = time[stance.start + 1 + int(gain.argmax())]
     first, last = np.searchsorted(time, [middle - 0.5 * _STEP, middle + 0.5 * _STEP])
     first, last = max(int(first), stance.start), min(int(last), stance.stop)
@@ -226,8 +225,7 @@ def _resting(path: Array, weights: Array, rise: Array, body: Body, toe: int) -> 
     place = [_median(path[:, 0, axis], weights) for axis in (0, 2)]
     ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-    length, sole = body.lengths[toe], body.radii[toe]
-    flat = flat_height(body, toe)
+    length, sole, flat = body.lengths[toe], body.radii[toe], flat_height(body, toe)
     reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
     rest = np.zeros((len(path), 2, 3))
     rest[:, 1, [0, 2]] = place + reach * ahead
@@ -256,18 +254,19 @@ def _joined(
     for before, after in pairwise([None, *stances, None]):
         first = 0 if before is None else before.stop
         last = len(path) if after is None else after.start
-        gap = slice(first, last)
+        gap, over = slice(first, last), time[first:last, None, None]
         leave = moves[last if before is None else first - 1]
         step = path[gap] + leave
         if before is not None and after is not None:
-            over = time[gap] - time[first - 1]
-            share = _ease(over / (time[last] - time[first - 1]))
+            share = smooth_step(
+                (over - time[first - 1]) / (time[last] - time[first - 1])
+            )
             step = step + share * (moves[last] - leave)
         if before is not None:
-            free = _ease((time[gap] - time[first - 1] - _HOLD) / _CATCH_UP)
+            free = smooth_step((over - time[first - 1] - _HOLD) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[first - 1]
         if after is not None:
-            free = _ease((time[last] - time[gap] - _HOLD) / _CATCH_UP)
+            free = smooth_step((time[last] - over - _HOLD) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[last]
         joined[gap] = step
     return joined
@@ -278,8 +277,8 @@ def _lift(time: Array, toe: Array, sole: float, stands: Flags) -> Array:
     steps = np.diff(time)
     speed = np.linalg.norm(np.diff(toe[:, [0, 2]], axis=0), axis=1) / steps
     fast = np.concatenate([[0.0], speed]), np.concatenate([speed, [0.0]])
-    needed = np.where(np.maximum(*fast) > _SLIDE_SPEED, _CLEARANCE, 0.0)
-    needed[stands] = 0.0
+    slides = (np.maximum(*fast) > _SLIDE_SPEED) & ~stands
+    needed = np.where(slides, _CLEARANCE, 0.0)
     # Up and down at a constant speed, which takes frames before and after.
     slopes = _CLEARANCE / _LIFT_TIME * steps
     edge = np.where(stands, 0.0, np.inf)
@@ -288,14 +287,8 @@ def _lift(time: Array, toe: Array, sole: float, stands: Flags) -> Array:
         for k in range(1, len(time)):
             low[k] = min(low[k], low[k - 1] + slope[k - 1])
             high[k] = max(high[k], high[k - 1] - slope[k - 1])
-    needed = np.minimum(needed, edge)
-    lift = np.maximum(needed - (toe[:, 1] - sole), 0.0)
-    lift[stands] = 0.0
-    return lift[:, None]
-
-
-def _ease(share: Array) -> Array:
-    return smooth_step(share)[:, None, None]
+    lift = np.maximum(np.minimum(needed, edge) - (toe[:, 1] - sole), 0.0)
+    return np.where(stands, 0.0, lift)[:, None]
 
 
 def _median(values: Array, weights: Array) -> float:

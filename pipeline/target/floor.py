@@ -18,11 +18,8 @@ _FIRST_FRAMES = 15  # half a second, in which people do not walk far
 _LEAST_STANCES = 5  # needed to measure a slope
 _WALKED = 1.0  # m of depth that the stances have to span
 _LEAST_RATIO = 3.0  # of a slope to its standard error
-_STANDING = 10.0
-"""Percentile of the lower sole that is taken for planted: above the frames in which the
-tracker has a foot sink."""
-_DEEPEST = 0.01
-"""How far [m] contact lets soles sink into the floor in a good take."""
+_STANDING = 10.0  # percentile of the lower sole that counts as planted: some sink
+_DEEPEST = 0.01  # m that contact lets soles sink into the floor in a good take
 
 
 def floor_height(
@@ -32,17 +29,16 @@ def floor_height(
 
     This is the median over the ankles of planted feet, less their height at rest.
     Without any, it is the 10th percentile over the frames of the lower foot, likewise.
-    Only measured joints count; if no foot was ever measured, it is the height of the
-    body's lowest point.
+    Only measured joints count; if no foot ever was, the body's lowest point counts.
     """
     heights = positions[..., 1] - body.rest_positions[:, 1]
     ankles, toes = ankles_and_toes(body.skeleton)
-    feet = ankles + toes
     planted = heights[:, ankles][stands & (confidence[:, ankles] >= 0.5)]
     planted = planted[~np.isnan(planted)]
     if len(planted) > 0:
         return float(np.median(planted))
-    seen = np.where(confidence[:, feet] >= 0.5, heights[:, feet], np.nan)
+    heights, confidence = heights[:, ankles + toes], confidence[:, ankles + toes]
+    seen = np.where(confidence >= 0.5, heights, np.nan)
     frames = ~np.isnan(seen).all(axis=1)
     if frames.any():
         return float(np.percentile(np.nanmin(seen[frames], axis=1), _STANDING))
@@ -65,10 +61,8 @@ def sensor_tilt(
             seen = positions[stance, ankle][confidence[stance, ankle] >= 0.5]
             if len(seen) > 0:
                 places.append(np.median(seen, axis=0))
-    if len(places) < _LEAST_STANCES:
-        return 0.0
-    _, height, depth = np.transpose(places)
-    if np.ptp(depth) < _WALKED:
+    _, height, depth = np.reshape(places, (-1, 3)).T
+    if len(places) < _LEAST_STANCES or np.ptp(depth) < _WALKED:
         return 0.0
     from scipy.stats import linregress  # slow to import, and few takes need it
 

@@ -22,9 +22,8 @@ _AROUND = 0.5  # s before and after a pin in which the joint joins its own path
 def pin(draft: Draft, pins: Sequence[Edit]) -> None:
     """Move joints to their pins, and the joints beyond them along with them.
 
-    If the end of a limb is pinned, its elbow or knee keeps its bending direction; the
-    stage that restores bone lengths handles what is out of reach. If the trunk is
-    pinned, planted feet stay.
+    If a limb's end is pinned, its elbow or knee bends as before; restoring bone lengths
+    handles what is out of reach. If the trunk is pinned, planted feet stay.
     """
     skeleton, since = draft.skeleton, draft.time - draft.time[0]
     positions, weights = draft.positions.copy(), draft.bone_weights.copy()
@@ -56,11 +55,9 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
 
 def _curve(times: Array, values: Array) -> CubicHermiteSpline:
     """Return a curve through values (N, C) at times [s] (N,), falling to 0 beyond."""
-    knots = {
-        t + d: np.zeros_like(values[0]) for t in times for d in (-_AROUND, _AROUND)
-    }
-    near = [k for k in knots if np.abs(times - k).min() < _AROUND - 1e-6]
-    knots = {k: v for k, v in knots.items() if k not in near}
+    ends = [t + d for t in times for d in (-_AROUND, _AROUND)]
+    ends = [t for t in ends if np.abs(times - t).min() >= _AROUND - 1e-6]
+    knots = dict.fromkeys(ends, np.zeros_like(values[0]))
     knots |= dict(zip(times, values, strict=True))
     at = sorted(knots)
     rows = np.array([knots[t] for t in at])

@@ -18,15 +18,14 @@ from kinefilter.characters.arrays import Array, Indices
 
 _THIRD = (-1.0, 3.0, -3.0, 1.0)
 _ORDER = 3
-# Constants of smooth_by_speed, chosen on simulated takes and three of six recorded
-# people.
+# For smooth_by_speed, chosen on simulated takes and three of six recorded people.
 _SLOWEST_CUTOFF = 0.7  # Hz, of a joint at rest
 _PER_SPEED = 2.5  # Hz per m/s
 _FIRST_CUTOFF = 3.0  # Hz, to estimate the speed
 _PASSES = 2  # estimates of the speed
 _SPEED_TIME = 7 / 30  # s over which speed is averaged
-# Constants that detect small quick movement, which by its speed alone would be taken
-# for trembling; chosen on simulated takes.
+# To find small quick movement, which by its speed alone would be taken for trembling;
+# chosen on simulated takes.
 _QUICK = 0.2  # of the frame rate: anything faster is taken for noise
 _MOVES = (4.0, 8.0)  # times the noise, from which it may be, and is, movement
 _LEAST_NOISE = 0.003  # m, of a good sensor
@@ -62,15 +61,11 @@ def smooth_by_speed(
 
     Trembling of a joint at rest is noise, but quick changes of a moving one may be
     movement. So the cutoff grows with the speed of the smoothed path, as in the 1 euro
-    filter (Casiez, Roussel & Vogel 2012, CHI), but without its lag. Where that would
-    remove far more than the sensor's noise, hands clap or shake, and the cutoff is the
-    highest.
+    filter (Casiez, Roussel & Vogel 2012, CHI), but without its lag. It is the highest
+    where that would remove far more than noise, as when hands clap or shake.
 
-    Args:
-        time: Time stamps [s], strictly increasing, shape (T,).
-        values: Positions [m], shape (T, J, 3).
-        weights: Confidence in each joint, in (0, 1], shape (T, J).
-        cutoff: Highest cutoff frequency [Hz], where a joint is fast.
+    Arguments are as in ``smooth``, but values are positions [m], shape (T, J, 3), and
+    ``cutoff`` is the highest cutoff frequency [Hz].
     """
     if len(time) <= _ORDER:
         return values.copy()
@@ -124,10 +119,7 @@ def _grid(time: Array) -> tuple[Indices, float]:
 
 
 def _stiffness(cutoff: Any, step: float) -> Any:
-    """Return lambda at which half of a sine of the cutoff frequency is left.
-
-    The share of a sine that is left is 1 / (1 + lambda |2 sin(w/2)|^6).
-    """
+    # The share of a sine that is left is 1 / (1 + lambda |2 sin(w/2)|^6): here a half.
     return (2.0 * np.sin(np.pi * cutoff * step)) ** (-2 * _ORDER)
 
 

@@ -22,15 +22,7 @@ from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import CHUNK, Stage
 from kinefilter.retarget import BoneLengths, Hands, rotations_from_positions
 
-from .feet import (
-    PLANTED,
-    StanceTracker,
-    ankles_and_toes,
-    feet_of,
-    find_stance,
-    flat_height,
-    plant_feet,
-)
+from . import feet
 from .floor import clearances, floor_height, leveled, put_on_floor, sensor_tilt, sunk
 from .smooth import smooth, smooth_by_speed
 from .upright import Turn, find_turn
@@ -84,8 +76,7 @@ class Upright(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Turn a take."""
         if not self._given:
-            before = draft.unedited
-            turn = before.done.turn if before else None
+            turn = draft.unedited.done.turn if draft.unedited else None
             self._turn = turn or find_turn(draft.measured, draft.skeleton)
             self._apply(draft)
 
@@ -110,17 +101,11 @@ class Level(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Find the planted feet and from them the tilt, and level the take."""
-        stances = [
-            find_stance(part.time, part.positions, part.confidence, part.skeleton)
-            for part in draft.parts
-        ]
+        parts = [(p.time, p.positions, p.confidence) for p in draft.parts]
+        stances = [feet.find_stance(*part, draft.skeleton) for part in parts]
         draft.stands = np.concatenate(stances)
-        if draft.unedited is not None:
-            draft.tilt = draft.unedited.planted.tilt
-        elif self._tilt is not None:
-            draft.tilt = self._tilt
-        else:
-            draft.tilt = sensor_tilt(*_feet(draft))
+        known = draft.unedited.planted.tilt if draft.unedited else self._tilt
+        draft.tilt = sensor_tilt(*_feet(draft)) if known is None else known
         draft.positions = leveled(draft.positions, draft.tilt)
 
 
@@ -146,9 +131,8 @@ class Smooth(Stage):
         """Smooth a take."""
         if self._cutoff > 0.0:
             weights = np.maximum(draft.weights, _LEAST_WEIGHT)
-            draft.positions = smooth_by_speed(
-                draft.time, draft.positions, weights, cutoff=self._cutoff
-            )
+            paths = draft.time, draft.positions, weights
+            draft.positions = smooth_by_speed(*paths, cutoff=self._cutoff)
 
 
 class Floor(Stage):
@@ -162,8 +146,8 @@ class Floor(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
-        self._ankles, toes = ankles_and_toes(body.skeleton)
-        self._flat = flat_height(body, toes[0])
+        self._ankles, toes = feet.ankles_and_toes(body.skeleton)
+        self._flat = feet.flat_height(body, toes[0])
         self._height = self._given
         self._soles: deque[tuple[float, float]] = deque()
         self._turn = Turn()
@@ -196,12 +180,8 @@ class Floor(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Find the floor under the feet of a take, unless its height was given."""
-        if draft.unedited is not None:
-            draft.floor = draft.unedited.planted.floor
-        elif self._given is not None:
-            draft.floor = self._given
-        else:
-            draft.floor = floor_height(*_feet(draft))
+        known = draft.unedited.planted.floor if draft.unedited else self._given
+        draft.floor = floor_height(*_feet(draft)) if known is None else known
         draft.positions = draft.positions - [0.0, draft.floor, 0.0]
 
 
@@ -219,9 +199,9 @@ class Feet(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
-        ankles, toes = ankles_and_toes(body.skeleton)
-        self._parts, self._stance = np.transpose([ankles, toes]), StanceTracker()
-        self._flat = flat_height(body, toes[0])
+        ankles, toes = feet.ankles_and_toes(body.skeleton)
+        self._parts, self._stance = np.transpose([ankles, toes]), feet.StanceTracker()
+        self._flat = feet.flat_height(body, toes[0])
         self._heights = np.stack([np.full(2, self._flat), body.radii[toes]], axis=1)
         self._moved, self._anchors = np.zeros((2, 2, 2, 3))  # by foot, ankle and toes
         self._planted = np.zeros(2, dtype=np.bool_)
@@ -238,7 +218,7 @@ class Feet(Stage):
         self._moved *= np.exp(-elapsed / _LET_GO)
         self._moved[stands] = self._anchors[stands] - path[stands]
         positions[self._parts] += self._moved
-        weights[self._parts[stands]] = PLANTED
+        weights[self._parts[stands]] = feet.PLANTED
         self._planted = stands
         draft.positions, draft.bone_weights, draft.stands = positions, weights, stands
 
@@ -251,18 +231,18 @@ class Feet(Stage):
         if contacts is None and self._file is not None:
             contacts = read_contacts(self._file, draft.time)
         if contacts is not None:
-            stands, heels = feet_of(contacts), contacts[:, ::2]
+            stands, heels = feet.feet_of(contacts), contacts[:, ::2]
         time, positions, weights = draft.time, draft.positions, draft.weights
         planted, down = np.empty_like(positions), np.empty_like(stands)
         for k in parts_of(time):
             frames = time[k], positions[k], weights[k], stands[k]
-            planted[k], down[k] = plant_feet(*frames, draft.body, heels[k])
+            planted[k], down[k] = feet.plant_feet(*frames, draft.body, heels[k])
         draft.positions = planted
         draft.contacts = np.stack([down, stands], axis=2).reshape(-1, 4)
-        draft.stands = feet_of(draft.contacts)
+        draft.stands = feet.feet_of(draft.contacts)
         weights = np.maximum(weights, _LEAST_BONE_WEIGHT)
-        for part in ankles_and_toes(draft.skeleton):
-            weights[:, part] = np.where(stands, PLANTED, weights[:, part])
+        for part in feet.ankles_and_toes(draft.skeleton):
+            weights[:, part] = np.where(stands, feet.PLANTED, weights[:, part])
         draft.bone_weights = weights
 
 

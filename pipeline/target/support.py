@@ -4,8 +4,7 @@ A motion needs external forces that change its linear and angular momentum and c
 weight. The floor exerts them on soles and other parts that touch it: it pushes but does
 not pull, within the friction cone. What no such forces explain are the residual force
 and moment of inverse dynamics (Hicks et al. 2015, Is my model good enough?, J. Biomech.
-Eng. 137(2)), computed here from joint positions alone. Props such as chairs are not
-taken into account.
+Eng. 137(2)), here from joint positions alone. Props such as chairs carry nothing.
 """
 
 from __future__ import annotations
@@ -22,15 +21,14 @@ from .feet import ankles_and_toes, flat_height
 from .floor import clearances
 from .smooth import smooth
 
-FRICTION = 1.0
-"""Largest ratio of tangential to normal force of the floor, as in the simulation."""
+_MU = 1.0  # of friction: tangential over normal force at most, as in the simulation
 _CUTOFF = 6.0  # Hz, zero lag, as for markers in gait (Winter 2009, section 3.4.4)
 _NEAR = 0.03  # m above its resting height up to which a part is in contact. A guess.
 # Extent of a foot from its ankle, relative to stature: a quarter of its length of 0.152
 # is behind; half its breadth of 0.055 is on each side (Winter 2009, figure 4.1).
 _BACK, _AHEAD, _ASIDE = 0.038, 0.114, 0.0275
 # Edges of the friction cone: a pyramid, as in the simulation.
-_EDGES = np.array([[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]]) * FRICTION + [0, 1, 0]
+_EDGES = np.array([[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]]) * _MU + [0, 1, 0]
 _CHUNK = 4096  # frames at a time, to bound the memory
 
 
@@ -43,8 +41,7 @@ def unexplained(time: Array, positions: Array, body: Body) -> tuple[Array, Array
     both; a meter, about the height of the center of mass, makes them comparable. NaN
     where a joint is missing, and in the frames next to these and to long gaps.
 
-    Time stamps [s] increase strictly, shape (T,); joint positions [m] have the floor at
-    y = 0, shape (T, J, 3).
+    Time stamps [s] increase strictly; positions [m], (T, J, 3), have the floor at 0.
     """
     residuals = np.full((len(time), 2), np.nan)
     whole = np.asarray(np.isfinite(positions).all(axis=(1, 2)))

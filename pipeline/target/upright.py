@@ -18,21 +18,17 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import unit
 
 _STRAIGHT = np.cos(np.radians(30.0))
-"""Cosine of the largest angle between shank, thigh and trunk of a person who stands
-straight. A guess."""
-_HANGING = 0.8
-"""Share of its length by which a hanging arm reaches down the body. A guess."""
+"""Cosine of the largest angle between shank, thigh and trunk in standing. A guess."""
+_HANGING = 0.8  # share of its length that a hanging arm reaches down. A guess.
 _ORDINARY = {"both": np.radians(15.0), "either": np.radians(20.0)}
 """Angle to the vertical [rad] up to which nothing is done, if both legs or at least one
 are straight often enough. With sensors as people set them up, 1,254 clips of 20 people
 have at most 10.4 and 15.0 degrees; marker mocap, including dances, 2.9 and 15.5."""
-_TILTED, _OVER = np.radians([60.0, 135.0])
-"""Angles [rad] between which a person may as well lie on the floor."""
+_TILTED, _OVER = np.radians([60.0, 135.0])  # between these a person may be lying
 _MIN_SHARE = 0.25  # of all frames standing straight. Dancers pose in 0.2
 _MIN_FRAMES = 15  # standing straight: half a second
+# In this share of these frames the body is within 20 degrees of their median. Guesses.
 _SIMILAR, _AGREEMENT = np.cos(np.radians(20.0)), 0.8
-"""In this share of these frames the body is within 20 degrees of their median. Guesses.
-"""
 _HANGS = 0.1  # share of them with a hanging arm: 1,000 of the clips above have more
 _CARRYING = -0.3
 """The reach of an arm in a handstand or headstand is lower: hands on the floor are as
@@ -83,7 +79,7 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _MIN_FRAMES) ->
     (T, J, 3). The person has to stand straight in ``least`` frames or more.
     """
     positions = positions[:: 1 + len(positions) // _FRAMES]
-    along, straight, down = _measure_posture(positions, skeleton)
+    along, straight, down = _posture(positions, skeleton)
     if not len(along):
         return Turn()
     if _mirrored(positions, skeleton):
@@ -92,7 +88,7 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _MIN_FRAMES) ->
 
 
 def _turn_from(along: Array, straight: Flags, down: Array, least: int) -> Turn:
-    """Return the turn for postures as ``_measure_posture`` returns them."""
+    """Return the turn for postures as ``_posture`` returns them."""
     enough = max(least, _MIN_SHARE * len(along))
     stands, ordinary = straight.all(axis=1), _ORDINARY["both"]
     if stands.sum() < enough:
@@ -131,7 +127,7 @@ def with_y_up(take: Take) -> Take:
     reflection, which no rotation of the sensor could undo.
     """
     some = take.positions[:: 1 + len(take) // _FRAMES]
-    along, straight, _ = _measure_posture(some, take.skeleton)
+    along, straight, _ = _posture(some, take.skeleton)
     stands = straight.any(axis=1)
     if stands.sum() < max(_MIN_FRAMES, _MIN_SHARE * len(along)):
         return take
@@ -146,9 +142,7 @@ def _from_vertical(direction: Array) -> float:
     return float(np.arccos(np.clip(unit(direction)[1], -1.0, 1.0)))
 
 
-def _measure_posture(
-    positions: Array, skeleton: Skeleton
-) -> tuple[Array, Flags, Array]:
+def _posture(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]:
     """Return how the person stands in the N frames with feet and trunk.
 
     The direction from the feet to the shoulders (N, 3), whether each leg is straight
@@ -163,9 +157,8 @@ def _measure_posture(
     trunk = unit(girdle - positions[:, [skeleton.root]])
     along = unit(girdle - ankle.mean(axis=1, keepdims=True))
     shank, thigh = unit(knee - ankle), unit(hip - knee)
-    straight = (np.sum(shank * thigh, axis=2) > _STRAIGHT) & (
-        np.sum(thigh * trunk, axis=2) > _STRAIGHT
-    )
+    straight = np.sum(shank * thigh, axis=2) > _STRAIGHT
+    straight &= np.sum(thigh * trunk, axis=2) > _STRAIGHT
     arm = np.linalg.norm(elbow - shoulder, axis=2)
     arm += np.linalg.norm(wrist - elbow, axis=2)
     down = np.sum((shoulder - wrist) * along, axis=2) / np.maximum(arm, 1e-9)
