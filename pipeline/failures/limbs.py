@@ -45,9 +45,12 @@ _LEAP_TIME = 1.0 / 15.0
 """Time [s] too short for a movement from rest to rest: the fastest voluntary
 contractions last about a tenth of a second, however small they are (Freund & Buedingen
 1978, Experimental Brain Research 31:1-12)."""
-_REST = 0.1  # s around a jump whose movement counts against it: quick limbs swing on
+_REST = 0.1
+"""Time [s] before and after a jump in which movement counts against it: a limb that is
+really quick is still moving then."""
 _SLACK = 1.25  # times _LEAP_TIME that two frames of an uneven clock may be apart
 LIMBS = {"arm": ("Shoulder", "Elbow", "Wrist"), "leg": ("Hip", "Knee", "Ankle")}
+"""Joints of a limb, from the trunk outwards."""
 
 
 def bent_backwards(take: Take, side: str) -> Flags:

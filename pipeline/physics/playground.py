@@ -58,7 +58,7 @@ class Playground:
     def _set_up(self) -> None:
         body = self.motion.body
         self.character = PulledCharacter(
-            body, TRACKINGS[self.tracking], scene=self.scene, more=_add_balls
+            body, TRACKINGS[self.tracking], scene=self.scene, extend=_add_balls
         )
         model = self.character.model
         root = model.body(body.skeleton.joints[body.skeleton.root]).id
@@ -119,7 +119,7 @@ class Playground:
         start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
         model, data, geom = self.character.model, self.character.data, np.zeros(1, "i4")
         hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)
-        joint = int(self.character.parts[model.geom_bodyid[geom[0]]])
+        joint = int(self.character.joint_of[model.geom_bodyid[geom[0]]])
         return None if hit < 0.0 or joint < 0 else joint
 
     def shove(self, joint: int, direction: ArrayLike) -> None:

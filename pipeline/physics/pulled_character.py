@@ -59,8 +59,8 @@ class PulledCharacter:
 
     It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
     joint positions [m], shape (J, 3), and segment rotations, wxyz, (J, 4), in the world
-    frame. The scene is one of SCENES or an MJCF file, by default just a floor; ``more``
-    is called to add to it before it is compiled. Raises InputError as ``load_scene``.
+    frame. The scene is one of SCENES or an MJCF file, by default a floor; ``extend`` is
+    called to add to it before it is compiled. Raises InputError as ``load_scene``.
     """
 
     def __init__(
@@ -69,14 +69,14 @@ class PulledCharacter:
         tracking: Tracking | None = None,
         *,
         scene: str | Path | None = None,
-        more: Callable[[mujoco.MjSpec], object] = lambda _: None,
+        extend: Callable[[mujoco.MjSpec], object] = lambda _: None,
     ) -> None:
         self.body, joints = body, body.skeleton.joints
         if scene is None:
             spec = build_humanoid(body, tracking)
         else:
             spec = load_scene(scene, body, tracking=tracking)
-        more(spec)
+        extend(spec)
         self.model = model = spec.compile()
         self.data = mujoco.MjData(model)
         self._sites = np.array([model.site(name).id for name in joints])
@@ -85,8 +85,8 @@ class PulledCharacter:
         ends = [model.joint(joints[j]) for j in body.skeleton.segments]
         self._balls = np.array([ball.qposadr[0] for ball in ends])
         # For each body of the model the joint at its end, -1 if not the character's.
-        self.parts = np.full(model.nbody, -1)
-        self.parts[self._bodies] = np.arange(len(joints))
+        self.joint_of = np.full(model.nbody, -1)
+        self.joint_of[self._bodies] = np.arange(len(joints))
         # The character's actuators come first: forces, then torques, of which the first
         # three are the root's, then one per segment.
         count = int(np.sum(model.actuator_group == PULLS))
@@ -227,7 +227,7 @@ class PulledCharacter:
                 mujoco.mj_step(self.model, data)
                 self._momentum.add(data)
                 if gives is not None and self._props.any():
-                    gives.hit_by_props(self.model, data, self.parts, self._props)
+                    gives.hit_by_props(self.model, data, self.joint_of, self._props)
         self._external = self._momentum.unexplained(data, pushed)
         if self._diverged(after_p, began) or self._stuck(dt):
             mujoco.mj_resetData(self.model, data)
@@ -249,7 +249,7 @@ class PulledCharacter:
     ) -> tuple[Array, Array]:
         """Return the target as changed by hits, and scale the pulls."""
         for part, force, left in self._pushes:
-            gives.hit(self.parts[part], from_mujoco(force) * min(left, dt))
+            gives.hit(self.joint_of[part], from_mujoco(force) * min(left, dt))
         if self.limp and gives.can_rise(dt, float(np.linalg.norm(self.data.qvel[:3]))):
             self.limp = False
         if self._was_limp and not self.limp:

@@ -18,7 +18,7 @@ _FIRST_FRAMES = 15  # half a second, in which people do not walk far
 _LEAST_STANCES = 5  # needed to measure a slope
 _WALKED = 1.0  # m of depth that the stances have to span
 _LEAST_RATIO = 3.0  # of a slope to its standard error
-_STANDING = 10.0  # percentile of the lower sole that counts as planted: some sink
+_STANDING = 10.0  # percentile of the lower soles that is the floor: a few sink below
 _DEEPEST = 0.01  # m that contact lets soles sink into the floor in a good take
 
 
@@ -27,9 +27,9 @@ def floor_height(
 ) -> float:
     """Return the height [m] of the floor under a take.
 
-    This is the median over the ankles of planted feet, less their height at rest.
-    Without any, it is the 10th percentile over the frames of the lower foot, likewise.
-    Only measured joints count; if no foot ever was, the body's lowest point counts.
+    This is the median height of the ankles of planted feet, less their height at rest.
+    If none is planted, the lower foot of each frame counts, and the 10th percentile.
+    Only measured joints count; if no foot ever was, the body's lowest point does.
     """
     heights = positions[..., 1] - body.rest_positions[:, 1]
     ankles, toes = ankles_and_toes(body.skeleton)

@@ -33,8 +33,8 @@ _BONES_CUTOFF = 3.0  # Hz; lengths are wrong for longer than joints tremble
 _LANDINGS = 8  # times that joints are raised to the floor and put back on their bones
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _LET_GO = 0.05  # s in which a stepping foot joins its measured path
-_WINDOW = 64  # frames, two seconds, from which a live turn is found
-_EARLY = (1, 2, 4, 8, 16, 32)  # frames after which it is also looked for
+_WINDOW = 64  # frames, two seconds, after which and from which a live turn is found
+_EARLY = (1, 2, 4, 8, 16, 32)  # frames after which it is sought before that
 _WATCHED = 20 * _WINDOW  # frames after which it stays as it is
 _FEW = 1  # frames of standing straight that are enough for a live turn
 _FLOOR_TIME = 2.0  # s whose median sole is roughly the floor
@@ -43,9 +43,9 @@ _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share per frame: feet sink rarely, lif
 
 
 class Upright(Stage):
-    """Stage that turns upright the frame of a sensor upside down or tilted far.
+    """Stage that turns frames upright if the sensor was upside down or tilted far.
 
-    In live motion the turn is found from the last seconds, again and again at first.
+    In live motion the turn is found from the last seconds, until it is settled.
     """
 
     name = "upright"
