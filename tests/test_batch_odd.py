@@ -250,7 +250,7 @@ def test_damage_is_told_with_its_seconds(
         for line in capsys.readouterr().out.splitlines()
         if line.startswith("tracker failure: ")
     ]
-    assert told[0].startswith("body left and right exchanged (1.0 to ")
+    assert told[0].startswith("body left and right swapped (1.0 to ")
     damage = {row.take: row.clips[0].damage for row in rows_of(out) if row.clips}
     assert damage == {
         "damaged.csv": tuple(told),

@@ -334,7 +334,8 @@ def test_a_limb_that_cleaning_moves_far_is_told() -> None:
     assert abs(found.first - 60) <= 8
     assert abs(found.last - 89) <= 8
     assert found.start == time[found.first]
-    assert "left arm displaced by 9 cm or more from" in str(found)
+    (told,) = told_failures([found], time[0])
+    assert told.startswith("left arm displaced by 9 cm or more (")
 
 
 def test_failures_are_told_in_seconds_since_the_first_frame() -> None:

@@ -49,9 +49,9 @@ TURNS = {
     "upside down": [("z", 180.0)],
 }
 GRID = {
-    "_OFTEN": [0.1, 0.2, 0.25, 0.3, 0.5],
-    "_ALIKE": np.cos(np.radians([10.0, 15.0, 20.0, 30.0])),
-    "_MOST": [0.5, 0.6, 0.7, 0.8, 0.9],
+    "_MIN_SHARE": [0.1, 0.2, 0.25, 0.3, 0.5],
+    "_SIMILAR": np.cos(np.radians([10.0, 15.0, 20.0, 30.0])),
+    "_AGREEMENT": [0.5, 0.6, 0.7, 0.8, 0.9],
 }
 LIMITS = ("both", "either", *GRID)
 _MARGIN = 1.5  # times the largest lean of the people that are chosen on
@@ -72,12 +72,12 @@ class Bearing:
     def of(cls, take: Take | KinectMotion, skeleton: Skeleton = KINECT_V1) -> Bearing:
         """Measure it in a take."""
         some = take.positions[:: 1 + len(take.positions) // _MOST_FRAMES]
-        return cls(*upright._bearing(some, skeleton))
+        return cls(*upright._posture(some, skeleton))
 
     def turn(self, matrix: Array) -> Turn:
         """Return what is found once the take is turned by a matrix."""
         along = self.along @ matrix.T
-        return upright._judged(along, self.straight, self.down, upright._LEAST)
+        return upright._turn_from(along, self.straight, self.down, upright._MIN_FRAMES)
 
     def unturned(self, _: Array) -> Turn:
         """Return no turn, whatever is found."""
@@ -176,7 +176,7 @@ def choose(found: list[Bearing]) -> dict[str, float]:
         leans = [
             np.arccos(unit(np.median(b.along[stands], axis=0))[1])
             for b in found
-            if (stands := straight(b.straight, axis=1)).mean() >= limit("_OFTEN")
+            if (stands := straight(b.straight, axis=1)).mean() >= limit("_MIN_SHARE")
         ]
         limit(name, _MARGIN * max(leans))
     for _ in range(2):

@@ -1,11 +1,11 @@
-"""Gross failures of the tracker: found, reported, and mended where that is possible.
+"""Gross tracker failures: detection, description and, where possible, repair.
 
-Sensors now and then take a person for one who faces the other way, and exchange left
-and right from one frame to the next; they bend a leg the way no knee bends, put an arm
-through the head, or let a limb leap to somewhere else and back. They put the whole body
-where nobody gets so fast, or give it the size of a house. Most of it goes on for
-many frames, so that nothing which looks at single frames or lengths minds it. What is
-plausible but wrong shows in the end, as cleaning moves it far.
+Sensors sometimes take a person who faces them for one who faces away and swap left and
+right from one frame to the next; they bend a knee backwards, put an arm through the
+head, or have a limb jump somewhere else and back. They place the whole body where
+nobody could get so fast, or make it the size of a house. Most of this lasts for many
+frames, so checks of single frames or of segment lengths miss it. Errors that look
+plausible show only later, when cleaning has to move a limb far.
 """
 
 from .bodies import ImpossibleBodies

@@ -1,69 +1,63 @@
-"""Finds gross failures of the tracker, and lowers reliability where they are."""
+"""Detection of gross tracker failures, and their repair."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from kinefilter.characters import Skeleton, State, Take, Term
-from kinefilter.characters.arrays import Flags, runs
+from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import Scores
 
-from .bodies import elsewhere, of_another_size
-from .limbs import bent_backwards, leaps, leftward, out_of_range, through_head
+from .bodies import misplaced_frames, wrong_size_frames
+from .limbs import LIMBS, bent_backwards, leaps, leftward, out_of_range, through_head
 
 _SPIN = np.radians(120.0)
 _SPIN_TIME = 1.0 / 6.0
 """Nobody turns the trunk by this angle [rad] in this time [s], which is two revolutions
 a second: figure skaters reach six, dancers two."""
-_MENDS = 0.7
-"""Exchanging the sides has to reduce the jumps into and out of a mirrored stretch to
-this share or less. A guess."""
+_REPAIRED = 0.7  # share of jumps that swapping back a stretch may leave. A guess.
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
-_SHORT = 0.3  # s: an arm in an impossible place for less only brushes by
-
-_TOLD = 5  # stretches of one kind; of more their number says enough
+_SHORT = 0.3  # s: an arm at an impossible place for less only brushes past it
+_LISTED = 5  # stretches of one kind that are listed one by one; more are counted
 
 
 class FailureKind(StrEnum):
-    """What is wrong with part of a take."""
+    """What is wrong in a stretch of a take, in words."""
 
-    MIRRORED = "left and right exchanged"
+    MIRRORED = "left and right swapped"
     BENT_BACKWARDS = "bent backwards at the knee"
     THROUGH_HEAD = "through the head"
     OUT_OF_RANGE = "beyond the shoulder's range"
-    LEAPING = "leaping faster than limbs move"
+    LEAPING = "jumping faster than a limb can move"
     DISPLACED = "displaced by 9 cm or more"
-    ELSEWHERE = "where it cannot have been"
-    ODD_SIZE = "far larger or smaller than it is"
-    JUMPING = "jumping faster than people move"
+    ELSEWHERE = "at an impossible place"
+    ODD_SIZE = "far too large or too small"
+    JUMPING = "jumping faster than a person can move"
 
     @property
     def done(self) -> str:
-        """What cleaning does about it, for users."""
-        return _DONE.get(self, "left as measured, check it")
+        """What cleaning does about it, in words."""
+        return _REMEDIES.get(self, "left as measured; check it")
 
 
-_DONE = {
-    FailureKind.MIRRORED: "exchanged back if that makes it go on smoothly",
-    FailureKind.BENT_BACKWARDS: "not trusted, made up from the rest of the body",
-    FailureKind.THROUGH_HEAD: "not trusted, made up from the rest of the body",
-    FailureKind.DISPLACED: "moved to where the rest says it was, check it",
-    FailureKind.ELSEWHERE: "taken out and filled in from before and after",
-    FailureKind.ODD_SIZE: "taken out and filled in from before and after",
-    FailureKind.JUMPING: "left as measured; if it is somebody else, cut the take there",
-}
-
-_NOBODY = (FailureKind.ELSEWHERE, FailureKind.ODD_SIZE)
-"""Failures whose frames hold nothing of the person."""
-_DOUBTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
+_IMPOSSIBLE_BODY = (FailureKind.ELSEWHERE, FailureKind.ODD_SIZE)
+"""Failures whose frames say nothing about the person."""
+_DISTRUSTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
 """Failures whose limbs get reliability 0. An arm beyond its range is closer to the
-truth than what correction invents for it: 27 against 39 cm in 14 recorded clips. A limb
-that leaps may be right before or after the leap: distrusting it removed real kicks."""
+truth than what correction puts in its place: 27 against 39 cm in 14 recorded clips. A
+limb that jumps may be right before or after it: distrusting it removed real kicks."""
+_REMEDIES = {
+    FailureKind.MIRRORED: "swapped back where that makes the motion continuous",
+    **dict.fromkeys(_DISTRUSTED, "distrusted and inferred from the rest of the body"),
+    FailureKind.DISPLACED: "moved to where the rest of the take suggests; check it",
+    **dict.fromkeys(_IMPOSSIBLE_BODY, "removed and filled in from frames around it"),
+    FailureKind.JUMPING: "left as measured; cut the take if it is another person",
+}
 
 
 @dataclass(frozen=True)
@@ -73,43 +67,38 @@ class Failure:
     kind: FailureKind
     """What is wrong."""
     part: str
-    """What it is wrong with: ``body``, or ``left`` or ``right`` and ``arm`` or
-    ``leg``."""
+    """What it is wrong with: ``body``, ``left arm``, ``right leg`` and so on."""
     first: int
-    """Its first frame."""
     last: int
-    """Its last frame."""
+    """Its first and its last frame."""
     start: float
-    """Time stamp of the first frame [s]."""
     end: float
-    """Time stamp of the last frame [s]."""
+    """The time stamps of these [s]."""
 
     @property
     def frames(self) -> slice:
-        """Its frames."""
+        """The frames as a slice."""
         return slice(self.first, self.last + 1)
 
     def moved(self, frames: int) -> Failure:
-        """Return the failure counted from another frame."""
+        """Return the failure with its frame numbers shifted."""
         return replace(self, first=self.first + frames, last=self.last + frames)
-
-    def __str__(self) -> str:
-        return f"{self.part} {self.kind} from {self.start:.1f} to {self.end:.1f} s"
 
 
 def told_failures(failures: Iterable[Failure], begin: float) -> tuple[str, ...]:
-    """Return a sentence for each kind of failure and part: when, and what is done.
+    """Return a sentence for each kind of failure and part: when, and the remedy.
 
-    Times are since ``begin``, the time stamp of the first frame [s].
+    Times are relative to ``begin``, the time stamp of the first frame [s].
     """
-    alike: dict[tuple[str, FailureKind], list[Failure]] = {}
+    groups: dict[tuple[str, FailureKind], list[Failure]] = {}
     for failure in failures:
-        alike.setdefault((failure.part, failure.kind), []).append(failure)
+        groups.setdefault((failure.part, failure.kind), []).append(failure)
     sentences = []
-    for (part, kind), same in alike.items():
-        times = [(f.start - begin, f.end - begin) for f in same[:_TOLD]]
+    for (part, kind), group in groups.items():
+        times = [(f.start - begin, f.end - begin) for f in group[:_LISTED]]
         when = ", ".join(f"{start:.1f} to {end:.1f}" for start, end in times)
-        more = f" and {len(same) - _TOLD} times later" if len(same) > _TOLD else ""
+        left = len(group) - len(times)
+        more = f" and {left} more time{'s' * (left != 1)}" if left else ""
         sentences.append(f"{part} {kind} ({when} s{more}): {kind.done}")
     return tuple(sentences)
 
@@ -118,15 +107,15 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
     """Return the gross failures in a take, time stamps strictly increasing."""
     if len(take) < 2:
         return ()
-    kind = FailureKind
-    found = list(_lasting(take, kind.ODD_SIZE, "body", of_another_size(take)))
+    time, kind = take.time, FailureKind
+    found = list(stretches(time, kind.ODD_SIZE, "body", wrong_size_frames(take)))
     take = without_nobody(take, found)
-    wrong, jumps = elsewhere(take)
-    found += _lasting(take, kind.ELSEWHERE, "body", wrong)
-    found += _lasting(take, kind.JUMPING, "body", jumps)
+    wrong, jumps = misplaced_frames(take)
+    found += stretches(time, kind.ELSEWHERE, "body", wrong)
+    found += stretches(time, kind.JUMPING, "body", jumps)
     take = without_nobody(take, found)
-    found += _lasting(take, kind.MIRRORED, "body", _mirrored(take))
-    take = unmirrored(take, found)  # sides are named as they are once exchanged back
+    found += stretches(time, kind.MIRRORED, "body", _mirrored(take))
+    take = unmirrored(take, found)  # sides are named as they are once swapped back
     for side in SIDES:
         for limb, what, frames, shortest in (
             ("arm", kind.THROUGH_HEAD, through_head(take, side), _SHORT),
@@ -135,16 +124,16 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
             ("leg", kind.BENT_BACKWARDS, bent_backwards(take, side), _LONG),
             ("leg", kind.LEAPING, leaps(take, side, "leg"), 0.0),
         ):
-            found += _lasting(take, what, f"{side.lower()} {limb}", frames, shortest)
+            found += stretches(time, what, f"{side.lower()} {limb}", frames, shortest)
     return tuple(sorted(found, key=lambda failure: failure.first))
 
 
-def _lasting(
-    take: Take, kind: FailureKind, part: str, frames: Flags, shortest: float = 0.0
-) -> Iterable[Failure]:
-    """Yield the stretches of a failure in frames (T,), none shorter than that [s]."""
+def stretches(
+    time: Array, kind: FailureKind, part: str, frames: Flags, shortest: float = 0.0
+) -> Iterator[Failure]:
+    """Yield a failure for each stretch of flagged frames (T,) of ``shortest`` [s]."""
     for run in runs(frames):
-        start, end = float(take.time[run.start]), float(take.time[run.stop - 1])
+        start, end = float(time[run.start]), float(time[run.stop - 1])
         if end - start >= shortest:
             yield Failure(kind, part, run.start, run.stop - 1, start, end)
 
@@ -152,20 +141,20 @@ def _lasting(
 def distrust(
     scores: Scores, failures: tuple[Failure, ...], skeleton: Skeleton
 ) -> Scores:
-    """Return scores with a reliability of 0 where a limb is in an impossible place.
+    """Return scores with reliability 0 for limbs at impossible places.
 
-    This holds from the elbow or knee on. Mirrored bodies are put back before; arms
-    beyond their range and limbs that leap keep their reliability.
+    This holds from the elbow or knee outwards. Mirrored bodies have been swapped back
+    before; arms beyond their range and limbs that jump keep their reliability.
     """
     reliability, geometry = scores.reliability.copy(), scores.geometry.copy()
     term = scores.term.copy()
     for failure in failures:
-        if failure.kind in _NOBODY:
+        if failure.kind in _IMPOSSIBLE_BODY:
             term[failure.frames] = Term.FAILURE
-        if failure.kind in _DOUBTED:
+        if failure.kind in _DISTRUSTED:
             side, limb = failure.part.split()
-            top = {"arm": "Shoulder", "leg": "Hip"}[limb] + side.capitalize()
-            joints = skeleton.beyond(skeleton.index(top))
+            top = skeleton.index(LIMBS[limb][0] + side.capitalize())
+            joints = skeleton.beyond(top)
             reliability[failure.frames, joints] = 0.0
             geometry[failure.frames, joints] = 0.0
             term[failure.frames, joints] = Term.FAILURE
@@ -173,31 +162,23 @@ def distrust(
 
 
 def _mirrored(take: Take) -> Flags:
-    """Return the frames, fewer than half, between impossible turns, shape (T,)."""
+    """Return the frames between impossible turns, fewer than half of them, (T,)."""
     frames = np.zeros(len(take), dtype=bool)
     left = np.nan_to_num(leftward(take)[:, [0, 2]])
     lag = max(1, round(_SPIN_TIME * len(take) / (take.time[-1] - take.time[0])))
-    if len(take) <= lag:
-        return frames
     norms = np.maximum(np.linalg.norm(left, axis=1), 1e-9)
     cosines = np.sum(left[lag:] * left[:-lag], axis=1) / (norms[lag:] * norms[:-lag])
-    # A turn shows in all pairs of frames that have it between them.
-    spins = runs(cosines < np.cos(_SPIN))
-    turns = [(run.start + run.stop - 1) // 2 + lag // 2 + 1 for run in spins]
-    for k, turn in enumerate(turns):
-        end = turns[k + 1] if k + 1 < len(turns) else len(take)
-        frames[turn:end] = k % 2 == 0
+    # A turn shows in every pair of frames that has it in between.
+    for spin in runs(cosines < np.cos(_SPIN)):
+        frames[(spin.start + spin.stop - 1) // 2 + lag // 2 + 1 :] ^= True
     return frames if frames.mean() <= 0.5 else ~frames
 
 
 def without_nobody(take: Take, failures: Iterable[Failure]) -> Take:
-    """Return a take in which every joint is missing where the person cannot have been.
-
-    That is in frames with the body elsewhere or of another size.
-    """
+    """Return a take with no joints in frames with an impossible body."""
     frames = np.zeros(len(take), dtype=bool)
     for failure in failures:
-        frames[failure.frames] |= failure.kind in _NOBODY
+        frames[failure.frames] |= failure.kind in _IMPOSSIBLE_BODY
     if not frames.any():
         return take
     positions = np.where(frames[:, None, None], np.nan, take.positions)
@@ -206,33 +187,30 @@ def without_nobody(take: Take, failures: Iterable[Failure]) -> Take:
 
 
 def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
-    """Return a take whose left and right are exchanged back where they were mirrored.
+    """Return a take with left and right swapped back where they were mirrored.
 
-    Where the body would jump as far either way, more is wrong, and they stay.
+    A stretch stays if the body would jump as far either way: more is wrong than sides.
     """
     frames = np.zeros(len(take), dtype=bool)
     for failure in failures:
         if failure.kind is FailureKind.MIRRORED:
-            first, last = failure.first, failure.last
-            edges = [(first, first - 1), (last, last + 1)]
+            edges = [
+                (failure.first, failure.first - 1),
+                (failure.last, failure.last + 1),
+            ]
             edges = [edge for edge in edges if 0 <= edge[1] < len(take)]
-            jumps = sum(_jump(take, *edge, mirror=False) for edge in edges)
-            mended = sum(_jump(take, *edge, mirror=True) for edge in edges)
-            frames[failure.frames] = mended < _MENDS * jumps
+            before = sum(_jump(take, *edge, swap=False) for edge in edges)
+            after = sum(_jump(take, *edge, swap=True) for edge in edges)
+            frames[failure.frames] = after < _REPAIRED * before
     return take.exchanged(frames) if frames.any() else take
 
 
-def _jump(take: Take, inside: int, outside: int, *, mirror: bool) -> float:
-    """Return how far joints move relative to the root between two frames, mean [m].
-
-    0 if no joint, or not the root, is seen in both.
-    """
-    root = take.skeleton.root
-    frame, other = (
-        take.positions[k] - take.positions[k, root] for k in (inside, outside)
-    )
-    if mirror:
+def _jump(take: Take, inside: int, outside: int, *, swap: bool) -> float:
+    """Return how far joints move between two frames, relative to the root, mean [m]."""
+    places = take.positions[[inside, outside]]
+    frame, other = places - places[:, [take.skeleton.root]]
+    if swap:
         frame = frame[take.skeleton.mirror]
-    away = np.linalg.norm(frame - other, axis=1)
-    known = away[np.isfinite(away)]
+    distances = np.linalg.norm(frame - other, axis=1)
+    known = distances[np.isfinite(distances)]
     return float(known.mean()) if len(known) else 0.0

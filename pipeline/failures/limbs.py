@@ -1,6 +1,8 @@
-"""Limbs in impossible postures, and limbs that leap from one place to another."""
+"""Limbs in impossible postures, and limbs that jump from one place to another."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -12,52 +14,49 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import column_medians
 
 _BACKWARDS = 0.06
-"""Share of a leg's length by which a knee is behind the line from hip to ankle: 14
+"""Share of a leg's length by which the knee lies behind the line from hip to ankle: 14
 degrees of hyperextension, three times what is normal."""
 _CLEARANCE = 0.12
-"""Distance of the middle lines of forearm and head [m] at which they touch: half the
-breadth of a head, 15 cm, and the radius of a forearm, 4.5 cm; both rounded. Recorded
-arms that mocap agrees with keep 16 cm, lost ones come nearer than 11."""
+"""Distance [m] between the center lines of forearm and head at which they touch: half
+the breadth of a head, 15 cm, plus the radius of a forearm, 4.5 cm, rounded. In recorded
+arms that mocap agrees with it is 16 cm or more, in lost ones less than 11."""
 _FOREARM = 0.75
 """Share of the forearm, from the elbow, that is judged: the hand may be anywhere on
-the head or behind it, and the sensor places wrists no better than to some cm."""
+the head or behind it, and the sensor's wrists are some centimeters off."""
 _OVER_HEAD = 0.17
-"""Height of a wrist over the middle of the head [m] from which a forearm that begins no
-lower than its clearance is over the crown and not in the head. In recorded failures
-13 cm at most."""
+"""Height [m] of a wrist above the middle of the head from which a forearm whose elbow
+is at most _CLEARANCE below that middle passes over the crown, not through the head. In
+recorded failures it is 13 cm at most."""
 _RAISED = np.cos(np.radians(40.0))
-"""Cosine of the angle to straight up within which arms are over the trunk, where elbows
-may meet. Arms recorded out of range have 0.74 at most."""
+"""Cosine of the angle to straight up within which an arm is above the trunk, where
+elbows may meet. Recorded arms out of range have 0.74 at most."""
 _ADDUCTION = np.radians(135.0)
-"""How far an arm goes across the chest [rad], 0 to the side, a quarter turn to the
-front: horizontal adduction, for which textbooks give 130 to 135 degrees."""
+"""How far an arm reaches across the chest [rad], 0 to the side and a quarter turn to
+the front: horizontal adduction, for which textbooks give 130 to 135 degrees."""
 _TOLERANCE = np.radians(15.0)
-"""How far out of its range an upper arm has to be [rad], for the sensor's errors: twice
-what 126 clips of marker mocap hold, but for one of 19 degrees, whose arm goes through
-the trunk."""
-_STEADY = 0.3  # s, of the median over time before a limb is judged
+"""How far out of its range an upper arm has to be [rad] to count, because of the
+sensor's errors: twice the maximum in 126 clips of marker mocap, except for one of 19
+degrees whose arm goes through the trunk."""
+_MEDIAN_TIME = 0.3  # s of the running median before a limb is judged
 _LEAP = 0.6
-"""How far a limb's joint leaps, as a share of the segment that ends there: 35 degrees.
-The most that 126 clips of marker mocap hold, punches and dances among them, is 0.5."""
+"""How far a joint of a limb jumps, as a share of the segment that ends there: 35
+degrees. The maximum in 126 clips of marker mocap, with punches and dances, is 0.5."""
 _LEAP_TIME = 1.0 / 15.0
-"""Time [s] too short to go from rest to rest: the fastest voluntary contractions last
-about a tenth of a second, however small they are (Freund & Buedingen 1978, Experimental
-Brain Research 31:1-12)."""
+"""Time [s] too short for a movement from rest to rest: the fastest voluntary
+contractions last about a tenth of a second, however small they are (Freund & Buedingen
+1978, Experimental Brain Research 31:1-12)."""
 _REST = 0.1
-"""Time before and after a leap over which movement counts against it [s]: a quick limb
-is still on its way then."""
-_SLACK = 1.25  # share of _LEAP_TIME that two frames of an uneven clock may take
-_SEGMENTS = {
-    "arm": (("Shoulder", "Elbow"), ("Elbow", "Wrist")),
-    "leg": (("Hip", "Knee"), ("Knee", "Ankle")),
-}
+"""Time [s] before and after a jump in which movement counts against it: a limb that is
+really quick is still moving then."""
+_SLACK = 1.25  # times _LEAP_TIME that two frames of an uneven clock may be apart
+LIMBS = {"arm": ("Shoulder", "Elbow", "Wrist"), "leg": ("Hip", "Knee", "Ankle")}
+"""Joints of a limb, from the trunk outwards."""
 
 
 def bent_backwards(take: Take, side: str) -> Flags:
-    """Return the frames in which a knee is far behind its leg, shape (T,)."""
+    """Return the frames in which a knee is bent far backwards, shape (T,)."""
     hip, knee, ankle = (_joint(take, part, side) for part in ("Hip", "Knee", "Ankle"))
-    hips = _joint(take, "Hip", "Left") - _joint(take, "Hip", "Right")
-    front = unit(np.cross(hips, _upward(take)))
+    front = unit(np.cross(_across(take, "Hip"), _upward(take)))
     leg, thigh = ankle - hip, knee - hip
     squares = np.maximum(np.sum(leg * leg, axis=1), 1e-9)
     along = np.sum(thigh * leg, axis=1) / squares
@@ -65,58 +64,58 @@ def bent_backwards(take: Take, side: str) -> Flags:
     length = np.linalg.norm(thigh, axis=1) + np.linalg.norm(ankle - knee, axis=1)
     median = column_medians(length[:, None])
     share = np.nan_to_num(ahead / np.maximum(median, 1e-9))
-    return np.asarray(_steady(take, share) < -_BACKWARDS)
+    return np.asarray(_running_median(take, share) < -_BACKWARDS)
 
 
 def through_head(take: Take, side: str) -> Flags:
     """Return the frames in which a forearm is inside the neck or head, shape (T,).
 
-    Sensors lose an arm behind the head or beyond it, and then see one in the head.
+    A sensor that loses an arm behind or next to the head may place it in the head.
     """
     elbow, wrist = _joint(take, "Elbow", side), _joint(take, "Wrist", side)
     neck, head = take.positions[:, take.skeleton.girdle], _joint(take, "Head")
-    apart = _distances(elbow, _FOREARM * (wrist - elbow), neck, head)
+    distances = _distances(elbow, _FOREARM * (wrist - elbow), neck, head)
     up = unit(_upward(take))
     elbow, wrist = (np.sum((end - head) * up, axis=1) for end in (elbow, wrist))
     over = (wrist > _OVER_HEAD) & (elbow > -_CLEARANCE)
-    apart = np.nan_to_num(np.where(over, np.inf, apart), nan=np.inf)
-    return np.asarray(_steady(take, apart) < _CLEARANCE)
+    distances = np.nan_to_num(np.where(over, np.inf, distances), nan=np.inf)
+    return np.asarray(_running_median(take, distances) < _CLEARANCE)
 
 
 def out_of_range(take: Take, side: str) -> Flags:
     """Return the frames in which an upper arm goes through the trunk, shape (T,).
 
-    Arms go across the chest, but no farther than to 135 degrees, and behind the back no
-    farther than straight back. What lies between is shut by two half planes that meet
-    in the trunk's axis; counted is the angle to the nearer one.
+    Arms reach across the chest up to 135 degrees, and behind the back no farther than
+    straight back. The sector in between is bounded by two half planes that meet in the
+    axis of the trunk; the angle to the nearer one counts.
     """
     left, up, front = trunk_axes(take)
     arm = unit(_joint(take, "Elbow", side) - _joint(take, "Shoulder", side))
     inward = np.sum(arm * left, axis=1) * (-1.0 if side == "Left" else 1.0)
     ahead = np.sum(arm * front, axis=1)
     across = -np.cos(_ADDUCTION) * ahead - np.sin(_ADDUCTION) * inward
-    beyond = np.minimum(-across, inward)
-    beyond = np.where(np.sum(arm * up, axis=1) < _RAISED, beyond, -1.0)
+    lowered = np.sum(arm * up, axis=1) < _RAISED
+    beyond = np.where(lowered, np.minimum(-across, inward), -1.0)
     beyond = np.nan_to_num(beyond, nan=-1.0)
-    return np.asarray(_steady(take, beyond) > np.sin(_TOLERANCE))
+    return np.asarray(_running_median(take, beyond) > np.sin(_TOLERANCE))
 
 
 def leaps(take: Take, side: str, limb: str) -> Flags:
-    """Return the frames in which a limb, ``arm`` or ``leg``, leaps, shape (T,).
+    """Return the frames in which a limb, ``arm`` or ``leg``, jumps, shape (T,).
 
-    Sensors that lose a limb leave it where it was, or on something else, and find it
-    again all at once.
+    A sensor that loses a limb leaves it where it was, or on something else, until it
+    finds it again from one frame to the next.
     """
     frames = np.zeros(len(take), dtype=bool)
     lag, rest = round(_LEAP_TIME * take.fps), max(1, round(_REST * take.fps))
-    # A slow sensor, or one that dropped frames, leaves a limb the time to get there.
+    # With a slow sensor, or dropped frames, a limb has the time to get there.
     if lag < 1 or len(take) < lag + 2 * rest + 1:
         return frames
     quick = take.time[lag:] - take.time[:-lag] <= _SLACK * _LEAP_TIME
-    for start, end in _SEGMENTS[limb]:
+    for start, end in pairwise(LIMBS[limb]):
         bones = {s: _joint(take, end, s) - _joint(take, start, s) for s in SIDES}
         lengths = np.stack([np.linalg.norm(b, axis=1) for b in bones.values()], axis=1)
-        # The longer of both sides' medians is the length: lost limbs shrink.
+        # The longer side's median is the true length, as lost limbs shrink.
         longest = max(np.nan_to_num(column_medians(lengths)).max(), 1e-3)
         far = _contrasts(bones[side] / longest, lag, rest) > _LEAP
         for k in np.flatnonzero(far & quick):
@@ -125,10 +124,7 @@ def leaps(take: Take, side: str, limb: str) -> Flags:
 
 
 def _contrasts(bones: Array, lag: int, rest: int) -> Array:
-    """Return how far the vectors move in ``lag`` frames, less just before and after.
-
-    Shape (T - lag,), from the frame that each movement begins with.
-    """
+    """Return movement over ``lag`` frames minus that around it, shape (T - lag,)."""
     moved = np.linalg.norm(bones[lag:] - bones[:-lag], axis=1)
     before, after = np.zeros((2, len(bones)))
     for k in range(1, rest + 1):
@@ -136,23 +132,18 @@ def _contrasts(bones: Array, lag: int, rest: int) -> Array:
         before[k:] = np.maximum(before[k:], step)
         after[:-k] = np.maximum(after[:-k], step)
     contrasts = moved - before[:-lag] - after[lag:]
-    # At the ends of the take nothing tells whether the person was at rest.
+    # At the ends of the take it is unknown whether the person was at rest.
     contrasts[:rest] = contrasts[len(contrasts) - rest :] = 0.0
     return np.asarray(np.nan_to_num(contrasts))
 
 
 def leftward(take: Take) -> Array:
-    """Return the sum of what points to the left at hips and shoulders [m], (T, 3)."""
-    return np.asarray(
-        sum(
-            _joint(take, part, "Left") - _joint(take, part, "Right")
-            for part in ("Hip", "Shoulder")
-        )
-    )
+    """Return the sum of the vectors from right to left hip and shoulder [m], (T, 3)."""
+    return _across(take, "Hip") + _across(take, "Shoulder")
 
 
 def trunk_axes(take: Take) -> tuple[Array, Array, Array]:
-    """Return unit vectors to the left, up along the spine and to the front, (T, 3)."""
+    """Return unit vectors to the left, up the spine and to the front, each (T, 3)."""
     up = unit(_upward(take))
     front = unit(np.cross(leftward(take), up))
     return np.cross(up, front), up, front
@@ -164,22 +155,24 @@ def _upward(take: Take) -> Array:
     return np.asarray(girdle - take.positions[:, take.skeleton.root])
 
 
+def _across(take: Take, part: str) -> Array:
+    return _joint(take, part, "Left") - _joint(take, part, "Right")
+
+
 def _joint(take: Take, part: str, side: str = "") -> Array:
     return take.positions[:, take.skeleton.index(f"{part}{side}")]
 
 
-def _steady(take: Take, values: Array) -> Array:
-    """Return running medians over time, which ignore single wrong frames, (T,)."""
+def _running_median(take: Take, values: Array) -> Array:
     rate = (len(take) - 1) / (take.time[-1] - take.time[0])
-    width = max(1, round(_STEADY * rate))
+    width = max(1, round(_MEDIAN_TIME * rate))
     return np.asarray(median_filter(values, width, mode="nearest"))
 
 
 def _distances(start: Array, way: Array, low: Array, high: Array) -> Array:
-    """Return the distances of the segments start + way and low to high [m], (T,).
+    """Return the distances [m] of segments (start, start + way) and (low, high), (T,).
 
-    After Ericson 2005, Real-Time Collision Detection, section 5.1.9: the nearest points
-    of the lines, each then clipped to its segment.
+    Ericson 2005, Real-Time Collision Detection, section 5.1.9: clipped nearest points.
     """
     other, between = high - low, start - low
     a = np.maximum(np.sum(way * way, axis=1), 1e-12)
@@ -190,5 +183,5 @@ def _distances(start: Array, way: Array, low: Array, high: Array) -> Array:
     s = np.clip((b * f - c * e) / np.maximum(a * e - b * b, 1e-12), 0.0, 1.0)
     t = np.clip((b * s + f) / e, 0.0, 1.0)
     s = np.clip((b * t - c) / a, 0.0, 1.0)
-    apart = between + s[:, None] * way - t[:, None] * other
-    return np.asarray(np.linalg.norm(apart, axis=1))
+    nearest = between + s[:, None] * way - t[:, None] * other
+    return np.asarray(np.linalg.norm(nearest, axis=1))

@@ -20,48 +20,48 @@ from .pulled_character import PulledCharacter
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory
-_KINDS: dict[int, ShapeKind] = {
-    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): "ellipsoid",
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
-    int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
+_KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", [0, 1, 2]),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("ellipsoid", [0, 0, 0]),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", [0, 1, 2]),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", [0, 0, 1]),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", [0, 0, 1]),
+    int(mujoco.mjtGeom.mjGEOM_MESH): ("mesh", [0, 1, 2]),
 }
-_LAST_SHOWN = 2  # group of geoms that MuJoCo's own viewer shows
+"""Kind of shape by type of geom, and which of its sizes are the half extents."""
+_LAST_VISIBLE = 2  # group of geoms that MuJoCo's own viewer shows by default
 _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 
 
 class Things:
-    """The visible bodies of a model that are not the character's, frame by frame.
+    """The visible props of a scene, recorded frame by frame.
 
-    Args:
-        model: A compiled scene.
-        data: Its state, of which ``record`` takes the poses.
-        character: Index of the character's root body.
-        frames: How many frames there will be.
-
-    ``poses`` are places [m] and rotations of what moves, MuJoCo's, (frames, N, 7).
+    That is, all bodies but those of the character, whose root body has index
+    ``character``. ``poses`` has positions [m] and rotations, wxyz, of the props that
+    can move, in MuJoCo's world, shape (frames, N, 7).
     """
 
     def __init__(
         self, model: mujoco.MjModel, data: mujoco.MjData, character: int, frames: int
     ) -> None:
         self._model, self._data = model, data
-        shown = [g for g in range(model.ngeom) if _is_shown(model, g)]
+        visible = np.flatnonzero(
+            np.isin(model.geom_type, list(_KINDS))
+            & (model.geom_group <= _LAST_VISIBLE)
+            & (model.geom_rgba[:, 3] > 0.0)
+        )
         self._geoms = {
-            int(body): [g for g in shown if model.geom_bodyid[g] == body]
-            for body in dict.fromkeys(model.geom_bodyid[shown])
+            int(body): [int(g) for g in visible if model.geom_bodyid[g] == body]
+            for body in dict.fromkeys(model.geom_bodyid[visible])
             if model.body_rootid[body] != character
         }
         self._moving = [b for b in self._geoms if model.body_weldid[b] != 0]
         self.poses = np.empty((frames, len(self._moving), 7))
 
     def record(self, frame: int) -> None:
-        """Record the pose of everything that can move."""
-        if self._moving:
-            self.poses[frame, :, :3] = self._data.xpos[self._moving]
-            self.poses[frame, :, 3:] = self._data.xquat[self._moving]
+        """Record the current poses as those of a frame."""
+        self.poses[frame, :, :3] = self._data.xpos[self._moving]
+        self.poses[frame, :, 3:] = self._data.xquat[self._moving]
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -70,7 +70,7 @@ class Things:
 
     @property
     def now(self) -> tuple[Array, Array]:
-        """Where these were last [m], (N, 3), and their rotations, wxyz, (N, 4)."""
+        """Last positions [m], (N, 3), and rotations, wxyz, (N, 4), of these props."""
         poses = self.poses[-1]
         return from_mujoco(poses[:, :3]), from_mujoco(poses[:, 3:])
 
@@ -78,10 +78,9 @@ class Things:
         return self._model.body(body).name or f"body{body}"
 
     def props(self, place: HeadingFrame) -> tuple[Prop, ...]:
-        """Return the things and their motion in the world frame of a take.
+        """Return the props and their motion in the world frame of a take.
 
-        Args:
-            place: What was taken out of the take's positions to land in the scene.
+        ``place`` is the frame that was removed from the take to put it into the scene.
         """
         return tuple(self._prop(body, place) for body in self._geoms)
 
@@ -98,7 +97,7 @@ class Things:
 
     def _shape(self, geom: int) -> Shape:
         model = self._model
-        kind = _KINDS[int(model.geom_type[geom])]
+        kind, sizes = _KINDS[int(model.geom_type[geom])]
         points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
         if kind == "mesh":
             mesh = model.mesh(model.geom_dataid[geom])
@@ -106,12 +105,15 @@ class Things:
             points = from_mujoco(model.mesh_vert[first : first + count].astype(float))
             first, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
             triangles = model.mesh_face[first : first + count].astype(np.int64)
+        color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
+        if material >= 0 and np.allclose(color, _UNSET):
+            color = model.mat_rgba[material]
         return Shape(
             kind,
-            from_mujoco(_half_extents(model, geom)),
-            from_mujoco(model.geom_pos[geom].copy()),
-            from_mujoco(model.geom_quat[geom].copy()),
-            _color(model, geom),
+            from_mujoco(model.geom_size[geom][sizes]),
+            from_mujoco(model.geom_pos[geom]),
+            from_mujoco(model.geom_quat[geom]),
+            color[:3].astype(float),
             points,
             triangles,
         )
@@ -119,25 +121,24 @@ class Things:
 
 @dataclass(frozen=True, eq=False)
 class PhysicsTrace:
-    """What the simulation did, frame by frame; arrays of shape (T,)."""
+    """Record of a simulation, frame by frame; arrays of shape (T,)."""
 
     tracking_error: Array
     """Mean distance of the joints from their targets [m]."""
     external_force: Array
-    """Mean force over the frame that no muscle and no floor gives [body weights]."""
+    """Mean force over the frame that only the pulls explain [body weights]."""
     contacts: NDArray[np.int64]
     """Number of points in which the character touches itself or anything else."""
     reset: Flags
-    """The character was put back onto its target: the step had diverged, or a limb was
-    stuck at the end of its joint's range (``stuck_limbs``)."""
+    """True where the character was reset onto its target: the simulation had diverged,
+    or a limb was stuck at the end of its joint's range (``stuck_limbs``)."""
 
     @property
     def status(self) -> str:
-        """``ok``, or how many frames had to be reset."""
+        """``ok``, or the number of frames with a reset."""
         resets = int(self.reset.sum())
-        if resets == 0:
-            return "ok"
-        return f"character reset onto its target in {resets} frame{'s' * (resets != 1)}"
+        frames = f"{resets} frame{'s' * (resets != 1)}"
+        return f"character reset onto its target in {frames}" if resets else "ok"
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,9 +150,8 @@ class PhysicsResult:
     positions: Array
     """Joint positions [m], world frame, shape (T, J, 3)."""
     trace: PhysicsTrace
-    """What happened in each frame."""
     things: Things
-    """What else was in the scene, in the frame of the targets."""
+    """The props of the scene, in the frame of the targets."""
 
 
 class PhysicsFilter(PulledCharacter):
@@ -166,91 +166,51 @@ class PhysicsFilter(PulledCharacter):
         stands: Flags | None = None,
         frames: Iterable[int] | None = None,
     ) -> PhysicsResult:
-        """Pull the character through a whole motion; it starts again after long gaps.
+        """Pull the character through a whole motion; it restarts after long gaps.
 
-        Args:
-            time: Time stamps [s], strictly increasing, shape (T,).
-            positions: Target joint positions [m], world frame, shape (T, J, 3).
-            rotations: Target world segment rotations, wxyz, shape (T, J, 4).
-            stands: Whether each foot (left, right) bears weight, shape (T, 2).
-            frames: Yields 0 to T - 1, e.g. a progress bar's iterator.
+        Time stamps [s] increase strictly, shape (T,); targets are as in ``step``, with
+        a leading axis T. ``stands`` says whether each foot (left, right) bears weight,
+        shape (T, 2). ``frames`` yields 0 to T - 1, for example for a progress bar.
         """
         count = len(time)
         accelerations = _accelerations(time, positions)
-        result = np.empty_like(rotations)
-        roots = np.empty((count, 3))
-        trace = PhysicsTrace(
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(count, dtype=np.int64),
-            np.zeros(count, dtype=np.bool_),
-        )
+        result, roots = np.empty_like(rotations), np.empty((count, 3))
+        types = (float, float, np.int64, np.bool_)
+        trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
         character = int(self._bodies[self.body.skeleton.root])
         things = Things(self.model, self.data, character, count)
+        own = np.isin(self.model.geom_bodyid, self._bodies)
         for k in range(count) if frames is None else frames:
-            standing = None if stands is None else stands[k]
-            if k == 0 or time[k] - time[k - 1] > LONG_GAP:
-                self.start(positions[k], rotations[k], anew=k == 0)
-                # Hold the first target until the start-up transient is gone.
-                first, turns = (from_mujoco(value) for value in self._target)
+            target, dt = (positions[k], rotations[k]), float(time[k] - time[k - 1])
+            feet = None if stands is None else stands[k]
+            if k == 0 or dt > LONG_GAP:
+                self.start(*target, anew=k == 0)
+                # Hold the first target until the initial transient is gone.
                 for _ in range(_SETTLING):
-                    self.step(first, turns, 1 / 30, stands=standing)
+                    self.step(*target, 1 / 30, stands=feet)
             else:
-                trace.reset[k] = not self.step(
-                    positions[k],
-                    rotations[k],
-                    float(time[k] - time[k - 1]),
-                    acceleration=accelerations[k],
-                    stands=standing,
-                )
-            result[k] = self.rotations
-            roots[k] = self.root
-            trace.tracking_error[k] = self.tracking_error
+                gained = accelerations[k]
+                good = self.step(*target, dt, acceleration=gained, stands=feet)
+                trace.reset[k] = not good
+            result[k], roots[k] = self.rotations, self.root
+            away = self.data.site_xpos[self._sites] - self._target[0]
+            trace.tracking_error[k] = np.sqrt(np.vecdot(away, away)).sum() / len(away)
             trace.external_force[k] = self.external_force
-            trace.contacts[k] = self.contacts
+            trace.contacts[k] = own[self.data.contact.geom].any(axis=1).sum()
             things.record(k)
         result = continuous(result)
         joints = np.empty_like(positions)
         for some in chunks(count, _CHUNK):
-            joints[some] = positions_from_rotations(
-                result[some], roots[some], self.body
-            )
+            turns, places = result[some], roots[some]
+            joints[some] = positions_from_rotations(turns, places, self.body)
         return PhysicsResult(result, joints, trace, things)
 
 
 def _accelerations(time: Array, positions: Array) -> Array:
-    """Return accelerations [m/s^2] of a motion, of which each step knows the next."""
-    found = np.zeros_like(positions)
-    if len(time) > 2:
-        steps = np.diff(time)
-        velocities = np.diff(positions, axis=0) / steps[:, None, None]
-        found[1:-1] = (velocities[1:] - velocities[:-1]) / (
-            0.5 * (steps[1:] + steps[:-1])
-        )[:, None, None]
-        found[1:-1][np.maximum(steps[1:], steps[:-1]) > LONG_GAP] = 0.0
-    return found
-
-
-def _is_shown(model: mujoco.MjModel, geom: int) -> bool:
-    return (
-        int(model.geom_type[geom]) in _KINDS
-        and model.geom_group[geom] <= _LAST_SHOWN
-        and model.geom_rgba[geom, 3] > 0.0
-    )
-
-
-def _half_extents(model: mujoco.MjModel, geom: int) -> Array:
-    """Return half extents of a geom [m] in MuJoCo's axes, shape (3,)."""
-    a, b, c = model.geom_size[geom].tolist()
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return np.array([a, a, a])
-    if _KINDS[int(model.geom_type[geom])] in ("cylinder", "capsule"):
-        return np.array([a, a, b])
-    return np.array([a, b, c])
-
-
-def _color(model: mujoco.MjModel, geom: int) -> Array:
-    own, material = model.geom_rgba[geom], int(model.geom_matid[geom])
-    if material >= 0 and np.allclose(own, _UNSET):
-        own = model.mat_rgba[material]
-    return np.asarray(own[:3], dtype=np.float64)
+    """Return central second differences [m/s^2], 0 at the ends of each part."""
+    accelerations, steps = np.zeros_like(positions), np.diff(time)[:, None, None]
+    velocities = np.diff(positions, axis=0) / steps
+    inner = (velocities[1:] - velocities[:-1]) / (0.5 * (steps[1:] + steps[:-1]))
+    longest = np.maximum(steps[1:], steps[:-1])
+    accelerations[1:-1] = np.where(longest > LONG_GAP, 0.0, inner)
+    return accelerations

@@ -1,28 +1,24 @@
-"""A character in a scene that performs a motion again and again, to be played with."""
+"""A character that repeats a motion in a scene, and that one can push and throw at."""
 
 from __future__ import annotations
 
 from collections import deque
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import (
-    TRACKINGS,
-    Clip,
-    InputError,
-    Motion,
-    Prop,
-    TrackingName,
-    positions_from_rotations,
-)
+from kinefilter.characters import TRACKINGS, Clip, InputError, Motion, Prop
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import to_mujoco
+from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import slerp
+from kinefilter.characters.tracking import TrackingName
 from kinefilter.pipeline.formats.export import resampled
+from kinefilter.pipeline.target.feet import feet_of
 from kinefilter.pipeline.target.floor import place_of
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.stance import smooth_step
@@ -31,30 +27,24 @@ from .filter import Things
 from .pulled_character import PulledCharacter
 
 RATE = 30.0
-"""Frames a second of the motion, and of what is recorded."""
-BALL_MASS, BALL_SPEED = 5.0, 10.0
-"""Of the balls that are thrown [kg, m/s]."""
+"""Frame rate [1/s] of the motion and of recordings."""
+_BALL_MASS, _BALL_SPEED = 5.0, 10.0  # kg, m/s
 _BALLS, _BALL_RADIUS = 6, 0.13  # m: a medicine ball
 _BALL = "thrown ball"
 _BALL_COLOR = (0.75, 0.22, 0.17, 1.0)
-_PARKED = (-300.0, 0.0)  # m, where balls wait on the floor, too far away to be seen
-_PUSH, _PUSH_TIME = 300.0, 0.3  # N and s, of somebody who shoves
-_FIRMNESS, _STRONGEST = 1500.0, 900.0  # N/m and N, of a hand that drags. Guesses.
-_BACK, _SLOWEST = 0.6, 1.5  # s and m/s, from the end of a motion to its beginning
+_PARKED = (-300.0, 0.0)  # m: where balls wait on the floor, too far away to be seen
+_PUSH, _PUSH_TIME = 300.0, 0.3  # N and s of a person who shoves
+_STIFFNESS, _MAX_DRAG = 1500.0, 900.0  # N/m and N of a hand that drags. Guesses.
+_BACK, _SLOWEST = 0.6, 1.5  # s at least, and m/s, from a motion's end to its beginning
 _HERE = HeadingFrame(np.zeros(3), np.zeros(()))  # the world is the scene's
 _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
 
 
 class Playground:
-    """What a page or a game plays with; the world frame is the scene's, y up.
+    """An interactive simulation for a page or a game, in the scene's frame, y up.
 
-    Args:
-        motion: What the character performs; it begins at the origin and faces +z.
-        scene: What is around it, one of SCENES or an MJCF file.
-        tracking: How it follows, one of TRACKINGS.
-
-    Raises:
-        InputError: As ``load_scene``, or the motion is empty.
+    The motion is moved to the origin, facing +z, and repeated in a scene, one of SCENES
+    or an MJCF file. Raises InputError as ``load_scene``, or if the motion is too short.
     """
 
     def __init__(
@@ -62,14 +52,13 @@ class Playground:
     ) -> None:
         self.motion = _closed(motion)
         self.scene, self.tracking = scene, tracking
-        self.time = 0.0
-        self._frames: deque[tuple[Array, ...]] | None = None
+        self._frames: deque[tuple[Any, ...]] | None = None
         self._set_up()
 
     def _set_up(self) -> None:
         body = self.motion.body
         self.character = PulledCharacter(
-            body, TRACKINGS[self.tracking], scene=self.scene, more=_add_balls
+            body, TRACKINGS[self.tracking], scene=self.scene, extend=_add_balls
         )
         model = self.character.model
         root = model.body(body.skeleton.joints[body.skeleton.root]).id
@@ -80,7 +69,7 @@ class Playground:
         self.restart()
 
     def restart(self) -> None:
-        """Begin again, with everything where the scene has it."""
+        """Restart the motion, with every prop where the scene has it."""
         self.time = 0.0
         self.character.start(*self._target()[:2])
         self.things.record(0)
@@ -88,7 +77,7 @@ class Playground:
     def change(
         self, *, scene: str | Path | None = None, tracking: TrackingName | None = None
     ) -> None:
-        """Go on in another scene, or follow in another way; errors as the class."""
+        """Restart in another scene or with another tracking; raises as the class."""
         before = self.scene, self.tracking
         self.scene = self.scene if scene is None else scene
         self.tracking = self.tracking if tracking is None else tracking
@@ -99,42 +88,42 @@ class Playground:
             raise
 
     def step(self, dt: float) -> None:
-        """Let time pass [s]."""
+        """Advance the simulation by dt [s]."""
         self.time += dt
         if self._dragged is not None:
             joint, grabbed, pointer = self._dragged
-            pull = _FIRMNESS * (pointer - self.character.positions[joint] - grabbed)
-            size = float(np.linalg.norm(pull))
-            self._push(joint, pull * min(1.0, _STRONGEST / max(size, 1e-9)), dt)
+            force = _STIFFNESS * (pointer - self.character.positions[joint] - grabbed)
+            size = float(np.linalg.norm(force))
+            self._push(joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
         positions, rotations, stands = self._target()
-        good = self.character.step(positions, rotations, dt, stands=stands)
-        self.resets += not good
+        self.resets += not self.character.step(positions, rotations, dt, stands=stands)
         self.things.record(0)
         if self._frames is not None:
-            self._frames.append(self._state(dt))
+            contacts = self.motion.contacts[int(self.time * RATE) % len(self.motion)]
+            pose = self.character.root, self.character.rotations
+            force, props = self.character.external_force, self.things.poses[0].copy()
+            self._frames.append((dt, *pose, contacts, force, props))
 
     def _target(self) -> tuple[Array, Array, Flags]:
-        """Return positions, rotations and standing feet of the motion at present."""
+        """Return the motion's positions, rotations and planted feet at this time."""
         motion, at = self.motion, self.time * RATE
         first = int(at) % len(motion)
         second, share = (first + 1) % len(motion), at - int(at)
         turns = slerp(motion.rotations[first], motion.rotations[second], share)
         root = motion.root[first] + share * (motion.root[second] - motion.root[first])
-        stands = motion.contacts[first].reshape(2, 2).any(axis=1)
+        stands = feet_of(motion.contacts[[first]])[0]
         return positions_from_rotations(turns, root, motion.body), turns, stands
 
     def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> int | None:
-        """Return the joint at the end of the part that a ray meets first, if any."""
-        there = to_mujoco(np.asarray(origin, dtype=float))
-        way, geom = to_mujoco(np.asarray(direction, dtype=float)), np.zeros(1, np.int32)
-        model, data = self.character.model, self.character.data
-        if mujoco.mj_ray(model, data, there, way, None, True, -1, geom) < 0.0:
-            return None
-        joint = int(self.character.parts[model.geom_bodyid[geom[0]]])
-        return None if joint < 0 else joint
+        """Return the joint that ends the part that a ray hits first, None if none."""
+        start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
+        model, data, geom = self.character.model, self.character.data, np.zeros(1, "i4")
+        hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)
+        joint = int(self.character.joint_of[model.geom_bodyid[geom[0]]])
+        return None if hit < 0.0 or joint < 0 else joint
 
     def shove(self, joint: int, direction: ArrayLike) -> None:
-        """Push the part that ends at a joint, as hard as somebody shoves."""
+        """Push the part that ends at a joint as hard as a person shoves."""
         way = np.asarray(direction, dtype=float)
         self._push(joint, _PUSH * way / np.linalg.norm(way), _PUSH_TIME)
 
@@ -142,16 +131,12 @@ class Playground:
         self.character.push(self.motion.skeleton.joints[joint], force, seconds)
 
     def drag(self, joint: int, grabbed: ArrayLike, pointer: ArrayLike) -> None:
-        """Pull a part to a pointer until ``release``.
+        """Pull the part that ends at a joint to a pointer [m], (3,), until ``release``.
 
-        Args:
-            joint: The joint that the part ends at.
-            grabbed: Where it was grabbed [m], (3,), as long as it is not yet dragged.
-            pointer: Where it is to go [m], (3,).
+        Only the first call of a drag uses the place where it is ``grabbed`` [m], (3,).
         """
-        if self._dragged is None or self._dragged[0] != joint:
-            offset = np.asarray(grabbed) - self.character.positions[joint]
-        else:
+        offset = np.asarray(grabbed) - self.character.positions[joint]
+        if self._dragged is not None and self._dragged[0] == joint:
             offset = self._dragged[1]
         self._dragged = joint, offset, np.asarray(pointer, dtype=float)
 
@@ -161,24 +146,24 @@ class Playground:
 
     def throw(self, origin: ArrayLike, direction: ArrayLike) -> None:
         """Throw the next ball from a point [m], (3,), along a direction, (3,)."""
-        ball, way = next(self._balls), to_mujoco(np.asarray(direction, dtype=float))
-        way /= np.linalg.norm(way)
+        ball = next(self._balls)
+        start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
         data, place, speed = self.character.data, ball.qposadr[0], ball.dofadr[0]
-        data.qpos[place : place + 3] = to_mujoco(np.asarray(origin, dtype=float))
+        data.qpos[place : place + 3] = start
         data.qvel[speed : speed + 6] = 0.0
-        data.qvel[speed : speed + 3] = BALL_SPEED * way
+        data.qvel[speed : speed + 3] = _BALL_SPEED * (way / np.linalg.norm(way))
 
     @property
     def props(self) -> tuple[Prop, ...]:
-        """Everything around the character, where it is now."""
+        """All props where they are now."""
         return self.things.props(_HERE)
 
     @property
     def doing(self) -> str:
         """What the character does, in words."""
         gives = self.character.compliance
-        if self.limp and not (gives and gives.felled):
-            return "is let go"
+        if self.limp and not (gives and gives.fallen):
+            return "hangs limp"
         return "follows" if gives is None else gives.doing
 
     @property
@@ -192,55 +177,37 @@ class Playground:
 
     @property
     def recording(self) -> int | None:
-        """How many frames are recorded; None: nothing is being recorded."""
+        """Number of frames recorded so far; None if nothing is being recorded."""
         return None if self._frames is None else len(self._frames)
 
     def record(self) -> None:
-        """Begin a recording; it keeps the last ten minutes."""
+        """Start a recording; it keeps the last ten minutes."""
         self._frames = deque(maxlen=_LONGEST)
 
     def recorded(self) -> Clip:
-        """End the recording and return it; raises InputError if it is too short."""
+        """Stop the recording and return it; raises InputError if it is too short."""
         frames, self._frames = self._frames or deque(), None
         if len(frames) < 2:
-            raise InputError("nothing was recorded; let it play for a moment first")
-        steps, root, rotations, contacts, force, poses = map(
-            np.array, zip(*frames, strict=True)
-        )
-        time, now = np.cumsum(steps) - steps[0], self.things.poses
-        self.things.poses = poses
-        props = self.props
-        self.things.poses = now
+            raise InputError("nothing was recorded; play for a moment before stopping")
+        columns = map(np.array, zip(*frames, strict=True))
+        steps, root, rotations, contacts, force, poses = columns
+        current, self.things.poses = self.things.poses, poses
+        props = tuple(prop for prop in self.props if not _is_parked(prop))
+        self.things.poses = current
         motion = Motion(
-            time=time,
+            time=np.cumsum(steps) - steps[0],
             body=self.motion.body,
             root=root,
             rotations=rotations,
             source="kinefilter play",
         )
-        return Clip.of(
-            motion,
-            contacts=contacts,
-            external_force=force,
-            props=tuple(prop for prop in props if not _is_parked(prop)),
-        )
-
-    def _state(self, dt: float) -> tuple[Array, ...]:
-        character, frame = self.character, int(self.time * RATE) % len(self.motion)
-        return (
-            np.array(dt),
-            character.root,
-            character.rotations,
-            self.motion.contacts[frame],
-            np.array(character.external_force),
-            self.things.poses[0].copy(),
-        )
+        return Clip.of(motion, contacts=contacts, external_force=force, props=props)
 
 
 def _closed(clip: Clip) -> Clip:
-    """Return a motion at the origin of a scene, with a way back to its beginning."""
+    """Return a clip moved to the origin, with a transition back to its beginning."""
     if len(clip) < 2:
-        raise InputError(f"{clip.source}: {len(clip)} frames; expected 2 or more")
+        raise InputError(f"{clip.source} has {len(clip)} frames; expected 2 or more")
     clip = resampled(clip, RATE)
     place = place_of(clip.positions, clip.skeleton)
     root = place.remove(clip.root[:, None])[:, 0]
@@ -261,19 +228,16 @@ def _closed(clip: Clip) -> Clip:
 
 
 def _add_balls(spec: mujoco.MjSpec) -> None:
-    """Add balls to a scene that wait far away to be thrown."""
     x, y = _PARKED
     for k in range(_BALLS):
-        name = f"{_BALL} {k + 1}"
-        ball = spec.worldbody.add_body(
-            name=name, pos=[x, y + 3.0 * k * _BALL_RADIUS, _BALL_RADIUS]
-        )
+        name, place = f"{_BALL} {k + 1}", [x, y + 3.0 * k * _BALL_RADIUS, _BALL_RADIUS]
+        ball = spec.worldbody.add_body(name=name, pos=place)
         ball.add_freejoint(name=name)
         ball.add_geom(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[_BALL_RADIUS, 0.0, 0.0],
-            mass=BALL_MASS,
+            mass=_BALL_MASS,
             condim=6,
             friction=[0.8, 0.005, 0.01],
             rgba=_BALL_COLOR,
@@ -281,7 +245,5 @@ def _add_balls(spec: mujoco.MjSpec) -> None:
 
 
 def _is_parked(prop: Prop) -> bool:
-    """Tell whether a thing is a ball that was not thrown."""
-    return prop.name.startswith(_BALL) and bool(
-        (to_mujoco(prop.positions)[:, 0] < 0.9 * _PARKED[0]).all()
-    )
+    far = to_mujoco(prop.positions)[:, 0] < 0.9 * _PARKED[0]
+    return prop.name.startswith(_BALL) and bool(far.all())

@@ -1,7 +1,7 @@
 """The character in MuJoCo's world, pulled to one target posture after another.
 
 MuJoCo takes the place of the papers' ODE (Shum 2013, section VII): bounded PD forces
-pull every joint to its target while the engine keeps segment lengths, ball joints,
+pull every joint to its target while the engine enforces segment lengths, ball joints,
 gravity and the floor, so the result obeys them whatever the target does.
 """
 
@@ -24,55 +24,43 @@ from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, sunk
 from kinefilter.scenes import load_scene
 
-from .compliance import TENSION, Compliance
+from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
 from .momentum import Momentum
 from .stuck_limbs import StuckLimbs
 
 _UP = np.array([0.0, 0.0, 1.0])
-UPDATE = 1.0 / 60.0
-"""Longest time [s] between two updates of what the actuators pull to."""
-_LETS_GO = 0.08  # m that hands are to be farther apart than what they hold is wide
-_LOADING_TIME = 0.2  # s from a foot's touching the floor to its bearing the body
-_HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
-SUBSTEP = 1.0 / 240.0
+_UPDATE = 1.0 / 60.0  # s at most between two updates of the actuators' targets
+_SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
 in six recorded takes of punches and kicks diverged somewhere."""
-LOST = 3.0
-"""A joint this far [m] from its target means that the simulation went astray: more than
-the longest jump of a tracker that the bounded forces are still catching up with."""
-_FASTEST = 1e3  # rad/s or m/s: nothing on a body is ever that fast
+_LOST = 3.0
+"""Distance [m] of a joint from its target that means divergence: more than the longest
+jump of a tracker that the bounded forces are still catching up with."""
+_TOP_SPEED = 1e3  # rad/s or m/s: no part of a body is ever that fast
+_OPENING = 0.08  # m by which hands have to open beyond what they hold to let it go
+_LOADING_TIME = 0.2  # s from a foot's first contact to its bearing the body
+_HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
 
 
 def steps_in(dt: float) -> tuple[int, int]:
     """Return how many updates are in a frame of ``dt`` [s], and steps in an update."""
-    updates = max(1, int(np.ceil(dt / UPDATE - 1e-3)))
-    return updates, max(1, int(np.ceil(dt / (updates * SUBSTEP) - 1e-3)))
+    updates = max(1, int(np.ceil(dt / _UPDATE - 1e-3)))
+    return updates, max(1, int(np.ceil(dt / (updates * _SUBSTEP) - 1e-3)))
 
 
 def _check_target(positions: Array, rotations: Array) -> None:
-    # One number that is not finite would spoil every later step.
+    # A single NaN would spoil every later step.
     if not (np.isfinite(positions).all() and np.isfinite(rotations).all()):
-        raise InputError(
-            "the target has numbers that are not finite; correct the frame first, "
-            "or leave it out"
-        )
+        raise InputError("the target is not finite; correct the frame or skip it")
 
 
 class PulledCharacter:
-    """Steps the humanoid of one body, frame by frame.
+    """The humanoid of one body, stepped from one target posture to the next.
 
     It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
-    joint positions [m], world frame, shape (J, 3), and world segment rotations, wxyz,
-    shape (J, 4).
-
-    Args:
-        body: The person.
-        tracking: How hard the character is pulled.
-        scene: What is around it, one of SCENES or an MJCF file; by default the floor.
-        more: Adds to the scene before it is compiled.
-
-    Raises:
-        InputError: As ``load_scene``.
+    joint positions [m], shape (J, 3), and segment rotations, wxyz, (J, 4), in the world
+    frame. The scene is one of SCENES or an MJCF file, by default a floor; ``extend`` is
+    called to add to it before it is compiled. Raises InputError as ``load_scene``.
     """
 
     def __init__(
@@ -81,87 +69,64 @@ class PulledCharacter:
         tracking: Tracking | None = None,
         *,
         scene: str | Path | None = None,
-        more: Callable[[mujoco.MjSpec], object] = lambda _: None,
+        extend: Callable[[mujoco.MjSpec], object] = lambda _: None,
     ) -> None:
-        self.body = body
+        self.body, joints = body, body.skeleton.joints
         if scene is None:
             spec = build_humanoid(body, tracking)
         else:
             spec = load_scene(scene, body, tracking=tracking)
-        more(spec)
-        self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
-        joints = body.skeleton.joints
-        n = len(joints)
-        self._sites = np.array([self.model.site(name).id for name in joints])
-        self._bodies = np.array([self.model.body(name).id for name in joints])
-        self._balls = np.array(
-            [self.model.joint(joints[j]).qposadr[0] for j in body.skeleton.segments]
-        )
+        extend(spec)
+        self.model = model = spec.compile()
+        self.data = mujoco.MjData(model)
+        self._sites = np.array([model.site(name).id for name in joints])
+        self._bodies = np.array([model.body(name).id for name in joints])
+        root = self._bodies[body.skeleton.root]
+        ends = [model.joint(joints[j]) for j in body.skeleton.segments]
+        self._balls = np.array([ball.qposadr[0] for ball in ends])
+        # For each body of the model the joint at its end, -1 if not the character's.
+        self.joint_of = np.full(model.nbody, -1)
+        self.joint_of[self._bodies] = np.arange(len(joints))
         # The character's actuators come first: forces, then torques, of which the first
-        # three are the root's, then one a segment.
-        count = int(np.sum(self.model.actuator_group == PULLS))
-        self._stiffness = -self.model.actuator_biasprm[:count, 1]
-        self._damping = -self.model.actuator_biasprm[:count, 2]
-        turns = range(3 * n, count)
-        self._turn_axes = self.model.actuator_gear[turns, 3:]
-        turned = [self.model.actuator(i).name.split(":")[1] for i in turns]
-        targets = [self.model.body(f"target:{name}").id for name in joints]
-        self._mocap = self.model.body_mocapid[targets]
+        # three are the root's, then one per segment.
+        count = int(np.sum(model.actuator_group == PULLS))
+        bias = model.actuator_biasprm[:count]
+        self._stiffness, self._damping = self._gains = -bias[:, 1], -bias[:, 2]
+        torques = range(3 * len(joints), count)
+        self._turn_axes = model.actuator_gear[torques, 3:]
+        turned = [model.actuator(i).name.split(":")[1] for i in torques]
         self._turned = np.array([joints.index(name) for name in turned])
+        targets = [model.body(f"target:{name}").id for name in joints]
+        self._mocap = model.body_mocapid[targets]
         self._palms = body.skeleton.sides("Hand")
         self._hands = self._bodies[self._palms]
-        grips = [f"grip:{joints[palm]}" for palm in self._palms]
-        self._grips = [self.model.actuator(grip).id for grip in grips]
-        self._own = np.isin(self.model.geom_bodyid, self._bodies)
-        self._props = np.isin(
-            self.model.body_rootid,
-            self.model.jnt_bodyid[
-                (self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
-                & (self.model.jnt_bodyid != self._bodies[body.skeleton.root])
-            ],
-        )
+        self._grips = [model.actuator(f"grip:{joints[j]}").id for j in self._palms]
+        free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+        self._props = np.isin(model.body_rootid, free[free != root])
         self._weight = float(body.mass * GRAVITY)
-        self._masses = joint_masses(body)[:, None]
-        self._shares = self._masses[:, 0] / self._masses.sum()
-        self._momentum = Momentum(
-            self.model,
-            self._sites,
-            self._masses[:, 0],
-            int(self._bodies[body.skeleton.root]),
-        )
+        masses = joint_masses(body)
+        self._masses, self._shares = masses[:, None], masses / masses.sum()
+        self._momentum = Momentum(model, self._sites, masses, int(root))
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
-        ankles, toes = ankles_and_toes(body.skeleton)
-        self._feet = np.stack([ankles, toes], axis=1)
-        self._soles = self._bodies[toes]
-        self._load = np.zeros(2)
-        self._pushes: list[tuple[int, Array, float]] = []
-        self._gains = self._stiffness, self._damping
-        self._resists = self.model.dof_damping.copy()
-        # For each body of the model the joint at its end, -1 if not the character's.
-        self.parts = np.full(self.model.nbody, -1)
-        self.parts[self._bodies] = np.arange(n)
+        self._feet = np.transpose(ankles_and_toes(body.skeleton))
+        self._soles = self._bodies[self._feet[:, 1]]
+        self._joint_damping = model.dof_damping.copy()
         self.compliance = None
         if isinstance(tracking, GameTracking):
             self.compliance = Compliance(body, tracking)
         self.limp = isinstance(tracking, RagdollTracking)
+        """Whether nothing pulls the character, so that it falls; can be set."""
+        self._disabled = model.opt.disableactuator
         if mujoco.get_mju_user_warning() is None:
-            # The engine's own handler writes a log into the user's working folder; a
-            # diverging step is in the trace.
+            # The engine's own handler writes a log file into the working directory;
+            # the trace reports diverging steps anyway.
             mujoco.set_mju_user_warning(lambda _: None)
-        self.start(body.rest_positions, np.tile(IDENTITY, (n, 1)))
+        self.start(body.rest_positions, np.tile(IDENTITY, (len(joints), 1)))
 
     def start(self, positions: Array, rotations: Array, *, anew: bool = True) -> None:
-        """Put the character at rest onto a target posture.
+        """Put the character at rest onto a target; raises InputError if it has NaN.
 
-        Args:
-            positions: The target's joint positions.
-            rotations: The target's rotations.
-            anew: Whether what is around it goes back to where the scene has it, too;
-                otherwise it comes to rest where it is.
-
-        Raises:
-            InputError: The target is not finite.
+        Props go back to where the scene has them if ``anew``, else they stop in place.
         """
         _check_target(positions, rotations)
         there = self.data.qpos.copy()
@@ -170,45 +135,29 @@ class PulledCharacter:
             self.data.qpos[:] = there
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
-        self._load[:], self._pressure = 0.0, 0.0
+        self._load, self._pressure = np.zeros(2), 0.0
         self._momentum.start()
         self._external = np.zeros(3)
         self._limbs.start()
-        self._pushes.clear()
+        self._pushes: list[tuple[int, Array, float]] = []
         if self.compliance is not None:
-            self.limp &= not self.compliance.felled
-            self._lay = self.limp
+            self.limp &= not self.compliance.fallen
+            self._was_limp = self.limp
             self.compliance.start()
         self._place(*self._target)
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
-        """Push a part of the body from outside for some time.
+        """Push the part of the body that ends at a joint for the next seconds.
 
-        Args:
-            part: The joint that the part ends at.
-            force: The force at the part's center of mass [N], world frame, shape (3,).
-            seconds: How long from now on.
-
-        Raises:
-            InputError: There is no such joint, no such force, or no time.
+        The force [N], world frame, shape (3,), acts on the part's center of mass.
+        Raises InputError if there is no such joint, or force or time is not valid.
         """
         body = int(self._bodies[self.body.skeleton.index(part)])
         pushed = as_numbers(force, "the force of a push [N]", (3,), finite=True)
-        lasting = as_number(seconds, "the time of a push")
+        lasting = as_number(seconds, "the duration of a push [s]")
         if not 0.0 <= lasting < np.inf:
-            raise InputError(f"a push takes {lasting:g} s; give 0 or more")
+            raise InputError(f"a push lasts {lasting:g} s; give 0 or more, and finite")
         self._pushes.append((body, to_mujoco(pushed.astype(float)), lasting))
-
-    @property
-    def limp(self) -> bool:
-        """Whether nothing pulls the character, so that it falls; can be set."""
-        return bool(self.model.opt.disableactuator & (1 << PULLS))
-
-    @limp.setter
-    def limp(self, value: bool) -> None:
-        bit = 1 << PULLS
-        held = self.model.opt.disableactuator & ~bit
-        self.model.opt.disableactuator = held | (bit if value else 0)
 
     def step(
         self,
@@ -221,80 +170,68 @@ class PulledCharacter:
     ) -> bool:
         """Advance by dt [s] towards a target; return False if it had to be reset.
 
-        The posture is then in ``self.rotations`` and ``self.root``.
-
-        Args:
-            positions: The target's joint positions.
-            rotations: The target's rotations.
-            dt: Time since the last step [s].
-            acceleration: Of the targets [m/s^2], shape (J, 3); by default from the
-                last two steps, half a frame late.
-            stands: Whether each foot (left, right) bears weight, shape (2,); by
-                default none does and the pulls carry the body.
-
-        Raises:
-            InputError: The target is not finite, or no time passes.
+        Afterwards ``positions``, ``rotations`` and ``root`` are those of the new pose.
+        The acceleration of the target [m/s^2], shape (J, 3), is by default that of the
+        last two steps, half a frame late. ``stands`` says whether each foot (left,
+        right) bears weight; by default none does, and the pulls carry the body.
+        Raises InputError if the target is not finite or no time passes.
         """
         _check_target(positions, rotations)
         if not 0.0 < dt < np.inf:
-            raise InputError(
-                f"a step takes {dt:g} s; give the time since the last one, more than 0"
-            )
+            raise InputError(f"dt is {dt:g} s; give the time since the last step, > 0")
         if (gives := self.compliance) is not None:
             positions, rotations = self._give_way(gives, positions, rotations, dt)
         after_p, after_q = to_mujoco(positions), to_mujoco(rotations)
         before_p, before_q = self._target
-        flipped = np.vecdot(before_q, after_q) < 0.0
-        after_q[flipped] *= -1.0
+        after_q[np.vecdot(before_q, after_q) < 0.0] *= -1.0
         velocity = (after_p - before_p) / dt
         if acceleration is None:
             gained = (velocity - self._velocity) / dt
         else:
             gained = to_mujoco(acceleration)
-            gained = gained if gives is None else gained + to_mujoco(gives.gained)
+            gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
         self._target, self._velocity = (after_p, after_q), velocity
-        needed = self._masses * (gained + _UP * GRAVITY)
-        carries = not self.limp
+        needed, carries = self._masses * (gained + _UP * GRAVITY), not self.limp
         if gives is not None:
-            needed, carries = needed * gives.hold, gives.upright and carries
-        self.data.xfrc_applied[self._bodies] = 0.0
-        self._bear(after_p, needed.sum(axis=0), stands if carries else None, dt)
+            needed, carries = needed * gives.recovered, gives.follows and carries
+        data, began = self.data, self.data.time
+        data.xfrc_applied[self._bodies] = 0.0
+        self._load_feet(after_p, needed.sum(axis=0), stands if carries else None, dt)
         for part, force, left in self._pushes:
-            # What is left may be shorter than the frame: the impulse is what was asked.
-            self.data.xfrc_applied[part, :3] += force * min(left / dt, 1.0)
-        pushed = self.data.xfrc_applied[self._bodies, :3].sum(axis=0)
+            # A push may end within the frame: scaled, it gives the impulse asked for.
+            data.xfrc_applied[part, :3] += force * min(left / dt, 1.0)
+        pushed = data.xfrc_applied[self._bodies, :3].sum(axis=0)
         pushed[2] += self._pressure
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n, nu = after_p.size, len(self._stiffness)
         # In the segment's own frame, as the torques' axes are.
         turning = rotation_vector(multiply(inverse(before_q), after_q)) / dt
-        ctrl, data, began = self.data.ctrl, self.data, self.data.time
-        before = data.qpos.copy(), data.qvel.copy()
-        ctrl[n:nu] = self._damping[n:] * np.vecdot(
-            turning[self._turned], self._turn_axes
-        )
+        ctrl, before = data.ctrl, (data.qpos.copy(), data.qvel.copy())
+        turns = np.vecdot(turning[self._turned], self._turn_axes)
+        ctrl[n:nu] = self._damping[n:] * turns
         forward = self._damping[:n] * velocity.ravel() + needed.ravel()
         if self._props.any():
             ctrl[self._grips] = float(self._holds() and not self.limp)
         updates, substeps = steps_in(dt)
         self.model.opt.timestep = dt / (updates * substeps)
+        self.model.opt.disableactuator = self._disabled | (self.limp << PULLS)
         for k in range(updates):
-            # Midway between the first and the last step of this update: the engine
-            # compares the target with the state at a step's beginning.
+            # Midway between the first and the last step of this update, as the engine
+            # compares the target with the state at the beginning of a step.
             share = (k + 0.5 - 0.5 / substeps) / updates
             point = before_p + share * (after_p - before_p)
             ctrl[:n] = self._stiffness[:n] * point.ravel() + forward
-            # The engine makes them unit quaternions.
+            # The engine normalizes these quaternions.
             data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
             for _ in range(substeps):
                 mujoco.mj_step(self.model, data)
                 self._momentum.add(data)
                 if gives is not None and self._props.any():
-                    gives.feel(self.model, data, self.parts, self._props)
-        self._external = self._momentum.beyond(data, pushed)
-        if self._astray(after_p, began) or self._stuck(dt):
+                    gives.hit_by_props(self.model, data, self.joint_of, self._props)
+        self._external = self._momentum.unexplained(data, pushed)
+        if self._diverged(after_p, began) or self._stuck(dt):
             mujoco.mj_resetData(self.model, data)
-            data.qpos[:], data.qvel[:] = before  # of what is around it
+            data.qpos[:], data.qvel[:] = before  # of the props
             self._place(after_p, after_q)
             self._momentum.start()
             self._external[:] = 0.0
@@ -304,99 +241,90 @@ class PulledCharacter:
 
     @property
     def _yields(self) -> bool:
-        """Whether it need not be where its target is: let go, felled, or rising."""
-        return self.limp or not (self.compliance is None or self.compliance.upright)
+        """Whether it may be away from its target: limp, fallen or returning."""
+        return self.limp or not (self.compliance is None or self.compliance.follows)
 
     def _give_way(
         self, gives: Compliance, positions: Array, rotations: Array, dt: float
     ) -> tuple[Array, Array]:
-        """Return the target as blows have changed it, and scale the pulls."""
+        """Return the target as changed by hits, and scale the pulls."""
         for part, force, left in self._pushes:
-            gives.hit(self.parts[part], from_mujoco(force) * min(left, dt))
-        if self.limp and gives.lies(dt, float(np.linalg.norm(self.data.qvel[:3]))):
+            gives.hit(self.joint_of[part], from_mujoco(force) * min(left, dt))
+        if self.limp and gives.can_rise(dt, float(np.linalg.norm(self.data.qvel[:3]))):
             self.limp = False
-        if self._lay and not self.limp:
-            there = positions[self.body.skeleton.root]
-            gives.get_up(self.root, self.rotations, there)
+        if self._was_limp and not self.limp:
+            gives.rise(self.root, self.rotations, positions[self.body.skeleton.root])
             self._target = self.data.site_xpos[self._sites], to_mujoco(self.rotations)
             self._velocity = np.zeros_like(positions)
         if not self.limp:
-            self.limp = gives.fall(dt)
-        self._lay = self.limp
-        share = gives.strength
+            self.limp = gives.take_hits(dt)
+        self._was_limp = self.limp
+        share = gives.frequencies
         share = np.concatenate([share.repeat(3), share[self._turned]])
         stiffness, damping = self._gains
         self._stiffness, self._damping = stiffness * share**2, damping * share
         self.model.actuator_biasprm[: len(share), 1] = -self._stiffness
         self.model.actuator_biasprm[: len(share), 2] = -self._damping
-        self.model.dof_damping[:] = self._resists * (TENSION if gives.felled else 1.0)
+        scale = FALLEN_DAMPING if gives.fallen else 1.0
+        self.model.dof_damping[:] = self._joint_damping * scale
         return gives.target(positions, rotations, dt)
 
     def _holds(self) -> bool:
-        """Tell whether both hands touch the same prop and should stay on it."""
-        wanted, there = (
-            float(np.linalg.norm(points[0] - points[1]))
-            for points in (
-                self._target[0][self._palms],
-                self.data.site_xpos[self._sites[self._palms]],
-            )
-        )
-        if wanted > there + _LETS_GO:
+        """Return True if both hands touch the same prop and are to stay on it."""
+        points, (left, right) = self.data.site_xpos[self._sites], self._palms
+        there = np.linalg.norm(points[left] - points[right])
+        wanted = np.linalg.norm(self._target[0][left] - self._target[0][right])
+        if wanted > there + _OPENING:
             return False
         pairs = self.model.geom_bodyid[self.data.contact.geom]
         pairs = np.concatenate([pairs, pairs[:, ::-1]])
         pairs = pairs[self._props[pairs[:, 1]]]
-        left, right = (set(pairs[pairs[:, 0] == hand, 1]) for hand in self._hands)
-        return bool(left & right)
+        one, other = (set(pairs[pairs[:, 0] == hand, 1]) for hand in self._hands)
+        return bool(one & other)
 
-    def _bear(
+    def _load_feet(
         self, target: Array, needed: Array, stands: Flags | None, dt: float
     ) -> None:
-        """Let standing feet press on the floor with what moves and carries the body.
+        """Press planted feet on the floor with what moves and carries the body.
 
-        Muscles pull between the body and the feet, so the weight that the pulls give to
-        the body the feet take from the floor: only the floor carries. How much each
-        foot bears depends on where the center of mass is.
+        Muscles act between the body and the feet, so what the pulls carry of the body
+        the feet press on the floor: only the floor carries it. The share of each foot
+        depends on where the center of mass is.
         """
-        wanted = np.zeros(2)
-        if stands is not None and stands.all():
+        wanted = np.zeros(2) if stands is None else stands.astype(float)
+        if wanted.all():
             left, right = 0.5 * target[self._feet, :2].sum(axis=1)
-            apart = left - right
-            share = (self._shares @ target[:, :2] - right) @ apart
-            share = min(max(float(share / max(apart @ apart, 1e-6)), 0.0), 1.0)
+            across = left - right
+            share = (self._shares @ target[:, :2] - right) @ across
+            share = np.clip(share / max(across @ across, 1e-6), 0.0, 1.0)
             wanted[:] = share, 1.0 - share
-        elif stands is not None:
-            wanted[:] = stands
         most = dt / _LOADING_TIME
-        self._load += np.minimum(np.maximum(wanted - self._load, -most), most)
+        self._load += np.clip(wanted - self._load, -most, most)
         self._load[wanted == 0.0] = 0.0
         upward = min(max(float(needed[2]), 0.0), _HARDEST_STEP * self._weight)
         self._pressure = float(self._load.sum()) * upward
         self.data.xfrc_applied[self._soles, 2] = -self._load * upward
 
-    def _astray(self, target: Array, before: float) -> bool:
-        """Tell whether the character spins out of control or left its target."""
-        # The engine begins anew at time 0 when its numbers run away.
-        if not self.data.time > before or not np.abs(self.data.qvel).max() < _FASTEST:
+    def _diverged(self, target: Array, before: float) -> bool:
+        """Return True if the character spins out of control or lost its target."""
+        # The engine restarts at time 0 when its numbers overflow.
+        if not self.data.time > before or not np.abs(self.data.qvel).max() < _TOP_SPEED:
             return True
-        if self._yields:
-            return False
         away = np.abs(self.data.site_xpos[self._sites] - target).max()
-        return not away < LOST  # also true for NaN
+        return not (self._yields or away < _LOST)  # also True for NaN
 
     def _stuck(self, dt: float) -> bool:
-        """Tell whether a limb is stuck, unless it may hang or was pushed away."""
+        """Return True if a limb is stuck, unless it may hang or was pushed away."""
         if self._yields or self._pushes:
             self._limbs.start()
             return False
-        there = self.data.site_xpos[self._sites], self.data.xquat[self._bodies]
-        return self._limbs.step(there, self._target, dt)
+        pose = self.data.site_xpos[self._sites], self.data.xquat[self._bodies]
+        return self._limbs.step(pose, self._target, dt)
 
     def _place(self, positions: Array, rotations: Array) -> None:
-        bones, qpos = self.body.skeleton, self.data.qpos
-        qpos[:3], qpos[3:7] = positions[bones.root], rotations[bones.root]
-        above = inverse(rotations[bones.segment_parents])
-        relative = multiply(above, rotations[bones.segments])
+        skeleton, qpos = self.body.skeleton, self.data.qpos
+        qpos[:3], qpos[3:7] = positions[skeleton.root], rotations[skeleton.root]
+        relative = relative_rotations(rotations, skeleton)[skeleton.segments]
         qpos[self._balls[:, None] + np.arange(4)] = relative
         self.data.qvel[: 3 * len(self._balls) + 6] = 0.0
         self.data.mocap_quat[self._mocap] = rotations
@@ -404,7 +332,7 @@ class PulledCharacter:
         self._raise()
 
     def _raise(self) -> None:
-        """Raise the character as a whole where it was thrown into the floor."""
+        """Raise the whole character if it was thrown into the floor."""
         depth = sunk(self.data.site_xpos[self._sites, 2], self._clearance)
         if depth > 0.0:
             self.data.qpos[2] += depth
@@ -412,7 +340,7 @@ class PulledCharacter:
 
     @property
     def rotations(self) -> Array:
-        """World segment rotations of the present posture, wxyz, shape (J, 4)."""
+        """World segment rotations of the current pose, wxyz, shape (J, 4)."""
         return from_mujoco(self.data.xquat[self._bodies])
 
     @property
@@ -422,28 +350,15 @@ class PulledCharacter:
 
     @property
     def positions(self) -> Array:
-        """Joint positions of the present posture [m], world frame, shape (J, 3)."""
+        """Joint positions of the current pose [m], world frame, shape (J, 3)."""
         return from_mujoco(self.data.site_xpos[self._sites])
-
-    @property
-    def contacts(self) -> int:
-        """Number of points in which the character touches itself or anything else."""
-        return int(self._own[self.data.contact.geom].any(axis=1).sum())
 
     @property
     def external_force(self) -> float:
         """Mean force over the last step that only the pulls explain [body weights].
 
-        The magnitude of what the body gained beyond what gravity, floor, things and
-        pushes gave: what no person could do by muscles. 0 where nothing pulls, and
-        where the character was put back.
+        It changed the momentum beyond what gravity, floor, props and pushes did, which
+        no muscle could. 0 where nothing pulls, and where the character was reset.
         """
-        if self.limp:
-            return 0.0
-        return float(np.linalg.norm(self._external) / self._weight)
-
-    @property
-    def tracking_error(self) -> float:
-        """Mean distance of the joints from their targets [m]."""
-        away = self.data.site_xpos[self._sites] - self._target[0]
-        return float(np.sqrt(np.vecdot(away, away)).sum() / len(away))
+        force = float(np.linalg.norm(self._external) / self._weight)
+        return 0.0 if self.limp else force

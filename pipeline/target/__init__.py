@@ -1,7 +1,7 @@
-"""What the character is pulled through: the corrected motion, smooth, on its floor.
+"""The target that the character is pulled through: the corrected motion on its floor.
 
-``smooth`` removes trembling, ``floor`` finds the floor, the sensor's tilt and where the
-motion begins in a scene, ``feet`` finds out which feet stand and keeps them there.
+``smooth`` removes trembling, ``floor`` finds the floor, the sensor's tilt and the
+placement in a scene, ``feet`` finds planted feet and holds them in place.
 """
 
 __all__: list[str] = []

@@ -1,7 +1,7 @@
-"""Where the floor is, and where a take begins in a scene.
+"""The floor: its height and slope, and the placement of a take in a scene.
 
-Joint positions [m] have y up and shape (T, J, 3); the confidence of joints has shape
-(T, J); whether each foot stands has shape (T, 2), left and right.
+Joint positions [m] have y up and shape (T, J, 3); confidence has shape (T, J);
+``stands`` says whether each foot is planted, shape (T, 2), left and right.
 """
 
 from __future__ import annotations
@@ -15,14 +15,11 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 from .feet import ankles_and_toes
 
 _FIRST_FRAMES = 15  # half a second, in which people do not walk far
-_LEAST_STANCES = 5  # that show a slope
-_WALKED = 1.0  # m, in depth
-_TIMES_ITS_ERROR = 3.0  # that a slope must be
-_STANDING = 10.0
-"""Percentile of the lowest sole that is taken for standing: above the frames in which
-the tracker lets a foot sink."""
-_DEEPEST = 0.01
-"""m under the floor that contact lets soles sink where a take is good."""
+_LEAST_STANCES = 5  # needed to measure a slope
+_WALKED = 1.0  # m of depth that the stances have to span
+_LEAST_RATIO = 3.0  # of a slope to its standard error
+_STANDING = 10.0  # percentile of the lower soles that is the floor: a few sink below
+_DEEPEST = 0.01  # m that contact lets soles sink into the floor in a good take
 
 
 def floor_height(
@@ -30,19 +27,18 @@ def floor_height(
 ) -> float:
     """Return the height [m] of the floor under a take.
 
-    The median over all feet that stand, by how high their ankles are over the floor.
-    Where none does, the lower sole of each frame, at the height it has on the body when
-    standing, and of all frames the 10th percentile. Joints that were measured count;
-    where no foot ever was, the lowest joint of the body serves.
+    This is the median height of the ankles of planted feet, less their height at rest.
+    If none is planted, the lower foot of each frame counts, and the 10th percentile.
+    Only measured joints count; if no foot ever was, the body's lowest point does.
     """
     heights = positions[..., 1] - body.rest_positions[:, 1]
     ankles, toes = ankles_and_toes(body.skeleton)
-    feet = ankles + toes
-    standing = heights[:, ankles][stands & (confidence[:, ankles] >= 0.5)]
-    standing = standing[~np.isnan(standing)]
-    if len(standing) > 0:
-        return float(np.median(standing))
-    seen = np.where(confidence[:, feet] >= 0.5, heights[:, feet], np.nan)
+    planted = heights[:, ankles][stands & (confidence[:, ankles] >= 0.5)]
+    planted = planted[~np.isnan(planted)]
+    if len(planted) > 0:
+        return float(np.median(planted))
+    heights, confidence = heights[:, ankles + toes], confidence[:, ankles + toes]
+    seen = np.where(confidence >= 0.5, heights, np.nan)
     frames = ~np.isnan(seen).all(axis=1)
     if frames.any():
         return float(np.percentile(np.nanmin(seen[frames], axis=1), _STANDING))
@@ -52,12 +48,11 @@ def floor_height(
 def sensor_tilt(
     positions: Array, confidence: Array, stands: Flags, body: Body
 ) -> float:
-    """Return the angle [rad] about x that levels the floor, 0 where it is unknown.
+    """Return the angle [rad] about x that levels the floor, 0 if it is unknown.
 
-    Sensors give positions in their own frame, and most look down a little. Where the
-    feet of somebody who walks stand at different depths, a straight line through their
-    heights says by how much; it counts if people walked a meter or more, and if it is
-    three times as steep as its error. Positions are in the sensor's frame.
+    Positions are in the frame of the sensor, and most sensors look down a little. The
+    slope of a line through the heights of planted feet over their depths is the tilt,
+    if the feet span a meter or more of depth and the slope is three times its error.
     """
     ankles, _ = ankles_and_toes(body.skeleton)
     places = []
@@ -66,22 +61,20 @@ def sensor_tilt(
             seen = positions[stance, ankle][confidence[stance, ankle] >= 0.5]
             if len(seen) > 0:
                 places.append(np.median(seen, axis=0))
-    if len(places) < _LEAST_STANCES:
+    _, height, depth = np.reshape(places, (-1, 3)).T
+    if len(places) < _LEAST_STANCES or np.ptp(depth) < _WALKED:
         return 0.0
-    _, height, depth = np.transpose(places)
-    if np.ptp(depth) < _WALKED:
-        return 0.0
-    from scipy.stats import linregress  # takes long to load, and few takes need it
+    from scipy.stats import linregress  # slow to import, and few takes need it
 
     line = linregress(depth, height)
-    sure = abs(line.slope) > _TIMES_ITS_ERROR * line.stderr
-    return float(np.arctan(line.slope)) if sure else 0.0
+    significant = abs(line.slope) > _LEAST_RATIO * line.stderr
+    return float(np.arctan(line.slope)) if significant else 0.0
 
 
 def leveled(positions: Array, tilt: float, roll: float = 0.0) -> Array:
-    """Return positions (..., 3) turned about the sensor so that the floor is level.
+    """Return positions (..., 3) rotated about the sensor so that the floor is level.
 
-    First by the roll [rad] about z, from x to y, then by the tilt about x, from y to z.
+    The roll [rad] about z, from x to y, comes first, then the tilt about x, y to z.
     """
     for angle, a, b in ((roll, 0, 1), (tilt, 1, 2)):
         if angle != 0.0:
@@ -93,9 +86,9 @@ def leveled(positions: Array, tilt: float, roll: float = 0.0) -> Array:
 
 
 def to_world(positions: Array, tilt: float, floor: float, roll: float = 0.0) -> Array:
-    """Return what a sensor measured [m] in the world frame, level, the floor at y = 0.
+    """Return a sensor's positions [m], (..., 3), in the world frame, floor at y = 0.
 
-    The floor is the floor's height [m] once positions (..., 3) are leveled.
+    ``floor`` is the height of the floor [m] after leveling.
     """
     return leveled(positions, tilt, roll) - [0.0, floor, 0.0]
 
@@ -106,34 +99,33 @@ def in_world(take: Take, clip: Clip) -> Array:
 
 
 def put_on_floor(positions: Array, body: Body) -> Array:
-    """Return positions (T, J, 3) with no capsule that ends at a joint under y = 0."""
+    """Return positions (T, J, 3) raised until no capsule end is below y = 0."""
     lifted = positions.copy()
     np.maximum(lifted[..., 1], clearances(body), out=lifted[..., 1])
     return lifted
 
 
 def clearances(body: Body) -> Array:
-    """Return how high joints are where their capsules rest [m], (J,)."""
+    """Return the height [m] of each joint when its capsules rest on the floor, (J,)."""
     skeleton, found = body.skeleton, body.radii.copy()
     np.maximum.at(found, skeleton.segment_parents, body.radii[skeleton.segments])
     return found
 
 
 def sunk(heights: Array, clearance: Array) -> Array:
-    """Return by how much [m] a body is deeper in the floor than contact lets it, (...).
+    """Return the depth [m] of a body in the floor beyond what contact allows, (...).
 
-    Joints at ``heights`` [m], shape (..., J), have their ``clearances``. Leaps of a
-    tracker throw the character into the floor within a single step.
+    Heights [m] of joints, shape (..., J), are compared with their ``clearances``. A
+    jump of the tracker can throw the character into the floor within a single step.
     """
     depth = (clearance - heights).max(axis=-1)
     return np.asarray(np.maximum(depth - _DEEPEST, 0.0))
 
 
 def place_of(positions: Array, skeleton: Skeleton) -> HeadingFrame:
-    """Return where a motion begins; its ``remove`` brings the motion into a scene.
+    """Return the frame in which a motion begins; ``remove`` it to place it in a scene.
 
-    In a scene the person stands at the origin and faces +z (MuJoCo's +x). The floor is
-    at y = 0.
+    There the person starts at the origin and faces +z (MuJoCo's +x), the floor at 0.
     """
     first = np.median(positions[:_FIRST_FRAMES], axis=0)
     yaw = find_yaw(first, np.ones(len(first)), skeleton)

@@ -1,4 +1,4 @@
-"""Joints that somebody pinned where they are; neighbors in time and body follow."""
+"""Joints pinned to a place by an edit; neighbors in time and in the body follow."""
 
 from __future__ import annotations
 
@@ -16,16 +16,14 @@ from kinefilter.pipeline.reconstruct.limbs import limbs
 
 from .feet import PLANTED
 
-_AROUND = 0.5
-"""Time [s] before and after a pin in which the joint joins its own path."""
+_AROUND = 0.5  # s before and after a pin in which the joint joins its own path
 
 
 def pin(draft: Draft, pins: Sequence[Edit]) -> None:
-    """Put joints where they are pinned, and what hangs on them along with them.
+    """Move joints to their pins, and the joints beyond them along with them.
 
-    Of a limb whose end is pinned the elbow or knee bends as it did; what is out of
-    reach the stage that restores bones makes up for. Of a pinned trunk the feet that
-    stand stay.
+    If a limb's end is pinned, its elbow or knee bends as before; restoring bone lengths
+    handles what is out of reach. If the trunk is pinned, planted feet stay.
     """
     skeleton, since = draft.skeleton, draft.time - draft.time[0]
     positions, weights = draft.positions.copy(), draft.bone_weights.copy()
@@ -56,12 +54,10 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
 
 
 def _curve(times: Array, values: Array) -> CubicHermiteSpline:
-    """Return smooth steps through values (N, C) at times [s] (N,), else to 0."""
-    knots = {
-        t + d: np.zeros_like(values[0]) for t in times for d in (-_AROUND, _AROUND)
-    }
-    near = [k for k in knots if np.abs(times - k).min() < _AROUND - 1e-6]
-    knots = {k: v for k, v in knots.items() if k not in near}
+    """Return a curve through values (N, C) at times [s] (N,), falling to 0 beyond."""
+    ends = [t + d for t in times for d in (-_AROUND, _AROUND)]
+    ends = [t for t in ends if np.abs(times - t).min() >= _AROUND - 1e-6]
+    knots = dict.fromkeys(ends, np.zeros_like(values[0]))
     knots |= dict(zip(times, values, strict=True))
     at = sorted(knots)
     rows = np.array([knots[t] for t in at])
