@@ -1,4 +1,4 @@
-"""Correction methods that have learned from pairs of Kinect and mocap."""
+"""Correction methods that were trained on pairs of Kinect and mocap."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .interface import Corrector
 
 
 class LearnedCorrector(Corrector):
-    """A correction method that learns from pairs of Kinect and mocap.
+    """Base class of correction methods that are trained on pairs of Kinect and mocap.
 
-    Fitted state ends in ``_``; ``Learner`` in the lab's methods computes it.
+    Fitted state ends in ``_``; the subclasses of ``Learner`` in the lab compute it.
 
     Args:
         skeleton: The joints.
@@ -28,16 +28,16 @@ class LearnedCorrector(Corrector):
     fitted: ClassVar[tuple[str, ...]]
     """Names of the arrays in a model file: ``joints`` is the attribute ``joints_``."""
     adjustable: ClassVar[tuple[str, ...]] = ()
-    """Keywords that may differ from those it was fitted with."""
+    """Keywords that can change after training."""
     joints_: Indices
-    """The joints that it corrects, shape (M,)."""
+    """Indices of the corrected joints, shape (M,)."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
         self._hold = Hold(skeleton)
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         self._hold.start()
 
     @property
@@ -56,7 +56,7 @@ class LearnedCorrector(Corrector):
         """Return the same fitted method with other keywords.
 
         Raises:
-            InputError: One of them decided what was learned.
+            InputError: A keyword that is not adjustable differs from training.
         """
         for name, value in settings.items():
             own = self.settings[name]
@@ -70,10 +70,10 @@ class LearnedCorrector(Corrector):
 
     @classmethod
     def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
-        """Return the fitted corrector that ``arrays`` described."""
+        """Return the fitted corrector from the arrays that ``arrays`` returned."""
         hints = keyword_hints(cls)
         settings = json.loads(str(arrays["settings"])) if hints else {}
-        # None where a keyword may be None, and always of the type that it should have.
+        # ``converted`` gives each setting its declared type; None stays where allowed.
         known = {n: converted(settings[n], hints[n], n) for n in hints if n in settings}
         model = cls(skeleton, **known)
         for name in cls.fitted:
