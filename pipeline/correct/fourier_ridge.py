@@ -22,7 +22,6 @@ Away from the training data, the correction fades to zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,9 +63,6 @@ class FourierRidge(LearnedCorrector):
 
     It corrects the joints that the skeletons of all sensors have; the others move with
     the limb that they are on. ``lab.methods.fourier_ridge_learner`` trains it.
-
-    Args:
-        skeleton: The joints.
     """
 
     fitted = (
@@ -183,11 +179,7 @@ class FourierRidge(LearnedCorrector):
         joints = np.array(parts)[described.is_right.astype(int), described.part_of]
         return described.merge_sides(*offsets), np.stack(posture, axis=1), joints.T
 
-    def whole(
-        self,
-        take: Observation,
-        frames: Iterable[int] | None = None,  # noqa: ARG002 - all frames at once
-    ) -> Correction:
+    def whole(self, take: Observation, frames: Any = None) -> Correction:  # noqa: ARG002
         """Correct a whole take."""
         self.start()
         posture = self._hold.fill(take.positions)
@@ -200,24 +192,20 @@ class FourierRidge(LearnedCorrector):
             features = self._described(
                 points[some], points, take.time[some], take.time, toward[some]
             )
-            offsets[:, some], similar[some], parts[some] = self._predict(
-                features, live=False
-            )
+            found = self._predict(features, live=False)
+            offsets[:, some], similar[some], parts[some] = found
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_VIEW_TIME / step, 1.0))
         toward = uniform_filter1d(toward, window, axis=0, mode="nearest")
+        share = _share_of_constant(similar, toward)
         means = (
-            gaussian_filter1d(values, over / step, axis=0, mode="nearest")
-            for values, over in (
-                (parts, _FAST),
-                (similar, _MEDIUM),
-                (_share_of_constant(similar, toward), _SLOW),
-            )
+            gaussian_filter1d(values, span / step, axis=0, mode="nearest")
+            for values, span in ((parts, _FAST), (similar, _MEDIUM), (share, _SLOW))
         )
         near, far = offsets
         constant = np.broadcast_to(near.mean(axis=0), near.shape)
-        found = _Offsets(constant, near - constant, far, *means, toward)
-        return self._apply(take, posture, found)
+        predicted = _Offsets(constant, near - constant, far, *means, toward)
+        return self._apply(take, posture, predicted)
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
@@ -235,15 +223,14 @@ class FourierRidge(LearnedCorrector):
         share = _share_of_constant(similar, toward[0])
         spans = (_SLOW, _FAST, _MEDIUM, _SLOW, _VIEW_TIME / 2.0)
         latest = (near, parts, similar, share, toward[0])
+        means = zip(self._means or latest, latest, spans, strict=True)
         self._means = tuple(
             mean + min(1.0, elapsed / span) * (value - mean)
-            for mean, value, span in zip(
-                self._means or latest, latest, spans, strict=True
-            )
+            for mean, value, span in means
         )
-        constant, *means = self._means
-        found = _Offsets(constant, near - constant, far, *means)
-        return self._apply(observation, posture, found)
+        constant, *averaged = self._means
+        predicted = _Offsets(constant, near - constant, far, *averaged)
+        return self._apply(observation, posture, predicted)
 
     def _apply(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures plus the offsets, weighted by similarity."""
@@ -260,9 +247,8 @@ class FourierRidge(LearnedCorrector):
         shift = offsets[..., self._described.carrier, :]
         for j in self.skeleton.order[1:] if missing.any() else ():
             of_parent = shift[..., self.skeleton.parents[j], :]
-            shift[..., j, :] = np.where(
-                missing[..., j, None], of_parent, shift[..., j, :]
-            )
+            own = shift[..., j, :]
+            shift[..., j, :] = np.where(missing[..., j, None], of_parent, own)
         moved = posture + shift
         if far_side.any():
             # A hand behind the body is a guess of the sensor, too.

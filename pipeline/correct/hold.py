@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dposv
@@ -33,13 +33,9 @@ def measurement_confidence(
 
     Reliable joints stay where they are. Unreliable ones follow the prior to the extent
     that it knows the posture; where it does not, they stay near the measurement to the
-    extent that the positions alone look plausible.
-
-    Args:
-        reliability: Reliability, shape (J,).
-        geometry: Reliability without the tracking state, shape (J,).
-        missing: Joints without a measurement, shape (J,).
-        coverage: How well the prior knows the posture, in [0, 1].
+    extent that the positions alone look plausible. ``geometry`` is the reliability
+    without the tracking state; ``coverage``, in [0, 1], is how well the prior knows the
+    posture.
     """
     span = RELIABLE - UNRELIABLE
     confidence = np.clip((reliability - UNRELIABLE) / span, 0.0, 1.0)
@@ -68,10 +64,7 @@ class Blend:
     def __call__(self, prior: Array, measured: Array, confidence: Array) -> Array:
         """Return the blended posture [m], shape (J, 3).
 
-        Args:
-            prior: Joint positions [m], finite, shape (J, 3).
-            measured: Joint positions [m], NaN only where the confidence is 0, (J, 3).
-            confidence: Share of the measurement, in [0, 1], shape (J,).
+        ``measured`` may be NaN where its share, ``confidence`` in [0, 1] (J,), is 0.
         """
         if confidence.min() >= 1.0:
             return measured.copy()
@@ -124,11 +117,7 @@ class Hold(Corrector):
                 postures[unknown, j] = posture[:, p] + own
 
     def fill(self, positions: Array) -> Array:
-        """Return the next frames filled as by ``step``, all at once, (T, J, 3).
-
-        Args:
-            positions: Joint positions [m], NaN where missing, shape (T, J, 3).
-        """
+        """Return the next frames [m], (T, J, 3), with NaN filled as by ``step``."""
         filled = positions.copy()
         missing = np.isnan(positions[..., 0])
         for k in np.flatnonzero(missing.any(axis=1)):
@@ -139,11 +128,7 @@ class Hold(Corrector):
         self._measured, self._last = measured[-1], filled[-1]
         return filled
 
-    def whole(
-        self,
-        take: Observation,
-        frames: Iterable[int] | None = None,  # noqa: ARG002 - all frames at once
-    ) -> Correction:
+    def whole(self, take: Observation, frames: Any = None) -> Correction:  # noqa: ARG002
         """Fill a whole take."""
         self.start()
         found = measured_only(take.positions)
@@ -158,9 +143,7 @@ class Hold(Corrector):
     def follow(self, positions: Array, confidence: Array) -> Array:
         """Return the next frame [m]; the less a joint is trusted, the more it is held.
 
-        Args:
-            positions: Joint positions [m], NaN only where the confidence is 0, (J, 3).
-            confidence: Share of the measurement, in [0, 1], shape (J,).
+        Positions (J, 3) may be NaN where their share, ``confidence`` (J,), is 0.
         """
         self._last = self._blend(self._last, positions, confidence)
         self._measured = self._measured | (confidence > 0.0)

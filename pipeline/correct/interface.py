@@ -40,14 +40,10 @@ class Observation:
 
     def frame(self, k: int) -> Observation:
         """Return one frame of a take."""
-        return Observation(
-            self.positions[k],
-            self.reliability[k],
-            self.geometry[k],
-            float(self.time[k]),
-            self.lengths,
-            None if self.sensor is None else self.sensor[k],
-        )
+        scores = self.reliability[k], self.geometry[k]
+        sensor = None if self.sensor is None else self.sensor[k]
+        time = float(self.time[k])
+        return Observation(self.positions[k], *scores, time, self.lengths, sensor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +90,7 @@ class Corrector:
     ) -> Correction:
         """Correct a whole take; by default ``start``, then ``step`` for each frame.
 
-        Args:
-            take: The take; every array has a leading axis T.
-            frames: Yields 0 to T - 1, for example the iterator of a progress bar.
+        ``frames`` yields 0 to T - 1, for example the iterator of a progress bar.
         """
         count = len(take.positions)
         self.start()
@@ -125,12 +119,9 @@ class InTurn(Corrector):
     and coverage come from the last method. Where it turns a forearm, a hand that was
     not measured turns with it.
 
-    Args:
-        methods: The methods, in their order.
-        skeleton: The joints.
-        least_reliability: Minimum reliability of measured joints in the input of the
-            last method. Above 0 where the methods before it already account for the
-            sensor's guesses.
+    ``least_reliability`` is the minimum reliability of measured joints in the input of
+    the last method: above 0 if the methods before it already correct the joints that
+    the sensor only inferred.
     """
 
     def __init__(

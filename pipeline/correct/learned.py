@@ -20,9 +20,6 @@ class LearnedCorrector(Corrector):
     """Base class of correction methods that are trained on pairs of Kinect and mocap.
 
     Fitted state ends in ``_``; the subclasses of ``Learner`` in the lab compute it.
-
-    Args:
-        skeleton: The joints.
     """
 
     fitted: ClassVar[tuple[str, ...]]

@@ -111,9 +111,7 @@ class LocalPCA(Corrector):
     def synthesize(self, measured: Array, reliability: Array) -> tuple[Array, Indices]:
         """Return the natural posture of least energy [m], (J, 3), and its neighbors.
 
-        Args:
-            measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
-            reliability: Reliability of each joint, shape (J,).
+        ``measured`` positions [m] (J, 3) may be NaN where the reliability (J,) is 0.
         """
         nearest = self._neighbors(measured, reliability)
         postures = self.database.flat[nearest].astype(float)

@@ -23,7 +23,6 @@ class OneEuro(Corrector):
     keep their last bones; joints not measured yet are placed as in the rest pose.
 
     Args:
-        skeleton: The joints.
         min_cutoff: Cutoff at rest [Hz].
         beta: Rise of the cutoff with speed [1/m]. In steady motion a joint lags by
             less than 1 / (2 pi beta).

@@ -48,9 +48,6 @@ class PostureFeatures:
     The features are the positions of the M known joints, their movement since some
     frames before and until some frames after, the lengths of M - 1 segments, and the
     direction to the sensor. Other joints move with the limb that they are on.
-
-    Args:
-        skeleton: The joints.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -117,16 +114,12 @@ class PostureFeatures:
     def merge_sides(self, left: Array, right: Array) -> Array:
         """Return the offsets of all known joints, shape (..., M, 3).
 
-        Args:
-            left: Offsets of the joints of all parts, one part after the other, shape
-                (..., N, 3).
-            right: The same for the mirror image.
+        ``left`` and ``right`` are those of the joints of all parts, one part after the
+        other, and of the same joints of the mirror image, shape (..., N, 3).
         """
+        left, right = left[..., self._slots, :], right[..., self._slots, :]
         right = right * [-1.0, 1.0, 1.0]
-        return np.asarray(
-            (1.0 - self._share) * left[..., self._slots, :]
-            + self._share * right[..., self._slots, :]
-        )
+        return np.asarray((1.0 - self._share) * left + self._share * right)
 
     def points(self, postures: Array) -> Array:
         """Return known joints relative to the middle of the hips [m], (..., M, 3)."""

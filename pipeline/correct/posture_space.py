@@ -220,9 +220,6 @@ class NaturalSpaces:
     shoulder too far ahead. Whatever a measurement does along directions in which
     natural postures hardly vary is error (probabilistic PCA, Tipping & Bishop 1999,
     section 2).
-
-    Args:
-        database: Natural postures.
     """
 
     def __init__(self, database: PostureDatabase) -> None:
@@ -262,14 +259,11 @@ class NaturalSpaces:
         return mean, axes, np.maximum(values, 0.0)
 
     def shift(self, posture: Array) -> Array:
-        """Return the shift [m] that makes a posture natural, shape (J, 3).
+        """Return the shift [m] that makes a finite posture natural, shape (J, 3).
 
         It leads to the posterior mean of the posture, given that it was measured with
         noise. Where the nearest posture of the database is far away, the variances grow
         by a share of the distance, and the shift fades to zero.
-
-        Args:
-            posture: Joint positions [m], finite, shape (J, 3).
         """
         row = self._rows(posture)
         squares = self._squares - 2.0 * self._postures @ row + row @ row

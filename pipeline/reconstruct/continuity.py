@@ -31,11 +31,8 @@ def bridge(values: Array, known: Flags, rate: float) -> Array:
     Whittaker's smoother with second differences (Eilers 2003) minimizes the sum of
     |z - y|^2 over known frames plus lambda times the sum of |second difference|^2. In
     gaps much longer than a second, it approaches the straight line between the ends.
-
-    Args:
-        values: Values to bridge, shape (T, C).
-        known: Frames in which they are known, one or more, shape (T,).
-        rate: Frame rate [Hz].
+    ``known`` (T,) are the frames with values, at least one; ``rate`` is the frame rate
+    [Hz].
     """
     if known.all():
         return values.copy()

@@ -43,14 +43,9 @@ def fill_hidden(
     """Return positions [m] with the hidden joints filled, and flags of filled joints.
 
     Joints that were never seen stay as they are. So do joints that the sensor inferred
-    long after they were last seen and long before they are seen again.
-
-    Args:
-        time: Time stamps [s], strictly increasing, shape (T,).
-        positions: Joint positions [m], sensor frame with y up, shape (T, J, 3).
-        hidden: True for hidden joints, shape (T, J).
-        skeleton: The joints.
-        prior: The learned prior; by default the one that ships.
+    long after they were last seen and long before they are seen again. Time stamps [s]
+    increase strictly, positions are in the sensor frame with y up, shape (T, J, 3), and
+    ``hidden`` has shape (T, J). The default prior is the one that ships.
     """
     hidden = with_tips(hidden & ~hidden.all(axis=0), skeleton)
     hidden &= ~hidden.all(axis=0)
@@ -164,9 +159,8 @@ def _fill_limb(seen: Seen, gap: slice, limb: Limb, prior: MotionPrior) -> None:
     ahead = gap.stop < len(seen.positions) and not seen.breaks[gap.stop]
     start, at = np.array([gap.start]), np.arange(length)[None]
     long = length > SHORTEST * seen.rate
-    found = (prior.describe if long else describe)(
-        Stretches(seen, limb, start, length, at, ahead)
-    )
+    stretch = Stretches(seen, limb, start, length, at, ahead)
+    found = prior.describe(stretch) if long else describe(stretch)
     directions, features = found.base[0], found.features[0]
     if long:
         recall = learn(seen, limb, length, features, prior, ahead=ahead, gap=gap.start)

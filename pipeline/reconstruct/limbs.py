@@ -51,13 +51,10 @@ def with_tips(hidden: Flags, skeleton: Skeleton) -> Flags:
 def limb_of(
     skeleton: Skeleton, joints: tuple[int, int, int], known: Array
 ) -> Limb | None:
-    """Return the hidden part of a limb; None if all of it is seen.
+    """Return the hidden part of a limb, given from the trunk outwards, or None.
 
-    Args:
-        skeleton: The joints.
-        joints: The limb, from the trunk outwards.
-        known: Share of a gap's frames in which each segment is seen, NaN for one that
-            is never seen, shape (J,).
+    ``known`` (J,) is the share of a gap's frames in which each segment is seen, NaN for
+    one that is never seen.
     """
     gone = tuple(j for j in joints[1:] if known[j] < 0.5)
     if not gone:

@@ -87,14 +87,9 @@ def hidden_joints(
     """Return True for joints that are missing, or of a limb and only inferred.
 
     Inferred joints of the trunk, and those that the sensor hardly ever tracks, are not
-    hidden: what the sensor infers is better there than what went before.
-
-    Args:
-        positions: Joint positions [m], NaN where missing, shape (..., J, 3).
-        state: Tracking states (State), shape (..., J).
-        skeleton: The joints.
-        tracked: Share of frames in which each joint is tracked, shape (J,); by default
-            that of all frames.
+    hidden: what the sensor infers is better there than what went before. ``tracked``
+    (J,) is the share of frames in which each joint is tracked; by default that of all
+    frames of the take.
     """
     now = state == State.TRACKED
     often = (now.mean(axis=0) if tracked is None else tracked) > _MOSTLY_INFERRED

@@ -47,10 +47,6 @@ class HiddenLimbTracker:
     A limb continues its motion and comes to rest, a planted foot stays in place, and
     what the last minute shows of the limb's motion is added. When the limb is seen
     again, it returns to the measurement within a fifth of a second.
-
-    Args:
-        body: The person.
-        prior: The learned prior; by default the one that ships.
     """
 
     def __init__(self, body: Body, prior: MotionPrior | None = None) -> None:
@@ -76,12 +72,9 @@ class HiddenLimbTracker:
     def step(self, positions: Array, hidden: Flags, time: float) -> tuple[Array, Flags]:
         """Return the next frame's joint positions [m], and flags of filled joints.
 
-        Joints that were never seen stay as they are.
-
-        Args:
-            positions: Joint positions [m], sensor frame with y up, shape (J, 3).
-            hidden: True for hidden joints, shape (J,).
-            time: Time stamp [s], later than the last.
+        Positions are in the sensor frame with y up, shape (J, 3), ``hidden`` flags have
+        shape (J,), and the time stamp [s] is later than the last. Joints that were
+        never seen stay as they are.
         """
         skeleton, k = self._body.skeleton, self._remember(time)
         hidden = with_tips(hidden, skeleton)
@@ -183,19 +176,14 @@ class HiddenLimbTracker:
 
     def _seen(self, count: int, floor: float) -> Seen:
         """Return the motion so far."""
+        skeleton, lengths = self._body.skeleton, self._body.lengths
         steps = np.diff(self._times[max(count - 30, 0) : count])
-        return Seen(
-            self._body.skeleton,
-            1.0 / float(np.median(steps)) if len(steps) else _RATE,
-            HeadingFrame(self._root[:count], self._yaw[:count]),
-            self._positions[:count],
-            self._directions[:count],
-            self._known[:count],
-            self._joined[:count],
-            np.zeros(count, dtype=np.bool_),
-            self._body.lengths,
-            floor,
-        )
+        rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
+        heading = HeadingFrame(self._root[:count], self._yaw[:count])
+        log = (self._positions, self._directions, self._known, self._joined)
+        arrays = (array[:count] for array in log)
+        breaks = np.zeros(count, dtype=np.bool_)
+        return Seen(skeleton, rate, heading, *arrays, breaks, lengths, floor)
 
     def _join(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
         """Return a frame in which limbs that are seen again return smoothly."""

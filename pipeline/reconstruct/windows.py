@@ -218,13 +218,9 @@ def _momentum(
 
     A linear rule, fitted to the arms of six people. Fitted without each of them, and
     without each of ten movements, it reduced the error of keeping all the speed by 3 to
-    5 % on what was left out.
-
-    Args:
-        speeds: Velocities of the directions at both ends [1/s], shape (2, W, 1, C).
-        duration: Time between the ends [s].
-        seen_change: Change of the visible segments [m], shape (W, M).
-        root_change: Change of the root [m], shape (W, M).
+    5 % on what was left out. ``speeds`` (2, W, 1, C) are the velocities of the
+    directions [1/s] at both ends, which are ``duration`` [s] apart; the changes [m] of
+    the visible segments and of the root have shape (W, M).
     """
     turns = duration * np.sqrt(3.0 / speeds.shape[-1]) * speeds
     far = np.linalg.norm(turns, axis=-1)
