@@ -33,7 +33,7 @@ from kinefilter.characters.arrays import Array, Flags, Indices, Singles, chunks
 from kinefilter.retarget.body_size import chain_matrix
 from kinefilter.retarget.hands import Hands
 
-from .interface import CORRECTED_CONFIDENCE, Correction, Observation
+from .interface import CORRECTED_CONFIDENCE, Correction, Frames, Observation
 from .learned import LearnedCorrector
 from .posture_features import REACH, PostureFeatures
 from .random_features import RandomFeatures, direction_to, similarity_to
@@ -118,6 +118,8 @@ class FourierRidge(LearnedCorrector):
         # Of whole takes, then of live motion.
         self._features = list[list[RandomFeatures]]()
         self._centers = list[list[tuple[Flags, Singles, Singles]]]()
+        self._mirrors = list[tuple[Indices, Singles]]()
+        order, signs = self._described.mirror
         for weights, columns in (
             (self.weights_, np.arange(len(every))),
             (self.live_weights_, self._described.live),
@@ -127,6 +129,8 @@ class FourierRidge(LearnedCorrector):
             self._features.append(
                 [RandomFeatures(mean, count, seed, p.weights[columns]) for p in parts]
             )
+            own_order = np.asarray(np.searchsorted(columns, order[columns]))
+            self._mirrors.append((own_order, signs[columns].astype(np.float32)))
             self._centers.append([])
             for own, found in centers:
                 kept = np.isin(np.flatnonzero(own), columns)
@@ -159,9 +163,8 @@ class FourierRidge(LearnedCorrector):
         These are of the whole posture to frontal and to side-on training data, shape
         (T, 2), and of the part of each known joint to its own, shape (T, M).
         """
-        described = self._described
-        order, signs = described.live_mirror if live else described.mirror
-        sides = (features, features[:, order] * signs.astype(np.float32))
+        described, (order, signs) = self._described, self._mirrors[live]
+        sides = (features, features[:, order] * signs)
         whole, by_part = self._centers[live][:2], self._centers[live][2:]
         offsets, parts = [], []
         for side, (weights, constants) in zip(sides, self._offsets[live], strict=True):
@@ -179,7 +182,7 @@ class FourierRidge(LearnedCorrector):
         joints = np.array(parts)[described.is_right.astype(int), described.part_of]
         return described.merge_sides(*offsets), np.stack(posture, axis=1), joints.T
 
-    def whole(self, take: Observation, frames: Any = None) -> Correction:  # noqa: ARG002
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002
         """Correct a whole take."""
         self.start()
         posture = self._hold.fill(take.positions)

@@ -1,12 +1,8 @@
-"""Blending a prior posture with a measured one, and filling missing joints.
-
-``Hold`` corrects nothing: measured joints stay, missing ones keep their last bones.
-"""
+"""Blending a prior posture with a measured one, and filling missing joints."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dposv
@@ -15,7 +11,7 @@ from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import between, rotate
 
-from .interface import Correction, Corrector, Observation, measured_only
+from .interface import Correction, Corrector, Frames, Observation, measured_only
 
 UNRELIABLE, RELIABLE = 0.3, 0.95
 """Reliability up to which a measurement is ignored, and from which it is kept as it is.
@@ -79,7 +75,7 @@ class Blend:
 
 
 class Hold(Corrector):
-    """Passes measurements through; missing joints keep their last bones.
+    """Corrects nothing: measured joints stay, missing ones keep their last bones.
 
     Hands and feet that have not been measured yet extend the forearm or shin as in the
     rest pose.
@@ -100,11 +96,7 @@ class Hold(Corrector):
         self._measured = np.zeros(len(self._rest), dtype=np.bool_)
 
     def _extend(self, postures: Array, measured: Flags) -> None:
-        """Place hands and feet without any measurement so far, in ``postures`` itself.
-
-        Postures [m] are (T, J, 3); ``measured`` (T, J) is True from a joint's first
-        measurement on.
-        """
+        """Place hands and feet (T, J, 3) that are not ``measured`` so far, in place."""
         for j in self._tips:
             unknown = ~measured[:, j]
             if unknown.any():
@@ -128,7 +120,7 @@ class Hold(Corrector):
         self._measured, self._last = measured[-1], filled[-1]
         return filled
 
-    def whole(self, take: Observation, frames: Any = None) -> Correction:  # noqa: ARG002
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002
         """Fill a whole take."""
         self.start()
         found = measured_only(take.positions)

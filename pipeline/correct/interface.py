@@ -13,6 +13,8 @@ from kinefilter.characters import InputError, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.retarget.hands import Hands
 
+Frames = Iterable[int] | None
+"""Yields 0 to T - 1, for example the iterator of a progress bar; None for a range."""
 CORRECTED_CONFIDENCE = 0.9
 """Confidence in a corrected measurement. A guess; less than 1 so that the smoother may
 move the joint, too."""
@@ -75,23 +77,14 @@ class Corrector:
         """Select a trained person by name; None or an unknown name: a stranger."""
 
     def step(self, observation: Observation) -> Correction:  # noqa: ARG002 - refused
-        """Correct the next frame.
-
-        Raises:
-            InputError: The method needs the whole take.
-        """
+        """Correct the next frame; raises InputError if it needs the whole take."""
         raise InputError(
             f"{type(self).__name__} needs the whole take and cannot correct it "
             "frame by frame; choose another method for live motion"
         )
 
-    def whole(
-        self, take: Observation, frames: Iterable[int] | None = None
-    ) -> Correction:
-        """Correct a whole take; by default ``start``, then ``step`` for each frame.
-
-        ``frames`` yields 0 to T - 1, for example the iterator of a progress bar.
-        """
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:
+        """Correct a whole take; by default ``start``, then ``step`` for each frame."""
         count = len(take.positions)
         self.start()
         arrays: dict[str, Any] = {}
@@ -145,9 +138,7 @@ class InTurn(Corrector):
         """Correct the next frame."""
         return self._run(observation, [method.step for method in self.methods])
 
-    def whole(
-        self, take: Observation, frames: Iterable[int] | None = None
-    ) -> Correction:
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:
         """Correct a whole take, one method after the other."""
         *before, last = (method.whole for method in self.methods)
         return self._run(take, [*before, partial(last, frames=frames)])

@@ -17,9 +17,9 @@ from .interface import Corrector
 
 
 class LearnedCorrector(Corrector):
-    """Base class of correction methods that are trained on pairs of Kinect and mocap.
+    """A correction method that is trained on pairs of Kinect and mocap.
 
-    Fitted state ends in ``_``; the subclasses of ``Learner`` in the lab compute it.
+    Fitted state ends in ``_``; a ``Learner`` of the lab computes it.
     """
 
     fitted: ClassVar[tuple[str, ...]]
@@ -52,8 +52,7 @@ class LearnedCorrector(Corrector):
     def adjusted(self, **settings: Any) -> Self:
         """Return the same fitted method with other keywords.
 
-        Raises:
-            InputError: A keyword that is not adjustable differs from training.
+        Raises InputError if one that is not adjustable differs from training.
         """
         for name, value in settings.items():
             own = self.settings[name]

@@ -42,7 +42,6 @@ class LocalPCA(Corrector):
     shows that no person has such a posture.
 
     Args:
-        database: Natural postures.
         neighbors: K, the number of postures that span the natural posture space.
         dimensions: Maximum number of dimensions of that space.
         search: How the posture of least energy is found.

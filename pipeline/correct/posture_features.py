@@ -27,8 +27,7 @@ _PARTS = (
 # carries over to new movements. Chosen by leaving one of six people and a movement out.
 _REST = 0.15
 
-REACH = 2.0 * _APART
-"""Frames older than this [s] do not influence the features of movement."""
+REACH = 2.0 * _APART  # s: older frames do not influence the features of movement
 
 
 class Part(NamedTuple):
@@ -65,41 +64,32 @@ class PostureFeatures:
         self.sides = np.array([*np.zeros(len(trunk)), *side])
         """1 for left joints that the body can hide, -1 for right ones, 0 for others."""
         # Segments between known joints skip the joint that only some sensors have.
-        above = [skeleton.parents[j] for j in self.joints[1:]]
-        self._starts = np.array(
-            [rows.get(j, rows.get(skeleton.parents[j])) for j in above]
-        )
+        parents = skeleton.parents
+        above = [parents[j] for j in self.joints[1:]]
+        self._starts = np.array([rows.get(j, rows.get(parents[j])) for j in above])
         body = standard_body(skeleton)
         self._standard = body.lengths[self.limbs]
-        self._segments = np.linalg.norm(
-            self._bones(body.rest_positions[self.joints]), axis=1
-        )
+        bones = self._bones(body.rest_positions[self.joints])
+        self._segments = np.linalg.norm(bones, axis=1)
         carrier = dict(rows)
         for j in skeleton.order:
-            carrier.setdefault(j, carrier.get(skeleton.parents[j], 0))
+            carrier.setdefault(j, carrier.get(parents[j], 0))
         self.carrier = np.array([carrier[j] for j in range(len(skeleton))])
         """The known joint with which each joint moves: itself, or one of its limb."""
         self._hips = [rows[int(j)] for j in skeleton.hips]
         size = 3 * len(known)
         count = 3 * size + len(known) - 1 + 2
         order, signs = np.arange(count), np.ones(count)
-        for part in np.split(np.arange(3 * size), 3):
-            order[part] = part.reshape(-1, 3)[self._mirror].ravel()
-            signs[part[::3]] = -1.0
+        vectors = order[: 3 * size].reshape(3, -1, 3)
+        vectors[:] = vectors[:, self._mirror]
+        signs[: 3 * size : 3] = -1.0
         order[3 * size : -2] = 3 * size + self._mirror[1:] - 1
         signs[-2] = -1.0
         self.mirror = (order, signs)
         """Order and signs of the features of the mirror image."""
         self.live = np.delete(np.arange(count), np.arange(2 * size, 3 * size))
         """The features of live motion: all but the movement until later frames."""
-        live_order = np.asarray(np.searchsorted(self.live, order[self.live]))
-        self.live_mirror = (live_order, signs[self.live])
-        """Order and signs of these features of the mirror image."""
-        self.parts = [
-            Part(np.array(joints), own, np.where(own, 1.0, _REST).astype(np.float32))
-            for joints, near in _PARTS
-            for own in [_features_of(np.array(near), size, count)]
-        ]
+        self.parts = [_part(*joints, size, count) for joints in _PARTS]
         """Arm, leg and trunk."""
         corrected = [j for part in self.parts for j in part.joints.tolist()]
         left = np.where(np.isin(known, corrected), known, self._mirror)
@@ -148,15 +138,12 @@ class PostureFeatures:
         *,
         live: bool = False,
     ) -> Singles:
-        """Return the features of some frames, shape (T, F).
+        """Return the features of some frames of a motion, shape (T, F).
 
-        Args:
-            points: Known joints of these frames [m], shape (T, M, 3).
-            around: Known joints of all frames [m], shape (N, M, 3).
-            time: Time stamps of these frames [s], shape (T,).
-            times: Time stamps of all frames [s], shape (N,).
-            toward: Direction to the sensor, shape (T, 2).
-            live: Leave out the features that need later frames.
+        ``points`` (T, M, 3) are their known joints [m], ``around`` (N, M, 3) those of
+        all frames; ``time`` (T,) and ``times`` (N,) are the time stamps [s] of both,
+        and ``toward`` (T, 2) is the direction to the sensor. If ``live``, the features
+        that need later frames are left out.
         """
         parts = [points, _MOVEMENT * (points - values_at(times, around, time - _APART))]
         if not live:
@@ -167,11 +154,13 @@ class PostureFeatures:
         return np.concatenate(rows, axis=1, dtype=np.float32)
 
 
-def _features_of(joints: Indices, size: int, count: int) -> Flags:
-    """Return True for features of some known joints and of the sensor's direction."""
-    own = np.zeros(count, dtype=bool)
-    own[:size].reshape(-1, 3)[joints] = True
+def _part(
+    joints: tuple[int, ...], near: tuple[int, ...], size: int, count: int
+) -> Part:
+    """Return a part with some joints, whose own features are those of ``near``."""
+    own, rows = np.zeros(count, dtype=bool), np.array(near)
+    own[:size].reshape(-1, 3)[rows] = True
     own[size : 3 * size] = np.tile(own[:size], 2)
-    own[3 * size + joints[joints > 0] - 1] = True
-    own[-2:] = True
-    return own
+    own[3 * size + rows[rows > 0] - 1] = True
+    own[-2:] = True  # the direction to the sensor
+    return Part(np.array(joints), own, np.where(own, 1.0, _REST).astype(np.float32))

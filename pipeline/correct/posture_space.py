@@ -89,12 +89,10 @@ class PostureEnergy:
     their latent points; only segment lengths need joint positions.
 
     Args:
-        space: The posture space of the neighboring postures.
         body: The body with the desired segment lengths.
         measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
         reliability: Reliability of each joint, shape (J,).
         steady: Posture [m] that continues the last two, shape (3 J,), or None.
-        weights: Weights of the terms.
     """
 
     def __init__(

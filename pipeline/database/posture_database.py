@@ -55,13 +55,11 @@ class PostureDatabase:
         size = (self.labels.size, len(self.skeleton))
         shapes: dict[str, Lengths] = {"positions": (*size, 3), "rotations": (*size, 4)}
         check_arrays(self, self.source, shapes, keep=shapes)
-        if size[0] < 2:
+        if size[0] < 2 or not np.any(self.positions[1:] != self.positions[0]):
             raise InputError(
-                f"{self.source}: has {size[0]} postures, but a database needs two or "
-                "more; build it from more motions"
+                f"{self.source}: a database needs two different postures or more; "
+                "build it from more motions"
             )
-        if not np.any(self.positions[1:] != self.positions[0]):
-            raise InputError(f"{self.source}: all postures are equal; build it again")
         # Single precision, as in a file: saving and loading changes nothing.
         for name in shapes:
             with np.errstate(over="ignore"):
@@ -69,8 +67,8 @@ class PostureDatabase:
             # This comparison also rejects NaN.
             if not (rounded.min() > -_LARGEST and rounded.max() < _LARGEST):
                 raise InputError(
-                    f"{self.source}: {name} must be numbers between {-_LARGEST:g} and "
-                    f"{_LARGEST:g}; build it again"
+                    f"{self.source}: {name} contain NaN or values beyond {_LARGEST:g}; "
+                    "build the database again"
                 )
             object.__setattr__(self, name, rounded)
 

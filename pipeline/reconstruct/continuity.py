@@ -14,12 +14,9 @@ from scipy.linalg import solveh_banded
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.target.smooth import penalty
 
-REFERENCE_RATE = 30.0
-"""Frame rate [Hz] at which the smoothness is specified."""
-CONTEXT = 0.2
-"""Time [s] on either side of a gap from which ``bridge_matrix`` bridges it."""
-SPEED_FRAMES = 5
-"""Number of frames over which the velocity at the end of a gap is measured."""
+REFERENCE_RATE = 30.0  # Hz: frame rate at which the smoothness is specified
+CONTEXT = 0.2  # s on either side of a gap from which ``bridge_matrix`` bridges it
+SPEED_FRAMES = 5  # over which the velocity at the end of a gap is measured
 _SMOOTHNESS = 3.0  # lambda at 30 Hz, chosen on people 1 to 3 of six
 _FORGET = 1.0  # s after which the velocity at the ends loses its effect in a long gap
 _COAST = 0.2  # s: time constant with which a hidden segment comes to rest
@@ -34,8 +31,6 @@ def bridge(values: Array, known: Flags, rate: float) -> Array:
     ``known`` (T,) are the frames with values, at least one; ``rate`` is the frame rate
     [Hz].
     """
-    if known.all():
-        return values.copy()
     seen = np.flatnonzero(known)
     first, last = seen[0], seen[-1] + 1
     bridged = np.empty_like(values)

@@ -6,7 +6,7 @@ what the take itself shows of the limb's motion is added.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -27,8 +27,7 @@ from .recall import SHORTEST, learn
 from .windows import Limb, Seen, Stretches, describe
 
 _BREAK = 1.0  # s without a frame, after which the motion does not continue
-PAUSE = 0.2
-"""Time without a frame [s] that ends a movement."""
+PAUSE = 0.2  # s without a frame that end a movement
 _BELIEVED = 2.0  # s from the nearer end of a gap, beyond which inferred joints fade in
 _LONGEST = 10.0  # s: longer gaps are only bridged
 
@@ -125,9 +124,7 @@ def seen_motion(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
     return Seen(skeleton, rate, heading, *arrays, floor)
 
 
-def _bridged(
-    values: Array, known: Flags, rate: float, stretches: Sequence[slice]
-) -> Array:
+def _bridged(values: Array, known: Flags, rate: float, stretches: list[slice]) -> Array:
     """Return values (T, C) bridged within each stretch; all unknown: the nearest."""
     bridged, seen = np.empty_like(values), np.flatnonzero(known)
     for part in stretches:

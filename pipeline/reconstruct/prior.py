@@ -27,15 +27,14 @@ from kinefilter.pipeline.formats.npz import read_arrays
 from . import windows
 from .windows import Descriptions, Limb, Stretches
 
+# Hidden segments by the name of their networks.
 PARTS = {
     "arm": ("Elbow", "Wrist"),
     "forearm": ("Wrist",),
     "leg": ("Knee", "Ankle"),
     "shin": ("Ankle",),
 }
-"""Hidden segments by the name of their networks."""
-OUTPUT = 0.2
-"""Departure of a direction's component that corresponds to a network output of 1."""
+OUTPUT = 0.2  # departure of a direction's component at a network output of 1
 _OTHERS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 _LONGEST = 8.0  # longest time among the features: there were no longer gaps in training
 _MOVES = 0.3  # change of a direction that corresponds to an input of 1

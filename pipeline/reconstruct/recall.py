@@ -21,8 +21,7 @@ from .continuity import CONTEXT
 from .prior import MotionPrior
 from .windows import Descriptions, Limb, Seen, Stretches
 
-SHORTEST = 0.4
-"""Shorter gaps [s] are only bridged, which a spline does well."""
+SHORTEST = 0.4  # s: shorter gaps are only bridged, which a spline does well
 _LONGEST = 2.0  # s: longest stretch to learn from
 _NOISE = 0.3  # against an amplitude of 1
 _REACH = 600.0  # s around a gap to learn from; bounds the cost in long takes. A guess.
@@ -90,15 +89,11 @@ def learn(
 ) -> Recall | None:
     """Learn from the stretches of a take in which a limb is seen; None if too few.
 
-    Args:
-        seen: The take.
-        limb: The hidden limb.
-        length: Number of frames of the gap.
-        queries: Features of the gap's frames, shape (M, F): the most similar samples
-            are kept; None keeps an even selection.
-        prior: The learned prior, to which the take adds.
-        ahead: True if the motion after the gap is known.
-        gap: First frame of the gap, near which to learn; None uses the whole take.
+    The gap begins with the frame ``gap`` and has ``length`` frames; ``ahead`` tells if
+    the motion after it is known. Of many samples, those most similar to ``queries``,
+    the features of the gap's frames (M, F), are kept; None keeps an even selection.
+    Without ``gap``, the whole take is used instead of the minutes around it. The result
+    adds to the ``prior``.
     """
     context = max(round(CONTEXT * seen.rate), 2)
     reach = round(_REACH * seen.rate)

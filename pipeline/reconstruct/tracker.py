@@ -147,8 +147,8 @@ class HiddenLimbTracker:
         time, gap = float(self._times[k]), self._gaps.get(key)
         if gap is None or gap.limb != limb:
             since = (k, time) if gap is None else (gap.start, gap.time)
-            gap = self._gaps[key] = _Gap(limb, *since, self._floor(k))
-        seen = self._seen(k + 1, gap.floor)
+            gap = self._gaps[key] = _Gap(limb, *since, self._planted_height(k))
+        seen = self._motion_so_far(k + 1, gap.floor)
         start, at = np.array([gap.start]), np.array([[k - gap.start]])
         stretch = Stretches(seen, limb, start, k - gap.start + 1, at, ahead=False)
         found = self._prior.describe(stretch)
@@ -168,14 +168,12 @@ class HiddenLimbTracker:
                 if not self._known[k, j]:
                     directions[j] = rotate(turn, before[j])
 
-    def _floor(self, count: int) -> float:
-        """Return the height of a planted ankle [m]."""
+    def _planted_height(self, count: int) -> float:
         ankles = [joints[2] for joints in self._limbs[1::2]]
         heights = self._positions[:count, ankles, 1] + self._root[:count, 1, None]
         return planted_height(heights)
 
-    def _seen(self, count: int, floor: float) -> Seen:
-        """Return the motion so far."""
+    def _motion_so_far(self, count: int, floor: float) -> Seen:
         skeleton, lengths = self._body.skeleton, self._body.lengths
         steps = np.diff(self._times[max(count - 30, 0) : count])
         rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
