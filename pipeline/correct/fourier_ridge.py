@@ -15,9 +15,8 @@ share an effect of their own, because their sensor is not quite a Kinect.
 
 Limbs on the far side of the body are corrected toward what a second sensor, in front,
 saw of people whom the first one saw from the side. A person from the training data who
-is named also gets the effect of that person alone.
-
-Away from the training data, the correction fades to zero.
+is named also gets the effect of that person alone. Away from the training data, the
+correction fades to zero.
 """
 
 from __future__ import annotations
@@ -65,12 +64,6 @@ class FourierRidge(LearnedCorrector):
     the limb that they are on. ``lab.methods.fourier_ridge_learner`` trains it.
     """
 
-    fitted = (
-        *("weights", "live_weights", "mean", "offset", "bones", "centers", "seed"),
-        *("arm_centers", "leg_centers", "trunk_centers"),
-        *("far_weights", "live_far_weights", "far_centers"),
-        *("people", "own_weights", "live_own_weights"),
-    )
     weights_: Singles
     live_weights_: Singles
     mean_: Singles
@@ -87,6 +80,7 @@ class FourierRidge(LearnedCorrector):
     people_: NDArray[np.str_]
     own_weights_: Singles
     live_own_weights_: Singles
+    fitted = tuple(name.removesuffix("_") for name in __annotations__)  # all of these
 
     def __init__(self, skeleton: Skeleton) -> None:
         super().__init__(skeleton)
@@ -195,20 +189,20 @@ class FourierRidge(LearnedCorrector):
             features = self._described(
                 points[some], points, take.time[some], take.time, toward[some]
             )
-            found = self._predict(features, live=False)
-            offsets[:, some], similar[some], parts[some] = found
+            predicted = self._predict(features, live=False)
+            offsets[:, some], similar[some], parts[some] = predicted
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_VIEW_TIME / step, 1.0))
         toward = uniform_filter1d(toward, window, axis=0, mode="nearest")
         share = _share_of_constant(similar, toward)
-        means = (
+        parts, similar, share = (
             gaussian_filter1d(values, span / step, axis=0, mode="nearest")
             for values, span in ((parts, _FAST), (similar, _MEDIUM), (share, _SLOW))
         )
         near, far = offsets
         constant = np.broadcast_to(near.mean(axis=0), near.shape)
-        predicted = _Offsets(constant, near - constant, far, *means, toward)
-        return self._apply(take, posture, predicted)
+        found = _Offsets(constant, near - constant, far, parts, similar, share, toward)
+        return self._apply(take, posture, found)
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
@@ -232,8 +226,8 @@ class FourierRidge(LearnedCorrector):
             for mean, value, span in means
         )
         constant, *averaged = self._means
-        predicted = _Offsets(constant, near - constant, far, *averaged)
-        return self._apply(observation, posture, predicted)
+        found = _Offsets(constant, near - constant, far, *averaged)
+        return self._apply(observation, posture, found)
 
     def _apply(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures plus the offsets, weighted by similarity."""

@@ -92,7 +92,7 @@ class Hold(Corrector):
 
     def start(self) -> None:
         """Reset the state for a new motion."""
-        self._last = self._rest
+        self._last: Array = self._rest
         self._measured = np.zeros(len(self._rest), dtype=np.bool_)
 
     def _extend(self, postures: Array, measured: Flags) -> None:

@@ -16,8 +16,7 @@ from kinefilter.retarget.hands import Hands
 Frames = Iterable[int] | None
 """Yields 0 to T - 1, for example the iterator of a progress bar; None for a range."""
 CORRECTED_CONFIDENCE = 0.9
-"""Confidence in a corrected measurement. A guess; less than 1 so that the smoother may
-move the joint, too."""
+"""Confidence in a corrected measurement, below 1 so that it is smoothed. A guess."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,13 +90,12 @@ class LocalPCA(Corrector):
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
-        measured, missing = observation.positions, np.isnan(observation.positions[:, 0])
+        measured, geometry = observation.positions, observation.geometry
+        missing = np.isnan(measured[:, 0])
         reliability = np.where(missing, 0.0, observation.reliability)
         prior, nearest = self.synthesize(measured, reliability)
         coverage = self._cover(measured, reliability, nearest)
-        confidence = measurement_confidence(
-            reliability, observation.geometry, missing, coverage
-        )
+        confidence = measurement_confidence(reliability, geometry, missing, coverage)
         posture = self._blend(prior, measured, confidence)
         if self._spaces is not None:
             shift = self._spaces.shift(posture)
@@ -114,9 +113,11 @@ class LocalPCA(Corrector):
         """
         nearest = self._neighbors(measured, reliability)
         postures = self.database.flat[nearest].astype(float)
-        space = PostureSpace(postures, self.dimensions)
+        space, steady = PostureSpace(postures, self.dimensions), None
+        if self._last:
+            steady = 2.0 * self._last[1] - self._last[0]  # eq. 14
         self.energy = PostureEnergy(
-            space, self._body, measured, reliability, self._steady(), self.weights
+            space, self._body, measured, reliability, steady, self.weights
         )
         start = space.project(self._last[-1] if self._last else postures[0])
         if self.search == "solver":
@@ -125,7 +126,7 @@ class LocalPCA(Corrector):
             limits = {"steps": self.steps, "samples": self.samples}
             latent = stochastic_search(self.energy, start, self._generator, **limits)
         posture = space.posture(latent)
-        self._last = [*self._last[-1:], posture]
+        self._last = [self._last[1] if self._last else posture, posture]
         return posture.reshape(-1, 3), nearest
 
     def _neighbors(self, measured: Array, reliability: Array) -> Indices:
@@ -142,13 +143,6 @@ class LocalPCA(Corrector):
         total = reliability[:, None] * seen + self.memory * last
         query = total / np.maximum(weights, 1e-12)[:, None]
         return self.database.neighbors(query, weights, self.neighbors)[0]
-
-    def _steady(self) -> Array | None:
-        """Return the posture that continues the last two evenly (eq. 14)."""
-        if len(self._last) < 2:
-            return self._last[-1] if self._last else None
-        before, last = self._last
-        return 2.0 * last - before
 
     def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> float:
         """Return how well the database knows the posture, in [0, 1].
@@ -169,13 +163,11 @@ class LocalPCA(Corrector):
         self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)
         return self._coverage
 
-    def orientation(
-        self, posture: Array, nearest: Indices, reliability: Array
-    ) -> Array:
+    def orientation(self, posture: Array, nearest: Indices, weights: Array) -> Array:
         """Return the neighbors' rotations, weighted by inverse difference (VII.B)."""
         apart = self.database.positions[nearest] - posture
-        weights = 1.0 / (np.vecdot(apart, apart) @ reliability + 1e-4)
+        shares = 1.0 / (np.vecdot(apart, apart) @ weights + 1e-4)
         rotations = self.database.rotations[nearest]
         opposite = np.vecdot(rotations, rotations[0]) < 0.0
-        signed = np.where(opposite, -weights[:, None], weights[:, None])
+        signed = np.where(opposite, -shares[:, None], shares[:, None])
         return normalize((signed[..., None] * rotations).sum(axis=0))

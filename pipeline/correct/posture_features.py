@@ -89,7 +89,7 @@ class PostureFeatures:
         """Order and signs of the features of the mirror image."""
         self.live = np.delete(np.arange(count), np.arange(2 * size, 3 * size))
         """The features of live motion: all but the movement until later frames."""
-        self.parts = [_part(*joints, size, count) for joints in _PARTS]
+        self.parts = [_part(joints, near, size, count) for joints, near in _PARTS]
         """Arm, leg and trunk."""
         corrected = [j for part in self.parts for j in part.joints.tolist()]
         left = np.where(np.isin(known, corrected), known, self._mirror)

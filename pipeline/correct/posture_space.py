@@ -86,13 +86,9 @@ class PostureEnergy:
     """E = wc Ec + ws Es + wk Ek + wm Em in a space (Shum 2013, eq. 10-15) [m^2].
 
     The basis is orthonormal, so distances between postures in the space equal those of
-    their latent points; only segment lengths need joint positions.
-
-    Args:
-        body: The body with the desired segment lengths.
-        measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
-        reliability: Reliability of each joint, shape (J,).
-        steady: Posture [m] that continues the last two, shape (3 J,), or None.
+    their latent points; only segment lengths, to be those of ``body``, need joint
+    positions. ``measured`` [m] (J, 3) may be NaN where the reliability (J,) is 0;
+    ``steady`` [m] (3 J,) is the posture that continues the last two, if any.
     """
 
     def __init__(

@@ -46,10 +46,9 @@ def _frequencies(size: int, count: int, seed: int) -> Singles:
     blocks = -(-count // size)
     # Raw bits and the normal quantile give the same numbers in every version of numpy.
     bits = np.random.PCG64(seed).random_raw(blocks * size * size) >> np.uint64(11)
-    normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53)
-    square = normal.reshape(blocks, size, size)
-    turns = np.linalg.qr(square)[0]
-    lengths = np.linalg.norm(square, axis=2, keepdims=True)
+    normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53).reshape(blocks, size, size)
+    turns = np.linalg.qr(normal)[0]
+    lengths = np.linalg.norm(normal, axis=2, keepdims=True)
     rows = (turns * lengths).reshape(-1, size)[:count]
     frequencies: Singles = rows.T.astype(np.float32)
     frequencies.flags.writeable = False

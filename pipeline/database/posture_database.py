@@ -97,10 +97,7 @@ class PostureDatabase:
 
     @cached_property
     def spacing(self) -> float:
-        """Median over the postures of the distance [m] to the nearest other posture.
-
-        A distance is the root mean square over the joints.
-        """
+        """Median distance [m] to the nearest other posture, RMS over the joints."""
         weights = np.full(self.positions.shape[1], 1.0 / self.positions.shape[1])
         some = np.arange(0, len(self), -(-len(self) // _FOR_SPACING))
         nearest = [self.neighbors(self.positions[k], weights, 2)[1][1] for k in some]
@@ -165,7 +162,7 @@ class PostureIndex:
         self._positions = positions
         flat = positions.reshape(len(positions), -1)
         self._block = _BLOCK if len(flat) > _AT_ONCE else len(flat)
-        self._order = _ordered(flat, self._block)
+        self._order = _ordered(flat, np.arange(len(flat)), self._block)
         flat = flat[self._order]
         starts = np.arange(0, len(flat), self._block)
         low = np.minimum.reduceat(flat, starts)
@@ -177,25 +174,22 @@ class PostureIndex:
         self._products = np.concatenate([squares, -2.0 * flat], axis=1)
 
     def nearest(
-        self, posture: Array, weights: Array, count: int
+        self, query: Array, weights: Array, count: int
     ) -> tuple[Indices, Array]:
         """Return the same as ``PostureDatabase.neighbors``, for up to N postures."""
         if not weights.any():
             return np.arange(count), np.zeros(count)
-        seen = np.where(weights[:, None] > 0.0, posture, 0.0)
-        # The largest rounding error of a D.
+        seen = np.where(weights[:, None] > 0.0, query, 0.0)
         farthest = (np.abs(seen) + self._reach.reshape(seen.shape)) ** 2
-        slack = _ROUNDING * float(weights @ farthest.sum(axis=1))
-        rows = self._candidates(seen, weights, count, slack)
+        slack = _ROUNDING * float(weights @ farthest.sum(axis=1))  # rounding error of D
+        rows = self._nearby(seen, weights, count, slack)
         near = np.sort(self._order[rows])
-        away = np.where(weights[:, None] > 0.0, self._positions[near] - posture, 0.0)
+        away = np.where(weights[:, None] > 0.0, self._positions[near] - query, 0.0)
         exact = np.vecdot(away, away) @ weights
         order = np.argsort(exact, kind="stable")[:count]
         return near[order], exact[order]
 
-    def _candidates(
-        self, seen: Array, weights: Array, count: int, slack: float
-    ) -> Indices:
+    def _nearby(self, seen: Array, weights: Array, count: int, slack: float) -> Indices:
         """Return rows that include the nearest ones in spite of rounding errors."""
         weighted = seen * weights[:, None]
         query = np.concatenate([weights, weighted.ravel()]).astype(np.float32)
@@ -227,22 +221,16 @@ class PostureIndex:
         return rows[rows < len(self._order)]
 
 
-def _ordered(flat: Singles, block: int) -> Indices:
+def _ordered(flat: Singles, rows: Indices, block: int) -> Indices:
     """Return an order in which the postures of each block lie near each other."""
-    order = np.arange(len(flat))
-    parts = [(0, len(flat))]
-    while parts:
-        start, stop = parts.pop()
-        if stop - start <= block:
-            continue
-        rows = order[start:stop]
-        spread = flat[rows[:: -(-len(rows) // _FOR_SPREAD)]].var(axis=0)
-        # Only whole blocks to the left, so that all but the last block are full.
-        middle = (-(-len(rows) // block) + 1) // 2 * block
-        along = flat[rows, np.argmax(spread)]
-        order[start:stop] = rows[np.argpartition(along, middle)]
-        parts += [(start, start + middle), (start + middle, stop)]
-    return order
+    if len(rows) <= block:
+        return rows
+    spread = flat[rows[:: -(-len(rows) // _FOR_SPREAD)]].var(axis=0)
+    # Only whole blocks to the left, so that all but the last block are full.
+    middle = (-(-len(rows) // block) + 1) // 2 * block
+    rows = rows[np.argpartition(flat[rows, np.argmax(spread)], middle)]
+    parts = (_ordered(flat, part, block) for part in (rows[:middle], rows[middle:]))
+    return np.concatenate([*parts])
 
 
 @lru_cache(maxsize=4)

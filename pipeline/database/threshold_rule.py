@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Indices
+from kinefilter.characters.arrays import Indices, chunks
 
 _BLOCK = 512  # postures compared at a time; affects only the speed
 _TOO_MANY = 50_000
@@ -34,13 +34,12 @@ def filter_postures(
     rows = np.arange(len(positions)) if among is None else among
     kept = np.empty(0, dtype=np.intp)
     others, lengths = np.empty((0, positions[:1].size)), np.empty(0)
-    for start in range(0, len(rows), _BLOCK):
-        block = rows[start : start + _BLOCK]
+    for frames in chunks(len(rows), _BLOCK):
+        block = rows[frames]
         flat = np.asarray(positions[block], dtype=np.float64).reshape(len(block), -1)
         squares = np.sum(flat * flat, axis=1)
         far = np.ones(len(block), dtype=np.bool_)
-        for first in range(0, len(kept), 8 * _BLOCK):
-            some = slice(first, first + 8 * _BLOCK)
+        for some in chunks(len(kept), 8 * _BLOCK):
             away = squares[:, None] - 2.0 * (flat @ others[some].T) + lengths[some]
             far &= away.min(axis=1) > threshold
         within = squares[:, None] - 2.0 * flat @ flat.T + squares

@@ -28,8 +28,7 @@ def bridge(values: Array, known: Flags, rate: float) -> Array:
     Whittaker's smoother with second differences (Eilers 2003) minimizes the sum of
     |z - y|^2 over known frames plus lambda times the sum of |second difference|^2. In
     gaps much longer than a second, it approaches the straight line between the ends.
-    ``known`` (T,) are the frames with values, at least one; ``rate`` is the frame rate
-    [Hz].
+    ``known`` (T,) is True for known frames, at least one; the frame rate is in Hz.
     """
     seen = np.flatnonzero(known)
     first, last = seen[0], seen[-1] + 1

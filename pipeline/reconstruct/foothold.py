@@ -38,12 +38,10 @@ def held_ankle(
 ) -> tuple[Array, Array]:
     """Return where a hidden ankle is held [m], and how firmly, in [0, 1].
 
-    Args:
-        last: Last visible position [m], world frame, shape (..., 1, 3).
-        after: Next visible position; None if unknown.
-        was_planted: Likelihood that it was planted before the gap, shape (..., 1).
-        is_planted: Likelihood that it is planted after the gap, shape (..., 1).
-        time: Times since it was last visible and until it is again [s], (2, ..., N).
+    ``last`` and ``after`` (None if unknown) are its positions before and after the gap
+    [m], world frame, shape (..., 1, 3); ``was_planted`` and ``is_planted`` (..., 1) are
+    the likelihoods that it is planted there. ``time`` (2, ..., N) holds the times since
+    it was seen and until it is next seen [s].
     """
     since, until = time
     if after is None:

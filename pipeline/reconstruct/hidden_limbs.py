@@ -88,10 +88,9 @@ def seen_motion(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
         root = _bridged(root, there[:, skeleton.root], rate, stretches)
     yaw = find_yaw(positions, there.astype(float), skeleton)
     facing = ~np.isnan(yaw)
-    if facing.any():
-        yaw = np.interp(frames, frames[facing], np.unwrap(yaw[facing]))
-    else:
-        yaw = np.zeros(len(yaw))
+    if not facing.any():
+        yaw, facing = np.zeros(len(yaw)), ~facing
+    yaw = np.interp(frames, frames[facing], np.unwrap(yaw[facing]))
     heading = HeadingFrame(root, yaw)
     placed, parents = heading.remove(positions), np.array(skeleton.parents)
     bones = placed - placed[:, parents]
@@ -191,5 +190,5 @@ def _place_middle(seen: Seen, hidden: Flags, limb: tuple[int, int, int]) -> None
     frames = hidden[:, middle] & ~hidden[:, end]
     if frames.any() and np.isfinite(seen.lengths[[middle, end]]).all():
         lengths = (seen.lengths[middle], seen.lengths[end])
-        ends = np.moveaxis(seen.positions[frames][:, limb], 1, 0)
-        seen.positions[frames, middle] = between_ends(*ends, lengths)[0]
+        first, inner, last = np.moveaxis(seen.positions[frames][:, limb], 1, 0)
+        seen.positions[frames, middle] = between_ends(first, inner, last, lengths)[0]

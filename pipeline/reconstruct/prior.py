@@ -47,11 +47,9 @@ Network = list[tuple[Array, Array]]
 class MotionPrior:
     """Describes hidden limbs as ``windows.describe`` does, plus the learned departure.
 
-    Args:
-        networks: For each part of PARTS, with the suffix ``before`` or ``between`` (if
-            only the frames before the gap are known, or those after it as well), the
-            mean of the inputs, shape (F,), and weights and biases of the layers.
-            Without networks every limb continues its previous motion.
+    ``networks`` holds, under the names that ``network_name`` gives, the mean of the
+    inputs, shape (F,), and the weights and biases of the layers. Without networks every
+    limb continues its previous motion.
     """
 
     def __init__(self, networks: Mapping[str, tuple[Array, Network]]) -> None:
@@ -116,7 +114,7 @@ def default_prior() -> MotionPrior:
 
 
 def network_name(part: str, *, ahead: bool) -> str:
-    """Return the name of the networks of a part of PARTS."""
+    """Return a part's network name; ``ahead`` if frames after the gap are known."""
     return f"{part}_{'between' if ahead else 'before'}"
 
 

@@ -68,9 +68,7 @@ class Reconstruct(Stage):
             # Skip the take itself, which has the same recorded root: a take must not
             # learn from itself.
             roots, known = seen[:, skeleton.root], ~np.isnan(recorded[:, 0])
-            if len(roots) == len(recorded) and np.array_equal(
-                roots[known], recorded[known]
-            ):
+            if roots.shape == recorded.shape and (roots == recorded)[known].all():
                 continue
             time = np.concatenate([before, time])
             positions = np.concatenate([seen, positions])

@@ -147,7 +147,9 @@ class HiddenLimbTracker:
         time, gap = float(self._times[k]), self._gaps.get(key)
         if gap is None or gap.limb != limb:
             since = (k, time) if gap is None else (gap.start, gap.time)
-            gap = self._gaps[key] = _Gap(limb, *since, self._planted_height(k))
+            ankles = [ends[2] for ends in self._limbs[1::2]]
+            heights = self._positions[:k, ankles, 1] + self._root[:k, 1, None]
+            gap = self._gaps[key] = _Gap(limb, *since, planted_height(heights))
         seen = self._motion_so_far(k + 1, gap.floor)
         start, at = np.array([gap.start]), np.array([[k - gap.start]])
         stretch = Stretches(seen, limb, start, k - gap.start + 1, at, ahead=False)
@@ -168,20 +170,16 @@ class HiddenLimbTracker:
                 if not self._known[k, j]:
                     directions[j] = rotate(turn, before[j])
 
-    def _planted_height(self, count: int) -> float:
-        ankles = [joints[2] for joints in self._limbs[1::2]]
-        heights = self._positions[:count, ankles, 1] + self._root[:count, 1, None]
-        return planted_height(heights)
-
     def _motion_so_far(self, count: int, floor: float) -> Seen:
         skeleton, lengths = self._body.skeleton, self._body.lengths
         steps = np.diff(self._times[max(count - 30, 0) : count])
         rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
         heading = HeadingFrame(self._root[:count], self._yaw[:count])
-        log = (self._positions, self._directions, self._known, self._joined)
-        arrays = (array[:count] for array in log)
-        breaks = np.zeros(count, dtype=np.bool_)
-        return Seen(skeleton, rate, heading, *arrays, breaks, lengths, floor)
+        positions, directions = self._positions[:count], self._directions[:count]
+        flags = (self._known[:count], self._joined[:count], np.zeros(count, np.bool_))
+        return Seen(
+            skeleton, rate, heading, positions, directions, *flags, lengths, floor
+        )
 
     def _join(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
         """Return a frame in which limbs that are seen again return smoothly."""

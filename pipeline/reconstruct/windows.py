@@ -111,10 +111,7 @@ class Stretches:
         return np.stack([self.at + 1.0, self.length - self.at + 0.0]) / self.seen.rate
 
     def between(self, before: Array, later: Array) -> Array:
-        """Interpolate linearly from ``last`` to ``after``; hold ``before`` if unknown.
-
-        ``before`` and ``later`` are the values there, shape (W, 1, C).
-        """
+        """Interpolate values (W, 1, C) from ``last`` to ``after``, if that is known."""
         share = ((self.at + 1.0) / (self.length + 1.0))[..., None]
         return before + share * (later - before) if self.ahead else before
 
