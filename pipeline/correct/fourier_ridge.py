@@ -7,16 +7,16 @@ any recording. Arms, legs and trunk have a kernel each, in which the rest of the
 has little weight, so that training carries over to movements in which the rest of the
 body does something else. Right limbs are corrected as mirror images of left ones.
 
-Offsets that are constant in a person or a clip, and what one person alone has with a
+The constant offset of a person or a clip, and how a person's own offset depends on the
 posture, are random effects in the training covariance, k (1 + a p) + a p + a c with p
 and c equal to 1 for the same person and clip: strangers get what all people share.
 Mirrored people count as other people. Simulated people are training data, too, and
 share an effect of their own, because their sensor is not quite a Kinect.
 
 Limbs on the far side of the body are corrected toward what a second sensor, in front,
-saw of people whom the first one saw from the side. A person from the training data who
-is named also gets the effect of that person alone. Away from the training data, the
-correction fades to zero.
+saw of people whom the first one saw from the side. People from the training data who
+are named get their own effects as well. Away from the training data, the correction
+fades to zero.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class FourierRidge(LearnedCorrector):
         self.know(None)
 
     def know(self, person: str | None) -> None:
-        """Select a trained person by name; None or an unknown name: a stranger."""
+        """Select a person from the training data by name; others are strangers."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
         self._offsets: list[list[tuple[Singles, Array]]] = []
@@ -276,8 +276,7 @@ class _Offsets(NamedTuple):
 def _share_of_constant(similar: Array, toward: Array) -> Array:
     """Return the share of the constant offset to apply, shape (..., 1).
 
-    It does not hold for people seen from the side, whose joints the sensor misplaces in
-    another way. ``similar`` is as in ``_Offsets``.
+    From the side, the sensor misplaces joints in another way than from the front.
     """
     off_frontal = _off_frontal_share(toward[..., :1], similar)
     return _ramp(similar[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)

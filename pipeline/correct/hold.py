@@ -96,7 +96,7 @@ class Hold(Corrector):
         self._measured = np.zeros(len(self._rest), dtype=np.bool_)
 
     def _extend(self, postures: Array, measured: Flags) -> None:
-        """Place hands and feet (T, J, 3) that are not ``measured`` so far, in place."""
+        """Place hands and feet that were not ``measured`` yet in postures (T, J, 3)."""
         for j in self._tips:
             unknown = ~measured[:, j]
             if unknown.any():

@@ -62,8 +62,8 @@ class Correction:
     confidence: Array
     """Share of the measurement in each joint, 0 without a measurement, shape (J,)."""
     coverage: Any
-    """How well the method knows the posture, in [0, 1]: a number, for a take of shape
-    (T,); NaN if the method cannot tell."""
+    """How well the method knows the posture, in [0, 1]: a number, or for a take an
+    array of shape (T,); NaN if the method cannot say."""
 
 
 class Corrector:
@@ -73,10 +73,10 @@ class Corrector:
         """Reset the state for a new motion."""
 
     def know(self, person: str | None) -> None:
-        """Select a trained person by name; None or an unknown name: a stranger."""
+        """Select a person from the training data by name; others are strangers."""
 
     def step(self, observation: Observation) -> Correction:  # noqa: ARG002 - refused
-        """Correct the next frame; raises InputError if it needs the whole take."""
+        """Correct the next frame; InputError if the method needs the whole take."""
         raise InputError(
             f"{type(self).__name__} needs the whole take and cannot correct it "
             "frame by frame; choose another method for live motion"
@@ -129,7 +129,7 @@ class InTurn(Corrector):
             method.start()
 
     def know(self, person: str | None) -> None:
-        """Select a trained person by name; None or an unknown name: a stranger."""
+        """Select a person from the training data by name; others are strangers."""
         for method in self.methods:
             method.know(person)
 

@@ -50,10 +50,7 @@ class LearnedCorrector(Corrector):
         return fitted
 
     def adjusted(self, **settings: Any) -> Self:
-        """Return the same fitted method with other keywords.
-
-        Raises InputError if one that is not adjustable differs from training.
-        """
+        """Return a copy with other keywords; InputError for those fixed by training."""
         for name, value in settings.items():
             own = self.settings[name]
             if name not in self.adjustable and value != own:

@@ -28,9 +28,9 @@ Search = Literal["solver", "stochastic"]
 
 _SENSOR_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, on the standard body
 _NEIGHBORS = 5
-"""Postures that span a posture space. Shum's 30 leave room for postures that nobody
-takes where few joints are reliable: behind a box or a desk, 10 remove 38 % of the error
-of simulated takes, 7 remove 40 % and 5 remove 41 %."""
+"""Postures that span a posture space. Shum's 30 leave room for unnatural postures where
+few joints are reliable: behind a box or a desk, 10 remove 38 % of the error of
+simulated takes, 7 remove 40 % and 5 remove 41 %."""
 _AS_MEASURED = 0.001  # m: a joint that moves less still counts as measured
 _COVERAGE_MEMORY = 0.8  # weight of the last frame's coverage, against sudden changes
 

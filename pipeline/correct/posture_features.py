@@ -56,7 +56,7 @@ class PostureFeatures:
         self.joints = np.array([*trunk, *limbs])
         """Indices of the known joints, shape (M,)."""
         self.limbs = self.joints[len(trunk) :]
-        """Those of the limbs."""
+        """Indices of the known joints of arms and legs."""
         rows = {int(j): k for k, j in enumerate(self.joints)}
         known = np.arange(len(rows))
         self._mirror = np.array([rows[int(skeleton.mirror[j])] for j in self.joints])

@@ -67,8 +67,7 @@ class PostureDatabase:
             # This comparison also rejects NaN.
             if not (rounded.min() > -_LARGEST and rounded.max() < _LARGEST):
                 raise InputError(
-                    f"{self.source}: {name} contain NaN or values beyond {_LARGEST:g}; "
-                    "build the database again"
+                    f"{self.source}: {name} are NaN or beyond {_LARGEST:g}; rebuild it"
                 )
             object.__setattr__(self, name, rounded)
 
@@ -193,6 +192,10 @@ class PostureIndex:
         """Return rows that include the nearest ones in spite of rounding errors."""
         weighted = seen * weights[:, None]
         query = np.concatenate([weights, weighted.ravel()]).astype(np.float32)
+        if len(self._middle) == 1:
+            away = self._products @ query
+            best = float(np.partition(away, count - 1)[count - 1])
+            return np.flatnonzero(away <= best + slack)
         constant = float(np.vdot(weighted, seen))
         # Lower bounds of D, from the distance of the posture to each box.
         outside = np.abs(self._middle - seen.ravel().astype(np.float32)) - self._half

@@ -27,7 +27,7 @@ from .recall import SHORTEST, learn
 from .windows import Limb, Seen, Stretches, describe
 
 _BREAK = 1.0  # s without a frame, after which the motion does not continue
-PAUSE = 0.2  # s without a frame that end a movement
+PAUSE = 0.2  # s without a frame, after which a movement ends
 _BELIEVED = 2.0  # s from the nearer end of a gap, beyond which inferred joints fade in
 _LONGEST = 10.0  # s: longer gaps are only bridged
 
@@ -43,8 +43,7 @@ def fill_hidden(
 
     Joints that were never seen stay as they are. So do joints that the sensor inferred
     long after they were last seen and long before they are seen again. Time stamps [s]
-    increase strictly, positions are in the sensor frame with y up, shape (T, J, 3), and
-    ``hidden`` has shape (T, J). The default prior is the one that ships.
+    increase strictly; positions are in the sensor frame with y up, shape (T, J, 3).
     """
     hidden = with_tips(hidden & ~hidden.all(axis=0), skeleton)
     hidden &= ~hidden.all(axis=0)
@@ -124,7 +123,7 @@ def seen_motion(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
 
 
 def _bridged(values: Array, known: Flags, rate: float, stretches: list[slice]) -> Array:
-    """Return values (T, C) bridged within each stretch; all unknown: the nearest."""
+    """Return values (T, C) bridged in each stretch; without any there, the nearest."""
     bridged, seen = np.empty_like(values), np.flatnonzero(known)
     for part in stretches:
         if known[part].any():

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.skeleton import SIDES
 
 from .windows import Limb
@@ -42,10 +42,16 @@ def with_tips(hidden: Flags, skeleton: Skeleton) -> Flags:
 
     A hand without its wrist shows only its own position, not that of the arm.
     """
-    hidden = hidden.copy()
+    return np.asarray(hidden | hidden[..., _ends(skeleton)])
+
+
+@cache
+def _ends(skeleton: Skeleton) -> Indices:
+    """Return the wrist or ankle of hand and foot joints, others themselves, (J,)."""
+    ends = np.arange(len(skeleton))
     for _, _, end in limbs(skeleton):
-        hidden[..., skeleton.beyond(end)] |= hidden[..., end, None]
-    return hidden
+        ends[skeleton.beyond(end)] = end
+    return ends
 
 
 def limb_of(

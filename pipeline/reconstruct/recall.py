@@ -89,8 +89,8 @@ def learn(
 ) -> Recall | None:
     """Learn from the stretches of a take in which a limb is seen; None if too few.
 
-    The gap begins with the frame ``gap`` and has ``length`` frames; ``ahead`` tells if
-    the motion after it is known. Of many samples, those most similar to ``queries``,
+    The gap begins with the frame ``gap`` and has ``length`` frames; ``ahead`` is True
+    if the motion after it is known. Of many samples, those most similar to ``queries``,
     the features of the gap's frames (M, F), are kept; None keeps an even selection.
     Without ``gap``, the whole take is used instead of the minutes around it. The result
     adds to the ``prior``.

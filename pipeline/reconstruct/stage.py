@@ -58,15 +58,13 @@ class Reconstruct(Stage):
         for other in self._others:
             if other.skeleton != skeleton:
                 raise InputError(
-                    f"{other.source}: the joints are those of {other.skeleton.name}, "
-                    f"but the take has those of {skeleton.name}; --same-person needs "
-                    "takes of the same kind of sensor"
+                    f"{other.source}: is a take of {other.skeleton.name}, but this one "
+                    f"is of {skeleton.name}; --same-person needs the same sensor"
                 )
             new = np.diff(other.time, prepend=-np.inf) > 0
             before = other.time[new] + time[0] - _BETWEEN - other.time[-1]
             seen = leveled(other.positions[new], draft.turn.tilt, draft.turn.roll)
-            # Skip the take itself, which has the same recorded root: a take must not
-            # learn from itself.
+            # A take must not learn from itself; its root is as it was recorded.
             roots, known = seen[:, skeleton.root], ~np.isnan(recorded[:, 0])
             if roots.shape == recorded.shape and (roots == recorded)[known].all():
                 continue

@@ -72,9 +72,8 @@ class HiddenLimbTracker:
     def step(self, positions: Array, hidden: Flags, time: float) -> tuple[Array, Flags]:
         """Return the next frame's joint positions [m], and flags of filled joints.
 
-        Positions are in the sensor frame with y up, shape (J, 3), ``hidden`` flags have
-        shape (J,), and the time stamp [s] is later than the last. Joints that were
-        never seen stay as they are.
+        Positions are in the sensor frame with y up, shape (J, 3), and the time stamp
+        [s] is later than the last. Joints that were never seen stay as they are.
         """
         skeleton, k = self._body.skeleton, self._remember(time)
         hidden = with_tips(hidden, skeleton)
